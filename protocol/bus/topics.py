@@ -1,0 +1,86 @@
+"""THE table of the bus: what travels under which key, how often, and whether it is logged.
+
+A key is `<site>/<board>/<topic>`, without a leading slash.  The same key is the topic of the MCAP channel.
+Every process and document that needs a key, a type or a rate takes it from here.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+from protocol.bus import board51_pb2 as pb
+from protocol.errors import ConfigError
+
+DEFAULT_SITE = "board51"
+_NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")  # no wildcards, no slashes: it becomes a key chunk and a file name
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Topic:
+    """One row of the table.
+
+    `by` is who publishes.  `rate` is for people.  `bus` / `logged` say where it goes.
+    """
+
+    name: str
+    message: type[pb.State] | type  # a protobuf message class
+    by: Literal["gateway", "twin", "client"]
+    rate: str
+    bus: bool
+    logged: bool
+    about: str
+
+
+TOPICS: tuple[Topic, ...] = (
+    Topic(name="state", message=pb.State, by="gateway", rate="every tick (500 Hz)", bus=True, logged=True,
+          about="one control tick in SI units"),
+    Topic(name="status", message=pb.Status, by="gateway", rate="1 Hz", bus=True, logged=True,
+          about="health of link, bus and log"),
+    Topic(name="event", message=pb.Event, by="gateway", rate="on event", bus=True, logged=True,
+          about="faults, resets, limits hit, link changes"),
+    Topic(name="parameters", message=pb.Parameters, by="gateway", rate="on change, and every 5 s", bus=True, logged=True,
+          about="identity, gains, operating point, limits, scalings"),
+    Topic(name="capture", message=pb.CaptureRecord, by="gateway", rate="on request", bus=True, logged=True,
+          about="25 kHz burst of i_c around a step"),
+    Topic(name="command", message=pb.Command, by="client", rate="query", bus=True, logged=False,
+          about="queryable: one Command in, one CommandReply out"),
+    Topic(name="command/record", message=pb.CommandRecord, by="gateway", rate="on command", bus=True, logged=True,
+          about="who, when, what, result of each command"),
+    Topic(name="raw", message=pb.RawBytes, by="gateway", rate="each read and write", bus=False, logged=True,
+          about="bytes of the UART, both ways"),
+    Topic(name="twin/state", message=pb.TwinState, by="twin", rate="every tick", bus=True, logged=True,
+          about="the free-running closed-loop twin"),
+    Topic(name="twin/divergence", message=pb.Divergence, by="twin", rate="every tick", bus=True, logged=True,
+          about="measured against twin, and one-step innovations"),
+    Topic(name="twin/alarm", message=pb.Alarm, by="twin", rate="on change", bus=True, logged=True,
+          about="divergence alarms with hysteresis"),
+)  # fmt: skip
+BY_NAME = {topic.name: topic for topic in TOPICS}
+
+ALIVE = "alive"  # liveliness token <site>/<board>/alive, held while the gateway serves the board
+
+
+def check_name(name: str, *, what: str) -> str:
+    """Return `name` if it may be a chunk of a key, else raise ConfigError naming `what`."""
+    if not _NAME.fullmatch(name):
+        raise ConfigError(
+            f"{what} {name!r} is not a name",
+            remedy="Use 1 to 32 lower-case letters, digits, - or _, starting with a letter or digit",
+        )
+    return name
+
+
+def key(site: str, board: str, topic: str) -> str:
+    """`<site>/<board>/<topic>`; the topic must be in the table (or be the liveliness token)."""
+    if topic != ALIVE and topic not in BY_NAME:
+        raise ValueError(f"{topic!r} is not a topic of the table")
+    return f"{site}/{board}/{topic}"
+
+
+def split(full: str) -> tuple[str, str, str] | None:
+    """(site, board, topic) of a key, or None where it is not one of ours."""
+    site, _, rest = full.partition("/")
+    board, _, topic = rest.partition("/")
+    return (site, board, topic) if site and board and topic in BY_NAME else None

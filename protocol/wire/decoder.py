@@ -1,0 +1,101 @@
+"""UART bytes in, events out.  No I/O, no clock, no threads.
+
+Read `framing.py` first (one frame), then `messages.py` (one body), then this file (a stream of them).
+`protocol/README.md` draws the bytes; where they disagree, that page is right.
+
+Rule 1: no input raises.  Line noise is information about the link, so it leaves as a `BadFrame` and decoding goes on.
+Rule 2: chunking is invisible.  Any split of the same bytes gives the same events.
+Rule 3: a frame ends at 0x00 whatever came before: one damaged frame never costs the next one, because each has its
+        own delimiter at both ends.
+"""
+
+from __future__ import annotations
+
+from binascii import crc_hqx
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from protocol.wire.framing import MAX_ENCODED, cobs_decode
+from protocol.wire.messages import BODY_SIZE, BY_NAME, Message, decode_body
+
+CAUSES = ("cobs", "crc", "type", "length", "range", "oversize")
+
+
+class State(NamedTuple):
+    """A STATE frame, in counts.  A tuple, because 500 of them arrive each second from each board."""
+
+    sequence: int
+    i_c: int
+    x: int
+    u_c: int
+    x_ref: int
+    flags: int  # bits 0-1 mode, 2-7 messages.Flag
+
+
+@dataclass(frozen=True, slots=True)
+class BadFrame:
+    """Bytes between two delimiters that are not a frame.  `cause` is one of CAUSES."""
+
+    cause: str
+    data: bytes  # as received, at most MAX_ENCODED + 1 bytes
+
+
+Event = State | Message | BadFrame
+
+_STATE = BY_NAME["STATE"].type
+_STATE_SIZE = BODY_SIZE["STATE"] + 2
+
+
+class StreamDecoder:
+    """Takes a byte stream apart into states, messages and bad frames.
+
+    One per connection and direction.  `pending` bytes of an unfinished frame wait for their delimiter; a frame
+    that outgrows MAX_ENCODED is reported once as `oversize` when its delimiter comes.
+    """
+
+    def __init__(self) -> None:
+        self._pending = b""
+        self._oversize = False
+
+    @property
+    def pending(self) -> int:
+        """Bytes waiting for their delimiter."""
+        return len(self._pending)
+
+    def feed(self, data: bytes) -> list[Event]:
+        """The events that `data` completes, in order; never raises."""
+        *frames, rest = (self._pending + data).split(b"\x00")
+        events: list[Event] = []
+        for frame in frames:
+            if not frame:  # the delimiter at the start of a frame, right after the one at the end of the last
+                continue
+            if self._oversize or len(frame) > MAX_ENCODED:
+                self._oversize = False
+                events.append(BadFrame("oversize", frame[: MAX_ENCODED + 1]))
+                continue
+            events.append(_decode(frame))
+        # What is kept of an endless frame is bounded: more would be a leak that line noise can trigger.
+        if len(rest) > MAX_ENCODED:
+            rest, self._oversize = rest[: MAX_ENCODED + 1], True
+        self._pending = rest
+        return events
+
+
+def _decode(frame: bytes) -> Event:
+    body = cobs_decode(frame)
+    if body is None or len(body) < 3:
+        return BadFrame("cobs", frame)
+    if crc_hqx(body, 0xFFFF) != 0:
+        return BadFrame("crc", frame)
+    if body[0] == _STATE and len(body) == _STATE_SIZE:  # the same layout as the table's row; a test compares both
+        counts = int.from_bytes(body[3:9], "little")
+        return State(
+            body[1] | body[2] << 8,
+            counts & 0xFFF,
+            counts >> 12 & 0xFFF,
+            counts >> 24 & 0xFFF,
+            counts >> 36,
+            body[9],
+        )
+    message = decode_body(body[:-2])
+    return BadFrame(message, frame) if isinstance(message, str) else message

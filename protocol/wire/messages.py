@@ -1,0 +1,414 @@
+"""THE table of UART messages: one row drives encode, decode and the interface page.
+
+Read `framing.py` for what is around a body.  A body is the type byte and then the fields of its row, little-endian,
+without padding.  All process values are converter counts: what one count is worth the board says in IDENTITY.
+
+`protocol/README.md` is the page a firmware author works from; a test compares its field tables with this file.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+VERSION = 1  # of the protocol; the board answers HELLO with the one it chose
+COUNTS_MAX = 4095  # 12-bit converters
+
+
+class Mode(IntEnum):
+    """What drives the coil."""
+
+    IDLE = 0
+    OPEN_LOOP = 1
+    CLOSED_LOOP = 2
+
+
+class Flag(IntFlag):
+    """Bits 2 to 7 of the state's flag byte (bits 0 and 1 are the mode)."""
+
+    INPUT_SATURATED = 0x04  # u_c is at an end of its converter
+    POSITION_RANGE = 0x08  # position converter at an end: x is clipped
+    CURRENT_RANGE = 0x10  # current converter at an end: i_c is clipped
+    OVERRUN = 0x20  # the previous tick took longer than T_s
+    HOST_LOST = 0x40  # the host-loss policy has acted
+    FAULT = 0x80  # coil off until SET_MODE; an EVENT says why
+
+
+class Law(IntEnum):
+    """Which control law SET_GAINS loads."""
+
+    LQI = 0
+    PID = 1
+
+
+class Shape(IntEnum):
+    """Excitation shapes."""
+
+    NONE = 0
+    STEP = 1
+    RECTANGLE = 2
+    SAWTOOTH = 3
+    PRBS = 4
+    MULTISINE = 5
+    CHIRP = 6
+
+
+class HostLoss(IntEnum):
+    """What the board does when no valid frame came for the time-out."""
+
+    KEEP = 0  # go on as commanded
+    COIL_OFF = 1  # mode IDLE
+    HOLD = 2  # closed loop: keep regulating, excitation off; otherwise as COIL_OFF
+
+
+class Reason(IntEnum):
+    """Why a command was refused (NACK)."""
+
+    UNKNOWN_TYPE = 1
+    BAD_LENGTH = 2
+    OUT_OF_RANGE = 3
+    WRONG_MODE = 4
+    BUSY = 5
+    VERSION = 6
+    NO_SESSION = 7
+    NOT_AVAILABLE = 8
+    FAULT_ACTIVE = 9
+    SLEW = 10
+
+
+class EventCode(IntEnum):
+    """What an EVENT reports; the meaning of its detail is on the interface page."""
+
+    RESET_POWER_ON = 1
+    RESET_WATCHDOG = 2
+    RESET_COMMANDED = 3
+    HOST_LOST = 4
+    HOST_BACK = 5
+    OVER_CURRENT = 6
+    SENSOR_FAULT = 7
+    OVERRUN = 8
+    EXCITATION_DONE = 9
+    CAPTURE_DONE = 10
+    LIMIT_HIT = 11
+    MODE_CHANGED = 12
+
+
+FAULT_EVENTS = frozenset({EventCode.RESET_WATCHDOG, EventCode.OVER_CURRENT, EventCode.SENSOR_FAULT})
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field of a body: name, type (u8, i8, u16, i16, u32, f32, counts, bytesN), allowed range, meaning.
+
+    `counts` fields come in pairs and share three bytes, 12 bits each.
+    """
+
+    name: str
+    type: str
+    low: float | None = None
+    high: float | None = None
+    about: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One message: type byte, name, direction, fields.  Commands have `id` as their first field."""
+
+    type: int
+    name: str
+    to_board: bool
+    fields: tuple[Field, ...]
+    about: str
+
+
+def _u8(name: str, about: str, low: int = 0, high: int = 0xFF) -> Field:
+    return Field(name, "u8", low, high, about)
+
+
+def _u16(name: str, about: str, low: int = 0, high: int = 0xFFFF) -> Field:
+    return Field(name, "u16", low, high, about)
+
+
+def _u32(name: str, about: str) -> Field:
+    return Field(name, "u32", 0, 0xFFFFFFFF, about)
+
+
+def _counts(name: str, about: str) -> Field:
+    return Field(name, "counts", 0, COUNTS_MAX, about)
+
+
+def _u16_counts(name: str, about: str) -> Field:
+    return _u16(name, about, 0, COUNTS_MAX)
+
+
+def _gains() -> tuple[Field, ...]:
+    pairs = []
+    for n in range(1, 5):
+        pairs.append(Field(f"k{n}_mantissa", "i16", -32767, 32767, f"gain {n} is mantissa * 2^-shift, in counts"))
+        pairs.append(_u8(f"k{n}_shift", "", 0, 30))
+    return tuple(pairs)
+
+
+_ID = _u8("id", "command id, 1 to 255; the same id again is answered again but not executed again", 1)
+_OPERATING_POINT = (
+    _u16_counts("i_0", "operating point (13)"),
+    _u16_counts("x_0", ""),
+    _u16_counts("u_0", ""),
+)
+
+ROWS: tuple[Row, ...] = (
+    Row(0x01, "HELLO", True, (
+        _ID,
+        _u16("session", "chosen by the host for each connection; a new one makes the board forget old ids"),
+        _u8("version_min", "lowest protocol version the host speaks"),
+        _u8("version_max", "highest"),
+    ), "open a session; answered by IDENTITY"),
+    Row(0x02, "PING", True, (_ID,), "sign of life; answered by PONG"),
+    Row(0x03, "SET_MODE", True, (_ID, _u8("mode", "0 idle, 1 open loop, 2 closed loop", 0, 2)),
+        "change the mode; clears a fault"),
+    Row(0x04, "SET_REFERENCE", True, (_ID, _u16_counts("x_ref", "absolute reference, position counts")),
+        "in force from the next tick; ends an excitation of the reference"),
+    Row(0x05, "SET_GAINS", True, (_ID, _u8("law", "0 LQI, 1 PID", 0, 1), *_gains(), *_OPERATING_POINT),
+        "control law, gains and operating point, all at one tick"),
+    Row(0x06, "EXCITE", True, (
+        _ID,
+        _u8("shape", "0 none, 1 step, 2 rectangle, 3 sawtooth, 4 prbs, 5 multisine, 6 chirp", 0, 6),
+        _u8("target", "0 u_c (open loop), 1 x_ref (closed loop)", 0, 1),
+        Field("amplitude", "i16", -COUNTS_MAX, COUNTS_MAX, "counts of the target"),
+        _u16_counts("offset", "counts of the target, absolute"),
+        _u16("period", "ticks; PRBS: one chip", 1),
+        _u16("period_end", "chirp: period at the end, ticks", 1),
+        _u16("seed", "prbs, multisine", 1),
+        _u32("duration", "ticks; 0 = until the next command"),
+    ), "play a signal on u_c or x_ref"),
+    Row(0x07, "STOP", True, (_ID,), "coil off at once, mode idle; accepted always, without a session too"),
+    Row(0x08, "CAPTURE", True, (
+        _ID,
+        _u16_counts("u_from", "input before the step"),
+        _u16_counts("u_to", "input after it"),
+        _u16("pre", "samples before the step", 0, 2000),
+        _u16("count", "samples in all", 1, 2000),
+    ), "record i_c at 25 kHz around a step of u_c; idle or open loop"),
+    Row(0x09, "READ_CAPTURE", True, (_ID, _u16("index", "first sample wanted", 0, 1999)),
+        "answered by CAPTURE_BLOCK"),
+    Row(0x0A, "SET_STREAM", True, (_ID, _u16("divider", "send every n-th tick; 0 = none", 0, 1000)),
+        "rate of STATE"),
+    Row(0x0B, "SET_HOST_LOSS", True, (
+        _ID,
+        _u8("policy", "0 keep, 1 coil off, 2 hold", 0, 2),
+        _u16("timeout", "ms without a valid frame", 50, 60000),
+    ), "what to do when the host is lost"),
+    Row(0x0C, "GET_PARAMETERS", True, (_ID,), "answered by PARAMETERS"),
+    Row(0x0D, "RESET", True, (_ID,), "restart the firmware; the ACK goes out before"),
+    Row(0x40, "STATE", False, (
+        _u16("sequence", "number of the control tick, modulo 65536"),
+        _counts("i_c", "coil current"),
+        _counts("x", "position"),
+        _counts("u_c", "input, in force from this tick to the next"),
+        _counts("x_ref", "reference used at this tick, position counts"),
+        _u8("flags", "bits 0-1 mode, others see Flags"),
+    ), "one control tick"),
+    Row(0x41, "IDENTITY", False, (
+        _ID,
+        _u8("version", "protocol version chosen", 1),
+        _u8("firmware_major", ""),
+        _u8("firmware_minor", ""),
+        _u32("board_id", "serial number"),
+        _u32("tick", "control ticks since reset"),
+        _u16("sample_time", "T_s in us", 100),
+        _u8("adc_bits", "", 8, 16),
+        _u8("dac_bits", "", 8, 16),
+        Field("i_offset", "f32", None, None, "A at count 0"),
+        Field("i_lsb", "f32", None, None, "A per count"),
+        Field("x_offset", "f32", None, None, "m at count 0, x up from the sensor"),
+        Field("x_lsb", "f32", None, None, "m per count"),
+        Field("u_offset", "f32", None, None, "V at count 0"),
+        Field("u_lsb", "f32", None, None, "V per count"),
+        _u16("capture_time", "us between capture samples", 1),
+        _u16("capture_size", "samples the board can hold"),
+        _u8("reset_cause", "code of the reset event", 1, 3),
+        Field("build", "bytes8", None, None, "ASCII, filled with spaces"),
+    ), "answer to HELLO"),
+    Row(0x42, "PONG", False, (
+        _ID,
+        _u32("tick", "control ticks since reset"),
+        _u16("bad_frames", "frames the board rejected since reset, saturating"),
+        _u16("overruns", "late ticks since reset, saturating"),
+    ), "answer to PING"),
+    Row(0x43, "ACK", False, (_ID, _u8("command", "type of the command"), _u32("tick", "from which it is in force")),
+        "command executed"),
+    Row(0x44, "NACK", False, (
+        _ID,
+        _u8("command", "type of the command"),
+        _u8("reason", "see Reasons", 1, 10),
+        _u16("detail", "the bound or the mode in the way; see Reasons"),
+    ), "command refused, nothing changed"),
+    Row(0x45, "PARAMETERS", False, (
+        _ID,
+        _u8("law", "0 LQI, 1 PID", 0, 1),
+        *_gains(),
+        *_OPERATING_POINT,
+        _u16_counts("x_ref_min", "bounds of the reference"),
+        _u16_counts("x_ref_max", ""),
+        _u16_counts("x_ref_step", "largest jump of the reference at once"),
+        _u16("x_ref_slew", "counts per second at which the allowance for jumps refills", 1),
+        _u16_counts("u_max", "largest u_c of an excitation"),
+        _u16("divider", "of the stream", 0, 1000),
+        _u8("policy", "host loss", 0, 2),
+        _u16("timeout", "host loss, ms", 50, 60000),
+        _u32("tick", "from which gains and operating point are in force"),
+    ), "answer to GET_PARAMETERS"),
+    Row(0x46, "EVENT", False, (
+        _u8("number", "counts events, modulo 256: a gap is a lost event"),
+        _u32("tick", "when"),
+        _u8("code", "see Events", 1, 12),
+        _u16("detail", "see Events"),
+    ), "something happened; not acknowledged"),
+    Row(0x47, "CAPTURE_BLOCK", False, (
+        _ID,
+        _u16("index", "of the first sample here"),
+        _u16("total", "samples in the capture", 1, 2000),
+        _u32("tick", "at which the capture began"),
+        Field("samples", "bytes48", None, None, "up to 32 samples of i_c, 12 bits packed in pairs; the rest 0"),
+    ), "answer to READ_CAPTURE"),
+)  # fmt: skip
+
+BY_TYPE = {row.type: row for row in ROWS}
+BY_NAME = {row.name: row for row in ROWS}
+CAPTURE_BLOCK_SAMPLES = 32
+
+Value = int | float | bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A body taken apart: its row's name and the fields by name."""
+
+    name: str
+    values: dict[str, Value]
+
+    def int(self, field: str) -> int:
+        """An integer field."""
+        value = self.values[field]
+        assert isinstance(value, int)
+        return value
+
+    def float(self, field: str) -> float:
+        """An f32 field."""
+        value = self.values[field]
+        assert isinstance(value, float)
+        return value
+
+    def bytes(self, field: str) -> bytes:
+        """A bytes field."""
+        value = self.values[field]
+        assert isinstance(value, bytes)
+        return value
+
+
+_FORMATS = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "f32": "f"}
+
+
+class _Codec:
+    """struct format of a row; a pair of `counts` fields is packed as one 3-byte string."""
+
+    def __init__(self, row: Row) -> None:
+        self.row = row
+        parts = ["<B"]
+        pending = False
+        for field in row.fields:
+            if field.type == "counts":
+                parts += ["3s"] if pending else []
+                pending = not pending
+            elif field.type.startswith("bytes"):
+                parts.append(field.type[5:] + "s")
+            else:
+                parts.append(_FORMATS[field.type])
+        assert not pending, f"{row.name}: counts come in pairs"
+        self.struct = struct.Struct("".join(parts))
+
+    def pack(self, values: dict[str, Value]) -> bytes:
+        flat: list[Value] = [self.row.type]
+        pending: int | None = None
+        for field in self.row.fields:
+            value = values[field.name]
+            if not _in_range(field, value):
+                raise ValueError(f"{self.row.name}.{field.name} = {value!r} is outside {field.low} .. {field.high}")
+            if field.type != "counts":
+                flat.append(value)
+            elif pending is None:
+                assert isinstance(value, int)
+                pending = value
+            else:
+                assert isinstance(value, int)
+                flat.append(pack_pair(pending, value))
+                pending = None
+        return self.struct.pack(*flat)
+
+    def unpack(self, body: bytes) -> dict[str, Value] | str:
+        """Values by field name, or the name of the first field out of range."""
+        flat = iter(self.struct.unpack(body)[1:])
+        values: dict[str, Value] = {}
+        second: int | None = None
+        for field in self.row.fields:
+            if field.type == "counts":
+                if second is None:
+                    value, second = unpack_pair(next(flat))
+                else:
+                    value, second = second, None
+            else:
+                value = next(flat)
+            if not _in_range(field, value):
+                return field.name
+            values[field.name] = value
+        return values
+
+
+def _in_range(field: Field, value: Value) -> bool:
+    if field.type == "f32":
+        return isinstance(value, float) and value - value == 0.0  # finite
+    if isinstance(value, bytes):
+        return True
+    low, high = field.low, field.high
+    return (low is None or value >= low) and (high is None or value <= high)
+
+
+def pack_pair(a: int, b: int) -> bytes:
+    """Two 12-bit counts in three bytes: a[7:0], b[3:0] a[11:8], b[11:4]."""
+    return (a | b << 12).to_bytes(3, "little")
+
+
+def unpack_pair(packed: bytes) -> tuple[int, int]:
+    """Undo `pack_pair`."""
+    both = int.from_bytes(packed, "little")
+    return both & 0xFFF, both >> 12
+
+
+_CODECS = {row.type: _Codec(row) for row in ROWS}
+BODY_SIZE = {row.name: _CODECS[row.type].struct.size for row in ROWS}
+
+
+def encode_body(name: str, /, **values: Value) -> bytes:
+    """The body of message `name`.
+
+    Raises:
+        ValueError: a field is out of its range.
+        KeyError: a field of the row is not given, or there is no such message.
+    """
+    row = BY_NAME[name]
+    unknown = values.keys() - {field.name for field in row.fields}
+    if unknown:
+        raise KeyError(f"{name} has no field {sorted(unknown)}")
+    return _CODECS[row.type].pack(values)
+
+
+def decode_body(body: bytes) -> Message | str:
+    """The message, or the cause for which the body was rejected: `type`, `length` or `range`."""
+    codec = _CODECS.get(body[0]) if body else None
+    if codec is None:
+        return "type"
+    if len(body) != codec.struct.size:
+        return "length"
+    values = codec.unpack(body)
+    return "range" if isinstance(values, str) else Message(codec.row.name, values)
