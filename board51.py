@@ -1,0 +1,66 @@
+"""The `board51` command: lists the sub-commands, imports the one that was asked for, decides nothing.
+
+A sub-command is a module with `configure(parser)` and `run(args) -> exit code`.  Exit codes: 0 done, 1 the work says no,
+2 bad usage or bad input (one line on stderr: what, where, what to do).
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+
+from protocol.errors import Board51Error
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "demo": ("gateway.commands.demo", "lift the emulated ball, follow a reference, show what the twin sees"),
+    "emulate": ("gateway.commands.emulate", "an emulated board on a pty or TCP port"),
+    "gateway": ("gateway.commands.gateway", "the daemon: boards <-> zenoh, MCAP"),
+    "twin": ("twin.commands.twin", "the model in step with a live rig or a log"),
+    "router": ("gateway.commands.router", "a standalone zenoh router"),
+    "send": ("gateway.commands.send", "one command to a board, through the gateway"),
+    "watch": ("gateway.commands.watch", "print what travels on the bus"),
+    "record": ("gateway.commands.record", "log the bus to MCAP without a gateway"),
+    "import": ("gateway.commands.import_", "CSV or MATLAB recordings into MCAP"),
+    "export": ("gateway.commands.export", "MCAP into CSV, MATLAB or Parquet"),
+    "replay": ("gateway.commands.replay", "a log back onto the bus, or its bytes into a pty"),
+    "recover": ("gateway.commands.recover", "what can be saved of a broken log"),
+    "info": ("gateway.commands.info", "what a log holds"),
+    "plot": ("twin.commands.plot", "measured against twin, from a log, as a picture"),
+    "bench": ("gateway.commands.bench", "benchmarks, each against a baseline in the same run"),
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one sub-command; the entry point of the `board51` script."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    listing = "\n".join(f"  {name:<10} {about}" for name, (_, about) in COMMANDS.items())
+    parser = argparse.ArgumentParser(
+        prog="board51",
+        description="Gateway and digital twin of a magnetic levitation rig.",
+        epilog=f"commands:\n{listing}\n\nboard51 COMMAND --help tells more, with an example.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("command", choices=COMMANDS, metavar="COMMAND")
+    parser.add_argument("arguments", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
+    chosen = parser.parse_args(arguments[:1]).command
+
+    module = importlib.import_module(COMMANDS[chosen][0])
+    command = argparse.ArgumentParser(
+        prog=f"board51 {chosen}", formatter_class=argparse.RawDescriptionHelpFormatter, description=module.__doc__
+    )
+    module.configure(command)
+    try:
+        return int(module.run(command.parse_args(arguments[1:])))
+    except Board51Error as error:
+        print(f"board51 {chosen}: {error}", file=sys.stderr)
+        return error.exit_code
+    except BrokenPipeError:  # `board51 watch | head`
+        return 0
+    except KeyboardInterrupt:
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -55,7 +55,6 @@ class StreamDecoder:
 
     def __init__(self) -> None:
         self._pending = b""
-        self._oversize = False
 
     @property
     def pending(self) -> int:
@@ -69,15 +68,12 @@ class StreamDecoder:
         for frame in frames:
             if not frame:  # the delimiter at the start of a frame, right after the one at the end of the last
                 continue
-            if self._oversize or len(frame) > MAX_ENCODED:
-                self._oversize = False
+            if len(frame) > MAX_ENCODED:
                 events.append(BadFrame("oversize", frame[: MAX_ENCODED + 1]))
                 continue
             events.append(_decode(frame))
         # What is kept of an endless frame is bounded: more would be a leak that line noise can trigger.
-        if len(rest) > MAX_ENCODED:
-            rest, self._oversize = rest[: MAX_ENCODED + 1], True
-        self._pending = rest
+        self._pending = rest[: MAX_ENCODED + 1]
         return events
 
 
@@ -88,6 +84,8 @@ def _decode(frame: bytes) -> Event:
     if crc_hqx(body, 0xFFFF) != 0:
         return BadFrame("crc", frame)
     if body[0] == _STATE and len(body) == _STATE_SIZE:  # the same layout as the table's row; a test compares both
+        if body[9] & 3 == 3:  # there is no mode 3
+            return BadFrame("range", frame)
         counts = int.from_bytes(body[3:9], "little")
         return State(
             body[1] | body[2] << 8,
