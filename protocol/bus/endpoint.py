@@ -15,7 +15,7 @@ from protocol.errors import ConfigError
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 _ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|unixsock-stream)/[^\s#?]+")
-Mode = Literal["router", "peer", "client"]
+Mode = Literal["router", "client"]
 
 
 def check_endpoint(endpoint: str, *, where: str) -> str:
@@ -36,16 +36,17 @@ def zenoh_config(
         mode: router for the one who listens for others, client for everybody else.
         listen: endpoints to open, e.g. tcp/127.0.0.1:7447.
         connect: endpoints to reach.
-        wait_for_router: False makes `zenoh.open` return at once and connect in the background whenever the
-            router appears: a daemon must start in any order.  True fails after 5 s: a command should say so.
+        wait_for_router: True fails after 5 s without a router: a command should say so.  False returns at once and
+            keeps looking for it in the background: daemons must start in any order.  (zenoh does that in its peer
+            mode only, a client's open blocks; with no listener and gossip off such a peer still talks through the
+            router alone.)
     """
     return json.dumps(
         {
-            "mode": mode,
+            "mode": mode if mode == "router" or wait_for_router else "peer",
             "listen": {"endpoints": list(listen), "exit_on_failure": True},
             "connect": {
                 "endpoints": list(connect),
-                # -1 tries for ever, and exit_on_failure=false does so in the background.
                 "timeout_ms": 5000 if wait_for_router else -1,
                 "exit_on_failure": wait_for_router,
                 "retry": {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 1.5},
