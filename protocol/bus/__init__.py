@@ -1,0 +1,1 @@
+"""What travels on zenoh and lies in logs, after calibration.  Start at `topics.py`."""

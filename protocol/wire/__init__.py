@@ -1,0 +1,1 @@
+"""The UART: one frame, one body, a stream of them.  Start at `framing.py`."""

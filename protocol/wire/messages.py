@@ -99,9 +99,10 @@ FAULT_EVENTS = frozenset({EventCode.RESET_WATCHDOG, EventCode.OVER_CURRENT, Even
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field of a body: name, type (u8, i8, u16, i16, u32, f32, counts, bytesN), allowed range, meaning.
+    """One field of a body: name, type, allowed range, meaning, unit ("" = a plain number).
 
-    `counts` fields come in pairs and share three bytes, 12 bits each.
+    Types: u8, i8, u16, i16, u32, f32 (finite), counts, flags, bytesN.  `counts` fields come in pairs and share three
+    bytes, 12 bits each.  `flags` is a u8 whose two low bits hold a Mode, so they are never 3.
     """
 
     name: str
@@ -109,6 +110,7 @@ class Field:
     low: float | None = None
     high: float | None = None
     about: str = ""
+    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,155 +124,162 @@ class Row:
     about: str
 
 
-def _u8(name: str, about: str, low: int = 0, high: int = 0xFF) -> Field:
-    return Field(name, "u8", low, high, about)
+def _u8(name: str, unit: str, about: str, low: int = 0, high: int = 0xFF) -> Field:
+    return Field(name, "u8", low, high, about, unit)
 
 
-def _u16(name: str, about: str, low: int = 0, high: int = 0xFFFF) -> Field:
-    return Field(name, "u16", low, high, about)
+def _u16(name: str, unit: str, about: str, low: int = 0, high: int = 0xFFFF) -> Field:
+    return Field(name, "u16", low, high, about, unit)
 
 
-def _u32(name: str, about: str) -> Field:
-    return Field(name, "u32", 0, 0xFFFFFFFF, about)
+def _u32(name: str, unit: str, about: str) -> Field:
+    return Field(name, "u32", 0, 0xFFFFFFFF, about, unit)
+
+
+def _f32(name: str, unit: str, about: str) -> Field:
+    return Field(name, "f32", None, None, about, unit)
 
 
 def _counts(name: str, about: str) -> Field:
-    return Field(name, "counts", 0, COUNTS_MAX, about)
+    return Field(name, "counts", 0, COUNTS_MAX, about, "count")
 
 
 def _u16_counts(name: str, about: str) -> Field:
-    return _u16(name, about, 0, COUNTS_MAX)
+    return _u16(name, "count", about, 0, COUNTS_MAX)
 
 
 def _gains() -> tuple[Field, ...]:
     pairs = []
     for n in range(1, 5):
-        pairs.append(Field(f"k{n}_mantissa", "i16", -32767, 32767, f"gain {n} is mantissa * 2^-shift, in counts"))
-        pairs.append(_u8(f"k{n}_shift", "", 0, 30))
+        pairs.append(Field(f"k{n}_mantissa", "i16", -32767, 32767, f"gain k{n} = mantissa * 2^-shift", "count/count"))
+        pairs.append(_u8(f"k{n}_shift", "bit", f"binary places of k{n}", 0, 30))
     return tuple(pairs)
 
 
-_ID = _u8("id", "command id, 1 to 255; the same id again is answered again but not executed again", 1)
+_ID = _u8("id", "", "command id; the same id again is answered again but not executed again", 1)
 _OPERATING_POINT = (
-    _u16_counts("i_0", "operating point (13)"),
-    _u16_counts("x_0", ""),
-    _u16_counts("u_0", ""),
+    _u16_counts("i_0", "operating point (13): coil current"),
+    _u16_counts("x_0", "operating point (13): position"),
+    _u16_counts("u_0", "operating point (13): input"),
 )
 
 ROWS: tuple[Row, ...] = (
     Row(0x01, "HELLO", True, (
         _ID,
-        _u16("session", "chosen by the host for each connection; a new one makes the board forget old ids"),
-        _u8("version_min", "lowest protocol version the host speaks"),
-        _u8("version_max", "highest"),
+        _u16("session", "", "chosen by the host for each connection; a new one makes the board forget old ids"),
+        _u8("version_min", "", "lowest protocol version the host speaks"),
+        _u8("version_max", "", "highest protocol version the host speaks"),
     ), "open a session; answered by IDENTITY"),
     Row(0x02, "PING", True, (_ID,), "sign of life; answered by PONG"),
-    Row(0x03, "SET_MODE", True, (_ID, _u8("mode", "0 idle, 1 open loop, 2 closed loop", 0, 2)),
+    Row(0x03, "SET_MODE", True, (_ID, _u8("mode", "", "0 idle, 1 open loop, 2 closed loop", 0, 2)),
         "change the mode; clears a fault"),
-    Row(0x04, "SET_REFERENCE", True, (_ID, _u16_counts("x_ref", "absolute reference, position counts")),
+    Row(0x04, "SET_REFERENCE", True, (_ID, _u16_counts("x_ref", "absolute reference, in counts of x")),
         "in force from the next tick; ends an excitation of the reference"),
-    Row(0x05, "SET_GAINS", True, (_ID, _u8("law", "0 LQI, 1 PID", 0, 1), *_gains(), *_OPERATING_POINT),
+    Row(0x05, "SET_GAINS", True, (_ID, _u8("law", "", "0 LQI, 1 PID", 0, 1), *_gains(), *_OPERATING_POINT),
         "control law, gains and operating point, all at one tick"),
     Row(0x06, "EXCITE", True, (
         _ID,
-        _u8("shape", "0 none, 1 step, 2 rectangle, 3 sawtooth, 4 prbs, 5 multisine, 6 chirp", 0, 6),
-        _u8("target", "0 u_c (open loop), 1 x_ref (closed loop)", 0, 1),
-        Field("amplitude", "i16", -COUNTS_MAX, COUNTS_MAX, "counts of the target"),
+        _u8("shape", "", "0 none, 1 step, 2 rectangle, 3 sawtooth, 4 prbs, 5 multisine, 6 chirp", 0, 6),
+        _u8("target", "", "0 u_c (open loop), 1 x_ref (closed loop)", 0, 1),
+        Field("amplitude", "i16", -COUNTS_MAX, COUNTS_MAX, "counts of the target", "count"),
         _u16_counts("offset", "counts of the target, absolute"),
-        _u16("period", "ticks; PRBS: one chip", 1),
-        _u16("period_end", "chirp: period at the end, ticks", 1),
-        _u16("seed", "prbs, multisine", 1),
-        _u32("duration", "ticks; 0 = until the next command"),
+        _u16("period", "tick", "prbs: one chip; chirp: period at the start", 1),
+        _u16("period_end", "tick", "chirp: period at the end", 1),
+        _u16("seed", "", "prbs, multisine", 1),
+        _u32("duration", "tick", "0 = until the next command"),
     ), "play a signal on u_c or x_ref"),
     Row(0x07, "STOP", True, (_ID,), "coil off at once, mode idle; accepted always, without a session too"),
     Row(0x08, "CAPTURE", True, (
         _ID,
         _u16_counts("u_from", "input before the step"),
         _u16_counts("u_to", "input after it"),
-        _u16("pre", "samples before the step", 0, 2000),
-        _u16("count", "samples in all", 1, 2000),
+        _u16("pre", "sample", "samples before the step", 0, 2000),
+        _u16("count", "sample", "samples in all", 1, 2000),
     ), "record i_c at 25 kHz around a step of u_c; idle or open loop"),
-    Row(0x09, "READ_CAPTURE", True, (_ID, _u16("index", "first sample wanted", 0, 1999)),
+    Row(0x09, "READ_CAPTURE", True, (_ID, _u16("index", "sample", "first sample wanted", 0, 1999)),
         "answered by CAPTURE_BLOCK"),
-    Row(0x0A, "SET_STREAM", True, (_ID, _u16("divider", "send every n-th tick; 0 = none", 0, 1000)),
+    Row(0x0A, "SET_STREAM", True, (_ID, _u16("divider", "tick", "send every n-th tick; 0 = none", 0, 1000)),
         "rate of STATE"),
     Row(0x0B, "SET_HOST_LOSS", True, (
         _ID,
-        _u8("policy", "0 keep, 1 coil off, 2 hold", 0, 2),
-        _u16("timeout", "ms without a valid frame", 50, 60000),
+        _u8("policy", "", "0 keep, 1 coil off, 2 hold", 0, 2),
+        _u16("timeout", "ms", "without a valid frame", 50, 60000),
     ), "what to do when the host is lost"),
     Row(0x0C, "GET_PARAMETERS", True, (_ID,), "answered by PARAMETERS"),
     Row(0x0D, "RESET", True, (_ID,), "restart the firmware; the ACK goes out before"),
     Row(0x40, "STATE", False, (
-        _u16("sequence", "number of the control tick, modulo 65536"),
+        _u16("sequence", "tick", "number of the control tick, modulo 65536"),
         _counts("i_c", "coil current"),
         _counts("x", "position"),
         _counts("u_c", "input, in force from this tick to the next"),
-        _counts("x_ref", "reference used at this tick, position counts"),
-        _u8("flags", "bits 0-1 mode, others see Flags"),
+        _counts("x_ref", "reference used at this tick, in counts of x"),
+        Field("flags", "flags", 0, 0xFF, "bits 0-1 mode, others see Flags"),
     ), "one control tick"),
     Row(0x41, "IDENTITY", False, (
         _ID,
-        _u8("version", "protocol version chosen", 1),
-        _u8("firmware_major", ""),
-        _u8("firmware_minor", ""),
-        _u32("board_id", "serial number"),
-        _u32("tick", "control ticks since reset"),
-        _u16("sample_time", "T_s in us", 100),
-        _u8("adc_bits", "", 8, 16),
-        _u8("dac_bits", "", 8, 16),
-        Field("i_offset", "f32", None, None, "A at count 0"),
-        Field("i_lsb", "f32", None, None, "A per count"),
-        Field("x_offset", "f32", None, None, "m at count 0, x up from the sensor"),
-        Field("x_lsb", "f32", None, None, "m per count"),
-        Field("u_offset", "f32", None, None, "V at count 0"),
-        Field("u_lsb", "f32", None, None, "V per count"),
-        _u16("capture_time", "us between capture samples", 1),
-        _u16("capture_size", "samples the board can hold"),
-        _u8("reset_cause", "code of the reset event", 1, 3),
+        _u8("version", "", "protocol version chosen", 1),
+        _u8("firmware_major", "", "firmware version, before the point"),
+        _u8("firmware_minor", "", "firmware version, after the point"),
+        _u32("board_id", "", "serial number"),
+        _u32("tick", "tick", "control ticks since reset"),
+        _u16("sample_time", "us", "T_s", 100),
+        _u8("adc_bits", "bit", "resolution of the i_c and x converters", 8, 16),
+        _u8("dac_bits", "bit", "resolution of the u_c converter", 8, 16),
+        _f32("i_offset", "A", "i_c at count 0"),
+        _f32("i_lsb", "A/count", "i_c per count"),
+        _f32("x_offset", "m", "x at count 0, up from the sensor"),
+        _f32("x_lsb", "m/count", "x per count"),
+        _f32("u_offset", "V", "u_c at count 0"),
+        _f32("u_lsb", "V/count", "u_c per count"),
+        _u16("capture_time", "us", "between capture samples", 1),
+        _u16("capture_size", "sample", "what the board can hold"),
+        _u8("reset_cause", "", "code of the reset event", 1, 3),
         Field("build", "bytes8", None, None, "ASCII, filled with spaces"),
     ), "answer to HELLO"),
     Row(0x42, "PONG", False, (
         _ID,
-        _u32("tick", "control ticks since reset"),
-        _u16("bad_frames", "frames the board rejected since reset, saturating"),
-        _u16("overruns", "late ticks since reset, saturating"),
+        _u32("tick", "tick", "control ticks since reset"),
+        _u16("bad_frames", "", "frames the board rejected since reset, saturating"),
+        _u16("overruns", "", "late ticks since reset, saturating"),
     ), "answer to PING"),
-    Row(0x43, "ACK", False, (_ID, _u8("command", "type of the command"), _u32("tick", "from which it is in force")),
-        "command executed"),
+    Row(0x43, "ACK", False, (
+        _ID,
+        _u8("command", "", "type of the command"),
+        _u32("tick", "tick", "from which it is in force"),
+    ), "command executed"),
     Row(0x44, "NACK", False, (
         _ID,
-        _u8("command", "type of the command"),
-        _u8("reason", "see Reasons", 1, 10),
-        _u16("detail", "the bound or the mode in the way; see Reasons"),
+        _u8("command", "", "type of the command"),
+        _u8("reason", "", "see Reasons", 1, 10),
+        _u16("detail", "", "the bound or the mode in the way; see Reasons"),
     ), "command refused, nothing changed"),
     Row(0x45, "PARAMETERS", False, (
         _ID,
-        _u8("law", "0 LQI, 1 PID", 0, 1),
+        _u8("law", "", "0 LQI, 1 PID", 0, 1),
         *_gains(),
         *_OPERATING_POINT,
-        _u16_counts("x_ref_min", "bounds of the reference"),
-        _u16_counts("x_ref_max", ""),
+        _u16_counts("x_ref_min", "lower bound of the reference"),
+        _u16_counts("x_ref_max", "upper bound of the reference"),
         _u16_counts("x_ref_step", "largest jump of the reference at once"),
-        _u16("x_ref_slew", "counts per second at which the allowance for jumps refills", 1),
+        _u16("x_ref_slew", "count/s", "rate at which the allowance for jumps refills", 1),
         _u16_counts("u_max", "largest u_c of an excitation"),
-        _u16("divider", "of the stream", 0, 1000),
-        _u8("policy", "host loss", 0, 2),
-        _u16("timeout", "host loss, ms", 50, 60000),
-        _u32("tick", "from which gains and operating point are in force"),
+        _u16("divider", "tick", "of the stream", 0, 1000),
+        _u8("policy", "", "host loss", 0, 2),
+        _u16("timeout", "ms", "host loss", 50, 60000),
+        _u32("tick", "tick", "from which gains and operating point are in force"),
     ), "answer to GET_PARAMETERS"),
     Row(0x46, "EVENT", False, (
-        _u8("number", "counts events, modulo 256: a gap is a lost event"),
-        _u32("tick", "when"),
-        _u8("code", "see Events", 1, 12),
-        _u16("detail", "see Events"),
+        _u8("number", "", "counts events, modulo 256: a gap is a lost event"),
+        _u32("tick", "tick", "when"),
+        _u8("code", "", "see Events", 1, 12),
+        _u16("detail", "", "see Events"),
     ), "something happened; not acknowledged"),
     Row(0x47, "CAPTURE_BLOCK", False, (
         _ID,
-        _u16("index", "of the first sample here"),
-        _u16("total", "samples in the capture", 1, 2000),
-        _u32("tick", "at which the capture began"),
-        Field("samples", "bytes48", None, None, "up to 32 samples of i_c, 12 bits packed in pairs; the rest 0"),
+        _u16("index", "sample", "of the first sample here"),
+        _u16("total", "sample", "samples in the capture", 1, 2000),
+        _u32("tick", "tick", "at which the capture began"),
+        Field("samples", "bytes48", None, None, "up to 32 samples of i_c, 12 bits, packed in pairs; rest 0", "count"),
     ), "answer to READ_CAPTURE"),
 )  # fmt: skip
 
@@ -307,7 +316,8 @@ class Message:
         return value
 
 
-_FORMATS = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "f32": "f"}
+_F32_MAX = (2 - 2**-23) * 2.0**127  # largest finite IEEE 754 single
+_FORMATS = {"u8": "B", "flags": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "f32": "f"}
 
 
 class _Codec:
@@ -334,7 +344,8 @@ class _Codec:
         for field in self.row.fields:
             value = values[field.name]
             if not _in_range(field, value):
-                raise ValueError(f"{self.row.name}.{field.name} = {value!r} is outside {field.low} .. {field.high}")
+                bounds = "" if field.low is None else f" within {field.low} .. {field.high}"
+                raise ValueError(f"{self.row.name}.{field.name} = {value!r} is not {field.type}{bounds}")
             if field.type != "counts":
                 flat.append(value)
             elif pending is None:
@@ -367,11 +378,14 @@ class _Codec:
 
 def _in_range(field: Field, value: Value) -> bool:
     if field.type == "f32":
-        return isinstance(value, float) and value - value == 0.0  # finite
-    if isinstance(value, bytes):
-        return True
-    low, high = field.low, field.high
-    return (low is None or value >= low) and (high is None or value <= high)
+        return isinstance(value, float) and abs(value) <= _F32_MAX  # also false for NaN
+    if field.type.startswith("bytes"):
+        return isinstance(value, bytes) and len(value) == int(field.type[5:])
+    assert field.low is not None
+    assert field.high is not None
+    if not isinstance(value, int) or not field.low <= value <= field.high:
+        return False
+    return field.type != "flags" or value & 3 != 3  # there is no mode 3
 
 
 def pack_pair(a: int, b: int) -> bytes:
@@ -393,7 +407,7 @@ def encode_body(name: str, /, **values: Value) -> bytes:
     """The body of message `name`.
 
     Raises:
-        ValueError: a field is out of its range.
+        ValueError: a field is out of its range or not of its type.
         KeyError: a field of the row is not given, or there is no such message.
     """
     row = BY_NAME[name]
