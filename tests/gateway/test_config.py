@@ -1,0 +1,102 @@
+"""The configuration: what is written is what is in force, and every mistake is named with its place."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from gateway.config import BoardConfig, GatewayConfig, documented_toml, load_config
+from protocol.errors import ConfigError
+
+
+def _load(tmp_path: Path, text: str, **environment: str) -> GatewayConfig:
+    path = tmp_path / "gateway.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_config(path, environment)
+
+
+def test_the_documented_file_holds_exactly_the_defaults(tmp_path: Path) -> None:
+    config = _load(tmp_path, documented_toml())
+
+    assert config == GatewayConfig(boards=(BoardConfig(name="rig1", port="/dev/ttyUSB0"),))
+
+
+def test_every_key_is_documented_with_a_sentence() -> None:
+    lines = documented_toml().splitlines()
+
+    keys = [n for n, line in enumerate(lines) if " = " in line and not line.startswith("#")]
+
+    assert len(keys) >= 30
+    assert all(lines[n - 1].startswith("# ") for n in keys)
+
+
+def test_the_environment_overrides_the_file(tmp_path: Path) -> None:
+    environment = {
+        "BOARD51_SITE": "lab",
+        "BOARD51_LOG_DIRECTORY": "/data",
+        "BOARD51_LOG_RAW": "false",
+        "BOARD51_ZENOH_LISTEN": "tcp/0.0.0.0:7447,tcp/[::1]:7448",
+        "BOARD51_BOARDS": "a=/dev/ttyS0,b=socket://host:4001",
+    }
+
+    config = _load(tmp_path, '[[board]]\nname = "x"\nport = "y"\n[log]\ndirectory = "here"\nrotate_s = 5', **environment)
+
+    assert config.site == "lab"
+    assert config.log.directory == "/data"
+    assert config.log.raw is False
+    assert config.log.rotate_s == 5.0
+    assert config.zenoh.listen == ("tcp/0.0.0.0:7447", "tcp/[::1]:7448")
+    assert [(b.name, b.port) for b in config.boards] == [("a", "/dev/ttyS0"), ("b", "socket://host:4001")]
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("x", "not TOML"),
+        ("colour = 1", "unknown key 'colour'"),
+        ("site = 3", "site = 3 has the wrong type"),
+        ('site = "a/b"', "'a/b' is not a name"),
+        ("[board]\nname = 'a'", "not a list of tables"),
+        ('[[board]]\nname = "a"', "port is missing"),
+        ('[[board]]\nname = "a"\nport = "p"\nbaud = 1', "baud = 1 is out of bounds"),
+        ('[[board]]\nname = "a"\nport = "p"\nbaud = true', "baud = True has the wrong type"),
+        ('[[board]]\nname = "a"\nport = "p"\nhost_loss = "panic"', "host_loss = 'panic' is not a choice"),
+        ('[[board]]\nname = "a"\nport = "p"\n[board.limits]\nx_ref_min_m = 0.006', "not below x_ref_max_m"),
+        ('[[board]]\nname = "a"\nport = "p"\n[board.limits]\nx_ref_min_mm = 1', "unknown key 'x_ref_min_mm'"),
+        ('[[board]]\nname = "a"\nport = "p"\n[[board]]\nname = "a"\nport = "q"', "two boards have the name 'a'"),
+        ('[[board]]\nname = "a"\nport = "p"\n[[board]]\nname = "b"\nport = "p"', "two boards have the port 'p'"),
+        ('[log]\nrotate_s = "1h"', "rotate_s = '1h' has the wrong type"),
+        ("[log]\nflush_s = nan", "flush_s = nan is out of bounds"),
+        ("log = 3", "[log] is not a table"),
+        ('[zenoh]\nlisten = ["7447"]', "'7447' is not a zenoh endpoint"),
+        ('[zenoh]\nmode = "client"', "mode client without connect"),
+    ],
+)
+def test_a_mistake_is_named_with_its_place(tmp_path: Path, text: str, named: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        _load(tmp_path, text)
+
+    assert named in str(error.value)
+    assert "gateway.toml" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("variable", "value"),
+    [("BOARD51_LOG_ROTATE_S", "soon"), ("BOARD51_LOG_RAW", "maybe"), ("BOARD51_BOARDS", "/dev/ttyUSB0")],
+)
+def test_a_bad_environment_variable_is_an_error(tmp_path: Path, variable: str, value: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        _load(tmp_path, "", **{variable: value})
+
+    assert value in str(error.value)
+
+
+def test_an_absent_file_says_how_to_get_one(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="--print-config"):
+        load_config(tmp_path / "no.toml", {})
+
+
+def test_the_documented_file_is_toml() -> None:
+    assert set(tomllib.loads(documented_toml())) == {"site", "board", "zenoh", "log"}
