@@ -1,0 +1,450 @@
+"""THE table of effects: what a real rig may do that eq. (1) and (6) do not say.
+
+Each effect has ONE number, its own physical parameter in the unit given here; numbers that an effect needs besides
+(a heating time constant, a frequency) are fixed below.  An effect that is not named has its `neutral` value and is then
+exactly absent.  `physics.py` holds the equations; `where` says which line of it.
+
+Rule 1: the names are those of the catalogue of causes (design.md), so that a diagnosis can be compared.
+Rule 2: effects combine freely.
+Rule 3: weak shows only in careful statistics, medium in a plot, strong at once; a nominal LQI still holds the ball
+        under any single one of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from protocol.errors import UsageError
+
+HEATING_TIME_CONSTANT_S = 30.0  # amplifier-gain-drift; minutes on a real coil, shortened to fit a recording
+DISTURBANCE_FREQUENCY_HZ = 7.0  # periodic-disturbance: a table that rocks; inside the bandwidth of the position loop
+MAX_DELAY_S = 20e-3  # actuation-delay, sampling-delay: ten ticks
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effect:
+    """One effect: its parameter, what values are possible, and what it does."""
+
+    name: str
+    family: str  # amplifier | force | motion | sensing | timing
+    parameter: str
+    unit: str
+    low: float  # smallest possible value
+    high: float  # largest possible value
+    weak: float
+    medium: float
+    strong: float
+    neutral: float = 0.0  # the value at which the effect is absent
+    signed: bool = False  # the mirrored value (-v, or 1/v for a gain) is as plausible
+    about: str
+    where: str
+    source: str
+
+
+def _effect(  # one row of the table, in the order of its columns
+    name: str,
+    parameter: str,
+    unit: str,
+    limits: tuple[float, float],
+    strengths: tuple[float, float, float],
+    about: str,
+    where: str,
+    source: str,
+    *,
+    family: str,
+    neutral: float = 0.0,
+    signed: bool = False,
+) -> Effect:
+    low, high = limits
+    weak, medium, strong = strengths
+    return Effect(
+        name=name,
+        family=family,
+        parameter=parameter,
+        unit=unit,
+        low=low,
+        high=high,
+        weak=weak,
+        medium=medium,
+        strong=strong,
+        neutral=neutral,
+        signed=signed,
+        about=about,
+        where=where,
+        source=source,
+    )
+
+
+_ASSUMED = "assumed size"
+_TABLE = (
+    # --- amplifier
+    _effect(
+        "amplifier-gain-drift",
+        "loss",
+        "1/A^2",
+        (-0.3, 0.3),
+        (0.02, 0.06, 0.15),
+        "the coil heats and the gain falls: K_A (1 - loss w), 30 s w' + w = i^2; loss at a steady 1 A",
+        "target current",
+        "coil heating, which the paper neglects on purpose",
+        family="amplifier",
+    ),
+    _effect(
+        "current-limit",
+        "limit",
+        "A",
+        (0.05, 1.5),
+        (1.3, 1.15, 1.02),
+        "the amplifier gives no more than this current (the ball lifts off at 0.99 A)",
+        "target current and its rate",
+        "a power supply smaller than the rig's",
+        family="amplifier",
+        neutral=math.inf,
+    ),
+    _effect(
+        "slew-rate-limit",
+        "rate",
+        "A/s",
+        (1.0, 1e5),
+        (300.0, 100.0, 40.0),
+        "the current changes no faster than this, in both directions",
+        "rate of the current",
+        "coil voltage is finite: di/dt <= U/L",
+        family="amplifier",
+        neutral=math.inf,
+    ),
+    _effect(
+        "amplifier-dead-zone",
+        "width",
+        "V",
+        (0.0, 2.0),
+        (0.05, 0.15, 0.4),
+        "no current below this input, and that much less input above it",
+        "target current",
+        "threshold of the output stage; measured as a dead zone on the INTECO rig",
+        family="amplifier",
+    ),
+    _effect(
+        "amplifier-offset",
+        "offset",
+        "A",
+        (-0.3, 0.3),
+        (0.01, 0.03, 0.08),
+        "target current is K_A u + offset, never below 0",
+        "target current",
+        "offset of the output stage; the INTECO rig has 0.04 A at zero input",
+        family="amplifier",
+        signed=True,
+    ),
+    _effect(
+        "position-dependent-inductance",
+        "growth",
+        "1",
+        (0.0, 10.0),
+        (0.3, 1.0, 3.0),
+        "T_A grows towards the coil by 1/gap: T_A at the bottom stop, T_A (1 + growth) at the top stop",
+        "rate of the current",
+        "L = L_0 + 2 K_c/gap follows from eq. (3) by energy; neglected by the paper on purpose",
+        family="amplifier",
+    ),
+    _effect(
+        "motional-emf",
+        "coupling",
+        "s/m",
+        (0.0, 10.0),
+        (0.05, 0.2, 1.0),
+        "a rising ball pushes the current down: T_A i' + i = K_A u - coupling i v (gap_mid/gap)^2",
+        "rate of the current",
+        "i v dL/dx over the resistance, dL/dx = 2 K_c/gap^2; about 0.04 s/m with 10 ohm",
+        family="amplifier",
+    ),
+    _effect(
+        "actuation-delay",
+        "delay",
+        "s",
+        (0.0, MAX_DELAY_S),
+        (4e-4, 1e-3, 2e-3),
+        "the input acts this much later",
+        "input",
+        "computing time between sampling and output; up to one tick",
+        family="amplifier",
+    ),
+    # --- force
+    _effect(
+        "air-gap-offset",
+        "d",
+        "m",
+        (-2e-3, 5e-3),
+        (1e-4, 3e-4, 8e-4),
+        "the coil's plane is this much higher than the rig says",
+        "magnetic force",
+        "the measured equilibria need 2.5 mm against eq. (3); this comes on top",
+        family="force",
+        signed=True,
+    ),
+    _effect(
+        "force-exponent",
+        "n",
+        "1",
+        (1.0, 4.0),
+        (2.1, 2.4, 3.0),
+        "force falls with gap^n instead of gap^2; unchanged in the middle of the travel",
+        "magnetic force",
+        "fits on other rigs give 1.5 .. 4; iron paths of finite size",
+        family="force",
+        neutral=2.0,
+    ),
+    _effect(
+        "core-saturation",
+        "i_s",
+        "A",
+        (0.3, 20.0),
+        (3.0, 2.0, 1.5),
+        "the force sees i / sqrt(1 + (i/i_s)^2)",
+        "magnetic force",
+        "iron saturates; the smaller i_s, the earlier",
+        family="force",
+        neutral=math.inf,
+    ),
+    _effect(
+        "residual-magnetism",
+        "i_r",
+        "A",
+        (-0.3, 0.3),
+        (0.01, 0.03, 0.08),
+        "the core keeps a field as of this current; constant, no hysteresis loop; the current sensor does not see it",
+        "magnetic force",
+        "remanence of core and ball",
+        family="force",
+    ),
+    _effect(
+        "eddy-current-lag",
+        "tau",
+        "s",
+        (5e-5, 2e-2),
+        (5e-4, 1.5e-3, 4e-3),
+        "the force sees the current through a first-order lag",
+        "magnetic force",
+        "eddy currents in a solid core",
+        family="force",
+    ),
+    # --- motion
+    _effect(
+        "quadratic-drag",
+        "c",
+        "N s^2/m^2",
+        (0.0, 20.0),
+        (0.1, 0.5, 2.0),
+        "additional drag c |v| v",
+        "net force",
+        "neglected by the paper on purpose; air alone gives 4e-5, a guide tube far more",
+        family="motion",
+    ),
+    _effect(
+        "coulomb-friction",
+        "force",
+        "N",
+        (0.0, 0.05),
+        (5e-4, 2e-3, 8e-3),
+        "dry friction against the motion; holds a resting ball against smaller forces",
+        "net force",
+        "a ball that touches its guide; weight is 0.081 N",
+        family="motion",
+    ),
+    _effect(
+        "constant-force",
+        "force",
+        "N",
+        (-0.05, 0.05),
+        (1e-3, 4e-3, 1e-2),
+        "a force on the ball, up if positive",
+        "net force",
+        "wrong mass, a tilted rig, a draught; weight is 0.081 N",
+        family="motion",
+        signed=True,
+    ),
+    _effect(
+        "periodic-disturbance",
+        "amplitude",
+        "N",
+        (0.0, 0.05),
+        (5e-4, 2e-3, 8e-3),
+        "a sinusoidal force at 7 Hz, phase 0 at time 0",
+        "net force",
+        "floor vibration, a fan",
+        family="motion",
+    ),
+    # --- sensing
+    _effect(
+        "position-sensor-offset",
+        "offset",
+        "m",
+        (-2e-3, 2e-3),
+        (5e-5, 2e-4, 6e-4),
+        "x reads this much too high",
+        "position sensor",
+        _ASSUMED,
+        family="sensing",
+        signed=True,
+    ),
+    _effect(
+        "position-sensor-gain",
+        "gain",
+        "1",
+        (0.5, 1.5),
+        (0.98, 0.94, 0.85),
+        "x reads gain times itself",
+        "position sensor",
+        "published sensor slopes of the CE 152 differ: 800 .. 870 V/m",
+        family="sensing",
+        neutral=1.0,
+        signed=True,
+    ),
+    _effect(
+        "position-sensor-nonlinearity",
+        "bow",
+        "m",
+        (-1e-3, 1e-3),
+        (3e-5, 1e-4, 3e-4),
+        "x reads too high by bow in the middle, right at both stops (a parabola)",
+        "position sensor",
+        "inductive sensors are calibrated at two points",
+        family="sensing",
+        signed=True,
+    ),
+    _effect(
+        "position-sensor-lag",
+        "tau",
+        "s",
+        (5e-5, 2e-2),
+        (4e-4, 1e-3, 2.5e-3),
+        "x is read through a first-order lag",
+        "position sensor",
+        "demodulator and anti-alias filter",
+        family="sensing",
+    ),
+    _effect(
+        "sensor-crosstalk",
+        "coupling",
+        "m/A",
+        (-2e-3, 2e-3),
+        (3e-5, 1e-4, 3e-4),
+        "the coil's current shows in x",
+        "position sensor",
+        "an inductive sensor in the coil's stray field",
+        family="sensing",
+        signed=True,
+    ),
+    _effect(
+        "current-sensor-offset",
+        "offset",
+        "A",
+        (-0.3, 0.3),
+        (0.01, 0.03, 0.08),
+        "i_c reads this much too high",
+        "current sensor",
+        _ASSUMED,
+        family="sensing",
+        signed=True,
+    ),
+    _effect(
+        "current-sensor-gain",
+        "gain",
+        "1",
+        (0.5, 1.5),
+        (0.98, 0.94, 0.85),
+        "i_c reads gain times itself",
+        "current sensor",
+        "tolerance of the shunt",
+        family="sensing",
+        neutral=1.0,
+        signed=True,
+    ),
+    # --- timing
+    _effect(
+        "sampling-delay",
+        "delay",
+        "s",
+        (0.0, MAX_DELAY_S),
+        (4e-4, 1e-3, 2e-3),
+        "both sensors show what was this much earlier",
+        "sense()",
+        "sample-and-hold and multiplexing before conversion",
+        family="timing",
+    ),
+    _effect(
+        "lost-samples",
+        "probability",
+        "1",
+        (0.0, 0.9),
+        (0.005, 0.02, 0.1),
+        "each state frame is lost with this probability, independently",
+        "drop_sample()",
+        "an overrun buffer on the board",
+        family="timing",
+    ),
+)
+
+EFFECTS: Mapping[str, Effect] = MappingProxyType({effect.name: effect for effect in _TABLE})
+NEUTRAL: Mapping[str, float] = MappingProxyType({effect.name: effect.neutral for effect in _TABLE})
+
+
+def check(effects: Mapping[str, float]) -> dict[str, float]:
+    """The strengths of all effects, the unnamed ones at their neutral value.
+
+    Raises:
+        UsageError: an unknown name, or a value outside low .. high that is not the neutral one.
+    """
+    strengths = dict(NEUTRAL)
+    for name, value in effects.items():
+        effect = _find(name)
+        if value != effect.neutral and not effect.low <= value <= effect.high:
+            raise UsageError(
+                f"Effect {name}: {effect.parameter} = {value:g} {effect.unit} is out of range",
+                remedy=f"Give {effect.low:g} .. {effect.high:g} {effect.unit}"
+                f" (weak {effect.weak:g}, medium {effect.medium:g}, strong {effect.strong:g})",
+            )
+        strengths[name] = float(value)
+    return strengths
+
+
+def parse(assignment: str) -> tuple[str, float]:
+    """A command-line argument `name=value` or `name=weak|medium|strong` as (name, strength).
+
+    Raises:
+        UsageError: not of that form, unknown, or out of range.
+    """
+    name, equals, text = (part.strip() for part in assignment.partition("="))
+    effect = _find(name)
+    grades = {"weak": effect.weak, "medium": effect.medium, "strong": effect.strong}
+    try:
+        value = grades[text] if text in grades else float(text)
+    except ValueError:
+        raise UsageError(
+            f"Effect {assignment!r}: {'no value' if not (equals and text) else f'{text!r} is not a number'}",
+            remedy=f"Write {name}=weak, medium, strong or a number in {effect.unit}, for example {name}={effect.medium:g}",
+        ) from None
+    check({name: value})
+    return name, value
+
+
+def listing() -> str:
+    """The table as text for a help page: one line per effect, by family."""
+    lines = []
+    family = ""
+    for effect in _TABLE:
+        if effect.family != family:
+            family = effect.family
+            lines.append(f"{family}:")
+        values = f"{effect.weak:g} | {effect.medium:g} | {effect.strong:g} {effect.unit}"
+        lines.append(f"  {effect.name:<30} {values:<32} {effect.about}")
+    return "\n".join(lines)
+
+
+def _find(name: str) -> Effect:
+    if name not in EFFECTS:
+        raise UsageError(f"There is no effect {name!r}", remedy=f"Choose from {', '.join(EFFECTS)}")
+    return EFFECTS[name]

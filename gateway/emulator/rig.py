@@ -1,0 +1,89 @@
+"""The numbers of a rig: the CE 152 as measured, or any other of the same kind.
+
+Where the numbers of `CE152` come from:
+
+Four steady points of a CE 152 are published (gap under the top stop, current; see `MEASURED_EQUILIBRIA`).  At rest
+F_m = m g, so eq. (3) asks for i = sqrt(m g / K_c) (x_max - x).  The points do lie on a straight line within 0.2 %,
+
+    i = 121.04 A/m * (gap + 2.457 mm),    gap = travel - x,
+
+but that line does not pass through zero at the stop: the force acts as if its pole, the effective plane of the coil,
+were 2.457 mm above the highest position of the ball.  Eq. (3) with x_max = travel forces the line through zero and
+misses the points by up to half of the current, whatever K_c.  With the plane as a second number (least squares over
+the four currents), slope and intercept give
+
+    K_c = m g / (121.04 A/m)^2 = 5.544e-6 N m^2/A^2,    d = 2.457 mm.
+
+A physical reading: the ball's pole is its centre and the winding starts behind a bottom plate, so the distance that
+matters is never zero, even where ball and housing touch.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from protocol.errors import ConfigError
+
+# (gap under the top stop in m, coil current in A), D. Honc, "Modelling and Identification of Magnetic Levitation Model
+# CE 152 / Revised": sensor 1, 2, 3, 4 V; current = 0.297 A/V times input voltage.
+MEASURED_EQUILIBRIA = ((4.5848e-3, 0.85239), (3.4152e-3, 0.69498), (2.2456e-3, 0.56133), (1.0760e-3, 0.42768))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rig:
+    """Coil on top, ball, position sensor below.  x is up from the sensor: 0 at the bottom stop, `travel_m` at the top."""
+
+    mass_kg: float
+    travel_m: float
+    gravity_m_s2: float
+    force_constant_n_m2_a2: float  # K_c of eq. (3)
+    coil_plane_above_stop_m: float  # d: eq. (3) with x_max = travel + d
+    amplifier_gain_a_v: float  # K_A of eq. (1)
+    amplifier_time_constant_s: float  # T_A of eq. (1)
+    drag_n_s_m: float  # b of eq. (5)
+    restitution: float  # speed after a bounce / speed before, both stops
+    input_max_v: float  # u_c is 0 .. this
+    current_max_a: float  # i_c is 0 .. this
+    position_noise_m: float  # standard deviation of one reading
+    current_noise_a: float  # standard deviation of one reading
+
+    def __post_init__(self) -> None:
+        may_be_zero = {"drag_n_s_m", "restitution", "position_noise_m", "current_noise_a", "gravity_m_s2"}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            low_enough = field.name != "restitution" or value < 1.0
+            if not (math.isfinite(value) and (value > 0 or (value == 0 and field.name in may_be_zero)) and low_enough):
+                raise ConfigError(
+                    f"Rig: {field.name} = {value} is impossible",
+                    remedy="Give a finite positive number (restitution: 0 <= e < 1)",
+                )
+
+    def gap_m(self, x_m: float) -> float:
+        """Distance from the ball's position x to the effective plane of the coil: x_max - x of eq. (3)."""
+        return self.travel_m + self.coil_plane_above_stop_m - x_m
+
+    def equilibrium_current_a(self, x_m: float) -> float:
+        """Current that carries the ball at rest at x: i = gap sqrt(m g / K_c), from eq. (3), (4), (6) at x'' = x' = 0."""
+        return self.gap_m(x_m) * math.sqrt(self.mass_kg * self.gravity_m_s2 / self.force_constant_n_m2_a2)
+
+    def equilibrium_input_v(self, x_m: float) -> float:
+        """Input that holds `equilibrium_current_a`: u = i / K_A, eq. (1)."""
+        return self.equilibrium_current_a(x_m) / self.amplifier_gain_a_v
+
+
+CE152 = Rig(
+    mass_kg=8.28e-3,  # measured
+    travel_m=5.7e-3,  # measured
+    gravity_m_s2=9.81,
+    force_constant_n_m2_a2=5.544e-6,  # fit, above
+    coil_plane_above_stop_m=2.457e-3,  # fit, above
+    amplifier_gain_a_v=0.297,  # measured; sources give 0.28 .. 0.31
+    amplifier_time_constant_s=3e-4,  # assumed; sources give 2e-5 .. 2e-3
+    drag_n_s_m=0.02,  # two sources; others 0 .. 0.05
+    restitution=0.5,  # assumed: steel ball on the sensor's plastic cover
+    input_max_v=5.0,
+    current_max_a=1.5,
+    position_noise_m=5e-6,  # assumed: about three counts of a 12-bit converter
+    current_noise_a=2e-3,  # assumed
+)
