@@ -62,9 +62,10 @@ class BoardConfig:
 
     name: str = _key(MISSING, "chunk of the key and of file names: lower-case letters, digits, - and _")
     port: str = _key(
-        MISSING, "pyserial URL: /dev/ttyUSB0, socket://host:port, rfc2217://...; a glob such as /dev/serial/by-id/*Board51*"
-        " takes whichever name the adapter comes back under",
-    )  # fmt: skip
+        MISSING,
+        "pyserial URL: /dev/ttyUSB0, socket://host:port, rfc2217://...; "
+        "a glob such as /dev/serial/by-id/*Board51* takes whichever name the adapter comes back under",
+    )
     baud: int = _key(115200, "of the UART; sockets and ptys ignore it", unit="bit/s", low=300, high=4_000_000)
     board_id: int = _key(0, "refuse any board with another serial number; 0 takes any", low=0, high=0xFFFFFFFF)
     stream_divider: int = _key(1, "ask the board for every n-th tick", low=1, high=1000)
@@ -84,9 +85,10 @@ class ZenohConfig:
     """The bus: `[zenoh]`."""
 
     mode: str = _key(
-        "router", "router: this process is the router, nothing to install; client: connect to one elsewhere",
+        "router",
+        "router: this process is the router, nothing to install; client: connect to one elsewhere",
         choices=("router", "client"),
-    )  # fmt: skip
+    )
     listen: tuple[str, ...] = _key([DEFAULT_ENDPOINT], "endpoints to open (mode router)")
     connect: tuple[str, ...] = _key([], "endpoints to reach (mode client)")
     queue: int = _key(8192, "samples that may wait for the bus; the oldest is dropped and counted", low=64, high=10**7)
@@ -276,12 +278,14 @@ def _from_text(text: str, kind: str, where: str) -> Any:
 
 def documented_toml() -> str:
     """A complete file with every key, its default, unit and bounds: for `--print-config` and the README."""
+    site = next(f for f in fields(GatewayConfig) if f.name == "site")
     lines = [
         "# Board51 gateway.  Every key is optional but name and port of a board; values shown are the defaults.",
         "",
     ]
-    lines += [f"# {_about(next(f for f in fields(GatewayConfig) if f.name == 'site'))}", f'site = "{DEFAULT_SITE}"', ""]
-    for title, kind in (("[[board]]", BoardConfig), ("[board.limits]", LimitsConfig), ("[zenoh]", ZenohConfig), ("[log]", LogConfig)):  # fmt: skip
+    lines += [f"# {_about(site)}", f'site = "{DEFAULT_SITE}"', ""]
+    sections: dict[str, type[Any]] = {"[[board]]": BoardConfig, "[board.limits]": LimitsConfig}
+    for title, kind in (sections | {f"[{name}]": kind for name, kind in _SECTIONS.items()}).items():
         lines.append(title)
         for f in fields(kind):
             if not f.metadata:
