@@ -1,0 +1,295 @@
+"""Messages from any thread into MCAP parts, in a thread of its own.  `put` never blocks and never raises.
+
+Rule 1: a full queue drops the OLDEST message and counts it.  Blocking the caller would move the loss into the serial
+        driver, where bytes vanish in mid-frame.
+Rule 2: every part stands alone: it is closed with an index, and begins with the newest `parameters` of every board.
+Rule 3: at most `flush_s` plus one drain of data is in memory only: that is what `kill -9` costs.
+Rule 4: a full disk or a failing one stops the log, not the caller.  It is reported once, the queue keeps the newest
+        messages, and a new part begins when the disk is back; the part that was cut off is finished then, too.
+"""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from gateway.record.writer import Compression, LogError, LogWriter
+
+OnEvent = Callable[[str, str, str], None]
+Entry = tuple[str, bytes, int]
+
+DRAIN_S = 0.02  # small batches: a long one would hold the interpreter while the serial thread waits
+RETRY_S = 0.5  # how often a full or failed disk is tried again
+RESUME_FACTOR = 1.2  # times min_free_bytes: otherwise a disk at the limit gives a part for every retry
+
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecorderStats:
+    """What the status message says about the log."""
+
+    file: str  # name of the part being written, "" if none
+    bytes: int  # of that part, on disk
+    depth: int  # messages waiting
+    dropped: int  # messages lost to a full queue, since the start
+    written: int  # messages written, since the start
+    parts: int
+    state: str  # "writing" | "off" | "disk-full" | "failed: ..."
+
+
+class Recorder:
+    """Writes `<prefix>-<start>-<number>.mcap` files into `directory`.
+
+    Args:
+        directory: Must exist.
+        prefix: First part of the file names.
+        rotate_bytes: A part larger than this is closed and the next one begun.
+        rotate_s: The same by age, s.
+        flush_s: Longest time between flushes, s.
+        queue: Messages that may wait.
+        metadata: MCAP metadata of every part.
+        min_free_bytes: Below this much free space the log pauses, so that the part in work can still be closed and the
+            machine stays usable.
+        on_event: Called as (name, severity, text) in the recorder's thread: log-disk-full, log-failed, log-resumed,
+            log-rotated, log-dropping.
+        compression: Of the chunks.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        *,
+        prefix: str,
+        rotate_bytes: int,
+        rotate_s: float,
+        flush_s: float = 0.1,
+        queue: int = 20_000,
+        metadata: Mapping[str, Mapping[str, str]] | None = None,
+        min_free_bytes: int = 50_000_000,
+        on_event: OnEvent | None = None,
+        compression: Compression = "lz4",
+    ) -> None:
+        self.directory = directory
+        self.on_event = on_event
+        self._prefix = prefix
+        self._rotate_bytes = rotate_bytes
+        self._rotate_s = rotate_s
+        self._flush_s = flush_s
+        self._capacity = queue
+        self._metadata = dict(metadata or {})
+        self._min_free_bytes = min_free_bytes
+        self._compression: Compression = compression
+
+        self._lock = threading.Lock()  # guards _queue, _dropped; held for a few instructions only
+        self._queue: deque[Entry] = deque()
+        self._dropped = 0
+        self._reported_dropped = 0
+
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._run = ""
+        self._part = 0
+        self._writer: LogWriter | None = None
+        self._cut_off: LogWriter | None = None  # a part whose end did not fit on the disk
+        self._parameters: dict[str, Entry] = {}
+        self._opened_s = 0.0
+        self._flushed_s = 0.0
+        self._written = 0
+        self._state = "off"
+
+    def start(self) -> None:
+        """Open the first part and start the thread.
+
+        Raises:
+            LogError: the directory is absent, read-only or full.
+        """
+        self._run = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+        self._open_part()
+        self._state = "writing"
+        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self._thread.start()
+
+    def put(self, key: str, data: bytes, time_ns: int) -> None:
+        """Queue one message: key `<site>/<board>/<topic>`, serialised protobuf, Unix time in ns."""
+        with self._lock:
+            if len(self._queue) >= self._capacity:
+                self._queue.popleft()
+                self._dropped += 1
+            self._queue.append((key, data, time_ns))
+
+    def stats(self) -> RecorderStats:
+        """A snapshot, from any thread."""
+        writer = self._writer
+        return RecorderStats(
+            file=writer.path.name if writer else "",
+            bytes=writer.bytes_written if writer else 0,
+            depth=len(self._queue),
+            dropped=self._dropped,
+            written=self._written,
+            parts=self._part,
+            state=self._state,
+        )
+
+    def close(self) -> None:
+        """Write what is queued and close the part: it is complete and readable afterwards."""
+        if self._thread is not None:
+            self._stop.set()
+            self._thread.join()
+            self._thread = None
+
+    # --- the recorder's thread -----------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        while not self._stop.wait(DRAIN_S if self._writer else RETRY_S):
+            self._step()
+        self._step()
+        self._finish()
+
+    def _step(self) -> None:
+        """One drain; afterwards the state is `writing`, or says why not."""
+        try:
+            if self._writer is None:
+                self._resume()
+            self._check_free_space()
+            self._drain()
+            now_s = time.monotonic()
+            if now_s - self._flushed_s >= self._flush_s:
+                self._flush(now_s)
+        except LogError as error:
+            self._pause(error)
+        except Exception as error:  # a recorder that dies silently is the worst outcome: say so, and try again
+            _logger.exception("recorder")
+            self._pause(error)
+
+    def _drain(self) -> None:
+        assert self._writer is not None
+        with self._lock:
+            batch, self._queue = self._queue, deque()
+            dropped = self._dropped
+        if dropped > self._reported_dropped:
+            self._tell("log-dropping", "warning", f"{dropped - self._reported_dropped} messages did not fit the queue")
+            self._reported_dropped = dropped
+        write = self._writer.write
+        try:
+            while batch:
+                entry = batch.popleft()
+                if entry[0].endswith("/parameters"):
+                    self._parameters[entry[0]] = entry
+                write(*entry)
+                self._written += 1
+        finally:  # a full disk in the middle of a batch: the rest waits for the next part
+            if batch:
+                with self._lock:
+                    self._queue.extendleft(reversed(batch))
+
+    def _flush(self, now_s: float) -> None:
+        assert self._writer is not None
+        self._writer.flush()
+        self._flushed_s = now_s
+        full = self._writer.bytes_written >= self._rotate_bytes
+        if full or (now_s - self._opened_s >= self._rotate_s and self._writer.messages > len(self._parameters)):
+            finished = self._writer
+            finished.close()
+            self._writer = None
+            self._open_part()
+            self._tell("log-rotated", "info", f"{finished.path.name} closed, {finished.bytes_written} bytes")
+
+    def _open_part(self) -> None:
+        while True:
+            name = f"{self._prefix}-{self._run}-{self._part:03d}.mcap"
+            self._part += 1
+            metadata = {"part": {"prefix": self._prefix, "run": self._run, "number": str(self._part - 1)}}
+            try:
+                writer = LogWriter(
+                    self.directory / name, metadata={**self._metadata, **metadata}, compression=self._compression
+                )
+                break
+            except LogError as error:
+                if error.reason != "exists already":
+                    raise
+        for entry in self._parameters.values():
+            writer.write(*entry)
+        self._opened_s = self._flushed_s = time.monotonic()
+        self._writer = writer
+
+    def _check_free_space(self) -> None:
+        if self._free_bytes() < self._min_free_bytes:
+            raise LogError(self.directory, OSError(errno.ENOSPC, "below min_free_bytes"))
+
+    def _free_bytes(self) -> int:
+        try:
+            status = os.statvfs(self.directory)
+        except OSError as error:
+            raise LogError(self.directory, error) from None
+        return status.f_bavail * status.f_frsize
+
+    def _resume(self) -> None:
+        if self._free_bytes() < RESUME_FACTOR * self._min_free_bytes:
+            raise LogError(self.directory, OSError(errno.ENOSPC, "below min_free_bytes"))
+        if self._cut_off is not None:
+            self._finish_cut_off(self._cut_off)
+        self._open_part()
+        assert self._writer is not None
+        self._state = "writing"
+        self._tell("log-resumed", "info", f"Logging into {self._writer.path.name}")
+
+    def _finish_cut_off(self, writer: LogWriter) -> None:
+        """Give the part its end; a part that fails for another reason than space must not keep us from going on."""
+        try:
+            writer.close()
+        except LogError as error:
+            if error.is_disk_full:
+                raise
+            self._give_up(writer, error)
+        self._cut_off = None
+
+    def _give_up(self, writer: LogWriter, error: LogError) -> None:
+        writer.abandon()
+        self._tell(
+            "log-failed", "fault", f"{error} It lacks its end: board51 recover {writer.path.name} restores the rest"
+        )
+
+    def _pause(self, error: Exception) -> None:
+        """Close the part as far as the disk lets us, and remember to finish it."""
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            try:
+                writer.close()
+            except LogError:
+                self._cut_off = writer
+        full = isinstance(error, LogError) and error.is_disk_full
+        state = "disk-full" if full else f"failed: {error}"
+        if state != self._state:
+            self._state = state
+            self._tell("log-disk-full" if full else "log-failed", "fault", str(error))
+
+    def _finish(self) -> None:
+        for writer in (self._cut_off, self._writer):
+            if writer is not None:
+                try:
+                    writer.close()
+                except LogError as error:
+                    self._give_up(writer, error)
+        if self._queue:
+            with self._lock:
+                self._dropped += len(self._queue)
+                self._queue.clear()
+            self._tell("log-dropping", "warning", f"{self._dropped - self._reported_dropped} messages were not written")
+        self._cut_off = self._writer = None
+        self._state = "off"
+
+    def _tell(self, name: str, severity: str, text: str) -> None:
+        _logger.log(logging.INFO if severity == "info" else logging.WARNING, "%s: %s", name, text)
+        if self.on_event is not None:
+            try:
+                self.on_event(name, severity, text)
+            except Exception:  # the callback belongs to someone else; its fault must not end the log
+                _logger.exception("on_event")

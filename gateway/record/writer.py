@@ -1,0 +1,206 @@
+"""One MCAP file: `write` to memory, `flush` to disk, `close` with an index.  Not thread-safe (`recorder` is).
+
+Rule 1: the file only ever grows by whole chunks.  foxglove-sdk writes into memory; `flush` finishes the chunk and hands
+        the bytes to the kernel in one go.  So `kill -9` costs what came after the last `flush`, and nothing before it.
+Rule 2: no error passes silently.  foxglove-sdk given a file of its own only prints when a write fails and then refuses
+        everything; here the write is ours, the file is cut back to its last whole chunk, the bytes are kept, and
+        `flush` or `close` may be called again when the disk has space.
+Rule 3: an existing file is never touched.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+from foxglove import Channel, Context, Schema, open_mcap
+from foxglove.mcap import MCAPCompression, MCAPWriteOptions
+
+from protocol.bus import encoding, topics
+from protocol.errors import ServiceError
+
+Compression = Literal["zstd", "lz4", "none"]
+CHUNK_BYTES = 1 << 20  # before compression; at the rates of a rig `flush` ends chunks long before
+HELD_BYTES = 4 << 20  # a writer nobody flushes (an import) goes to disk in pieces of this size
+
+_COMPRESSION = {"zstd": MCAPCompression.Zstd, "lz4": MCAPCompression.Lz4, "none": None}
+_REASONS: dict[int, tuple[str, str]] = {
+    errno.ENOSPC: ("disk full", "Free space on that file system; logging goes on by itself"),
+    errno.EDQUOT: ("disk full", "Free space within the quota; logging goes on by itself"),
+    errno.EROFS: ("read-only", "Choose a log directory on a writable file system"),
+    errno.EACCES: ("no permission", "Give this user write permission, or choose another log directory"),
+    errno.EPERM: ("no permission", "Give this user write permission, or choose another log directory"),
+    errno.ENOENT: ("no such directory", "Create the directory, or choose another one"),
+    errno.ENOTDIR: ("not a directory", "Choose a directory for the logs"),
+    errno.EEXIST: ("exists already", "Choose another name: logs are never overwritten"),
+    errno.EFBIG: ("file too large", "Rotate earlier, or raise the limit on file size"),
+}
+
+
+class LogError(ServiceError):
+    """The log cannot be written.  `reason` is short and stable: "disk full", "read-only", "no permission", ..."""
+
+    def __init__(self, path: Path, error: OSError) -> None:
+        known = _REASONS.get(error.errno or 0)
+        self.reason, remedy = known or (os.strerror(error.errno or 0).lower(), "Check that disk")
+        super().__init__(f"Log {path} cannot be written: {self.reason}", remedy=remedy)
+
+    @property
+    def is_disk_full(self) -> bool:
+        """Waiting for space may help."""
+        return self.reason == "disk full"
+
+
+class _Memory:
+    """The file foxglove-sdk believes it writes: the part that is on disk already, and `held`, which is not.
+
+    It goes back only to the start of the chunk in work, never into what was handed to the disk.
+    """
+
+    def __init__(self) -> None:
+        self.on_disk = 0
+        self.held = bytearray()
+        self._position = 0
+
+    def write(self, data: bytes | bytearray) -> int:
+        at = self._position - self.on_disk
+        self.held[at : at + len(data)] = data
+        self._position += len(data)
+        return len(data)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        start = (0, self._position, self.on_disk + len(self.held))[whence]
+        if start + offset < self.on_disk:
+            raise OSError(errno.ESPIPE, "that part is on disk already")
+        self._position = start + offset
+        return self._position
+
+    def flush(self) -> None:
+        pass
+
+
+class LogWriter:
+    """An MCAP file in the making.
+
+    Args:
+        path: File to create; it must not exist.
+        metadata: MCAP metadata records, by name; written first, so that they survive a kill.
+        compression: Of the chunks.  lz4 costs least; zstd suits imports that are written once and kept.
+
+    Raises:
+        LogError: the file cannot be created.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        metadata: Mapping[str, Mapping[str, str]] | None = None,
+        compression: Compression = "lz4",
+    ) -> None:
+        self.path = path
+        try:
+            self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise LogError(path, error) from None
+        self.messages = 0
+        self._finished = False
+        self._memory = _Memory()
+        self._context = Context()  # of its own: channels of one file never reach another, nor a Foxglove server
+        self._descriptors = encoding.descriptor_set()
+        self._channels: dict[str, Channel] = {}
+        self._mcap = open_mcap(
+            self._memory,
+            context=self._context,
+            writer_options=MCAPWriteOptions(
+                compression=_COMPRESSION[compression], chunk_size=CHUNK_BYTES, compression_threads=0
+            ),
+        )
+        for name, values in (metadata or {}).items():
+            self._mcap.write_metadata(name, dict(values))
+        self._to_disk()
+
+    @property
+    def bytes_written(self) -> int:
+        """Bytes handed to the operating system."""
+        return self._memory.on_disk
+
+    def write(self, key: str, data: bytes, time_ns: int) -> None:
+        """Add one message.
+
+        Args:
+            key: `<site>/<board>/<topic>` with a topic of `protocol.bus.topics`.
+            data: The serialised protobuf message of that topic.
+            time_ns: MCAP log time, Unix time.
+
+        Raises:
+            ValueError: the key is not one of ours.
+            LogError: a piece had to go to disk and could not.
+        """
+        channel = self._channels.get(key) or self._open_channel(key)
+        channel.base.log(data, time_ns)
+        self.messages += 1
+        if len(self._memory.held) > HELD_BYTES:
+            self.flush()
+
+    def flush(self) -> None:
+        """Finish the chunk and give everything to the operating system.
+
+        Raises:
+            LogError: nothing of the chunk is in the file; the bytes are kept for the next call.
+        """
+        if not self._finished:
+            self._mcap.flush()
+        self._to_disk()
+
+    def close(self) -> None:
+        """Flush, write the index, sync to the medium.  Does nothing the second time.
+
+        Raises:
+            LogError: the file lacks what could not be written; call again when there is space, or `abandon`.
+        """
+        if self._fd < 0:
+            return
+        if not self._finished:
+            self._mcap.close()
+            self._finished = True
+            for channel in self._channels.values():
+                channel.close()
+        self._to_disk()
+        try:
+            os.fsync(self._fd)
+        except OSError as error:
+            raise LogError(self.path, error) from None
+        self.abandon()
+
+    def abandon(self) -> None:
+        """Leave the file as it is: whole chunks, perhaps without an index (`board51 recover` adds it)."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def _open_channel(self, key: str) -> Channel:
+        parts = topics.split(key)
+        if parts is None:
+            raise ValueError(f"{key!r} is not a key of the bus table")
+        message = topics.BY_NAME[parts[2]].message
+        schema = Schema(name=encoding.schema_name(message), encoding=encoding.SCHEMA_ENCODING, data=self._descriptors)
+        channel = Channel(key, message_encoding=encoding.MESSAGE_ENCODING, schema=schema, context=self._context)
+        self._channels[key] = channel
+        return channel
+
+    def _to_disk(self) -> None:
+        memory = self._memory
+        done = 0
+        try:
+            with memoryview(memory.held) as view:
+                while done < len(view):
+                    done += os.pwrite(self._fd, view[done:], memory.on_disk + done)
+        except OSError as error:
+            os.ftruncate(self._fd, memory.on_disk)  # half a chunk would stop every reader there
+            raise LogError(self.path, error) from None
+        memory.on_disk += done
+        memory.held.clear()
