@@ -1,0 +1,1 @@
+"""The service: bytes of the board -> samples -> zenoh and MCAP, and commands back."""

@@ -1,0 +1,1 @@
+"""The sub-commands of `board51` that belong to the gateway; each has `configure` and `run`."""

@@ -10,6 +10,8 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
+from google.protobuf.message import Message
+
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import ConfigError
 
@@ -25,7 +27,7 @@ class Topic:
     """
 
     name: str
-    message: type[pb.State] | type  # a protobuf message class
+    message: type[Message]
     by: Literal["gateway", "twin", "client"]
     rate: str
     bus: bool

@@ -1,0 +1,76 @@
+"""Print what travels on the bus: one line a message, decoded."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import queue
+import sys
+import time
+
+import zenoh
+from google.protobuf.json_format import MessageToDict
+from google.protobuf.message import Message
+
+from gateway.client import add_bus_arguments, open_bus
+from protocol.bus import topics
+from protocol.bus.encoding import parse
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Which keys, how many, how often."""
+    parser.epilog = (
+        "examples:\n  board51 watch                       everything but state and twin, 1 line a message"
+        "\n  board51 watch --topic state --every 0.5"
+    )
+    add_bus_arguments(parser)
+    parser.add_argument("--board", default="*", help="only this board")
+    parser.add_argument(
+        "--topic",
+        action="append",
+        choices=[t.name for t in topics.TOPICS if t.bus and t.by != "client"],
+        help="only this topic; repeat for more (default: those slower than the tick)",
+    )
+    parser.add_argument("--every", type=float, default=0.0, metavar="S", help="at most one line per key in this time")
+    parser.add_argument("--count", type=int, default=0, help="stop after so many lines")
+    parser.add_argument("--timeout", type=float, default=0.0, metavar="S", help="stop after this time")
+    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+
+
+def _line(key: str, message: Message, *, as_json: bool) -> str:
+    fields = MessageToDict(message, preserving_proto_field_name=True)
+    if as_json:
+        return json.dumps({"key": key, **fields})
+    return f"{key}  " + "  ".join(f"{k}={v:.6g}" if isinstance(v, float) else f"{k}={v}" for k, v in fields.items())
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when something came, 1 when nothing did before the time-out."""
+    wanted = args.topic or [t.name for t in topics.TOPICS if t.bus and t.by != "client" and t.rate != "every tick"]
+    wanted = [name for name in wanted if args.topic or name != "state"]
+    samples: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
+
+    def arrived(sample: zenoh.Sample) -> None:
+        samples.put((str(sample.key_expr), sample.payload.to_bytes()))
+
+    printed, last = 0, dict[str, float]()
+    end = time.monotonic() + args.timeout if args.timeout else None
+    with open_bus(args.connect) as session:
+        for name in wanted:
+            session.declare_subscriber(f"{args.site}/{args.board}/{name}", arrived)
+        while not args.count or printed < args.count:
+            try:
+                key, data = samples.get(timeout=max(0.0, end - time.monotonic()) if end else None)
+            except queue.Empty:
+                break
+            place = topics.split(key)
+            message = parse(topics.BY_NAME[place[2]].message, data) if place else None
+            if message is None:
+                print(f"{key}: {len(data)} bytes that are not its message", file=sys.stderr)
+                continue
+            now = time.monotonic()
+            if now - last.get(key, -1e9) >= args.every:
+                last[key] = now
+                printed += 1
+                print(_line(key, message, as_json=args.json), flush=True)
+    return 0 if printed else 1
