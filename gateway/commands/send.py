@@ -17,7 +17,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import check_name
 
 _MODES = {"idle": pb.MODE_IDLE, "open-loop": pb.MODE_OPEN_LOOP, "closed-loop": pb.MODE_CLOSED_LOOP}
-_SHAPES = {name.removeprefix("SHAPE_").lower(): pb.Shape.Value(name) for name in pb.Shape.keys()}
+_SHAPES = {name.removeprefix("SHAPE_").lower(): name for name in pb.Shape.keys()}
 _POLICIES = {"keep": 0, "coil-off": 1, "hold": 2}
 
 

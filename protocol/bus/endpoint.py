@@ -22,7 +22,8 @@ def check_endpoint(endpoint: str, *, where: str) -> str:
     """Return a zenoh endpoint such as tcp/127.0.0.1:7447, else raise ConfigError naming `where`."""
     if not _ENDPOINT.fullmatch(endpoint):
         raise ConfigError(
-            f"{where}: {endpoint!r} is not a zenoh endpoint", remedy="Write it as tcp/HOST:PORT, e.g. tcp/127.0.0.1:7447"
+            f"{where}: {endpoint!r} is not a zenoh endpoint",
+            remedy=f"Write it as tcp/HOST:PORT, e.g. {DEFAULT_ENDPOINT}",
         )
     return endpoint
 
