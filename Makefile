@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
+PYTEST_ARGS ?= -n 2 --dist loadgroup
 STAMP  := $(VENV)/.from-lock
 
 .PHONY: setup demo test check clean
@@ -24,7 +25,7 @@ demo: setup
 	$(BIN)/board51 demo
 
 test: setup
-	$(BIN)/pytest
+	$(BIN)/pytest $(PYTEST_ARGS)
 
 check: setup
 	$(BIN)/ruff format --check .
