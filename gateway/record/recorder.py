@@ -183,8 +183,11 @@ class Recorder:
                 entry = batch.popleft()
                 if entry[0].endswith("/parameters"):
                     self._parameters[entry[0]] = entry
-                write(*entry)
-                self._written += 1
+                try:
+                    write(*entry)
+                    self._written += 1
+                except ValueError as error:  # a key outside the bus table: the caller's mistake, once per message
+                    _logger.warning("not logged: %s", error)
         finally:  # a full disk in the middle of a batch: the rest waits for the next part
             if batch:
                 with self._lock:
