@@ -3,6 +3,6 @@
 Reading order: `rig.py` (numbers), `effects.py` (what the model does not know), `physics.py` (equations of motion),
 `plant.py` (a rig one can connect a board to), `secret.py` (effects nobody is told).
 
-Rule: nothing here is imported by the daemon, and nothing here imports the twin.  The emulator owns its physics, so that a
-diagnosis is never compared with itself.
+Rule: nothing here is imported by the daemon, and nothing here imports the twin.  The emulator owns its physics, so that
+a diagnosis is never compared with itself.
 """

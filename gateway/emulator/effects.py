@@ -5,7 +5,7 @@ Each effect has ONE number, its own physical parameter in the unit given here; n
 exactly absent.  `physics.py` holds the equations; `where` says which line of it.
 
 Rule 1: the names are those of the catalogue of causes (design.md), so that a diagnosis can be compared.
-Rule 2: effects combine freely.
+Rule 2: effects combine freely.  Delays are rounded to the plant's step of 20 us.
 Rule 3: weak shows only in careful statistics, medium in a plot, strong at once; a nominal LQI still holds the ball
         under any single one of them.
 """
@@ -38,7 +38,7 @@ class Effect:
     medium: float
     strong: float
     neutral: float = 0.0  # the value at which the effect is absent
-    signed: bool = False  # the mirrored value (-v, or 1/v for a gain) is as plausible
+    signed: bool = False  # the value mirrored at the neutral one is as plausible
     about: str
     where: str
     source: str
@@ -85,7 +85,7 @@ _TABLE = (
         "amplifier-gain-drift",
         "loss",
         "1/A^2",
-        (-0.3, 0.3),
+        (0.0, 0.3),
         (0.02, 0.06, 0.15),
         "the coil heats and the gain falls: K_A (1 - loss w), 30 s w' + w = i^2; loss at a steady 1 A",
         "target current",
@@ -109,7 +109,7 @@ _TABLE = (
         "rate",
         "A/s",
         (1.0, 1e5),
-        (300.0, 100.0, 40.0),
+        (300.0, 100.0, 30.0),
         "the current changes no faster than this, in both directions",
         "rate of the current",
         "coil voltage is finite: di/dt <= U/L",
@@ -237,7 +237,7 @@ _TABLE = (
         "c",
         "N s^2/m^2",
         (0.0, 20.0),
-        (0.1, 0.5, 2.0),
+        (0.2, 1.0, 4.0),
         "additional drag c |v| v",
         "net force",
         "neglected by the paper on purpose; air alone gives 4e-5, a guide tube far more",
@@ -248,7 +248,7 @@ _TABLE = (
         "force",
         "N",
         (0.0, 0.05),
-        (5e-4, 2e-3, 8e-3),
+        (5e-4, 2e-3, 6e-3),
         "dry friction against the motion; holds a resting ball against smaller forces",
         "net force",
         "a ball that touches its guide; weight is 0.081 N",
@@ -331,7 +331,7 @@ _TABLE = (
         "coupling",
         "m/A",
         (-2e-3, 2e-3),
-        (3e-5, 1e-4, 3e-4),
+        (2e-5, 6e-5, 1.5e-4),
         "the coil's current shows in x",
         "position sensor",
         "an inductive sensor in the coil's stray field",
@@ -425,7 +425,7 @@ def parse(assignment: str) -> tuple[str, float]:
     except ValueError:
         raise UsageError(
             f"Effect {assignment!r}: {'no value' if not (equals and text) else f'{text!r} is not a number'}",
-            remedy=f"Write {name}=weak, medium, strong or a number in {effect.unit}, for example {name}={effect.medium:g}",
+            remedy=f"Write {name}=weak, medium, strong or a number in {effect.unit}, as in {name}={effect.medium:g}",
         ) from None
     check({name: value})
     return name, value

@@ -85,7 +85,7 @@ class Plant:
         rig, strength = self.rig, check(effects)
         if rig.coil_plane_above_stop_m + strength["air-gap-offset"] < 1e-4:
             raise UsageError(
-                f"Effect air-gap-offset: d = {strength['air-gap-offset']:g} m puts the coil's plane into the ball's travel",
+                f"Effect air-gap-offset: d = {strength['air-gap-offset']:g} m puts the coil's plane into the travel",
                 remedy=f"Give more than {1e-4 - rig.coil_plane_above_stop_m:g} m on this rig",
             )
         self._constants = _constants(rig, strength, self.step_s)

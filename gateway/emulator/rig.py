@@ -32,7 +32,7 @@ MEASURED_EQUILIBRIA = ((4.5848e-3, 0.85239), (3.4152e-3, 0.69498), (2.2456e-3, 0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rig:
-    """Coil on top, ball, position sensor below.  x is up from the sensor: 0 at the bottom stop, `travel_m` at the top."""
+    """Coil, ball, and position sensor below.  x is up from the sensor: 0 at the bottom stop, `travel_m` at the top."""
 
     mass_kg: float
     travel_m: float
@@ -64,7 +64,7 @@ class Rig:
         return self.travel_m + self.coil_plane_above_stop_m - x_m
 
     def equilibrium_current_a(self, x_m: float) -> float:
-        """Current that carries the ball at rest at x: i = gap sqrt(m g / K_c), from eq. (3), (4), (6) at x'' = x' = 0."""
+        """Current that carries the ball at rest at x: i = gap sqrt(m g / K_c), eq. (6) with x'' = x' = 0."""
         return self.gap_m(x_m) * math.sqrt(self.mass_kg * self.gravity_m_s2 / self.force_constant_n_m2_a2)
 
     def equilibrium_input_v(self, x_m: float) -> float:
