@@ -1,0 +1,155 @@
+"""The frames of golden_frames.txt, which was written from the interface page, against our encoder and decoder.
+
+CRC and COBS are written here a second time, bit by bit from the page, so that a mistake in `protocol/wire`
+cannot hide in the file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from protocol.wire.decoder import BadFrame, State, StreamDecoder
+from protocol.wire.framing import MAX_ENCODED, cobs_decode, cobs_encode, crc16, encode_frame
+from protocol.wire.messages import BY_NAME, Field, Message, Value, encode_body
+
+LINES = (Path(__file__).parent / "golden_frames.txt").read_text(encoding="utf-8").splitlines()
+
+
+@dataclass(frozen=True, slots=True)
+class Golden:
+    title: str  # NAME or BAD CAUSE
+    keys: dict[str, str]  # body, wire, fields, why
+
+    def hex(self, key: str) -> bytes:
+        return bytes.fromhex(self.keys[key])
+
+    def values(self) -> dict[str, Value]:
+        return {name: _value(text) for name, text in (pair.split("=") for pair in self.keys["fields"].split())}
+
+
+def _value(text: str) -> Value:
+    if text.startswith("hex:"):
+        return bytes.fromhex(text[4:])
+    return float(text) if "." in text else int(text)
+
+
+def read_golden() -> list[Golden]:
+    found: list[Golden] = []
+    for line in LINES:
+        if not line or line.startswith("#"):
+            continue
+        key, _, rest = line.partition(" ")
+        if key in ("body", "wire", "fields", "why"):
+            found[-1].keys[key] = rest
+        else:
+            found.append(Golden(line, {}))
+    return found
+
+
+GOLDEN = read_golden()
+FRAMES = [golden for golden in GOLDEN if not golden.title.startswith("BAD ")]
+BAD = [golden for golden in GOLDEN if golden.title.startswith("BAD ")]
+
+
+def crc_by_the_page(data: bytes) -> int:
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1) & 0xFFFF
+    return crc
+
+
+def cobs_by_the_page(data: bytes) -> bytes:
+    stuffed, piece = bytearray(), bytearray()
+    for byte in (*data, 0):  # the end cuts like a zero
+        if byte:
+            piece.append(byte)
+        else:
+            stuffed += bytes([len(piece) + 1]) + piece
+            piece.clear()
+    return bytes(stuffed)
+
+
+def frame_by_the_page(body: bytes) -> bytes:
+    crc = crc_by_the_page(body)
+    return b"\x00" + cobs_by_the_page(body + bytes([crc >> 8, crc & 0xFF])) + b"\x00"
+
+
+def fields_of(name: str) -> tuple[Field, ...]:
+    return BY_NAME[name].fields
+
+
+def test_there_is_a_golden_frame_of_every_message_and_a_bad_one_of_every_cause() -> None:
+    assert {golden.title for golden in FRAMES} == set(BY_NAME)
+    assert {golden.title.split()[1] for golden in BAD} == {"oversize", "cobs", "crc", "type", "length", "range"}
+
+
+@pytest.mark.parametrize("golden", FRAMES, ids=lambda golden: golden.title)
+def test_the_file_follows_the_rules_of_the_page(golden: Golden) -> None:
+    assert frame_by_the_page(golden.hex("body")) == golden.hex("wire")
+
+
+@pytest.mark.parametrize("golden", FRAMES, ids=lambda golden: golden.title)
+def test_encoding_gives_the_golden_bytes(golden: Golden) -> None:
+    body = encode_body(golden.title, **golden.values())
+
+    assert body.hex(" ") == golden.hex("body").hex(" ")
+    assert encode_frame(body).hex(" ") == golden.hex("wire").hex(" ")
+
+
+@pytest.mark.parametrize("golden", FRAMES, ids=lambda golden: golden.title)
+def test_decoding_gives_the_golden_fields(golden: Golden) -> None:
+    events = StreamDecoder().feed(golden.hex("wire"))
+
+    if golden.title == "STATE":
+        assert events == [State(**{name: value for name, value in golden.values().items() if isinstance(value, int)})]
+    else:
+        assert events == [Message(golden.title, golden.values())]
+
+
+@pytest.mark.parametrize("golden", BAD, ids=lambda golden: golden.keys["why"])
+def test_a_bad_frame_is_reported_with_its_cause_and_its_bytes(golden: Golden) -> None:
+    between_delimiters = golden.hex("wire").strip(b"\x00")
+
+    events = StreamDecoder().feed(golden.hex("wire"))
+
+    assert events == [BadFrame(golden.title.split()[1], between_delimiters[: MAX_ENCODED + 1])]
+
+
+def test_the_whole_file_as_one_stream_gives_every_event_in_order() -> None:
+    expected = [golden.title if golden in FRAMES else golden.title.split()[1] for golden in GOLDEN]
+
+    events = StreamDecoder().feed(b"".join(golden.hex("wire") for golden in GOLDEN))
+
+    names = [
+        "STATE" if isinstance(event, State) else event.cause if isinstance(event, BadFrame) else event.name
+        for event in events
+    ]
+    assert names == expected
+
+
+def test_crc_has_the_check_value_and_the_residue_of_the_page() -> None:
+    assert crc_by_the_page(b"123456789") == crc16(b"123456789") == 0x29B1
+    for golden in FRAMES:
+        body = golden.hex("body")
+        assert crc16(body) == crc_by_the_page(body)
+        assert crc16(body + crc16(body).to_bytes(2, "big")) == 0
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"\0", b"\0\0", b"a\0", b"\0a", b"ab", bytes(66), bytes(range(66)), b"\xff" * 66]
+)
+def test_cobs_is_that_of_the_page_and_comes_undone(data: bytes) -> None:
+    assert cobs_encode(data) == cobs_by_the_page(data)
+    assert cobs_decode(cobs_by_the_page(data)) == data
+    assert len(cobs_encode(data)) == len(data) + 1
+    assert 0 not in cobs_encode(data)
+
+
+def test_the_fields_in_the_file_are_in_the_order_of_the_table() -> None:
+    for golden in FRAMES:
+        assert list(golden.values()) == [field.name for field in fields_of(golden.title)], golden.title
