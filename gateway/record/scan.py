@@ -1,7 +1,7 @@
 """One pass over the bytes of an MCAP file, finished or not: messages out, damage noted, nothing raised after opening.
 
 The `mcap` package's stream reader stops with an exception at the first byte that is not there, and its indexed reader
-wants an end that a killed process never wrote.  This one goes on.  It is also four times faster, which a replay notices.
+wants an end that a killed process never wrote.  This one goes on.
 
 Rule 1: only what is provably whole leaves: a chunk's CRC is checked; a chunk cut off by the end of the file gives the
         messages before the cut, which decompression reproduces exactly or not at all.
@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-import lz4.frame
+import lz4.frame  # type: ignore[import-untyped]  # ships no types
 import zstandard
 
 from protocol.errors import DataError
@@ -69,6 +69,7 @@ class Damage:
     offset: int
     bytes: int
     reason: str
+    until_ns: int | None = None  # log time of the last message in it, where that can be told
 
 
 @dataclass(slots=True)
@@ -142,7 +143,7 @@ class Scan:
                         continue
                     plain, problem = _unpack(content)
                     if problem:
-                        self._damage(at, end - at, problem)
+                        self._damage(at, end - at, problem, chunk=content)
                     for message in self._inside(plain):
                         if start_ns <= message.time_ns < end_ns:
                             yield message
@@ -166,7 +167,9 @@ class Scan:
         for message in self._inside(plain, cut=True):
             kept += 1
             yield message
-        self._damage(at, self.size - at, f"the file ends within a chunk ({kept} messages of it are whole)")
+        self._damage(
+            at, self.size - at, f"the file ends within a chunk ({kept} messages of it are whole)", chunk=content
+        )
 
     def _inside(self, plain: bytes, *, cut: bool = False) -> Iterator[Message]:
         """The messages among the records in `plain`."""
@@ -239,8 +242,9 @@ class Scan:
             at += _RECORD.size + length
         return tail
 
-    def _damage(self, offset: int, size: int, reason: str) -> None:
-        self.damages.append(Damage(offset=offset, bytes=size, reason=reason))
+    def _damage(self, offset: int, size: int, reason: str, *, chunk: bytes = b"") -> None:
+        until_ns = struct.unpack_from("<8xQ", chunk)[0] if len(chunk) >= 16 else 0
+        self.damages.append(Damage(offset=offset, bytes=size, reason=reason, until_ns=until_ns or None))
 
 
 def _check(path: Path) -> int:
@@ -250,9 +254,8 @@ def _check(path: Path) -> int:
             size = os.fstat(file.fileno()).st_size
             magic = file.read(len(MAGIC))
     except OSError as error:
-        raise DataError(
-            f"Log {path} cannot be read: {(error.strerror or 'unknown').lower()}", remedy="Name an MCAP file"
-        ) from None
+        remedy = f"Name the MCAP files in it: {path}/*.mcap" if path.is_dir() else "Name an MCAP file"
+        raise DataError(f"Log {path} cannot be read: {(error.strerror or 'unknown').lower()}", remedy=remedy) from None
     if size == 0:
         raise DataError(f"Log {path} is empty", remedy="Nothing can be recovered from it; use another part")
     if magic != MAGIC:

@@ -1,0 +1,205 @@
+"""Records of one log, of any number of parts, finished or not.
+
+Rule 1: a part without its end (the recorder still runs, or was killed) is read to its last whole chunk, silently: that
+        is all there is of it.  Damage is not silent: everything intact is delivered first, then a DataError says how
+        far that was and points to `board51 recover`.
+Rule 2: what is not ours (another schema, another topic) is skipped and counted; a log with nothing of ours is an error.
+Rule 3: order is the order of the file, which is the order of arrival: a model fed from a log sees what it saw live.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from google.protobuf.message import Message as ProtobufMessage
+
+from gateway.record.scan import Channel, Scan
+from protocol.bus import encoding, topics
+from protocol.errors import DataError
+
+
+class Record(NamedTuple):
+    """One message of the log."""
+
+    key: str  # <site>/<board>/<topic>
+    site: str
+    board: str
+    topic: str  # of protocol.bus.topics
+    message: ProtobufMessage
+    time_ns: int  # when it was logged, Unix time; imported recordings count from 0
+
+
+class RawRecord(NamedTuple):
+    """The same, not parsed."""
+
+    key: str
+    site: str
+    board: str
+    topic: str
+    data: bytes
+    time_ns: int
+
+
+class LogReader:
+    """One log.
+
+    `foreign` (messages skipped, by topic), `unparsable` and the scans' damages are complete after a pass.
+
+    Args:
+        paths: An MCAP file, or the parts of one log.
+
+    Raises:
+        DataError: a file is absent, empty or not MCAP.
+    """
+
+    def __init__(self, paths: Path | Sequence[Path]) -> None:
+        files = [paths] if isinstance(paths, Path) else sorted(paths)
+        if not files:
+            raise DataError("No log was named", remedy="Name at least one MCAP file")
+        self.scans = [Scan(file) for file in files]
+        self.foreign: Counter[str] = Counter()
+        self.unparsable: Counter[str] = Counter()
+        self._start_ns: int | None = None
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        return str(self.scans[0].path) if len(self.scans) == 1 else f"{self.scans[0].path} (+ {len(self.scans) - 1})"
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """MCAP metadata of all parts; of equal names the last."""
+        return {name: dict(values) for scan in self.scans for name, values in scan.metadata.items()}
+
+    @property
+    def start_ns(self) -> int:
+        """Log time of the first message: 0 s of `start_s` and `end_s`."""
+        if self._start_ns is None:
+            starts = []
+            for scan in self.scans:
+                first = scan.span_ns[0] if scan.span_ns else next((m.time_ns for m in scan.messages()), None)
+                starts += [] if first is None else [first]
+            self._start_ns = min(starts, default=0)
+        return self._start_ns
+
+    def raw(
+        self,
+        *,
+        topics_: Sequence[str] | None = None,
+        boards: Sequence[str] | None = None,
+        start_s: float = 0.0,
+        end_s: float | None = None,
+    ) -> Iterator[RawRecord]:
+        """Unparsed records; damage is noted in `scans` and otherwise passed over.
+
+        Args:
+            topics_: Topics of the bus table; None means all.
+            boards: Names of boards; None means all.
+            start_s: From the first message of the log.
+            end_s: The same; None means to the end.
+        """
+        self.foreign.clear()
+        low_ns = self.start_ns + round(start_s * 1e9) if start_s > 0 else 0
+        high_ns = 1 << 64 if end_s is None else self.start_ns + round(end_s * 1e9)
+        for scan in self.scans:
+            known: dict[Channel, tuple[str, str, str] | None] = {}
+            for channel, time_ns, data in scan.messages(start_ns=low_ns, end_ns=high_ns):
+                if channel not in known:
+                    known[channel] = _ours(channel)
+                parts = known[channel]
+                if parts is None:
+                    self.foreign[channel.topic] += 1
+                    continue
+                site, board, topic = parts
+                if (topics_ is None or topic in topics_) and (boards is None or board in boards):
+                    yield RawRecord(channel.topic, site, board, topic, data, time_ns)
+
+    def records(
+        self,
+        *,
+        topics_: Sequence[str] | None = None,
+        boards: Sequence[str] | None = None,
+        start_s: float = 0.0,
+        end_s: float | None = None,
+    ) -> Iterator[Record]:
+        """Parsed records; like `raw`.  A message that does not parse is counted in `unparsable`."""
+        self.unparsable.clear()
+        for key, site, board, topic, data, time_ns in self.raw(
+            topics_=topics_, boards=boards, start_s=start_s, end_s=end_s
+        ):
+            message = encoding.parse(topics.BY_NAME[topic].message, data)
+            if message is None:
+                self.unparsable[key] += 1
+            else:
+                yield Record(key, site, board, topic, message, time_ns)
+
+    def check(self, *, last_ns: int | None) -> None:
+        """After a pass: raise what it came upon.
+
+        Args:
+            last_ns: Log time of the last message that was delivered; None if there was none.
+
+        Raises:
+            DataError: damage, or nothing of ours.
+        """
+        for scan in self.scans:
+            if scan.damages:
+                first = scan.damages[0]
+                until = f", readable to {(last_ns - self.start_ns) / 1e9:.3f} s" if last_ns is not None else ""
+                lost = sum(damage.bytes for damage in scan.damages)
+                raise DataError(
+                    f"Log {scan.path} is damaged at byte {first.offset} of {scan.size}: {first.reason}; "
+                    f"{lost} bytes lost{until}",
+                    remedy=f"Run: board51 recover {scan.path} -o clean.mcap",
+                )
+        ours = any(_ours(channel) for scan in self.scans for channel in scan.channels.values())
+        if not ours:
+            others = sorted({channel.topic for scan in self.scans for channel in scan.channels.values()})
+            holds = (
+                f"only {', '.join(others[:5])}{' ...' if len(others) > 5 else ''}" if others else "no channels at all"
+            )
+            raise DataError(
+                f"Log {self.name} holds no Board51 messages: {holds}",
+                remedy="Name a log written by board51, or import the recording with board51 import",
+            )
+
+
+def read(
+    path: Path | Sequence[Path],
+    topics: Sequence[str] | None = None,
+    boards: Sequence[str] | None = None,
+    start_s: float = 0.0,
+    end_s: float | None = None,
+) -> Iterator[Record]:
+    """The records of a log; what most callers need.
+
+    Args:
+        path: An MCAP file, or the parts of one log.
+        topics: Topics of the bus table ("state", "twin/state", ...); None means all.
+        boards: Names of boards; None means all.
+        start_s: From the first message of the log, s.
+        end_s: The same; None means to the end.
+
+    Yields:
+        Records in the order of the file.
+
+    Raises:
+        DataError: the file is absent, empty, not MCAP, or holds nothing of ours; or, after everything intact has been
+            delivered, it is damaged.
+    """
+    reader = LogReader(path)
+    last_ns = None
+    for record in reader.records(topics_=topics, boards=boards, start_s=start_s, end_s=end_s):
+        last_ns = record.time_ns
+        yield record
+    reader.check(last_ns=last_ns)
+
+
+def _ours(channel: Channel) -> tuple[str, str, str] | None:
+    parts = topics.split(channel.topic)
+    if parts is None or channel.schema is None or channel.message_encoding != encoding.MESSAGE_ENCODING:
+        return None
+    return parts if channel.schema.name == encoding.schema_name(topics.BY_NAME[parts[2]].message) else None

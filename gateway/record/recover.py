@@ -1,0 +1,95 @@
+"""What can be saved of a broken log, in a clean file, and an account of what cannot.
+
+Messages are copied byte for byte (never parsed and written again), in the order of the broken file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from gateway.record.reader import LogReader
+from gateway.record.scan import Damage
+from gateway.record.summary import Gap, SampleGaps
+from gateway.record.writer import LogWriter
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import encoding
+from protocol.errors import DataError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recovery:
+    """What came of it.  Times are seconds from the first message."""
+
+    broken: Path
+    clean: Path
+    was_finished: bool  # the file had its end: nothing was cut off
+    messages: int
+    bytes_read: int
+    damages: tuple[Damage, ...]
+    messages_unidentified: int  # intact, but the description of their channel is lost
+    foreign: int  # of other schemas, not copied
+    last_good_s: float | None
+    last_good_ns: int | None
+    gaps: tuple[Gap, ...]  # in the numbering of samples, by board
+
+    @property
+    def bytes_lost(self) -> int:
+        """Bytes of the broken file that gave nothing, or not everything."""
+        return sum(damage.bytes for damage in self.damages)
+
+    @property
+    def seconds_lost(self) -> float | None:
+        """From the last message saved to the last one known to have been logged; None where nothing tells."""
+        known = [damage.until_ns for damage in self.damages if damage.until_ns]
+        return max(0.0, (max(known) - self.last_good_ns) / 1e9) if known and self.last_good_ns is not None else None
+
+
+def recover(broken: Path, clean: Path) -> Recovery:
+    """Copy everything intact of `broken` into the new file `clean`.
+
+    Raises:
+        DataError: `broken` is absent, empty, not MCAP, or nothing of it can be saved.
+        LogError: `clean` exists or cannot be written.
+    """
+    reader = LogReader(broken)
+    scan = reader.scans[0]
+    gaps: dict[str, SampleGaps] = {}
+    first_ns = last_ns = None
+    messages = 0
+    writer = LogWriter(clean, metadata={**scan.metadata, "recovered": {"from": broken.name}})
+    try:
+        for record in reader.raw():
+            writer.write(record.key, record.data, record.time_ns)
+            messages += 1
+            first_ns = record.time_ns if first_ns is None else min(first_ns, record.time_ns)
+            last_ns = record.time_ns if last_ns is None else max(last_ns, record.time_ns)
+            board = gaps.setdefault(record.board, SampleGaps(record.board))
+            if record.topic == "state" and (state := encoding.parse(pb.State, record.data)) is not None:
+                board.take(state)
+            elif record.topic == "parameters" and (known := encoding.parse(pb.Parameters, record.data)) is not None:
+                board.divider = max(known.stream_divider, 1)
+        writer.close()
+    except BaseException:
+        writer.abandon()
+        with contextlib.suppress(OSError):
+            clean.unlink()
+        raise
+    if not messages:
+        clean.unlink()
+        reasons = "; ".join(damage.reason for damage in scan.damages) or "it holds no messages of ours"
+        raise DataError(f"Nothing of {broken} can be recovered: {reasons}", remedy="Use another part of the log")
+    return Recovery(
+        broken=broken,
+        clean=clean,
+        was_finished=scan.finished,
+        messages=messages,
+        bytes_read=scan.size,
+        damages=tuple(scan.damages),
+        messages_unidentified=scan.unknown_channel,
+        foreign=sum(reader.foreign.values()),
+        last_good_s=None if last_ns is None or first_ns is None else (last_ns - first_ns) / 1e9,
+        last_good_ns=last_ns,
+        gaps=tuple(gap for board in gaps.values() for gap in board.gaps),
+    )
