@@ -1,0 +1,134 @@
+"""An emulated board: firmware, converters and the 'real' rig behind a pty or a TCP port.
+
+It behaves as protocol/README.md says, at the pace of the UART.  What it prints is what a gateway is given as a port.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import signal
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+from protocol.errors import UsageError
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options; the lists of effects and faults come from their tables."""
+    from gateway.emulator import effects, faults
+
+    parser.epilog = (
+        "examples:\n"
+        "  board51 emulate --pty /tmp/board51\n"
+        "  board51 emulate --tcp 127.0.0.1:5100 --boards 4 --effect quadratic-drag=1.0\n"
+        "  board51 emulate --pty /tmp/board51 --fault flip=1e-4 --fault stall=0.5@10/30 --fault reset@60\n"
+        "  board51 emulate --tcp 127.0.0.1:0 --secret 7 --sealed sealed.json\n\n"
+        f"{faults.HELP}\n\n{effects.listing()}"
+    )
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--pty",
+        metavar="PATH",
+        type=Path,
+        help="serve a pty behind the link PATH (several boards: PATH-1, PATH-2, ...)",
+    )
+    where.add_argument(
+        "--tcp",
+        metavar="HOST:PORT",
+        default="127.0.0.1:0",
+        help="serve TCP; several boards take consecutive ports, port 0 free ones (default: %(default)s)",
+    )
+    parser.add_argument("--boards", type=int, default=1, metavar="N", help="how many boards (default: 1)")
+    parser.add_argument("--board-id", type=int, default=1, metavar="ID", help="serial number of the first (default: 1)")
+    parser.add_argument("--baud", type=int, default=115200, help="pace of the line, bits per second (default: 115200)")
+    parser.add_argument(
+        "--speed", type=float, default=1.0, metavar="N", help="times faster than real time; 0: as fast as possible"
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="stop after S seconds of the boards' time")
+    parser.add_argument(
+        "--effect",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="what the rig does beyond the model; repeatable",
+    )
+    parser.add_argument("--secret", type=int, metavar="SEED", help="draw effects from SEED and tell nobody")
+    parser.add_argument("--sealed", type=Path, metavar="FILE", help="with --secret: where to write them, sealed")
+    parser.add_argument("--fault", action="append", default=[], metavar="FAULT", help="what goes wrong; repeatable")
+    parser.add_argument("--seed", type=int, default=0, help="of noise and faults; board n takes SEED + n (default: 0)")
+    parser.add_argument("--json", action="store_true", help="print for machines: one JSON object per line")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until SIGTERM, SIGINT or the end of --duration."""
+    from gateway.emulator import effects, secret
+    from gateway.emulator.serve import Server, build_lines, pty_ports, tcp_ports
+
+    _check(args)
+    strengths = dict(effects.parse(text) for text in args.effect)
+    commitment = None
+    if args.secret is not None:
+        strengths = secret.draw(args.secret)
+        commitment = secret.seal(args.sealed, strengths)
+    ports = pty_ports(args.pty, args.boards) if args.pty else tcp_ports(*_address(args), args.boards)
+    lines = build_lines(
+        ports, effects=strengths, faults=args.fault, seed=args.seed, baud=args.baud, board_id=args.board_id
+    )
+    server = Server(lines, speed=args.speed)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: server.stop())
+    for n, line in enumerate(lines):
+        facts = {"board_id": args.board_id + n, "url": line.port.url}
+        print(json.dumps(facts) if args.json else f"board {facts['board_id']}: {facts['url']}")
+    if commitment is not None:
+        print(json.dumps({"commitment": commitment}) if args.json else f"effects sealed in {args.sealed}: {commitment}")
+    _flush()
+
+    server.run(args.duration)
+
+    for n, line in enumerate(lines):
+        counts = asdict(line.counts) | {"late_ticks": server.late_ticks, "worst_lateness_s": server.worst_lateness_s}
+        if args.json:
+            print(json.dumps({"board_id": args.board_id + n, "counts": counts}))
+        else:
+            told = ", ".join(f"{name} {value:.6g}" for name, value in counts.items())
+            print(f"board {args.board_id + n}: {told}", file=sys.stderr)
+    _flush()
+    return 0
+
+
+def _flush() -> None:
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # Whoever wanted the address has read it and gone; the boards go on.  Python would fail again when it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _check(args: argparse.Namespace) -> None:
+    for option, value, low, high in (
+        ("--boards", args.boards, 1, 64),
+        ("--board-id", args.board_id, 0, 0xFFFFFFFF - 64),
+        ("--baud", args.baud, 300, 4_000_000),
+        ("--speed", args.speed, 0.0, 1000.0),
+        ("--duration", 0.0 if args.duration is None else args.duration, 0.0, math.inf),
+        ("--seed", args.seed, 0, 2**63),
+        ("--secret", args.secret or 0, 0, 2**63),
+    ):
+        if not low <= value <= high:
+            raise UsageError(f"{option} {value} is out of range", remedy=f"Give a number from {low} to {high}")
+    if (args.secret is None) != (args.sealed is None):
+        raise UsageError("--secret and --sealed belong together", remedy="Give both, or --effect instead")
+    if args.secret is not None and args.effect:
+        raise UsageError("--effect beside --secret would tell a part of it", remedy="Give one of the two")
+
+
+def _address(args: argparse.Namespace) -> tuple[str, int]:
+    host, _, port = args.tcp.rpartition(":")
+    if not host or not port.isdecimal() or int(port) + args.boards - 1 > 65535:
+        raise UsageError(f"--tcp {args.tcp} is no address for {args.boards} board(s)", remedy="Give HOST:PORT")
+    return host.strip("[]"), int(port)

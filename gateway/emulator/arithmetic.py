@@ -1,0 +1,66 @@
+"""Integer arithmetic that an 8051 can do: saturation, scaled products, rounded quotients, a sine table.
+
+Rule 1: integers only.  Products are 16 x 16 -> 32 bits or 16 x 24 -> 40 bits, quotients 32 / 16; nothing wider exists
+        on the board.
+Rule 2: nothing wraps.  What does not fit saturates, because a wrapped sum would throw the ball at a stop.
+"""
+
+from __future__ import annotations
+
+import math
+
+FRACTION_BITS = 8  # of the 32-bit accumulator: Q23.8
+MANTISSA_MAX = 32767
+SHIFT_MAX = 30
+PHASE_BITS = 32  # a phase is a fraction of a turn, modulo 2^32
+
+_TABLE_BITS = 8
+# Code memory of the firmware: one turn in 256 steps, Q15; the first entry comes again: interpolation never wraps.
+_SINE_Q15 = tuple(round(32767 * math.sin(math.tau * n / 2**_TABLE_BITS)) for n in range(2**_TABLE_BITS + 1))
+
+
+def saturate(value: int, bits: int) -> int:
+    """The nearest two's complement number of `bits` bits."""
+    top = 1 << bits - 1
+    return -top if value < -top else top - 1 if value >= top else value
+
+
+def scaled_product(mantissa: int, shift: int, operand: int) -> int:
+    """Product mantissa * 2^-shift * operand in the accumulator's format, Q23.8, truncated, saturated to 32 bits.
+
+    Truncation (towards minus infinity) costs at most 1/256 of a count per term; a rounding shift would cost 40
+    machine cycles per term to save a hundredth of what the converter's own rounding does.
+    """
+    product = mantissa * operand
+    move = shift - FRACTION_BITS
+    return saturate(product >> move if move >= 0 else product << -move, 32)
+
+
+def to_mantissa(gain: float) -> tuple[int, int]:
+    """The pair (mantissa, shift) closest to `gain`, with as many bits of mantissa as fit.
+
+    The host does this before SET_GAINS, the build does it for the gains in flash; the board never sees a float.
+
+    Raises:
+        ValueError: |gain| is above 32767, the largest that the format holds.
+    """
+    if abs(gain) > MANTISSA_MAX:
+        raise ValueError(f"gain {gain} does not fit a 16-bit mantissa; scale the gains down")
+    shift = SHIFT_MAX
+    while abs(round(gain * 2**shift)) > MANTISSA_MAX:
+        shift -= 1
+    return round(gain * 2**shift), shift
+
+
+def divide_rounded(numerator: int, denominator: int) -> int:
+    """The quotient numerator / denominator, to the nearest integer, halves upwards; denominator > 0."""
+    return (2 * numerator + denominator) // (2 * denominator)
+
+
+def sine_q15(phase: int) -> int:
+    """32767 * sin(2 pi phase / 2^32), by a table of 256 steps with linear interpolation: within 4 of 32767."""
+    phase &= 0xFFFFFFFF
+    index = phase >> PHASE_BITS - _TABLE_BITS
+    fraction = phase >> PHASE_BITS - _TABLE_BITS - 8 & 0xFF
+    low = _SINE_Q15[index]
+    return low + ((_SINE_Q15[index + 1] - low) * fraction >> 8)

@@ -1,0 +1,194 @@
+"""Faults of the link and the board, by name: what to do to the bytes and when.  Pure: time comes in, bytes come out.
+
+    NAME[=VALUE][@START[+LENGTH]][/EVERY][:OPTION]
+
+Rule 1: times are seconds of the board since power-on, so that a run repeats whatever the speed.
+Rule 2: everything random comes from the seed; a direction without an active fault costs nothing and changes nothing.
+Rule 3: a rate is a probability per byte and lasts from START for LENGTH (without them: always).  A timed fault begins
+        at START and lasts VALUE seconds; with /EVERY it comes again.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from protocol.errors import UsageError
+
+RATES = {
+    "flip": "one bit of a byte is inverted",
+    "lost": "a byte is lost",
+    "duplicate": "a byte arrives twice",
+    "insert": "a random byte arrives before it",
+}
+SPANS = {
+    "stall": "no byte passes; they come in a burst afterwards",
+    "disconnect": "the port is closed and opened again; option :renamed opens a pty under PATH-renamed",
+    "baud": "wrong baud rate: every byte arrives as garbage",
+}
+EVENTS = {
+    "reset": "the board loses power for a moment",
+    "watchdog": "the firmware hangs and the watchdog resets it 50 ms later",
+    "overrun": "a control tick takes longer than T_s",
+}
+HELP = "\n".join(
+    [
+        "faults (--fault NAME[=VALUE][@START[+LENGTH]][/EVERY][:OPTION], repeatable; times in seconds of the board):",
+        *(f"  {name + '=P':<14} {about}, with probability P per byte" for name, about in RATES.items()),
+        *(f"  {name + '=S':<14} {about}; lasts S s" for name, about in SPANS.items()),
+        *(f"  {name:<14} {about}" for name, about in EVENTS.items()),
+        "  @START         begins then (default 0); @START+LENGTH ends a rate after LENGTH s",
+        "  /EVERY         comes again every EVERY s after START",
+        "  :tx :rx        only bytes from the board, only bytes to it (default both ways)",
+        "  e.g. flip=1e-4   lost=0.01@5+2   stall=0.5@10/30   disconnect=2@20:renamed   reset@60   insert=1e-3:tx",
+    ]
+)
+_GRAMMAR = re.compile(
+    r"(?P<name>[a-z]+)(=(?P<value>[^@/:]+))?(@(?P<start>[^+/:]+)(\+(?P<length>[^/:]+))?)?(/(?P<every>[^:]+))?(:(?P<option>[a-z]+))?"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fault:
+    """One fault.  `value` is a probability per byte, or seconds, or 0 for a fault that just happens."""
+
+    name: str
+    value: float = 0.0
+    start_s: float = 0.0
+    length_s: float = math.inf
+    every_s: float = math.inf
+    option: str = ""
+
+    def active(self, time_s: float) -> bool:
+        """Whether a rate or a span is on at this time."""
+        since = time_s - self.start_s
+        if since < 0:
+            return False
+        if math.isfinite(self.every_s):
+            since = math.fmod(since, self.every_s)
+        return since < (self.value if self.name in SPANS else self.length_s)
+
+    def happens(self, from_s: float, to_s: float) -> bool:
+        """Whether an event falls into [from_s, to_s)."""
+        if to_s <= self.start_s:
+            return False
+        if from_s <= self.start_s:
+            return True
+        if not math.isfinite(self.every_s):
+            return False
+        return math.ceil((from_s - self.start_s) / self.every_s) * self.every_s + self.start_s < to_s
+
+    def shifted(self, time_s: float) -> Fault:
+        """The same fault, its START counted from `time_s`."""
+        return replace(self, start_s=self.start_s + time_s)
+
+
+def parse(text: str) -> Fault:
+    """A fault as given to --fault.
+
+    Raises:
+        UsageError: unknown name, a value that is missing, superfluous, no number or out of its range.
+    """
+    match = _GRAMMAR.fullmatch(text.strip())
+    if match is None:
+        raise _error(text, "not of the form NAME[=VALUE][@START[+LENGTH]][/EVERY][:OPTION]")
+    name, option = match["name"], match["option"] or ""
+    if name not in RATES | SPANS | EVENTS:
+        raise _error(text, f"no fault is called {name}")
+    if (match["value"] is None) != (name in EVENTS):
+        raise _error(text, "takes no value" if name in EVENTS else "needs a value")
+    if match["length"] is not None and name not in RATES:
+        raise _error(text, "+LENGTH is for probabilities; how long this one lasts is its value")
+    options = {"disconnect": ("renamed",), "reset": (), "watchdog": (), "overrun": ()}.get(name, ("tx", "rx"))
+    if option and option not in options:
+        raise _error(text, f"has no option {option}")
+    fault = Fault(
+        name=name,
+        value=_number(text, match["value"], 0.0),
+        start_s=_number(text, match["start"], 0.0),
+        length_s=_number(text, match["length"], math.inf),
+        every_s=_number(text, match["every"], math.inf),
+        option=option,
+    )
+    if name in RATES and fault.value > 1.0:
+        raise _error(text, "a probability is at most 1")
+    if fault.every_s <= (fault.value if name in SPANS else 0.0):
+        raise _error(text, "/EVERY must be longer than the fault itself")
+    return fault
+
+
+class FaultyLine:
+    """One direction of the line: bytes in, at most damaged, late or fewer bytes out.
+
+    Args:
+        direction: `tx` (from the board) or `rx`.
+        seed: Of all that is random here.
+    """
+
+    def __init__(self, direction: str, seed: int) -> None:
+        self._direction = direction
+        self._random = random.Random(f"{direction}{seed}")
+        self._held = bytearray()
+        self.damaged = 0  # bytes flipped, lost, duplicated, inserted, garbled or thrown away
+
+    def convey(self, data: bytes, time_s: float, faults: Iterable[Fault]) -> bytes:
+        """What arrives at `time_s` when `data` is sent."""
+        active = [
+            fault
+            for fault in faults
+            if fault.name not in EVENTS
+            and (not fault.option or fault.option in (self._direction, "renamed"))
+            and fault.active(time_s)
+        ]
+        if not active and not self._held:
+            return data
+        for fault in active:
+            if fault.name not in ("stall", "disconnect"):
+                data = b"".join(self._damage(byte, fault) for byte in data)
+        if any(fault.name == "disconnect" for fault in active):
+            self.damaged += len(self._held) + len(data)
+            self._held.clear()
+            return b""
+        self._held += data
+        if any(fault.name == "stall" for fault in active):
+            return b""
+        data = bytes(self._held)
+        self._held.clear()
+        return data
+
+    def _damage(self, byte: int, fault: Fault) -> bytes:
+        chance = self._random
+        if fault.name == "baud":
+            # A receiver at another rate samples the wrong bits: what it gets is not related to what was sent, and
+            # often nothing, because the stop bit is missing.
+            self.damaged += 1
+            return bytes((chance.randrange(256),)) if chance.random() < 0.7 else b""
+        if chance.random() >= fault.value:
+            return bytes((byte,))
+        self.damaged += 1
+        if fault.name == "flip":
+            return bytes((byte ^ 1 << chance.randrange(8),))
+        if fault.name == "lost":
+            return b""
+        if fault.name == "duplicate":
+            return bytes((byte, byte))
+        return bytes((chance.randrange(256), byte))
+
+
+def _number(text: str, number: str | None, default: float) -> float:
+    if number is None:
+        return default
+    try:
+        value = float(number)
+    except ValueError:
+        raise _error(text, f"{number} is no number") from None
+    if not (math.isfinite(value) and value >= 0.0):
+        raise _error(text, f"{number} must be finite and not negative")
+    return value
+
+
+def _error(text: str, problem: str) -> UsageError:
+    return UsageError(f"Fault {text!r}: {problem}", remedy="See the list of faults in `board51 emulate --help`")

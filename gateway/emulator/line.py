@@ -1,0 +1,158 @@
+"""A board at the end of a line: firmware, baud rate, link faults, port; one tick at a time.
+
+Rule 1: the bytes of a tick pass together at its start, up to what the baud rate lets through in T_s.  So nothing is
+        ever sent faster than the line, and a byte comes at most T_s too early.
+Rule 2: towards the board each byte has its own time within the tick, so that STOP acts when its last byte is in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from gateway.emulator.faults import EVENTS, Fault, FaultyLine
+from gateway.emulator.firmware import Firmware
+from gateway.emulator.flash import T_S_US
+from gateway.emulator.ports import Port
+from gateway.emulator.uart import Pacer
+from protocol.wire.messages import EventCode
+
+_T_S = T_S_US * 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineCounts:
+    """What one board's line has seen since power-on."""
+
+    time_s: float
+    bytes_sent: int  # by the board, before faults
+    bytes_received: int  # by the board, after faults
+    bytes_not_taken: int  # nobody connected, or a host that does not read
+    bytes_damaged: int  # by faults, both directions
+    frames_dropped: int  # the board's queues were full: the line is too slow
+
+
+class BoardLine:
+    """One emulated board and everything between it and the host.
+
+    Args:
+        firmware: The board.
+        port: Where hosts connect; opened here.
+        baud: Of the line, both ways, bits per second.
+        faults: Of link and board.
+        seed: Of the faults.
+    """
+
+    def __init__(
+        self, firmware: Firmware, port: Port, *, baud: int = 115200, faults: Iterable[Fault] = (), seed: int = 0
+    ) -> None:
+        self.firmware = firmware
+        self.port = port
+        self._faults = list(faults)
+        self._wires = {direction: FaultyLine(direction, seed) for direction in ("tx", "rx")}
+        self._pacers = {direction: Pacer(baud) for direction in ("tx", "rx")}
+        self._ticks = 0
+        self._rest = b""  # of the frame on the line
+        self._plugged = True
+        self._unplugged_by_hand = False
+        self._renames = False  # the port opens under its other name
+        self._sent = self._received = self._not_taken = self._dropped = 0
+        port.open()
+
+    @property
+    def time_s(self) -> float:
+        """Time of the board since power-on."""
+        return self._ticks * _T_S
+
+    @property
+    def counts(self) -> LineCounts:
+        """What happened so far."""
+        return LineCounts(
+            time_s=self.time_s,
+            bytes_sent=self._sent,
+            bytes_received=self._received,
+            bytes_not_taken=self._not_taken,
+            bytes_damaged=sum(wire.damaged for wire in self._wires.values()),
+            frames_dropped=self._dropped + self.firmware.outbox.dropped,
+        )
+
+    def inject(self, fault: Fault) -> None:
+        """Add a fault whose START counts from now."""
+        self._faults.append(fault.shifted(self.time_s))
+
+    def disconnect(self) -> None:
+        """Close the port until `reconnect`."""
+        self._unplugged_by_hand = True
+        self._follow_plug()
+
+    def reconnect(self, *, renamed: bool = False) -> None:
+        """Open the port again."""
+        self._unplugged_by_hand = False
+        self._follow_plug(renamed=renamed)
+
+    def power_cycle(self) -> None:
+        """The board loses power for a moment; what was on the line is cut off."""
+        self._dropped += self.firmware.outbox.dropped
+        self.firmware.reset(EventCode.RESET_POWER_ON)
+        self._rest = b""
+
+    def step(self, *, wait_s: float = 0.0) -> None:
+        """One tick; `wait_s` is how long a host may keep the board waiting (0: real time, it may not)."""
+        if self._faults:
+            self._suffer()
+        time_s = self.time_s
+        self._receive(time_s)
+        self.firmware.tick()
+        self._ticks += 1
+        self._send(time_s, wait_s)
+
+    def close(self) -> None:
+        """Take the port away."""
+        self.port.close()
+
+    def _suffer(self) -> None:
+        now, until = self.time_s - _T_S / 2, self.time_s + _T_S / 2  # so that rounding never misses or doubles a time
+        for fault in self._faults:
+            if fault.name not in EVENTS or not fault.happens(now, until):
+                continue
+            if fault.name == "reset":
+                self.power_cycle()
+            elif fault.name == "watchdog":
+                self.firmware.hang()
+            else:
+                self.firmware.overrun()
+        self._follow_plug()
+
+    def _follow_plug(self, *, renamed: bool = False) -> None:
+        active = [fault for fault in self._faults if fault.name == "disconnect" and fault.active(self.time_s)]
+        plugged = not active and not self._unplugged_by_hand
+        if plugged == self._plugged:
+            return
+        self._plugged = plugged
+        if plugged:
+            self.port.open(renamed=renamed or self._renames)
+        else:
+            self._renames = any(fault.option == "renamed" for fault in active)
+            self.port.close()
+
+    def _receive(self, time_s: float) -> None:
+        pacer = self._pacers["rx"]
+        room = pacer.allow(T_S_US)
+        data = self.port.read(room) if room else b""
+        pacer.spend(len(data), more=len(data) == room)
+        data = self._wires["rx"].convey(data, time_s, self._faults)
+        self._received += len(data)
+        for n in range(len(data)):
+            self.firmware.feed(data[n : n + 1], into_tick_us=(n + 1) * pacer.byte_us)
+
+    def _send(self, time_s: float, wait_s: float) -> None:
+        pacer = self._pacers["tx"]
+        room = pacer.allow(T_S_US)
+        while len(self._rest) < room and (frame := self.firmware.take_frame()):
+            self._rest += frame
+        data, self._rest = self._rest[:room], self._rest[room:]
+        pacer.spend(len(data), more=len(data) == room)
+        self._sent += len(data)
+        data = self._wires["tx"].convey(data, time_s, self._faults)
+        if data:
+            self._not_taken += len(data) - self.port.write(data, wait_s)

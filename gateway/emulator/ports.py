@@ -1,0 +1,242 @@
+"""What a host can connect to: a pty or a TCP port, never waiting for it.
+
+Rule 1: nothing here blocks, unless `write` is told for how long.  A UART has no flow control: what nobody takes is
+        lost.
+Rule 2: a port can be closed and opened again; `url` is what a gateway is given to open it.
+Rule 3: whoever is connected may go and come; what was sent in between is gone, as on a wire.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import termios
+import tty
+from pathlib import Path
+from typing import Protocol
+
+from protocol.errors import ServiceError, UsageError
+
+_SEND_BUFFER = 16384  # bytes; a stalled host shall lose bytes here, as on a serial line, not find them minutes later
+
+
+class Port(Protocol):
+    """One end of a board's line."""
+
+    @property
+    def url(self) -> str:
+        """What pyserial's `serial_for_url` takes."""
+
+    def open(self, *, renamed: bool = False) -> None:
+        """Offer the port, under another name if it has one to give."""
+
+    def close(self) -> None:
+        """Drop the host, take the port away."""
+
+    def connected(self) -> bool:
+        """Whether a host is there now."""
+
+    def read(self, limit: int) -> bytes:
+        """At most `limit` bytes that the host has sent."""
+
+    def write(self, data: bytes, wait_s: float = 0.0) -> int:
+        """Give bytes to the host; how many it took."""
+
+
+class PtyPort:
+    """A pseudo-terminal behind a symbolic link.
+
+    Args:
+        link: Path of the link; removed at `close` if it is still ours.
+    """
+
+    def __init__(self, link: Path) -> None:
+        self._plain = link
+        self._link = link
+        self._master = -1
+        self._target = ""
+        self._present = False
+
+    @property
+    def url(self) -> str:
+        """Path of the link."""
+        return str(self._link)
+
+    def open(self, *, renamed: bool = False) -> None:
+        """Make a pty, point the link to it.
+
+        Raises:
+            UsageError: something that is not a link is in the way, or its folder cannot be written.
+        """
+        self._link = self._plain.with_name(self._plain.name + "-renamed") if renamed else self._plain
+        self._master, slave = os.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self._master, False)
+        self._target = os.ttyname(slave)
+        os.close(slave)  # from now on a read of the master says whether somebody else has the slave open
+        try:
+            if self._link.is_symlink():
+                self._link.unlink()
+            self._link.symlink_to(self._target)
+        except OSError as error:
+            os.close(self._master)
+            self._master = -1
+            raise UsageError(
+                f"Link {self._link} cannot be made: {error.strerror}",
+                remedy="Give --pty a path that is free in a folder you can write to",
+            ) from error
+
+    def close(self) -> None:
+        """Hang up: the host's next read ends, the link is gone."""
+        if self._master < 0:
+            return
+        if self._link.is_symlink() and os.readlink(self._link) == self._target:
+            self._link.unlink()
+        os.close(self._master)
+        self._master = -1
+        self._present = False
+
+    def connected(self) -> bool:
+        """Whether a process has the slave open."""
+        if self._master < 0:
+            return False
+        poll = select.poll()
+        poll.register(self._master, select.POLLIN)
+        return not any(state & select.POLLHUP for _, state in poll.poll(0))
+
+    def read(self, limit: int) -> bytes:
+        """At most `limit` bytes."""
+        if self._master < 0:
+            return b""
+        try:
+            data = os.read(self._master, limit)
+        except BlockingIOError:
+            data = b""
+        except OSError:  # EIO: nobody has the slave open
+            if self._present:
+                self._present = False
+                termios.tcflush(self._master, termios.TCOFLUSH)  # the next host shall not read what this one left
+            return b""
+        self._present = True
+        return data
+
+    def write(self, data: bytes, wait_s: float = 0.0) -> int:
+        """Bytes taken; 0 without a host."""
+        if self._master < 0 or not self._present:
+            return 0
+        return _write(self._master, data, wait_s)
+
+
+class TcpPort:
+    """A listening TCP socket; one host at a time, a second one is turned away.
+
+    Args:
+        host: Address to listen on.
+        port: Port; 0: a free one, the same again after `close` and `open`.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        self._host = host
+        self._port = port
+        self._listener: socket.socket | None = None
+        self._client: socket.socket | None = None
+        self._reads = 0
+
+    @property
+    def url(self) -> str:
+        """As socket://HOST:PORT."""
+        return f"socket://{f'[{self._host}]' if ':' in self._host else self._host}:{self._port}"
+
+    def open(self, *, renamed: bool = False) -> None:
+        """Listen; a TCP port has no other name to give.
+
+        Raises:
+            ServiceError: the address is not ours or the port is taken.
+        """
+        try:
+            family = socket.getaddrinfo(self._host, self._port, type=socket.SOCK_STREAM)[0][0]
+            listener = socket.socket(family, socket.SOCK_STREAM)
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                listener.bind((self._host, self._port))
+                listener.listen(1)
+            except OSError:
+                listener.close()
+                raise
+        except OSError as error:
+            raise ServiceError(
+                f"TCP port {self._host}:{self._port} cannot be served: {error.strerror}",
+                remedy="Give --tcp an address of this machine and a free port, or port 0",
+            ) from error
+        listener.setblocking(False)
+        self._port = listener.getsockname()[1]
+        self._listener = listener
+
+    def close(self) -> None:
+        """Drop the host, stop listening."""
+        self._drop()
+        if self._listener is not None:
+            self._listener.close()
+            self._listener = None
+
+    def connected(self) -> bool:
+        """Whether a host is connected; takes one that waits."""
+        if self._client is None:
+            self._client = self._accept()
+        return self._client is not None
+
+    def read(self, limit: int) -> bytes:
+        """At most `limit` bytes."""
+        self._reads += 1
+        if self._client is not None and self._reads % 50 == 0:
+            second = self._accept()
+            if second is not None:
+                second.close()
+        if not self.connected() or self._client is None:
+            return b""
+        try:
+            data = self._client.recv(limit)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._drop()
+        return data
+
+    def write(self, data: bytes, wait_s: float = 0.0) -> int:
+        """Bytes taken; 0 without a host."""
+        if self._client is None:
+            return 0
+        return _write(self._client.fileno(), data, wait_s)
+
+    def _accept(self) -> socket.socket | None:
+        if self._listener is None:
+            return None
+        try:
+            client, _ = self._listener.accept()
+        except OSError:  # nobody waits, or whoever did has gone already
+            return None
+        client.setblocking(False)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+        return client
+
+    def _drop(self) -> None:
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+
+def _write(descriptor: int, data: bytes, wait_s: float) -> int:
+    taken = 0
+    with contextlib.suppress(OSError):  # a host that has gone: the next read finds out
+        while taken < len(data):
+            try:
+                taken += os.write(descriptor, data[taken:])
+            except BlockingIOError:
+                if not wait_s or not select.select([], [descriptor], [], wait_s)[1]:
+                    break
+    return taken

@@ -1,0 +1,276 @@
+"""Emulated boards in real time, faster, or as fast as possible; in this thread or in one beside a test.
+
+    with Emulator(boards=2, effects={"quadratic-drag": 1.0}) as emulator:
+        gateway.open(emulator.urls[0])     # socket://127.0.0.1:PORT
+        emulator.inject("stall=0.5")
+
+Rule 1: deadlines are absolute: tick k of every board is due at start + k * T_s / speed.  A late tick is made up for at
+        once and counted, so the boards' clocks never drift from the wall's.
+Rule 2: one thread runs all boards; other threads only hand it work (`call`).
+Rule 3: with speed 0 nothing is due: time stands until a host is connected, and a host that reads slowly slows the
+        boards instead of losing bytes.
+"""
+
+from __future__ import annotations
+
+import os
+import selectors
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+from typing import Self
+
+from gateway.emulator.faults import Fault, parse
+from gateway.emulator.firmware import Firmware
+from gateway.emulator.flash import T_S_US
+from gateway.emulator.line import BoardLine, LineCounts
+from gateway.emulator.plant import Plant
+from gateway.emulator.ports import Port, PtyPort, TcpPort
+from protocol.errors import ServiceError
+
+_T_NS = T_S_US * 1000
+_BURST = 50  # ticks made up for at most before other threads and signals are heard
+_PATIENCE_S = 1.0  # speed 0: how long a host may leave its buffer full before bytes are lost
+_NO_EFFECTS: Mapping[str, float] = MappingProxyType({})
+
+
+class Server:
+    """Runs boards until `stop`, a duration or an error.
+
+    Args:
+        lines: The boards; closed at the end of `run`.
+        speed: Times faster than real time; 0: as fast as possible.
+    """
+
+    def __init__(self, lines: list[BoardLine], *, speed: float = 1.0) -> None:
+        self.lines = lines
+        self.late_ticks = 0
+        self.worst_lateness_s = 0.0
+        self._speed = speed
+        self._calls: deque[Callable[[], None]] = deque()
+        self._stopped = False
+        self._wake_out, self._wake_in = os.pipe()
+        os.set_blocking(self._wake_in, False)
+        os.set_blocking(self._wake_out, False)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._wake_out, selectors.EVENT_READ)
+
+    def stop(self) -> None:
+        """End `run` soon; from any thread or signal handler."""
+        self._stopped = True
+        self._wake()
+
+    def call(self, action: Callable[[], None]) -> None:
+        """Have `action` done between two ticks by the thread that runs the boards."""
+        self._calls.append(action)
+        self._wake()
+
+    def run(self, duration_s: float | None = None) -> None:
+        """Run the boards, for `duration_s` of their time or until `stop`; then close their ports."""
+        try:
+            ticks = None if duration_s is None else round(duration_s * 1_000_000 / T_S_US)
+            if self._speed > 0:
+                self._run_in_time(ticks)
+            else:
+                self._run_flat_out(ticks)
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Take all ports away."""
+        for line in self.lines:
+            line.close()
+        if self._wake_out >= 0:
+            self._selector.close()
+            os.close(self._wake_out)
+            os.close(self._wake_in)
+            self._wake_out = self._wake_in = -1
+
+    def _run_in_time(self, ticks: int | None) -> None:
+        period_ns = _T_NS / self._speed
+        start_ns = time.monotonic_ns()
+        done = 0
+        while not self._stopped and done != ticks:
+            behind_ns = time.monotonic_ns() - start_ns - int((done + 1) * period_ns)
+            self._rest(-behind_ns * 1e-9 if behind_ns < 0 else 0.0)
+            if behind_ns < 0:
+                continue
+            due = 1 + int(behind_ns / period_ns)
+            if due > 1:
+                self.late_ticks += due - 1
+                self.worst_lateness_s = max(self.worst_lateness_s, behind_ns * 1e-9)
+            for _ in range(min(due, _BURST, ticks - done if ticks is not None else due)):
+                for line in self.lines:
+                    line.step()
+                done += 1
+
+    def _run_flat_out(self, ticks: int | None) -> None:
+        done = 0
+        while not self._stopped and done != ticks:
+            if not any(line.port.connected() for line in self.lines):
+                self._rest(0.005)
+                continue
+            self._rest(0.0)
+            for _ in range(_BURST if ticks is None else min(_BURST, ticks - done)):
+                for line in self.lines:
+                    line.step(wait_s=_PATIENCE_S)
+                done += 1
+
+    def _rest(self, timeout_s: float) -> None:
+        """Sleep until the next deadline or a wake-up, then do what other threads asked for."""
+        if self._selector.select(timeout_s):
+            os.read(self._wake_out, 4096)
+        while self._calls:
+            self._calls.popleft()()
+
+    def _wake(self) -> None:
+        if self._wake_in >= 0:
+            try:
+                os.write(self._wake_in, b"w")
+            except BlockingIOError:  # full of wake-ups: it will wake
+                return
+
+
+class Emulator:
+    """Boards served by a thread of their own, for tests and demonstrations.
+
+    Args:
+        boards: How many.
+        tcp: On free TCP ports of 127.0.0.1; else on ptys.
+        pty: With tcp false: path of the link (several boards: PATH-1, PATH-2, ...); None: in a temporary folder.
+        speed: Times faster than real time; 0: as fast as possible.
+        effects: Strengths by name, for every board.
+        faults: As given to --fault, or parsed; for every board.
+        seed: Of noise and faults; board n has seed + n.
+        baud: Bits per second.
+        board_id: Of the first board; the others count up.
+    """
+
+    def __init__(
+        self,
+        *,
+        boards: int = 1,
+        tcp: bool = True,
+        pty: Path | None = None,
+        speed: float = 1.0,
+        effects: Mapping[str, float] = _NO_EFFECTS,
+        faults: Iterable[str | Fault] = (),
+        seed: int = 0,
+        baud: int = 115200,
+        board_id: int = 1,
+    ) -> None:
+        self._folder = None
+        if not tcp and pty is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="board51-")
+            pty = Path(self._folder.name) / "board"
+        ports: list[Port] = (
+            [TcpPort("127.0.0.1", 0) for _ in range(boards)] if pty is None or tcp else list(pty_ports(pty, boards))
+        )
+        self._server = Server(
+            build_lines(ports, effects=effects, faults=faults, seed=seed, baud=baud, board_id=board_id), speed=speed
+        )
+        self._thread = threading.Thread(target=self._server.run, name="emulator", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.stop()
+        self._thread.join(10.0)
+        if self._folder is not None:
+            self._folder.cleanup()
+
+    @property
+    def urls(self) -> list[str]:
+        """What to give a gateway, one per board; a pty that came back renamed has a new one."""
+        return [line.port.url for line in self._server.lines]
+
+    @property
+    def late_ticks(self) -> int:
+        """Ticks that could not be run in time."""
+        return self._server.late_ticks
+
+    def counts(self, board: int = 0) -> LineCounts:
+        """What the line of a board has seen."""
+        return self._server.lines[board].counts
+
+    def inject(self, fault: str | Fault, board: int = 0) -> None:
+        """A fault whose START counts from now; it is in force when this returns."""
+        parsed = parse(fault) if isinstance(fault, str) else fault
+        self._do(lambda line: line.inject(parsed), board)
+
+    def reset_board(self, board: int = 0) -> None:
+        """Cut the board's power for a moment."""
+        self._do(BoardLine.power_cycle, board)
+
+    def disconnect(self, board: int = 0) -> None:
+        """Unplug the line until `reconnect`."""
+        self._do(BoardLine.disconnect, board)
+
+    def reconnect(self, board: int = 0, *, renamed: bool = False) -> None:
+        """Plug it in again; a pty perhaps under another name."""
+        self._do(lambda line: line.reconnect(renamed=renamed), board)
+
+    def _do(self, action: Callable[[BoardLine], None], board: int) -> None:
+        line, done = self._server.lines[board], threading.Event()
+        failures: list[Exception] = []
+
+        def work() -> None:
+            try:
+                action(line)
+            except Exception as error:  # handed to the caller below
+                failures.append(error)
+            done.set()
+
+        self._server.call(work)
+        if not done.wait(10.0):
+            raise ServiceError("The emulator's thread does not answer", remedy="Use it inside its `with` block")
+        if failures:
+            raise failures[0]
+
+
+def pty_ports(link: Path, boards: int) -> list[Port]:
+    """PATH for one board, PATH-1, PATH-2, ... for several."""
+    if boards == 1:
+        return [PtyPort(link)]
+    return [PtyPort(link.with_name(f"{link.name}-{n}")) for n in range(1, boards + 1)]
+
+
+def tcp_ports(host: str, port: int, boards: int) -> list[Port]:
+    """Consecutive ports from `port` on; free ones where it is 0."""
+    return [TcpPort(host, port + n if port else 0) for n in range(boards)]
+
+
+def build_lines(
+    ports: Iterable[Port],
+    *,
+    effects: Mapping[str, float] = _NO_EFFECTS,
+    faults: Iterable[str | Fault] = (),
+    seed: int = 0,
+    baud: int = 115200,
+    board_id: int = 1,
+) -> list[BoardLine]:
+    """A board with a plant of its own for each port; all ports open or none.
+
+    Raises:
+        UsageError: an unknown effect or fault, a pty path in use.
+        ServiceError: a TCP port in use.
+    """
+    parsed = [parse(fault) if isinstance(fault, str) else fault for fault in faults]
+    lines: list[BoardLine] = []
+    try:
+        for n, port in enumerate(ports):
+            firmware = Firmware(Plant(effects=effects, seed=seed + n), board_id=board_id + n)
+            lines.append(BoardLine(firmware, port, baud=baud, faults=parsed, seed=seed + n))
+    except BaseException:
+        for line in lines:
+            line.close()
+        raise
+    return lines

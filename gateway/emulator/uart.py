@@ -1,0 +1,118 @@
+"""The board's UART: frames out in order of priority and at the baud rate, frames in.
+
+Rule 1: a frame that has begun is finished first; then STATE, answers, EVENT, CAPTURE_BLOCK (rule 5 of
+        protocol/README.md).  So STATE waits for one frame at most.
+Rule 2: every queue is bounded.  A full STATE queue loses its oldest (the newest tells most), the others refuse the
+        newest; each loss is counted, and the host sees it by sequence, by number or by a repeated command.
+Rule 3: a byte takes 10 bit times.  Time that the line stands idle is not saved up.
+"""
+
+from __future__ import annotations
+
+from binascii import crc_hqx
+from collections import deque
+from enum import IntEnum
+
+from protocol.wire.framing import MAX_ENCODED, cobs_decode
+
+_BITS_PER_BYTE = 10  # 8N1
+
+
+class Priority(IntEnum):
+    """What goes first."""
+
+    STATE = 0
+    ANSWER = 1
+    EVENT = 2
+    CAPTURE_BLOCK = 3
+
+
+_DEPTH = {Priority.STATE: 8, Priority.ANSWER: 8, Priority.EVENT: 16, Priority.CAPTURE_BLOCK: 8}  # frames
+
+
+class Outbox:
+    """Frames waiting for the transmitter."""
+
+    def __init__(self) -> None:
+        self._queues: tuple[deque[bytes], ...] = tuple(deque() for _ in Priority)
+        self.dropped = 0
+
+    def put(self, frame: bytes, priority: Priority) -> None:
+        """Queue a frame; where there is no room one is lost and counted."""
+        queue = self._queues[priority]
+        if len(queue) >= _DEPTH[priority]:
+            self.dropped += 1
+            if priority is not Priority.STATE:
+                return
+            queue.popleft()
+        queue.append(frame)
+
+    def take(self) -> bytes:
+        """The next frame for the line, or nothing."""
+        for queue in self._queues:
+            if queue:
+                return queue.popleft()
+        return b""
+
+    def waiting(self, priority: Priority) -> int:
+        """Frames of this priority not yet taken."""
+        return len(self._queues[priority])
+
+
+class Inbox:
+    """Bytes from the host into bodies whose CRC is right."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self._overflow = False
+        self.bad_frames = 0
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """The bodies (without CRC) that `data` completes; what is no frame is counted."""
+        bodies = []
+        *ends, rest = data.split(b"\x00")
+        for end in ends:
+            self._collect(end)
+            body = self._body()
+            if body is not None:
+                bodies.append(body)
+        self._collect(rest)
+        return bodies
+
+    def _collect(self, part: bytes) -> None:
+        self._buffer += part
+        if len(self._buffer) > MAX_ENCODED:  # the buffer of the board is full: the frame is lost, the next is not
+            self._overflow = True
+            self._buffer.clear()
+
+    def _body(self) -> bytes | None:
+        encoded, overflow = bytes(self._buffer), self._overflow
+        self._buffer.clear()
+        self._overflow = False
+        if not encoded and not overflow:  # two delimiters in a row
+            return None
+        body = None if overflow else cobs_decode(encoded)
+        if body is None or len(body) < 3 or crc_hqx(body, 0xFFFF) != 0:
+            self.bad_frames = min(self.bad_frames + 1, 0xFFFF)
+            return None
+        return body[:-2]
+
+
+class Pacer:
+    """How many bytes a line of `baud` bits per second carries while time passes."""
+
+    def __init__(self, baud: int) -> None:
+        self._baud = baud
+        self._credit = 0  # bits times microseconds per second, so that nothing is rounded
+        self.byte_us = 1_000_000 * _BITS_PER_BYTE // baud
+
+    def allow(self, duration_us: int) -> int:
+        """Bytes that may pass in this stretch of time; tell by `spend` how many did."""
+        self._credit += self._baud * duration_us
+        return self._credit // (_BITS_PER_BYTE * 1_000_000)
+
+    def spend(self, count: int, *, more: bool) -> None:
+        """`count` bytes passed; without `more` waiting the line stood idle and what is left is forfeited."""
+        self._credit -= count * _BITS_PER_BYTE * 1_000_000
+        if not more:
+            self._credit = 0
