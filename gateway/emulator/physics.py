@@ -177,16 +177,21 @@ def _land(y: State, c: Constants) -> State:
 
 
 @_compiled
+def _sign(value: float) -> float:
+    return 1.0 if value > 0.0 else (-1.0 if value < 0.0 else 0.0)
+
+
+@_compiled
 def step(y: State, t: float, h: float, u: float, c: Constants) -> State:
     """One step of length h with the input u held; stops and dry friction resolved inside it."""
     for _ in range(_EVENTS_PER_STEP):
-        direction = float(np.sign(y.v))
+        direction = _sign(y.v)
         free = True
         if y.v == 0.0:
             force = pull(y, t, c)
             pressed = (y.x <= 0.0 and force <= 0.0) or (y.x >= c.travel and force >= 0.0)
             free = not (pressed or abs(force) <= c.friction)
-            direction = float(np.sign(force))
+            direction = _sign(force)
         z = _runge_kutta(y, t, h, u, free, direction, c)
         if not (free and _event(z, direction, c)):
             return z
@@ -234,7 +239,7 @@ def advance(
     n = inputs.shape[0]
     for k in range(first, first + count):
         inputs[k % n] = u
-        y = step(y, k * h, h, inputs[(k - c.input_delay) % n], c)
+        y = step(y, k * h, h, float(inputs[(k - c.input_delay) % n]), c)
         sensed[(k + 1) % n, 0] = y.i
         sensed[(k + 1) % n, 1] = y.s
     return y

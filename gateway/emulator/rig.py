@@ -3,16 +3,17 @@
 Where the numbers of `CE152` come from:
 
 Four steady points of a CE 152 are published (gap under the top stop, current; see `MEASURED_EQUILIBRIA`).  At rest
-F_m = m g, so eq. (3) asks for i = sqrt(m g / K_c) (x_max - x).  The points do lie on a straight line within 0.2 %,
+F_m = m g, so eq. (3) asks for i = sqrt(m g / K_c) (x_max - x).  The points do lie on a straight line, within 1.4 %
+(least squares over the four currents),
 
-    i = 121.04 A/m * (gap + 2.457 mm),    gap = travel - x,
+    i = 120.36 A/m * (gap + 2.438 mm),    gap = travel - x,
 
 but that line does not pass through zero at the stop: the force acts as if its pole, the effective plane of the coil,
-were 2.457 mm above the highest position of the ball.  Eq. (3) with x_max = travel forces the line through zero and
-misses the points by up to half of the current, whatever K_c.  With the plane as a second number (least squares over
-the four currents), slope and intercept give
+were 2.438 mm above the highest position of the ball.  Eq. (3) with x_max = travel forces the line through zero: the
+ratio of current and gap, one number if it held, doubles from the first point to the last.  With the plane as a second
+number, slope and intercept give
 
-    K_c = m g / (121.04 A/m)^2 = 5.544e-6 N m^2/A^2,    d = 2.457 mm.
+    K_c = m g / (120.36 A/m)^2 = 5.607e-6 N m^2/A^2,    d = 2.438 mm.
 
 A physical reading: the ball's pole is its centre and the winding starts behind a bottom plate, so the distance that
 matters is never zero, even where ball and housing touch.
@@ -76,8 +77,8 @@ CE152 = Rig(
     mass_kg=8.28e-3,  # measured
     travel_m=5.7e-3,  # measured
     gravity_m_s2=9.81,
-    force_constant_n_m2_a2=5.544e-6,  # fit, above
-    coil_plane_above_stop_m=2.457e-3,  # fit, above
+    force_constant_n_m2_a2=5.607e-6,  # fit, above
+    coil_plane_above_stop_m=2.438e-3,  # fit, above
     amplifier_gain_a_v=0.297,  # measured; sources give 0.28 .. 0.31
     amplifier_time_constant_s=3e-4,  # assumed; sources give 2e-5 .. 2e-3
     drag_n_s_m=0.02,  # two sources; others 0 .. 0.05
