@@ -190,7 +190,8 @@ def step(y: State, t: float, h: float, u: float, c: Constants) -> State:
         if y.v == 0.0:
             force = pull(y, t, c)
             pressed = (y.x <= 0.0 and force <= 0.0) or (y.x >= c.travel and force >= 0.0)
-            free = not (pressed or abs(force) <= c.friction)
+            stuck = c.friction > 0.0 and abs(force) <= c.friction
+            free = not (pressed or stuck)
             direction = _sign(force)
         z = _runge_kutta(y, t, h, u, free, direction, c)
         if not (free and _event(z, direction, c)):
