@@ -1,0 +1,134 @@
+"""Columns of numbers from a CSV file (also .gz), with errors that name file, line, column and value.
+
+Only the columns that are asked for are turned into numbers: a comment column does not stand in the way.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import math
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from protocol.errors import DataError
+
+FloatArray = npt.NDArray[np.float64]
+_GZIP = b"\x1f\x8b"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """A file with named columns of equal length."""
+
+    path: Path
+    names: tuple[str, ...]
+    rows: int
+    place: Callable[[int], str]  # row -> "line 7" or "sample 6"
+    cell: Callable[[str, int], str | float]
+
+    def numbers(self, column: str) -> FloatArray:
+        """A column, shape (rows,), finite.
+
+        Raises:
+            DataError: no such column, or a cell is not a finite number.
+        """
+        if column not in self.names:
+            raise DataError(
+                f"{self.path} has no column {column!r}",
+                remedy=f"Map another one; its columns are: {', '.join(self.names)}",
+            )
+        values = np.empty(self.rows)
+        for row in range(self.rows):
+            cell = self.cell(column, row)
+            try:
+                value = float(cell)
+            except ValueError:
+                raise self._bad(column, row, cell) from None
+            if not math.isfinite(value):
+                raise self._bad(column, row, cell)
+            values[row] = value
+        return values
+
+    def _bad(self, column: str, row: int, cell: str | float) -> DataError:
+        what = "is empty" if isinstance(cell, str) and not cell.strip() else f"= {cell!r} is not a finite number"
+        remedy = "Correct the cell, or leave that row out"
+        if isinstance(cell, str) and "," in cell:
+            remedy = "Write decimals with a point"
+        return DataError(f"{self.path}, {self.place(row)}: {column} {what}", remedy=remedy)
+
+
+def read_csv(path: Path) -> Table:
+    """A CSV file with names in its first line; comma, semicolon or tab between cells; `#` begins a comment line.
+
+    Raises:
+        DataError: it is absent, not text, badly compressed, has no names, no rows, or lines of different lengths.
+    """
+    lines = _text(path).splitlines()
+    kept = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    if not kept:
+        raise DataError(f"{path} is empty", remedy="Name a file with a line of column names and rows of numbers")
+    separator = max(",;\t", key=kept[0][1].count)
+    names = tuple(cell.strip() for cell in _split(kept[0][1], separator))
+    where = f"{path}, line {kept[0][0]}"
+    if any(_is_number(name) for name in names):
+        raise DataError(f"{where} holds numbers instead of column names", remedy="Put the names into the first line")
+    if len(set(names)) != len(names) or "" in names:
+        twice = next((name for name in names if names.count(name) > 1 or not name), "")
+        raise DataError(f"{where}: column name {twice!r} is empty or there twice", remedy="Give each its own name")
+    rows = [_split(line, separator) for _, line in kept[1:]]
+    numbers = [number for number, _ in kept[1:]]
+    if not rows:
+        raise DataError(f"{path} has column names but no rows", remedy="Name a file with data")
+    for number, row in zip(numbers, rows, strict=True):
+        if len(row) != len(names):
+            raise DataError(
+                f"{path}, line {number} has {len(row)} cells, the first line {len(names)}",
+                remedy="Complete the line, or remove it (is the file cut off?)",
+            )
+    index = {name: position for position, name in enumerate(names)}
+    return Table(
+        path=path,
+        names=names,
+        rows=len(rows),
+        place=lambda row: f"line {numbers[row]}",
+        cell=lambda column, row: rows[row][index[column]],
+    )
+
+
+def _text(path: Path) -> str:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise DataError(
+            f"{path} cannot be read: {(error.strerror or 'unknown').lower()}", remedy="Name a CSV or MATLAB file"
+        ) from None
+    if path.suffix == ".gz" and not data.startswith(_GZIP):
+        raise DataError(f"{path} is named .gz but is not compressed", remedy="Rename it, or fetch it again")
+    if data.startswith(_GZIP):
+        try:
+            data = gzip.decompress(data)
+        except (EOFError, OSError, zlib.error) as error:
+            raise DataError(f"{path} is damaged or cut off: {error}", remedy="Fetch it again") from None
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise DataError(f"{path} is not text", remedy="Name a CSV file in UTF-8, or a MATLAB file with .mat") from None
+
+
+def _split(line: str, separator: str) -> Sequence[str]:
+    return next(csv.reader(io.StringIO(line), delimiter=separator))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
