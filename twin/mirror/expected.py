@@ -1,0 +1,220 @@
+"""What noise alone makes of measured minus twin: its standard deviation, and how rarely a window mean exceeds a value.
+
+The free twin has no noise; the rig's loop has: sensor noise enters the law, moves the ball and comes back.  So even a
+right model differs from the rig by a coloured error, larger than the sensor noise.  With rig and twin linearised
+around the same position their difference obeys the closed loop itself, driven by the noise w alone:
+
+    d(k+1) = F d(k) + G w(k),   error(k) = H d(k) + D w(k),   d = [i_c, x, x', integral, previous measured x]
+
+Rule: where F is not stable there is no stationary error, hence no expectation: None.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import toeplitz
+from scipy.special import ndtr
+
+from twin.control import LawNumbers, c2d, linearise
+from twin.model.parameters import Model
+
+POSITIONS = 9  # grid of linearisations over the travel
+EDGE_SHARE = 0.05  # of the travel, left out at either end
+STABLE = 1.0 - 1e-9  # a spectral radius below this
+OFF_PROBABILITY = 0.05  # how fast an alarm clears, not whether it lies
+
+
+class Expectation(NamedTuple):
+    """What a right model leaves of measured - twin, around one reference."""
+
+    std: tuple[float, float, float]  # of x (m), i_c (A), u_c (V)
+    on: tuple[float, float]  # the window mean of (error / std)^2 of x, i_c exceeds this with the alarm's probability
+    off: tuple[float, float]  # and this with OFF_PROBABILITY
+
+
+class ExpectedError:
+    """Moments of measured - twin of (x, i_c, u_c) in closed loop, by the position of the reference.
+
+    Args:
+        model: assumed right.
+        law: of the board.
+        i_lsb_a, x_lsb_m, u_lsb_v: one count of each converter; 0 where unknown.
+        window: ticks of the window whose mean is judged.
+        probability: of a false alarm per window.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        law: LawNumbers,
+        *,
+        i_lsb_a: float,
+        x_lsb_m: float,
+        u_lsb_v: float,
+        window: int,
+        probability: float,
+    ) -> None:
+        travel = model.plant.travel_m
+        self._grid = np.linspace(EDGE_SHARE * travel, (1.0 - EDGE_SHARE) * travel, POSITIONS).tolist()
+        self._window = window
+        self._probability = probability
+        noise = model.noise
+        variances = np.array(
+            [
+                noise.sigma_i_c_a**2 + i_lsb_a**2 / 12.0,
+                noise.sigma_x_m**2 + x_lsb_m**2 / 12.0,
+                u_lsb_v**2 / 12.0,
+                noise.process_i_c_a**2,
+                (noise.process_a_m_s2 * law.sample_time_s) ** 2,
+            ]
+        )
+        loops = [error_dynamics(model, law, float(x)) for x in self._grid]
+        self._radius = [float(np.max(np.abs(np.linalg.eigvals(F)))) for F, _, _, _ in loops]
+        self._covariances = [
+            autocovariance(*loop, variances, lags=window) if radius < STABLE else np.full((window, 3), np.nan)
+            for loop, radius in zip(loops, self._radius, strict=True)
+        ]
+        self._std: list[list[float]] = [np.sqrt(covariance[0]).tolist() for covariance in self._covariances]
+        self._quantiles: dict[tuple[int, int], tuple[float, float]] = {}
+
+    def at(self, x_ref: float) -> Expectation | None:
+        """Around `x_ref` (m), interpolated between the linearisations; None where the model's loop is unstable."""
+        cell, share = self._cell(x_ref)
+        if not self._stable(cell):
+            return None
+        low, high = self._std[cell], self._std[cell + 1]
+        tails = [(self._quantile(cell, k), self._quantile(cell + 1, k)) for k in range(2)]
+        return Expectation(
+            std=(
+                low[0] + share * (high[0] - low[0]),
+                low[1] + share * (high[1] - low[1]),
+                low[2] + share * (high[2] - low[2]),
+            ),
+            on=(max(tails[0][0][0], tails[0][1][0]), max(tails[1][0][0], tails[1][1][0])),
+            off=(max(tails[0][0][1], tails[0][1][1]), max(tails[1][0][1], tails[1][1][1])),
+        )
+
+    def settle_ticks(self, x_ref: float, *, share: float) -> int | None:
+        """Ticks until a difference at the start has shrunk to `share` of itself; None where the loop is unstable."""
+        cell, _ = self._cell(x_ref)
+        if not self._stable(cell):
+            return None
+        return math.ceil(math.log(share) / math.log(max(self._radius[cell : cell + 2])))
+
+    def _stable(self, cell: int) -> bool:
+        return self._radius[cell] < STABLE and self._radius[cell + 1] < STABLE
+
+    def _cell(self, x_ref: float) -> tuple[int, float]:
+        position = (x_ref - self._grid[0]) / (self._grid[1] - self._grid[0])
+        position = min(max(position, 0.0), POSITIONS - 1.0)
+        cell = min(int(position), POSITIONS - 2)
+        return cell, position - cell
+
+    def _quantile(self, point: int, signal: int) -> tuple[float, float]:
+        # On demand: the eigenvalues of a 500 x 500 matrix take 30 ms, and a rig visits few of the positions.
+        if (point, signal) not in self._quantiles:
+            covariance = self._covariances[point][:, signal]
+            weights = np.linalg.eigvalsh(toeplitz(covariance / covariance[0])) / self._window
+            weights = np.maximum(weights, 0.0)
+            self._quantiles[point, signal] = (
+                weighted_chi_square_quantile(weights, self._probability),
+                weighted_chi_square_quantile(weights, OFF_PROBABILITY),
+            )
+        return self._quantiles[point, signal]
+
+
+def error_dynamics(
+    model: Model, law: LawNumbers, x_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """(F, G, H, D) of the difference between a noisy and a noise-free loop around `x_m`.
+
+    State d = [i_c, x, x', s, x_prev]; noise w = [n_i, n_x, n_u, w_i, w_v]; outputs [x, i_c, u_c] as measured.
+    Shapes (5, 5), (5, 5), (3, 5), (3, 5).
+    """
+    A, B = c2d(*linearise(model, x_m), law.sample_time_s)
+    on_x = -(law.k_x + law.k_p) - law.k_v / law.sample_time_s
+    from_state = np.array([-law.k_i, on_x, 0.0, law.k_s, law.k_v / law.sample_time_s])  # u_c of rule 9
+    from_noise = np.array([-law.k_i, on_x, 1.0, 0.0, 0.0])
+    F, G = np.zeros((5, 5)), np.zeros((5, 5))
+    F[:3, :3] = A
+    F[:3] += B @ from_state[None, :]
+    F[3, 1], F[3, 3] = -law.sample_time_s, 1.0
+    F[4, 1] = 1.0
+    G[:3] = B @ from_noise[None, :]
+    G[0, 3], G[2, 4] = 1.0, 1.0
+    G[3, 1] = -law.sample_time_s
+    G[4, 1] = 1.0
+    sensors = np.array([[0.0, 1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0]])
+    return F, G, np.vstack([sensors, from_state]), np.vstack([sensors, from_noise])
+
+
+def autocovariance(
+    F: NDArray[np.float64],
+    G: NDArray[np.float64],
+    H: NDArray[np.float64],
+    through: NDArray[np.float64],  # D
+    variances: NDArray[np.float64],
+    *,
+    lags: int,
+) -> NDArray[np.float64]:
+    """Stationary autocovariance of each output at lags 0 .. lags-1, shape (lags, outputs); F must be stable.
+
+    P = F P F' + G Q G' (discrete Lyapunov); R(0) = H P H' + D Q D'; R(k) = H F^(k-1) (F P H' + G Q D').
+    """
+    Q = np.diag(variances)
+    P = discrete_lyapunov(F, G @ Q @ G.T)
+    result = np.empty((lags, H.shape[0]))
+    result[0] = np.diag(H @ P @ H.T + through @ Q @ through.T)
+    carried = F @ P @ H.T + G @ Q @ through.T
+    for lag in range(1, lags):
+        result[lag] = np.einsum("os,so->o", H, carried)
+        carried = F @ carried
+    return result
+
+
+def discrete_lyapunov(F: NDArray[np.float64], Q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sum over k of F^k Q F'^k, the solution of P = F P F' + Q for stable F, by doubling the number of terms.
+
+    scipy's direct solver loses half its digits here: amperes and micrometres share a matrix.  Every term of the sum is
+    positive semidefinite, so nothing cancels.
+    """
+    P, power = Q, F
+    for _ in range(60):
+        more = power @ P @ power.T
+        P = P + more
+        if np.max(np.diag(more) - 1e-15 * np.diag(P)) <= 0.0:
+            break
+        power = power @ power
+    return P
+
+
+def weighted_chi_square_quantile(weights: NDArray[np.float64], probability: float) -> float:
+    """The q with P(sum of weights_j * chi-square_1 > q) = probability, by Lugannani and Rice's saddlepoint.
+
+    Matching mean and variance with a chi-square (Satterthwaite) is too low in the far tail when few weights dominate:
+    a slow loop under a 1 s window.  This is within a few percent of the probability for any weights.
+
+    Args:
+        weights: non-negative, shape (n,): eigenvalues of the covariance of what is squared and summed.
+        probability: of the tail, 0 < probability <= 0.1.
+    """
+
+    def tail(s: float) -> float:
+        shrunk = 1.0 - 2.0 * s * weights
+        cumulant = -0.5 * float(np.sum(np.log(shrunk)))
+        slope = float(np.sum(weights / shrunk))
+        curvature = 2.0 * float(np.sum((weights / shrunk) ** 2))
+        w = math.sqrt(2.0 * (s * slope - cumulant))
+        v = s * math.sqrt(curvature)
+        density = math.exp(-0.5 * w * w) / math.sqrt(2.0 * math.pi)
+        return float(ndtr(-w)) + density * (1.0 / v - 1.0 / w)
+
+    low, high = 1e-3 / weights.max() * 0.5, (1.0 - 1e-9) / weights.max() * 0.5
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if tail(middle) > probability else (low, middle)
+    return float(np.sum(weights / (1.0 - 2.0 * low * weights)))

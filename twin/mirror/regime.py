@@ -1,0 +1,133 @@
+"""What stays the same as long as T_s and the board's parameters do: kernels' numbers, expectations, thresholds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from protocol.bus import board51_pb2 as pb
+from twin.control import law_numbers
+from twin.mirror.alarms import probability_per_window, white_threshold
+from twin.mirror.expected import OFF_PROBABILITY, Expectation, ExpectedError
+from twin.model.parameters import Model
+from twin.simulate import plant_numbers
+
+SETTLED_SHARE = 1e-4  # of a difference at the start: 1 mm has become 0.1 um
+SETTLE_MIN_S, SETTLE_MAX_S = 0.1, 5.0
+SETTLE_DRIVEN_S = 0.3  # idle and open loop: a ball dropped from the top stop is down after 0.05 s and still after 0.3 s
+# In the board's Parameters these neither shape what it does at a tick nor how it is seen.
+_IRRELEVANT = (
+    "host_time_ns",
+    "from_tick",
+    "firmware",
+    "stream_divider",
+    "host_loss_policy",
+    "host_loss_timeout_s",
+    "x_ref_slew_m_s",
+    "x_ref_step_max_m",
+    "x_ref_min_m",
+    "x_ref_max_m",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """What a user may choose."""
+
+    window_s: float = 1.0  # of the rolling figures, and of one alarm decision
+    false_alarms_per_day: float = 0.1  # of each alarm, under a right model
+    bridge_ticks_max: int = 10
+
+
+class KnownParameters:
+    """The parameters of each session by the tick from which they may have shaped what the board did."""
+
+    def __init__(self) -> None:
+        self._history: dict[int, list[tuple[int, pb.Parameters]]] = {}
+
+    def add(self, parameters: pb.Parameters) -> bool:
+        """Remember; False where they say nothing new."""
+        relevant = pb.Parameters()
+        relevant.CopyFrom(parameters)
+        for name in _IRRELEVANT:
+            relevant.ClearField(name)
+        history = self._history.setdefault(parameters.session, [])
+        if history and history[-1][1] == relevant:
+            return False
+        history.append((parameters.from_tick, relevant))
+        for session in list(self._history)[:-2]:  # the present one and the one that may just be ending
+            del self._history[session]
+        return True
+
+    def first(self, session: int) -> bool:
+        """Whether at most one set is known of `session`."""
+        return len(self._history.get(session, ())) <= 1
+
+    def at(self, session: int, tick: int) -> pb.Parameters | None:
+        """Those in force at `tick`, or None where they are not known."""
+        history = self._history.get(session)
+        if not history:
+            return None
+        while len(history) > 1 and history[1][0] <= tick:
+            history.pop(0)
+        return history[0][1] if history[0][0] <= tick else None
+
+
+class Regime:
+    """Numbers for one T_s and one set of parameters (None: only the observer can run)."""
+
+    def __init__(
+        self, model: Model, settings: Settings, *, sample_time_s: float, parameters: pb.Parameters | None
+    ) -> None:
+        self.sample_time_s = sample_time_s
+        self.parameters = parameters
+        self.plant = plant_numbers(model, sample_time_s)
+        self.law = law_numbers(parameters) if parameters else None
+        self.window = max(2, round(settings.window_s / sample_time_s))
+        self.i_lsb_a = parameters.i_lsb_a if parameters else 0.0
+        self.x_lsb_m = parameters.x_lsb_m if parameters else 0.0
+        probability = probability_per_window(settings.false_alarms_per_day, self.window * sample_time_s)
+        self.nis_on = white_threshold(self.window, 2, probability)
+        self.nis_off = white_threshold(self.window, 2, OFF_PROBABILITY)
+        self._travel_m = model.plant.travel_m
+        self._expected: ExpectedError | None = None
+        if parameters and self.law:
+            self._expected = ExpectedError(
+                model,
+                self.law,
+                i_lsb_a=self.i_lsb_a,
+                x_lsb_m=self.x_lsb_m,
+                u_lsb_v=parameters.u_lsb_v,
+                window=self.window,
+                probability=probability,
+            )
+        # Sensor noise alone: what a driven twin at rest differs by, and the yardstick where no other exists.
+        self.sensors = Expectation(
+            std=(
+                math.sqrt(model.noise.sigma_x_m**2 + self.x_lsb_m**2 / 12.0),
+                math.sqrt(model.noise.sigma_i_c_a**2 + self.i_lsb_a**2 / 12.0),
+                math.nan,  # there u_c drives the twin: it cannot differ
+            ),
+            on=(white_threshold(self.window, 1, probability),) * 2,
+            off=(white_threshold(self.window, 1, OFF_PROBABILITY),) * 2,
+        )
+        self._at: tuple[float, Expectation] | None = None
+
+    def expectation(self, x_ref: float) -> Expectation:
+        """In closed loop around `x_ref`.
+
+        Where the model calls this loop unstable there is no such thing as an expected error, while the rig may well
+        fly: then the sensor noise is the yardstick, and whatever is left of the twin's flight raises the alarm.
+        """
+        if self._at is None or self._at[0] != x_ref:
+            found = self._expected.at(x_ref) if self._expected else None
+            self._at = (x_ref, found or self.sensors)
+        return self._at[1]
+
+    def settle_ticks(self, *, closed_loop: bool, x_ref: float) -> int:
+        """How long the start shows."""
+        seconds = SETTLE_DRIVEN_S
+        if closed_loop:
+            ticks = self._expected.settle_ticks(x_ref, share=SETTLED_SHARE) if self._expected else None
+            seconds = 1.0 if ticks is None else ticks * self.sample_time_s
+        return round(min(max(seconds, SETTLE_MIN_S), SETTLE_MAX_S) / self.sample_time_s)

@@ -1,0 +1,36 @@
+"""The models that ship with the product, and the arithmetic behind their K_c."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.model.parameters import Model, load_model
+
+SHIPPED = ("ce152", "inteco")
+
+
+def nominal(name: str = "ce152") -> Model:
+    """A shipped model: `ce152`, or `inteco` (the rig of the public recordings)."""
+    return load_model(str(files("twin.model").joinpath(f"{name}.json")))
+
+
+def lift_off_current(gap_m: NDArray[np.float64], i_c_a: NDArray[np.float64], at_gap_m: float) -> float:
+    """Current that just carries the ball at `at_gap_m`, A, from the straight line through measured equilibria.
+
+    By (6) at rest i = sqrt(m g / K_c) * gap, so equilibria lie on a line whatever the origin of the gap.
+
+    Args:
+        gap_m: gaps of the equilibria, shape (n,), m.
+        i_c_a: their coil currents, shape (n,), A.
+        at_gap_m: where the ball rests, m: the travel.
+    """
+    slope, intercept = np.polyfit(gap_m, i_c_a, 1)
+    return float(slope * at_gap_m + intercept)
+
+
+def force_constant(*, mass_kg: float, gravity_m_s2: float, gap_m: float, lift_off_a: float) -> float:
+    """K_c of (8): m g gap^2 / i^2 at the instant the ball leaves its rest, N m^2/A^2."""
+    return mass_kg * gravity_m_s2 * gap_m**2 / lift_off_a**2

@@ -1,0 +1,229 @@
+"""A model file: read, checked, written.  The format is what `board51 identify` gives and every twin command takes.
+
+Rule 1: strict.  A missing key, another unit, a number that is not finite or not physical is refused by name: a twin
+        that runs on a guessed parameter accuses the rig of its own mistake.
+Rule 2: units are the ones below, always; there is no conversion.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn
+
+from protocol.errors import DataError
+
+VERDICTS = ("identified", "weak", "not-identifiable", "assumed")  # assumed: taken from a source, not from a record
+
+# name: (unit, lowest, highest).  The bounds are of any laboratory rig of this kind, not of one: they catch a wrong
+# unit or a slipped power of ten.
+PARAMETERS: dict[str, tuple[str, float, float]] = {
+    "K_A": ("A/V", 1e-3, 100.0),
+    "T_A": ("s", 1e-7, 1.0),
+    "K_c": ("N m^2/A^2", 1e-9, 1e-1),
+    "b": ("N s/m", 0.0, 10.0),
+}
+PLANT: dict[str, tuple[float, float]] = {
+    "mass_kg": (1e-4, 10.0),
+    "travel_m": (1e-4, 0.5),
+    "x_max_m": (1e-4, 0.5),
+    "gravity_m_s2": (1.0, 20.0),
+}
+NOISE: dict[str, tuple[float, float]] = {
+    "sigma_x_m": (1e-9, 1e-2),
+    "sigma_i_c_a": (1e-7, 1.0),
+    "process_a_m_s2": (0.0, 10.0),
+    "process_i_c_a": (0.0, 1.0),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parameter:
+    """One estimated number with its standing."""
+
+    value: float
+    unit: str
+    std: float | None = None  # None: nobody measured it
+    ci95: tuple[float, float] | None = None
+    verdict: str = "assumed"
+    method: str = ""
+    equation: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plant:
+    """Known without identification; x is up from the bottom stop."""
+
+    name: str
+    mass_kg: float
+    travel_m: float  # top stop
+    x_max_m: float  # x_max of (3)
+    gravity_m_s2: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Noise:
+    """White, per sample.  Converter quantisation (lsb^2 / 12) comes on top, from the board's own scalings."""
+
+    sigma_x_m: float
+    sigma_i_c_a: float
+    process_a_m_s2: (
+        float  # acceleration the model does not explain, constant over a tick: the observer's only doubt in (6)
+    )
+    process_i_c_a: float  # the same for (1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Model:
+    """Plant, parameters of (1) and (6), noise, provenance."""
+
+    plant: Plant
+    parameters: Mapping[str, Parameter]
+    noise: Noise
+    causes: tuple[Mapping[str, Any], ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def K_A(self) -> float:
+        """Gain of the amplifier (1), A/V."""
+        return self.parameters["K_A"].value
+
+    @property
+    def T_A(self) -> float:
+        """Time constant of the amplifier (1), s."""
+        return self.parameters["T_A"].value
+
+    @property
+    def K_c(self) -> float:
+        """Force constant of (3), N m^2/A^2."""
+        return self.parameters["K_c"].value
+
+    @property
+    def b(self) -> float:
+        """Linear drag of (5), N s/m."""
+        return self.parameters["b"].value
+
+
+def load_model(path: str | Path) -> Model:
+    """Read a model file.
+
+    Raises:
+        DataError: no such file, not JSON, or not a model; names the key and the value.
+    """
+    where = str(path)
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{where}: cannot be read ({error})", remedy="Give the path of a model.json") from error
+    try:
+        data = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise DataError(
+            f"{where}, line {error.lineno}: not JSON ({error.msg})", remedy="Give a model.json as `identify` writes it"
+        ) from error
+    return model_from_dict(data, where=where)
+
+
+def model_from_dict(data: object, *, where: str) -> Model:
+    """Check `data` (the parsed JSON) key by key; `where` names its source in errors.  Raises DataError."""
+    top = _table(data, where, "the model", ("plant", "parameters", "causes", "noise", "provenance"))
+    plant = _table(top["plant"], where, "plant", ("name", *PLANT))
+    if not isinstance(plant["name"], str) or not plant["name"]:
+        _refuse(where, f"plant.name is {plant['name']!r}", "Write the rig's name as text")
+    constants = {key: _number(plant[key], where, f"plant.{key}", *bounds) for key, bounds in PLANT.items()}
+    if constants["x_max_m"] < constants["travel_m"]:
+        _refuse(
+            where,
+            f"plant.x_max_m = {constants['x_max_m']:g} is below plant.travel_m = {constants['travel_m']:g}",
+            "The force (3) is infinite at x_max: it must not lie within the travel",
+        )
+    entries = _table(top["parameters"], where, "parameters", tuple(PARAMETERS))
+    noise = _table(top["noise"], where, "noise", tuple(NOISE))
+    causes = top["causes"]
+    if not isinstance(causes, list):
+        _refuse(where, "causes is not a list", "Write [] for the paper's model")
+    if causes:
+        first = causes[0].get("name", "?") if isinstance(causes[0], dict) else causes[0]
+        _refuse(where, f"the cause {first!r} is not one this twin can simulate", "Use the model without causes")
+    return Model(
+        plant=Plant(name=plant["name"], **constants),
+        parameters={key: _parameter(entries[key], where, key) for key in PARAMETERS},
+        noise=Noise(**{key: _number(noise[key], where, f"noise.{key}", *bounds) for key, bounds in NOISE.items()}),
+        provenance=_table(top["provenance"], where, "provenance", ()),
+    )
+
+
+def model_to_dict(model: Model) -> dict[str, Any]:
+    """The JSON form; `model_from_dict` of it gives the model back."""
+    return {
+        "plant": {"name": model.plant.name} | {key: getattr(model.plant, key) for key in PLANT},
+        "parameters": {
+            key: {
+                "value": p.value,
+                "unit": p.unit,
+                "std": p.std,
+                "ci95": list(p.ci95) if p.ci95 else None,
+                "verdict": p.verdict,
+                "method": p.method,
+                "equation": p.equation,
+            }
+            for key, p in model.parameters.items()
+        },
+        "causes": [dict(cause) for cause in model.causes],
+        "noise": {key: getattr(model.noise, key) for key in NOISE},
+        "provenance": dict(model.provenance),
+    }
+
+
+def _parameter(data: object, where: str, name: str) -> Parameter:
+    unit, lowest, highest = PARAMETERS[name]
+    key = f"parameters.{name}"
+    entry = _table(data, where, key, ("value", "unit", "verdict", "method", "equation"))
+    if entry["unit"] != unit:
+        _refuse(where, f"{key}.unit is {entry['unit']!r}", f"The unit of {name} is {unit!r}; convert the value to it")
+    if entry["verdict"] not in VERDICTS:
+        _refuse(where, f"{key}.verdict is {entry['verdict']!r}", f"Use one of {', '.join(VERDICTS)}")
+    std = entry.get("std")
+    ci95 = entry.get("ci95")
+    if ci95 is not None and (not isinstance(ci95, list) or len(ci95) != 2):
+        _refuse(where, f"{key}.ci95 is {ci95!r}", "Write [low, high], or null where nobody measured it")
+    return Parameter(
+        value=_number(entry["value"], where, f"{key}.value", lowest, highest),
+        unit=unit,
+        std=None if std is None else _number(std, where, f"{key}.std", 0.0, math.inf),
+        ci95=None if ci95 is None else (_finite(ci95[0], where, f"{key}.ci95"), _finite(ci95[1], where, f"{key}.ci95")),
+        verdict=entry["verdict"],
+        method=str(entry["method"]),
+        equation=str(entry["equation"]),
+    )
+
+
+def _table(data: object, where: str, name: str, keys: tuple[str, ...]) -> dict[str, Any]:
+    if not isinstance(data, dict):
+        _refuse(where, f"{name} is {type(data).__name__}, not an object", "Compare with twin/model/ce152.json")
+    for key in keys:
+        if key not in data:
+            _refuse(where, f"{name} lacks {key!r}", "Add it, or start from a copy of twin/model/ce152.json")
+    return data
+
+
+def _finite(value: object, where: str, key: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        _refuse(where, f"{key} is {value!r}", "Give a finite number")
+    return float(value)
+
+
+def _number(value: object, where: str, key: str, lowest: float, highest: float) -> float:
+    number = _finite(value, where, key)
+    if not lowest <= number <= highest:
+        _refuse(
+            where, f"{key} = {number:g} is outside {lowest:g} .. {highest:g}", "Check the unit and the power of ten"
+        )
+    return number
+
+
+def _refuse(where: str, problem: str, remedy: str) -> NoReturn:
+    raise DataError(f"{where}: {problem}", remedy=remedy)
