@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import cast
 
 import pytest
 from google.protobuf import json_format, message_factory
@@ -25,11 +26,14 @@ ROOT = Path(__file__).parents[2]
 PROTO = "protocol/bus/board51.proto"
 
 
+def fields_of(message: type[Message]) -> list[FieldDescriptor]:
+    return cast("list[FieldDescriptor]", list(message.DESCRIPTOR.fields))
+
+
 def example(message: type[Message]) -> Message:
     """A message with every plain field set, one level deep, to a value that its type can hold."""
     filled = message()
-    fields: list[FieldDescriptor] = list(message.DESCRIPTOR.fields)
-    for number, field in enumerate(fields, start=1):
+    for number, field in enumerate(fields_of(message), start=1):
         if field.type == FieldDescriptor.TYPE_MESSAGE:
             continue
         if field.is_repeated:
@@ -163,7 +167,6 @@ def test_units_end_the_names_of_fields_with_a_dimension(topic: Topic) -> None:
     units = ("_a", "_v", "_m", "_s", "_ms", "_m_s", "_per_s")
     plain = {"gains", "line_load", "nis", "nis_mean", "value", "threshold_on", "threshold_off"}
 
-    fields: list[FieldDescriptor] = list(topic.message.DESCRIPTOR.fields)
-    for field in fields:
+    for field in fields_of(topic.message):
         if field.type == FieldDescriptor.TYPE_DOUBLE:
             assert field.name.endswith(units) or field.name in plain, field.name
