@@ -105,13 +105,16 @@ def reading(x: float, i: float, c: Constants) -> float:
 def pull(y: State, t: float, c: Constants) -> float:
     """Force on the ball without dry friction, N: magnetic (3), weight (4), drag (5), disturbances."""
     field = y.f + c.residual
-    field /= math.sqrt(1.0 + (field * c.inverse_saturation) ** 2)
+    if c.inverse_saturation > 0.0:
+        field /= math.sqrt(1.0 + (field * c.inverse_saturation) ** 2)
     gap = c.gap_bottom - y.x
     magnetic = c.K_c * field * field / (gap * gap)
     if c.exponent != 2.0:
         magnetic *= (c.gap_mid / gap) ** (c.exponent - 2.0)
-    disturbance = c.force + c.shake * math.sin(c.shake_omega * t)
-    return magnetic - c.weight - (c.b + c.drag2 * abs(y.v)) * y.v + disturbance
+    force = magnetic - c.weight - (c.b + c.drag2 * abs(y.v)) * y.v + c.force
+    if c.shake != 0.0:
+        force += c.shake * math.sin(c.shake_omega * t)
+    return force
 
 
 @_compiled
@@ -124,8 +127,10 @@ def _rates(y: State, t: float, u: float, free: bool, direction: float, c: Consta
     if c.inductance_growth != 0.0:
         gap_top = c.gap_bottom - c.travel
         T_A *= 1.0 + c.inductance_growth * (1.0 / gap - 1.0 / c.gap_bottom) / (1.0 / gap_top - 1.0 / c.gap_bottom)
-    emf = c.emf * y.i * y.v * (c.gap_mid / gap) ** 2
-    di = min(max((target - y.i - emf) / T_A, -c.slew), c.slew)
+    drive = target - y.i
+    if c.emf != 0.0:
+        drive -= c.emf * y.i * y.v * (c.gap_mid / gap) ** 2
+    di = min(max(drive / T_A, -c.slew), c.slew)
     if y.i >= c.current_max:
         di = min(di, 0.0)
     df = (y.i - y.f) / c.eddy if c.eddy > 0.0 else di
