@@ -31,7 +31,7 @@ class Effect:
     name: str
     family: str  # amplifier | force | motion | sensing | timing
     parameter: str
-    unit: str
+    unit: str  # empty: a pure number
     low: float  # smallest possible value
     high: float  # largest possible value
     weak: float
@@ -99,7 +99,7 @@ _TABLE = (
             "target current is K_A u + offset, never below 0",
             "target current", "offset of the output stage; an INTECO rig gives 0.043 A at zero input",
             family="amplifier", signed=True),
-    _effect("position-dependent-inductance", "growth", "1", (0.0, 10.0), (0.3, 1.0, 3.0),
+    _effect("position-dependent-inductance", "growth", "", (0.0, 10.0), (0.3, 1.0, 3.0),
             "T_A grows towards the coil by 1/gap: T_A at the bottom stop, T_A (1 + growth) at the top stop",
             "rate of the current", "L = L_0 + 2 K_c/gap goes with eq. (3) by energy; neglected by the paper on purpose",
             family="amplifier"),
@@ -115,7 +115,7 @@ _TABLE = (
             "the coil's plane is this much higher than the rig says",
             "magnetic force", "the measured equilibria need 2.4 mm against eq. (3); this comes on top",
             family="force", signed=True),
-    _effect("force-exponent", "n", "1", (1.0, 4.0), (2.1, 2.4, 3.0),
+    _effect("force-exponent", "n", "", (1.0, 4.0), (2.1, 2.4, 3.0),
             "force falls with gap^n instead of gap^2; unchanged in the middle of the travel",
             "magnetic force", "iron paths of finite size give other powers than 2; assumed size",
             family="force", neutral=2.0),
@@ -146,7 +146,7 @@ _TABLE = (
     _effect("position-sensor-offset", "offset", "m", (-0.002, 0.002), (5e-05, 0.0002, 0.0006),
             "x reads this much too high",
             "position sensor", "assumed size", family="sensing", signed=True),
-    _effect("position-sensor-gain", "gain", "1", (0.5, 1.5), (0.98, 0.94, 0.85),
+    _effect("position-sensor-gain", "gain", "", (0.5, 1.5), (0.98, 0.94, 0.85),
             "x reads gain times itself",
             "position sensor", "published sensor slopes of the CE 152 differ: 800 .. 870 V/m",
             family="sensing", neutral=1.0, signed=True),
@@ -162,14 +162,14 @@ _TABLE = (
     _effect("current-sensor-offset", "offset", "A", (-0.3, 0.3), (0.01, 0.03, 0.08),
             "i_c reads this much too high",
             "current sensor", "assumed size", family="sensing", signed=True),
-    _effect("current-sensor-gain", "gain", "1", (0.5, 1.5), (0.98, 0.94, 0.85),
+    _effect("current-sensor-gain", "gain", "", (0.5, 1.5), (0.98, 0.94, 0.85),
             "i_c reads gain times itself",
             "current sensor", "tolerance of the shunt", family="sensing", neutral=1.0, signed=True),
     # --- timing
     _effect("sampling-delay", "delay", "s", (0.0, MAX_DELAY_S), (0.0004, 0.001, 0.002),
             "both sensors show what was this much earlier",
             "sense()", "sample-and-hold and multiplexing before conversion", family="timing"),
-    _effect("lost-samples", "probability", "1", (0.0, 0.9), (0.005, 0.02, 0.1),
+    _effect("lost-samples", "probability", "", (0.0, 0.9), (0.005, 0.02, 0.1),
             "each state frame is lost with this probability, independently",
             "drop_sample()", "an overrun buffer on the board", family="timing"),
 )
@@ -190,8 +190,8 @@ def check(effects: Mapping[str, float]) -> dict[str, float]:
         effect = _find(name)
         if value != effect.neutral and not effect.low <= value <= effect.high:
             raise UsageError(
-                f"Effect {name}: {effect.parameter} = {value:g} {effect.unit} is out of range",
-                remedy=f"Give {effect.low:g} .. {effect.high:g} {effect.unit}"
+                f"Effect {name}: {effect.parameter} = {_quantity(value, effect)} is out of range",
+                remedy=f"Give {effect.low:g} .. {_quantity(effect.high, effect)}"
                 f" (weak {effect.weak:g}, medium {effect.medium:g}, strong {effect.strong:g})",
             )
         strengths[name] = float(value)
@@ -210,9 +210,10 @@ def parse(assignment: str) -> tuple[str, float]:
     try:
         value = grades[text] if text in grades else float(text)
     except ValueError:
+        number = f"a number in {effect.unit}" if effect.unit else "a number"
         raise UsageError(
             f"Effect {assignment!r}: {'no value' if not (equals and text) else f'{text!r} is not a number'}",
-            remedy=f"Write {name}=weak, medium, strong or a number in {effect.unit}, as in {name}={effect.medium:g}",
+            remedy=f"Write {name}=weak, medium, strong or {number}, as in {name}={effect.medium:g}",
         ) from None
     check({name: value})
     return name, value
@@ -226,9 +227,13 @@ def listing() -> str:
         if effect.family != family:
             family = effect.family
             lines.append(f"{family}:")
-        values = f"{effect.weak:g} | {effect.medium:g} | {effect.strong:g} {effect.unit}"
-        lines.append(f"  {effect.name:<30} {values:<32} {effect.about}")
+        values = f"{effect.parameter} = {effect.weak:g} | {effect.medium:g} | {_quantity(effect.strong, effect)}"
+        lines.append(f"  {effect.name:<30} {values:<34} {effect.about}")
     return "\n".join(lines)
+
+
+def _quantity(value: float, effect: Effect) -> str:
+    return f"{value:g} {effect.unit}".rstrip()
 
 
 def _find(name: str) -> Effect:
