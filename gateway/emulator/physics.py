@@ -12,7 +12,7 @@ Rule 2: a stop is an event.  The step is cut where the ball touches (bisection),
 Rule 3: a ball that is pressed onto a stop, or held by dry friction, is held exactly: x does not move by one bit.
 
 Classical Runge-Kutta of 4th order in between.  At 20 us and T_A = 300 us its error in i_c stays below 1e-7 of a jump,
-far under the noise; an Euler step of that error would have to be a thousand times shorter.
+far under the noise; an Euler step of that error would have to be far below 1 ns.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 REST_SPEED_M_S = 1e-3  # slower rebounds end at rest: their hop, v^2/2g = 0.05 um, is a hundredth of the noise
-_EVENTS_PER_STEP = 20  # rebounds above REST_SPEED last 9 us at least, so 3 is the most that was seen
+_EVENTS_PER_STEP = 20  # a hop above REST_SPEED_M_S lasts 9 us even under the full current, so three fit
 _BISECTIONS = 40  # locates an event to 20 us * 2^-40 = 2e-17 s
 
 
