@@ -1,0 +1,159 @@
+"""End to end: byte written by a board to sample in a subscriber of another process, 1, 8 and 32 boards at 500 Hz.
+
+Four processes on this machine: the load (line/load.py), the gateway as a user starts it (log on), a subscriber, and
+this one.  The baseline, in the same run with the same load and subscriber, is line/bare_loop.py for the gateway.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).parent / "line"
+ROOT = Path(__file__).parents[2]
+WARM_S = 4.0  # start-up, handshake, caches
+WINDOW_S = float(os.environ.get("BOARD51_BENCH_SECONDS", "10"))
+TAIL_S = 1.5
+PERIOD_S = 2e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """What one run showed within the window."""
+
+    median_ms: float
+    p99_ms: float
+    lost: int
+    sent: int
+    cores: float  # CPU seconds per second of the gateway or the bare loop
+    us_per_frame: float
+
+
+def run() -> list[dict[str, Any]]:
+    """Rows for `board51 bench`."""
+    rows: list[dict[str, Any]] = []
+    for boards in (1, 8, 32):
+        ours, bare = measure(boards, bare=False), measure(boards, bare=True)
+        for name, unit in (("median_ms", "ms"), ("p99_ms", "ms"), ("cores", "cores"), ("us_per_frame", "us")):
+            value, baseline = getattr(ours, name), getattr(bare, name)
+            rows.append(
+                {"name": f"{boards} boards: {name}", "value": value, "unit": unit, "baseline": baseline,
+                 "ratio": value / baseline if baseline else None, "note": "baseline: bare loop"}
+            )  # fmt: skip
+        lost = {"name": f"{boards} boards: lost of {ours.sent}", "value": ours.lost, "unit": "samples"}
+        rows.append({**lost, "baseline": bare.lost, "ratio": None, "note": f"{WINDOW_S:.0f} s"})
+    return rows
+
+
+def measure(boards: int, *, bare: bool) -> Result:
+    """One run with the gateway, or with the bare loop."""
+    with tempfile.TemporaryDirectory(prefix="board51-bench-") as name:
+        folder = Path(name)
+        endpoint = f"tcp/127.0.0.1:{_free_port()}"
+        processes: list[subprocess.Popen[str]] = []
+        try:
+            seconds = WARM_S + WINDOW_S + TAIL_S + 30
+            processes.append(_start(HERE / "load.py", folder, boards, seconds))
+            _ready(processes[-1])
+            if bare:
+                middle = _start(HERE / "bare_loop.py", folder, boards, endpoint)
+            else:
+                names = [word for n in range(boards) for word in ("--board", f"b{n}={folder}/tty{n}")]
+                middle = _start(
+                    "-m",
+                    "board51",
+                    "gateway",
+                    "--site",
+                    "bench",
+                    *names,
+                    "--listen",
+                    endpoint,
+                    "--log-dir",
+                    folder / "logs",
+                )
+            processes.append(middle)
+            _listening(endpoint)
+            processes.append(_start(HERE / "subscriber.py", folder, endpoint))
+            _ready(processes[-1])
+            time.sleep(WARM_S)
+            begin, cpu = time.monotonic_ns(), _cpu_s(middle.pid)
+            time.sleep(WINDOW_S)
+            end, cpu = time.monotonic_ns(), _cpu_s(middle.pid) - cpu
+            time.sleep(TAIL_S)  # what was written at the end of the window may arrive
+        finally:
+            for process in reversed(processes):
+                process.terminate()
+            for process in processes:
+                process.wait(timeout=60)
+        return _result(folder, begin, end, cpu)
+
+
+def _result(folder: Path, begin: int, end: int, cpu_s: float) -> Result:
+    written = np.load(folder / "written.npy")
+    arrived = np.load(folder / "arrived.npy")
+    at = np.zeros_like(written)
+    at[arrived[:, 0], arrived[:, 1] % written.shape[1]] = arrived[:, 2]
+    inside = (written >= begin) & (written < end)
+    got = inside & (at > 0)
+    latency_ms = (at[got] - written[got]) * 1e-6
+    sent = int(inside.sum())
+    seconds = (end - begin) * 1e-9
+    return Result(
+        median_ms=float(np.median(latency_ms)) if latency_ms.size else float("nan"),
+        p99_ms=float(np.percentile(latency_ms, 99)) if latency_ms.size else float("nan"),
+        lost=sent - int(got.sum()),
+        sent=sent,
+        cores=cpu_s / seconds,
+        us_per_frame=cpu_s * 1e6 / max(1, sent),
+    )
+
+
+def _start(*words: object) -> subprocess.Popen[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(
+        [sys.executable, *map(str, words)], stdout=subprocess.PIPE, text=True, env=environment, cwd=ROOT
+    )
+
+
+def _ready(process: subprocess.Popen[str]) -> None:
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    if line.strip() != "ready":
+        raise RuntimeError(f"{process.args!r} did not start: {line!r}")
+
+
+def _listening(endpoint: str, limit_s: float = 30.0) -> None:
+    host, port = endpoint.removeprefix("tcp/").rsplit(":", 1)
+    end = time.monotonic() + limit_s
+    while True:
+        with socket.socket() as probe:
+            if probe.connect_ex((host, int(port))) == 0:
+                return
+        if time.monotonic() > end:
+            raise RuntimeError(f"nobody listens on {endpoint}")
+        time.sleep(0.05)
+
+
+def _cpu_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+if __name__ == "__main__":
+    for row in run():
+        print(row)
