@@ -191,3 +191,12 @@ def test_cobs_decoding_accepts_only_what_encoding_makes(encoded: bytes) -> None:
 def test_a_body_that_does_not_fit_is_refused(size: int) -> None:
     with pytest.raises(ValueError, match=f"1 to {MAX_BODY} bytes"):
         encode_frame(bytes(size))
+
+
+def test_of_all_crcs_only_the_right_one_is_accepted() -> None:
+    body = encode_body("STATE", sequence=4660, i_c=1229, x=2048, u_c=1720, x_ref=2049, flags=2)
+    stream = b"".join(cobs_encode(body + crc.to_bytes(2, "big")) + b"\x00" for crc in range(1 << 16))
+
+    accepted = [event for event in StreamDecoder().feed(stream) if not isinstance(event, BadFrame)]
+
+    assert accepted == [State(4660, 1229, 2048, 1720, 2049, 2)]
