@@ -1,0 +1,87 @@
+"""Log the bus to MCAP without a gateway, until SIGTERM or Ctrl-C: `<site>/**`, all boards, all logged topics.
+
+The raw bytes of the UART do not travel on the bus: only the gateway's own log has them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+import threading
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+from gateway.client import add_bus_arguments, open_bus
+from gateway.record.recorder import Recorder
+from protocol.bus import topics
+from protocol.bus.encoding import parse
+from protocol.errors import UsageError
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    add_bus_arguments(parser)
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="DIR", help="directory for the parts; it exists"
+    )
+    parser.add_argument("--prefix", default="bus", help="first part of the file names (default bus)")
+    parser.add_argument("--board", default="*", help="only this board")
+    parser.add_argument("--rotate-mb", type=float, default=500.0, help="a larger part is closed (default 500)")
+    parser.add_argument("--rotate-s", type=float, default=3600.0, help="an older part is closed (default 3600)")
+    parser.add_argument("--seconds", type=float, help="stop after so long")
+    parser.add_argument("--json", action="store_true", help="print the account as JSON")
+    parser.epilog = "example:\n  board51 record -o logs --connect tcp/127.0.0.1:7447"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Record until told to stop; 1 where nothing came or something was lost."""
+    import zenoh
+
+    if args.rotate_mb <= 0 or args.rotate_s <= 0 or (args.seconds is not None and args.seconds <= 0):
+        raise UsageError("--rotate-mb, --rotate-s and --seconds are positive", remedy="Correct them")
+    topics.check_name(args.prefix, what="--prefix")
+    topics.check_name(args.site, what="--site")
+    if args.board != "*":
+        topics.check_name(args.board, what="--board")
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    recorder = Recorder(
+        args.out, prefix=args.prefix, rotate_bytes=round(args.rotate_mb * 1e6), rotate_s=args.rotate_s,
+        metadata={"record": {"connect": args.connect, "keys": f"{args.site}/{args.board}/**"}},
+        on_event=lambda name, severity, text: print(f"{severity}: {name}: {text}", file=sys.stderr, flush=True),
+    )  # fmt: skip
+
+    newest_ns: dict[str, int] = {}
+
+    def arrived(sample: zenoh.Sample) -> None:
+        key, data = str(sample.key_expr), sample.payload.to_bytes()
+        place = topics.split(key)
+        if place is None or not topics.BY_NAME[place[2]].logged:
+            return
+        _, board, topic = place
+        message = parse(topics.BY_NAME[topic].message, data)
+        # Log time is the gateway's, as in its own log.  What bears no time (twin/*) gets that of the board's newest
+        # message: the clock of this host may be another one.
+        own_ns = getattr(message, "host_time_ns", 0) or getattr(message, "received_ns", 0)
+        if own_ns:
+            newest_ns[board] = max(own_ns, newest_ns.get(board, 0))
+        recorder.put(key, data, own_ns or newest_ns.get(board) or time.time_ns())
+
+    with open_bus(args.connect) as session:
+        recorder.start()
+        try:
+            session.declare_subscriber(f"{args.site}/{args.board}/**", arrived)
+            print(f"recording {args.site}/{args.board}/** into {recorder.stats().file}", file=sys.stderr, flush=True)
+            stop.wait(args.seconds)
+        finally:
+            recorder.close()
+    stats = recorder.stats()
+    if args.json:
+        print(json.dumps(asdict(stats)))
+    else:
+        print(f"{stats.written} messages in {stats.parts} part(s), {stats.dropped} dropped")
+    return 0 if stats.written and not stats.dropped else 1

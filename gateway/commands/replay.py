@@ -1,0 +1,196 @@
+"""A log back onto the bus at any speed, or its raw bytes into a pty or TCP port for a gateway to read.
+
+On the bus everything the gateway had published goes out under its old keys (--as renames the board); twin/* only where
+--topic asks for it, because a live twin recomputes it.  With --bytes the gateway itself is run again: it gets the
+board's bytes as they were, noise included.  HELLO, GET_PARAMETERS and PING are answered from the log, every other
+command is refused with NOT_AVAILABLE: a recording cannot be influenced.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from gateway.record.reader import LogReader, RawRecord
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.bus.encoding import parse
+from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint, zenoh_config
+from protocol.errors import DataError, ServiceError, UsageError
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    names = [topic.name for topic in topics.TOPICS if topic.bus and topic.logged]
+    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="an MCAP file, or the parts of one log")
+    parser.add_argument("--speed", type=float, default=1.0, metavar="N", help="times real time; 0: as fast as possible")
+    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="from the first message of the log")
+    parser.add_argument("--end", type=float, metavar="S", help="the same")
+    parser.add_argument("--board", action="append", help="only this board; repeatable")
+    bus = parser.add_argument_group("onto the bus")
+    bus.add_argument("--connect", action="append", metavar="ENDPOINT", help=f"router (default {DEFAULT_ENDPOINT})")
+    bus.add_argument("--listen", action="append", metavar="ENDPOINT", help="be the router for others instead")
+    bus.add_argument("--topic", action="append", choices=names, metavar="TOPIC", help=f"of: {', '.join(names)}")
+    bus.add_argument("--as", dest="rename", metavar="NAME", help="publish the board under this name")
+    bus.add_argument("--loop", action="store_true", help="again and again; each pass has its own session numbers")
+    bus.add_argument("--wait", type=float, default=2.0, metavar="S", help="for a subscriber, then begin (default 2)")
+    raw = parser.add_argument_group("as a board")
+    raw.add_argument("--bytes", action="store_true", help="the raw bytes of the UART")
+    raw.add_argument("--pty", type=Path, metavar="PATH", help="link to make to a new pty")
+    raw.add_argument("--tcp", metavar="HOST:PORT", help="port to open; the gateway's URL is socket://HOST:PORT")
+    parser.add_argument("--json", action="store_true", help="print the account as JSON")
+    parser.epilog = (
+        "examples:\n"
+        "  board51 replay run.mcap --speed 10\n"
+        "  board51 replay run.mcap --speed 0 --start 5 --end 20 --as ghost\n"
+        "  board51 replay run.mcap --bytes --pty /tmp/board   then   board51 gateway --board rig=/tmp/board"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay until the end, SIGTERM or SIGINT."""
+    if args.speed < 0.0 or not args.speed < float("inf"):
+        raise UsageError(f"--speed {args.speed} is not a speed", remedy="Give 0 or a positive number")
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    if args.bytes:
+        return _bytes(args, stop)
+    if args.pty or args.tcp:
+        raise UsageError("--pty and --tcp take bytes", remedy="Add --bytes")
+    return _bus(args, stop)
+
+
+def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
+    import zenoh
+
+    from gateway.record.replay import DEFAULT_TOPICS, SESSIONS_PER_PASS, BusReplay, ReplayReport, contents, pace
+
+    if args.connect and args.listen:
+        raise UsageError("--connect and --listen exclude each other", remedy="Give one of the two")
+    if args.rename:
+        topics.check_name(args.rename, what="--as")
+    for endpoint in (args.connect or []) + (args.listen or []):
+        check_endpoint(endpoint, where="--connect or --listen")
+    reader = LogReader(args.logs)
+    wanted = tuple(args.topic or DEFAULT_TOPICS)
+    found = contents(reader, wanted=wanted, boards=args.board)
+    if not found:
+        _nothing(reader, args)
+    connect = [] if args.listen else args.connect or [DEFAULT_ENDPOINT]
+    config = zenoh_config("router" if args.listen else "client", listen=args.listen or [], connect=connect)
+    try:
+        session = zenoh.open(zenoh.Config.from_json5(config))
+    except zenoh.ZError:
+        where = f"Cannot listen on {args.listen[0]}" if args.listen else f"No router answers at {connect[0]}"
+        raise ServiceError(where, remedy="Start board51 gateway or router, or replay with --listen") from None
+    boards = list(dict.fromkeys((site, board) for site, board, _ in found))
+    begin_s = time.monotonic()
+    sent, passes, log_s = 0, 0, 0.0
+    with session, BusReplay(session, boards, rename=args.rename) as replay:
+        replay.declare(found)
+        deadline_s = time.monotonic() + args.wait
+        while not replay.matched() and time.monotonic() < deadline_s and not stop.is_set():
+            stop.wait(0.02)
+        if not replay.matched() and not args.json:
+            print("nobody subscribes yet", file=sys.stderr)
+        progress = _Progress(quiet=args.json)
+
+        def send(record: RawRecord) -> None:
+            replay.send(record)
+            progress.at(record.time_ns, reader.start_ns)
+
+        while not stop.is_set():
+            records = reader.raw(topics_=wanted, boards=args.board, start_s=args.start, end_s=args.end)
+            count, span_s = pace(records, speed=args.speed, stop=stop, send=send)
+            sent, passes, log_s = sent + count, passes + 1, log_s + span_s
+            replay.session_offset += SESSIONS_PER_PASS
+            if not args.loop or not count:
+                break
+    report = ReplayReport(messages=sent, passes=passes, seconds=time.monotonic() - begin_s, log_seconds=log_s)
+    progress.end()
+    if args.json:
+        print(json.dumps(dataclasses.asdict(report)))
+    else:
+        print(f"{sent} messages, {log_s:.3f} s of the log, in {report.seconds:.3f} s")
+    reader.check(last_ns=None)
+    return 0 if sent else 1
+
+
+def _nothing(reader: LogReader, args: argparse.Namespace) -> None:
+    reader.check(last_ns=None)
+    there = sorted({channel.topic for scan in reader.scans for channel in scan.channels.values()})
+    asked = " ".join([*(args.topic or ()), *(args.board or ())]) or "what goes onto the bus"
+    raise DataError(f"Log {reader.name} has nothing of {asked}", remedy=f"It has: {', '.join(there)}")
+
+
+def _bytes(args: argparse.Namespace, stop: threading.Event) -> int:
+    from gateway.record.byte_port import open_pty, open_tcp, serve
+    from gateway.record.byte_replay import RecordedBoard
+
+    if (args.pty is None) == (args.tcp is None):
+        raise UsageError("--bytes needs a place to go", remedy="Give --pty PATH or --tcp HOST:PORT")
+    if args.loop or args.rename or args.topic or args.connect or args.listen:
+        raise UsageError("--bytes does not go with the options of the bus", remedy="Leave those out")
+    reader = LogReader(args.logs)
+    found = contents_raw(reader, args.board)
+    if len(found) > 1:
+        raise UsageError(f"The log has bytes of several boards: {', '.join(found)}", remedy="Choose one with --board")
+    board = RecordedBoard(_raw(reader, args))
+    if args.pty is not None:
+        with open_pty(args.pty) as port:
+            print(f"board on {args.pty}", flush=True)
+            sent = serve(board, port, speed=args.speed, stop=stop)
+    else:
+        host, port_number = _address(args.tcp)
+        print(f"board on socket://{host}:{port_number}", flush=True)
+        with open_tcp(host, port_number, stop=stop) as connection:
+            sent = serve(board, connection, speed=args.speed, stop=stop) if connection is not None else 0
+    account = {"pieces": sent, "of": len(board.pieces), "answers_removed": board.removed, "refused": board.refused}
+    print(json.dumps(account) if args.json else ", ".join(f"{name} {value}" for name, value in account.items()))
+    return 0 if sent == len(board.pieces) else 1
+
+
+def contents_raw(reader: LogReader, boards: list[str] | None) -> list[str]:
+    """Names of the boards whose bytes are in the log."""
+    from gateway.record.replay import contents
+
+    return list(dict.fromkeys(board for _, board, _ in contents(reader, wanted=("raw",), boards=boards)))
+
+
+def _raw(reader: LogReader, args: argparse.Namespace) -> Iterator[pb.RawBytes]:
+    for record in reader.raw(topics_=("raw",), boards=args.board, start_s=args.start, end_s=args.end):
+        message = parse(pb.RawBytes, record.data)
+        if message is not None:
+            yield message
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.removeprefix("socket://").rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise UsageError(f"--tcp {text} is not an address", remedy="Write HOST:PORT, e.g. 127.0.0.1:5100")
+    return host, int(port)
+
+
+class _Progress:
+    """One line on a terminal, once a second."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self._shown = not quiet and sys.stderr.isatty()
+        self._next_s = 0.0
+
+    def at(self, time_ns: int, start_ns: int) -> None:
+        if self._shown and time.monotonic() >= self._next_s:
+            self._next_s = time.monotonic() + 1.0
+            print(f"\r{(time_ns - start_ns) / 1e9:10.1f} s", end="", file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        if self._shown:
+            print(file=sys.stderr)

@@ -1,0 +1,127 @@
+"""A recorded board on a pty or a TCP port: the I/O around `byte_replay`.
+
+It waits for the first HELLO, then sends what the board sent, in the rhythm of the log.  A reader that is slow, or gone,
+makes it wait: a recording has time.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from gateway.record.byte_replay import RecordedBoard
+from protocol.errors import ServiceError
+
+POLL_S = 0.1  # how soon a request to stop is noticed
+DRAIN_S = 0.5  # at the end: time to answer what the host still asks
+
+
+@contextmanager
+def open_pty(link: Path) -> Iterator[int]:
+    """The board's end of a new pty, whose other end is `link`.
+
+    Raises:
+        ServiceError: the link exists or cannot be made.
+    """
+    board, host = os.openpty()
+    try:
+        tty.setraw(host)
+        try:
+            link.symlink_to(os.ttyname(host))
+        except OSError as error:
+            raise ServiceError(
+                f"Pty {link} cannot be made: {(error.strerror or 'unknown').lower()}", remedy="Choose another path"
+            ) from None
+        try:
+            yield board
+        finally:
+            link.unlink(missing_ok=True)
+    finally:
+        os.close(board)
+        os.close(host)  # open until now: without it the board's end reports an error whenever nobody listens
+
+
+@contextmanager
+def open_tcp(host: str, port: int, *, stop: threading.Event) -> Iterator[int | None]:
+    """The first connection to host:port; None where `stop` came first.
+
+    Raises:
+        ServiceError: the port cannot be opened.
+    """
+    try:
+        server = socket.create_server((host, port))
+    except OSError as error:
+        raise ServiceError(
+            f"Port {host}:{port} cannot be opened: {(error.strerror or str(error)).lower()}",
+            remedy="Free it or choose another",
+        ) from None
+    with server:
+        server.settimeout(POLL_S)
+        while not stop.is_set():
+            try:
+                connection, _ = server.accept()
+            except TimeoutError:
+                continue
+            with connection:
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                yield connection.fileno()
+            return
+        yield None
+
+
+def serve(board: RecordedBoard, port: int, *, speed: float, stop: threading.Event) -> int:
+    """Play the board on an open file descriptor until its last byte, `stop`, or the host hangs up.
+
+    Args:
+        board: What to play.
+        port: Of a pty or a socket.
+        speed: Log seconds per second; 0 is as fast as the host reads.
+        stop: Ends it.
+
+    Returns:
+        Pieces sent.
+    """
+    os.set_blocking(port, False)
+    out = b""
+    position = 0
+    begin_s: float | None = None
+    end_s: float | None = None
+    while not stop.is_set():
+        now_s = time.monotonic()
+        wait_s = POLL_S
+        if begin_s is not None and not out and position < len(board.pieces):
+            piece = board.pieces[position]
+            due_s = (piece.time_ns - board.pieces[0].time_ns) / 1e9 / speed if speed > 0 else 0.0
+            wait_s = min(wait_s, begin_s + due_s - now_s)
+            if wait_s <= 0.0:
+                out += piece.data
+                position += 1
+                wait_s = 0.0
+        elif position >= len(board.pieces) and not out:
+            end_s = end_s or now_s + DRAIN_S
+            if now_s >= end_s:
+                break
+        readable, writable, _ = select.select([port], [port] if out else [], [], max(0.0, wait_s))
+        try:
+            if readable:
+                data = os.read(port, 4096)
+                if not data:
+                    break
+                answer = board.answer(data, position=position)
+                out += answer
+                if answer and begin_s is None:
+                    begin_s = time.monotonic()
+            if writable or out:
+                out = out[os.write(port, out) :] if out else out
+        except BlockingIOError:
+            select.select([], [port], [], POLL_S)
+        except OSError:  # the host hung up
+            break
+    return position

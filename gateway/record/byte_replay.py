@@ -1,0 +1,207 @@
+"""The logged bytes of a UART as the board sent them, so that the gateway itself can be run again.  No I/O, no clock.
+
+What cannot be replayed as it is, and what is done instead:
+
+- Answers carry the ids of the commands of that day.  They are taken out of the stream: a logged ACK could be mistaken
+  for the answer to a command of today.  Everything else goes out byte for byte, damaged frames and noise included.
+- HELLO, GET_PARAMETERS and PING are answered with what the board answered in the log (the newest at that place, or the
+  one after a reset), under the new id, with the tick that the stream has reached.
+- Every other command is refused with NACK NOT_AVAILABLE: a recording cannot be influenced.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from protocol.bus import board51_pb2 as pb
+from protocol.errors import DataError
+from protocol.wire.decoder import State, StreamDecoder
+from protocol.wire.framing import encode_frame
+from protocol.wire.messages import BY_NAME, EventCode, Message, Reason, Value, encode_body
+
+_ANSWERS = frozenset({"IDENTITY", "PONG", "ACK", "NACK", "PARAMETERS", "CAPTURE_BLOCK"})
+_RESETS = frozenset({EventCode.RESET_POWER_ON, EventCode.RESET_WATCHDOG, EventCode.RESET_COMMANDED})
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Bytes to send together, and the tick of the last state in them (None: there is none)."""
+
+    time_ns: int
+    data: bytes
+    tick: int | None
+
+
+@dataclass(slots=True)
+class _Known:
+    """What the board said of itself, and from which piece on."""
+
+    at: list[int] = field(default_factory=list)
+    messages: list[Message] = field(default_factory=list)
+
+    def add(self, at: int, message: Message) -> None:
+        self.at.append(at)
+        self.messages.append(message)
+
+    def at_place(self, at: int, since: int) -> Message | None:
+        """The newest up to piece `at`; where that is older than the reset at `since`, the first after it."""
+        newest = bisect_right(self.at, at) - 1
+        if newest >= 0 and self.at[newest] >= since:
+            return self.messages[newest]
+        after = bisect_left(self.at, since)
+        if after < len(self.at):
+            return self.messages[after]
+        return self.messages[newest] if self.messages else None
+
+
+class RecordedBoard:
+    """A board that repeats what it said.
+
+    `pieces` are to be sent in order; `answer` takes what the host sent and gives the bytes to send back.
+
+    Args:
+        raw: RawBytes of one board in the order of the log; what went to the board is skipped.
+
+    Raises:
+        DataError: there are no bytes of the board, or it never said who it is.
+    """
+
+    def __init__(self, raw: Iterable[pb.RawBytes]) -> None:
+        self.pieces: list[Piece] = []
+        self.removed = 0  # answers taken out of the stream
+        self.refused = 0
+        self._identities, self._parameters, self._pongs = _Known(), _Known(), _Known()
+        self._resets: list[int] = []
+        self._host = StreamDecoder()
+        self._board = StreamDecoder()
+        rest = b""
+        for chunk in raw:
+            if not chunk.to_board:
+                rest = self._take(chunk.host_time_ns, rest + chunk.data)
+        if not self.pieces:
+            raise DataError("The log holds no bytes of the board", remedy="Replay it without --bytes")
+        if not self._identities.messages:
+            raise DataError(
+                "The log holds no IDENTITY: the board's scalings are unknown",
+                remedy="Include the part of the log in which the board was connected, or replay without --bytes",
+            )
+        self._count_ticks()
+
+    def _take(self, time_ns: int, data: bytes) -> bytes:
+        """Add a piece of whole frames; returns the unfinished one."""
+        end = data.rfind(b"\x00") + 1
+        kept = bytearray()
+        sequence: int | None = None
+        for frame in data[:end].split(b"\x00")[:-1]:
+            if not frame:
+                continue
+            event = self._board.feed(frame + b"\x00")[0]
+            if isinstance(event, State):
+                sequence = event.sequence
+            elif isinstance(event, Message):
+                if event.name in _ANSWERS:
+                    self.removed += 1
+                    self._remember(event)
+                    continue
+                if event.name == "EVENT" and event.int("code") in _RESETS:
+                    self._resets.append(len(self.pieces))
+            kept += b"\x00" + frame + b"\x00"
+        if kept:
+            self.pieces.append(Piece(time_ns, bytes(kept), sequence))
+        return data[end:]
+
+    def _remember(self, message: Message) -> None:
+        known = {"IDENTITY": self._identities, "PARAMETERS": self._parameters, "PONG": self._pongs}.get(message.name)
+        if known is not None:
+            known.add(len(self.pieces), message)
+
+    def _count_ticks(self) -> None:
+        """Unwrap the sequences; every IDENTITY says anew where the count stands."""
+        anchors = {*self._resets, *self._identities.at}
+        tick: int | None = None
+        for index, piece in enumerate(self.pieces):
+            if index in anchors:
+                tick = None
+            if piece.tick is None:
+                continue
+            if tick is None:
+                tick = _near(self._identity(index).int("tick"), piece.tick)
+            else:
+                tick += (piece.tick - tick) & 0xFFFF
+            self.pieces[index] = Piece(piece.time_ns, piece.data, tick)
+
+    def _since(self, at: int) -> int:
+        """Where the newest reset up to piece `at` was."""
+        newest = bisect_right(self._resets, at) - 1
+        return self._resets[newest] if newest >= 0 else 0
+
+    def _identity(self, at: int) -> Message:
+        identity = self._identities.at_place(at, self._since(at))
+        assert identity is not None  # checked at the start
+        return identity
+
+    def answer(self, data: bytes, *, position: int) -> bytes:
+        """What the board answers to bytes from the host.
+
+        Args:
+            data: As received.
+            position: Index of the next piece to be sent.
+
+        Returns:
+            Frames to send now; empty where nothing is complete yet.
+        """
+        frames = []
+        # A damaged command is not answered, as the board does not: the host repeats it.
+        for event in self._host.feed(data):
+            if isinstance(event, Message) and BY_NAME[event.name].to_board:
+                frames.append(encode_frame(self._answer(event, position)))
+        return b"".join(frames)
+
+    def _answer(self, command: Message, position: int) -> bytes:
+        at = min(position, len(self.pieces) - 1)
+        identity = self._identity(at)
+        tick = self._tick(at, identity)
+        number = command.int("id")
+        if command.name == "HELLO":
+            low, high = command.int("version_min"), command.int("version_max")
+            if low <= identity.int("version") <= high:
+                return _again(identity, id=number, tick=tick)
+            return self._refuse(command, Reason.VERSION, identity.int("version"))
+        if command.name == "PING":
+            pong = self._pongs.at_place(at, self._since(at)) or Message("PONG", {"bad_frames": 0, "overruns": 0})
+            return _again(pong, id=number, tick=tick)
+        parameters = self._parameters.at_place(at, self._since(at))
+        if command.name == "GET_PARAMETERS" and parameters is not None:
+            return _again(parameters, id=number)
+        return self._refuse(command, Reason.NOT_AVAILABLE, 0)
+
+    def _tick(self, at: int, identity: Message) -> int:
+        """The tick of the next state to come, or what IDENTITY said where no state tells."""
+        for piece in self.pieces[at:]:
+            if piece.tick is not None:
+                return piece.tick
+        last = self.pieces[-1].tick
+        return identity.int("tick") if last is None else last
+
+    def _refuse(self, command: Message, reason: Reason, detail: int) -> bytes:
+        self.refused += 1
+        return encode_body(
+            "NACK",
+            id=command.int("id"),
+            command=BY_NAME[command.name].type,
+            reason=int(reason),
+            detail=detail,
+        )
+
+
+def _near(tick: int, sequence: int) -> int:
+    """The tick nearest to `tick` whose low 16 bits are `sequence`."""
+    step = (sequence - tick) & 0xFFFF
+    near = tick + (step if step < 0x8000 else step - 0x10000)
+    return near if near >= 0 else sequence
+
+
+def _again(message: Message, **changed: Value) -> bytes:
+    return encode_body(message.name, **{**message.values, **changed})

@@ -1,0 +1,157 @@
+"""A log back onto the bus, under the keys it was recorded from, at any speed.
+
+Rule 1: payloads travel byte for byte: a twin fed from a replay computes what it computed live.
+Rule 2: order is that of the log; pace is the log time over the speed; speed 0 waits for nobody but the bus itself.
+Rule 3: twin/* stays in the log unless asked for: a live twin recomputes it, and two writers under one key lie.
+Rule 4: a board that is alive on the bus is not overwritten.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import zenoh
+from google.protobuf.message import Message
+
+from gateway.record.reader import LogReader, RawRecord
+from protocol.bus import encoding, topics
+from protocol.errors import ServiceError, UsageError
+
+SESSIONS_PER_PASS = 100_000  # --loop: nothing is continuous across the seam, so each pass has its own sessions
+DEFAULT_TOPICS = tuple(topic.name for topic in topics.TOPICS if topic.bus and topic.logged and topic.by == "gateway")
+BUS_TOPICS = tuple(topic.name for topic in topics.TOPICS if topic.bus and topic.logged)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayReport:
+    """What was sent."""
+
+    messages: int
+    passes: int
+    seconds: float  # it took
+    log_seconds: float  # it stands for
+
+
+def pace(
+    records: Iterable[RawRecord], *, speed: float, stop: threading.Event, send: Callable[[RawRecord], None]
+) -> tuple[int, float]:
+    """Send each record when its time has come.
+
+    Args:
+        records: In the order to send.
+        speed: Log seconds per second; 0 sends at once.
+        stop: Set it to end early.
+        send: Called for each record.
+
+    Returns:
+        Records sent, and the log time they span in seconds.
+    """
+    begin_s = time.monotonic()
+    first_ns: int | None = None
+    newest_ns = 0
+    count = 0
+    for record in records:
+        if first_ns is None:
+            first_ns = newest_ns = record.time_ns
+        newest_ns = max(newest_ns, record.time_ns)
+        if speed > 0:
+            wait_s = begin_s + (newest_ns - first_ns) / 1e9 / speed - time.monotonic()
+            if wait_s > 0:
+                stop.wait(wait_s)
+        if stop.is_set():
+            break
+        send(record)
+        count += 1
+    return count, (newest_ns - first_ns) / 1e9 if first_ns is not None else 0.0
+
+
+class BusReplay:
+    """Publishes records on a zenoh session.  Use it as a context; the board counts as alive inside.
+
+    Args:
+        session: An open session.
+        boards: (site, board) pairs that will be published.
+        rename: Publish the only board under this name instead.
+    """
+
+    def __init__(self, session: zenoh.Session, boards: Sequence[tuple[str, str]], *, rename: str | None = None) -> None:
+        if rename is not None and len(boards) > 1:
+            names = ", ".join(board for _, board in boards)
+            raise UsageError(f"--as {rename}: the log has several boards: {names}", remedy="Choose one with --board")
+        self._session = session
+        self._rename = rename
+        self._boards = boards
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._declared = ExitStack()
+        self.session_offset = 0
+
+    def __enter__(self) -> BusReplay:
+        for site, board in self._boards:
+            alive = topics.key(site, self._rename or board, topics.ALIVE)
+            for reply in self._session.liveliness().get(alive, timeout=1.0):
+                if reply.ok is not None:
+                    raise ServiceError(
+                        f"Board {alive.removesuffix('/alive')} is alive on this bus",
+                        remedy="Replay under another name (--as NAME), or stop its gateway",
+                    )
+            self._declared.enter_context(self._session.liveliness().declare_token(alive))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._declared.close()
+
+    def declare(self, keys: Iterable[tuple[str, str, str]]) -> None:
+        """Announce (site, board, topic) ahead of the first message, so that subscribers are matched by then."""
+        for site, board, topic in keys:
+            self._publisher(site, board, topic)
+
+    def matched(self) -> bool:
+        """Somebody subscribes to something that was announced."""
+        return any(publisher.matching_status for publisher in self._publishers.values())
+
+    def send(self, record: RawRecord) -> None:
+        """Publish one record."""
+        data = record.data
+        if self.session_offset:
+            data = _with_session(record.topic, data, self.session_offset)
+        self._publisher(record.site, record.board, record.topic).put(data)
+
+    def _publisher(self, site: str, board: str, topic: str) -> zenoh.Publisher:
+        key = topics.key(site, self._rename or board, topic)
+        publisher = self._publishers.get(key)
+        if publisher is None:
+            publisher = self._declared.enter_context(
+                self._session.declare_publisher(
+                    key,
+                    encoding=encoding.zenoh_encoding(topics.BY_NAME[topic].message),
+                    # Nothing here is live: a slow subscriber may hold the replay up, and gets every message.
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                )
+            )
+            self._publishers[key] = publisher
+        return publisher
+
+
+def contents(reader: LogReader, *, wanted: Sequence[str], boards: Sequence[str] | None) -> list[tuple[str, str, str]]:
+    """(site, board, topic) of what a replay would send, in the order of appearance."""
+    found: dict[tuple[str, str, str], None] = {}
+    if all(scan.indexed for scan in reader.scans):
+        keys = [channel.topic for scan in reader.scans for channel in scan.channels.values()]
+        places = [place for place in map(topics.split, keys) if place is not None]
+        found = dict.fromkeys(p for p in places if p[2] in wanted and (boards is None or p[1] in boards))
+    else:
+        for record in reader.raw(topics_=wanted, boards=boards):
+            found.setdefault((record.site, record.board, record.topic))
+    return list(found)
+
+
+def _with_session(topic: str, data: bytes, offset: int) -> bytes:
+    message: Message | None = encoding.parse(topics.BY_NAME[topic].message, data)
+    if message is None or "session" not in message.DESCRIPTOR.fields_by_name:
+        return data
+    message.session += offset  # type: ignore[attr-defined]  # checked the line above
+    return message.SerializeToString()
