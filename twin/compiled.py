@@ -2,16 +2,19 @@
 
 Rule 1: a kernel is readable scalar Python that gives the same numbers uncompiled (NUMBA_DISABLE_JIT=1 does that too:
         tests/twin/test_simulate.py uses it as the oracle of the compiled code).
-Rule 2: never `fastmath`.  A replayed log must give the bits of the live run.
+Rule 2: a kernel called once per sample takes its constants as a plain `Packed` tuple and names them inside: numba
+        reads a NamedTuple field by field through its names, 1.2 us a call, a plain tuple in 0.2 us.
+Rule 3: never `fastmath`.  A replayed log must give the bits of the live run.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeAlias, TypeVar, cast
 
 P = ParamSpec("P")
 R = TypeVar("R")
+Packed: TypeAlias = tuple[Any, ...]  # tuple(of a NamedTuple of numbers)
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:

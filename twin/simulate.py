@@ -23,9 +23,8 @@ class PlantNumbers(NamedTuple):
     """The model as the kernels take it, for one T_s; made by `plant_numbers`."""
 
     K_A: float  # A/V
-    K_c: float  # N m^2 / A^2
-    b: float  # N s/m
-    mass_kg: float
+    k: float  # K_c / m, m^3/(A s)^2
+    d: float  # b / m, 1/s
     gravity_m_s2: float
     x_max_m: float
     travel_m: float
@@ -48,9 +47,8 @@ def plant_numbers(model: Model, sample_time_s: float, *, substeps: int | None = 
         substeps = min(max(SUBSTEPS_MIN, math.ceil(2.0 * sample_time_s / model.T_A)), SUBSTEPS_MAX)
     return PlantNumbers(
         K_A=model.K_A,
-        K_c=model.K_c,
-        b=model.b,
-        mass_kg=model.plant.mass_kg,
+        k=model.K_c / model.plant.mass_kg,
+        d=model.b / model.plant.mass_kg,
         gravity_m_s2=model.plant.gravity_m_s2,
         x_max_m=model.plant.x_max_m,
         travel_m=model.plant.travel_m,
@@ -65,7 +63,7 @@ def plant_numbers(model: Model, sample_time_s: float, *, substeps: int | None = 
 def acceleration(p: PlantNumbers, i: float, x: float, v: float) -> float:
     """Acceleration of (6), m/s^2, free of the stops."""
     gap = max(p.x_max_m - x, p.gap_min_m)
-    return (p.K_c * i * i / (gap * gap) - p.b * v) / p.mass_kg - p.gravity_m_s2
+    return p.k * i * i / (gap * gap) - p.d * v - p.gravity_m_s2
 
 
 @kernel

@@ -9,6 +9,7 @@ Rule 3: a figure that does not exist is NaN, never 0.
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,18 +20,21 @@ from twin.mirror.alarms import WindowAlarm
 from twin.mirror.expected import Expectation
 from twin.mirror.regime import Regime
 
+Triple: TypeAlias = tuple[float, float, float]  # of x, i_c, u_c in m, A, V
+Figures: TypeAlias = tuple[float, float, float, float, bool]  # error, normalised, rolling RMSE, fit %, window full
+
 
 @kernel
-def push(ring: NDArray[np.float64], sums: NDArray[np.float64], count: int, a: float, b: float, c: float) -> None:
-    """Put the row (a, b, c) into slot count % n of `ring`, shape (n, 3); keep `sums`, shape (3,), over the window."""
+def push(ring: NDArray[np.float64], sums: NDArray[np.float64], count: int, square: float, y: float) -> None:
+    """Put (square, y, y^2) into slot count % n of `ring`, shape (n, 3), keeping its column `sums`, shape (3,)."""
     n = ring.shape[0]
     slot = count % n
     if count >= n:
         for column in range(3):
             sums[column] -= ring[slot, column]
-    ring[slot, 0] = a
-    ring[slot, 1] = b
-    ring[slot, 2] = c
+    ring[slot, 0] = square
+    ring[slot, 1] = y
+    ring[slot, 2] = y * y
     for column in range(3):
         sums[column] += ring[slot, column]
     if slot == n - 1:
@@ -41,44 +45,111 @@ def push(ring: NDArray[np.float64], sums: NDArray[np.float64], count: int, a: fl
             sums[column] = total
 
 
-class Window:
-    """The last `length` samples of one signal."""
+@kernel
+def push_and_mean(ring: NDArray[np.float64], sums: NDArray[np.float64], count: int, square: float) -> float:
+    """`push` of a square alone; returns its mean over the window."""
+    push(ring, sums, count, square, 0.0)
+    mean: float = max(sums[0], 0.0) / min(count + 1, ring.shape[0])
+    return mean
+
+
+@kernel
+def figures(
+    ring: NDArray[np.float64],
+    sums: NDArray[np.float64],
+    origin: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    signal: int,
+    measured: float,
+    twin: float,
+    std: float,
+    in_step: bool,
+) -> Figures:
+    """Take one sample of one signal, if in step, and return its figures; NaN restarts the signal's window.
+
+    ring, shape (3, n, 3); sums, shape (3, 3); origin and counts, shape (3,): of the signal's first sample in the
+    window (squares of values near 0 keep their digits) and of the samples taken.
+    """
+    n = ring.shape[1]
+    error = measured - twin
+    if not math.isfinite(error):
+        counts[signal] = 0
+        sums[signal] = 0.0
+    elif in_step:
+        if counts[signal] == 0:
+            origin[signal] = measured
+        push(ring[signal], sums[signal], counts[signal], error * error, measured - origin[signal])
+        counts[signal] += 1
+    held = min(counts[signal], n)
+    full = counts[signal] >= n
+    rmse = math.nan
+    fit = math.nan
+    if held > 0:
+        mean_square = max(sums[signal, 0], 0.0) / held
+        rmse = math.sqrt(mean_square)
+        mean = sums[signal, 1] / held
+        variance = sums[signal, 2] / held - mean * mean
+        if full and variance > 0.0:
+            fit = 100.0 * (1.0 - math.sqrt(mean_square / variance))
+    return error, error / std, rmse, fit, full
+
+
+@kernel
+def all_figures(
+    ring: NDArray[np.float64],
+    sums: NDArray[np.float64],
+    origin: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    measured: Triple,
+    twin: Triple,
+    std: Triple,
+    in_step: bool,
+) -> tuple[Figures, Figures, Figures]:
+    """`figures` of x, i_c and u_c."""
+    return (
+        figures(ring, sums, origin, counts, 0, measured[0], twin[0], std[0], in_step),
+        figures(ring, sums, origin, counts, 1, measured[1], twin[1], std[1], in_step),
+        figures(ring, sums, origin, counts, 2, measured[2], twin[2], std[2], in_step),
+    )
+
+
+class SignalWindows:
+    """The last `length` samples in step of x, i_c and u_c."""
 
     def __init__(self, length: int) -> None:
-        self._length = length
-        self._ring = np.zeros((length, 3))
-        self._sums = np.zeros(3)
-        self._count = 0
-        self._origin = 0.0
+        self._ring = np.zeros((3, length, 3))
+        self._sums = np.zeros((3, 3))
+        self._origin = np.zeros(3)
+        self._counts = np.zeros(3, dtype=np.int64)
 
     def clear(self) -> None:
         """Forget everything: what follows is not continuous with what was."""
-        self._count = 0
         self._sums[:] = 0.0
+        self._counts[:] = 0
 
-    def add(self, *, square: float, measured: float) -> None:
-        """Take one sample, finite: the square whose mean is wanted, and the signal itself."""
-        if self._count == 0:
-            self._origin = measured  # squares of values near 0 keep their digits
-        y = measured - self._origin
-        push(self._ring, self._sums, self._count, square, y, y * y)
+    def add(self, measured: Triple, twin: Triple, std: Triple, *, in_step: bool) -> tuple[Figures, Figures, Figures]:
+        """Take one sample (its values may be NaN) and return the figures of the three signals."""
+        return all_figures(self._ring, self._sums, self._origin, self._counts, measured, twin, std, in_step)
+
+
+class MeanWindow:
+    """Rolling mean of the NIS."""
+
+    def __init__(self, length: int) -> None:
+        self._ring = np.zeros((length, 3))
+        self._sums = np.zeros(3)
+        self._count = 0
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._sums[:] = 0.0
+        self._count = 0
+
+    def add(self, value: float) -> float:
+        """Take one finite value; returns the mean over the samples so far, at most the window."""
+        mean = push_and_mean(self._ring, self._sums, self._count, value)
         self._count += 1
-
-    @property
-    def full(self) -> bool:
-        """Whether the window has its full length."""
-        return self._count >= self._length
-
-    def mean_square(self) -> float:
-        """Over the samples so far; NaN without any."""
-        return max(float(self._sums[0]), 0.0) / min(self._count, self._length) if self._count else math.nan
-
-    def fit_percent(self) -> float:
-        """100 (1 - |error| / |y - mean y|) over a full window in which the signal moves; else NaN."""
-        if not self.full:
-            return math.nan
-        variance = float(self._sums[2]) / self._length - (float(self._sums[1]) / self._length) ** 2
-        return 100.0 * (1.0 - math.sqrt(self.mean_square() / variance)) if variance > 0.0 else math.nan
+        return mean
 
 
 class Comparison:
@@ -91,15 +162,14 @@ class Comparison:
 
     def start(self, window: int) -> None:
         """Empty windows of `window` ticks."""
-        self._x, self._i, self._u, self._nis = (Window(window) for _ in range(4))
+        self._signals, self._nis = SignalWindows(window), MeanWindow(window)
         for alarm in self.error_alarms:
             alarm.clear_window(window=window)
         self.innovation_alarm.clear_window(window=window)
 
     def interrupt(self) -> None:
         """The twin is not where it was: nothing before this may be averaged with what comes."""
-        for window in (self._x, self._i, self._u):
-            window.clear()
+        self._signals.clear()
         for alarm in self.error_alarms:
             alarm.clear_window()
 
@@ -112,8 +182,8 @@ class Comparison:
         self,
         into: pb.Divergence,
         *,
-        measured: tuple[float, float, float],
-        twin: tuple[float, float, float],
+        measured: Triple,
+        twin: Triple,
         expected: Expectation,
         in_step: bool,
         judge: bool,
@@ -122,26 +192,24 @@ class Comparison:
 
         `in_step` lets the windows take the sample, `judge` lets the alarm have its say too.
         """
-        targets = (into.x_m, into.i_c_a, into.u_c_v)
-        for k, window in enumerate((self._x, self._i, self._u)):
-            error = measured[k] - twin[k]
-            if not math.isfinite(error):
-                window.clear()
-            elif in_step:
-                window.add(square=error * error, measured=measured[k])
-            signal = targets[k]
+        figures_of = self._signals.add(measured, twin, expected.std, in_step=in_step)
+        for signal, (error, normalised, rmse, fit, full) in zip(
+            (into.x_m, into.i_c_a, into.u_c_v), figures_of, strict=True
+        ):
             signal.error = error
-            signal.normalised = error / expected.std[k]
-            signal.rolling_rmse = math.sqrt(window.mean_square())
-            signal.fit_percent = window.fit_percent()
-            signal.window_full = window.full
-        if not (judge and in_step):
-            return []
-        changes = []
-        for k, alarm in enumerate(self.error_alarms):
-            if math.isfinite(targets[k].normalised):
-                changes.append(alarm.add(targets[k].normalised ** 2, on=expected.on[k], off=expected.off[k]))
-        return [change for change in changes if change is not None]
+            signal.normalised = normalised
+            signal.rolling_rmse = rmse
+            signal.fit_percent = fit
+            signal.window_full = full
+        changes: list[pb.Alarm] = []
+        if judge and in_step:
+            for k, alarm in enumerate(self.error_alarms):
+                normalised = figures_of[k][1]
+                if math.isfinite(normalised):
+                    change = alarm.add(normalised * normalised, on=expected.on[k], off=expected.off[k])
+                    if change is not None:
+                        changes.append(change)
+        return changes
 
     def innovation(
         self, into: pb.Divergence, regime: Regime, *, n_i: float, n_x: float, nis: float, valid: bool
@@ -156,6 +224,5 @@ class Comparison:
             self._nis.clear()
             self.innovation_alarm.clear_window()
             return None
-        self._nis.add(square=nis, measured=0.0)
-        into.nis_mean = self._nis.mean_square()
+        into.nis_mean = self._nis.add(nis)
         return self.innovation_alarm.add(nis, on=regime.nis_on, off=regime.nis_off)

@@ -8,27 +8,33 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from twin.compiled import kernel
+from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, law
 from twin.simulate import PlantNumbers, tick
 
 
 @kernel
 def closed_loop_tick(
-    p: PlantNumbers, c: LawNumbers, i: float, x: float, v: float, s: float, x_prev: float, x_ref: float
+    plant: Packed, law_: Packed, i: float, x: float, v: float, s: float, x_prev: float, x_ref: float
 ) -> tuple[float, float, float, float, float]:
     """(u_c of this tick, then i_c, x, x' and the integral at the next): V, A, m, m/s, m s."""
-    u, s = law(c, i, x, x_prev, s, x_ref)
-    i, x, v = tick(p, i, x, v, u)
+    u, s = law(LawNumbers(*law_), i, x, x_prev, s, x_ref)
+    i, x, v = tick(PlantNumbers(*plant), i, x, v, u)
     return u, i, x, v, s
+
+
+@kernel
+def driven_tick(plant: Packed, i: float, x: float, v: float, u: float) -> tuple[float, float, float]:
+    """(i_c, x, x') one tick later under u_c = u."""
+    return tick(PlantNumbers(*plant), i, x, v, u)
 
 
 @dataclass(slots=True, kw_only=True)
 class FreeTwin:
     """Own states of the twin at the tick of the coming sample."""
 
-    plant: PlantNumbers
-    law: LawNumbers | None  # None: only `drive` may be called
+    plant: Packed  # PlantNumbers
+    law: Packed  # LawNumbers
     i: float  # i_c, A
     x: float  # m
     v: float  # x', m/s
@@ -37,8 +43,6 @@ class FreeTwin:
 
     def follow(self, x_ref: float) -> float:
         """Run one tick in closed loop; returns the twin's own u_c of this tick, V."""
-        if self.law is None:
-            raise ValueError("a twin without a law cannot close the loop")
         x = self.x
         u, self.i, self.x, self.v, self.s = closed_loop_tick(
             self.plant, self.law, self.i, x, self.v, self.s, self.x_prev, x_ref
@@ -49,4 +53,4 @@ class FreeTwin:
     def drive(self, u: float) -> None:
         """Run one tick under the given u_c (open loop, idle), V."""
         self.x_prev = self.x
-        self.i, self.x, self.v = tick(self.plant, self.i, self.x, self.v, u)
+        self.i, self.x, self.v = driven_tick(self.plant, self.i, self.x, self.v, u)

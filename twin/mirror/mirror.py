@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag
@@ -49,8 +50,7 @@ class Output:
     alarms: tuple[pb.Alarm, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Sample:
+class _Sample(NamedTuple):
     """A State with NaN for what it lacks."""
 
     tick: int
@@ -276,7 +276,7 @@ class Mirror:
             if found is None:
                 return
             s, x_prev = found, before.x
-        self._twin = FreeTwin(plant=regime.plant, law=regime.law, i=now.i, x=x, v=v, s=s, x_prev=x_prev)
+        self._twin = FreeTwin(plant=tuple(regime.plant), law=tuple(regime.law), i=now.i, x=x, v=v, s=s, x_prev=x_prev)
         self._settling_ticks = regime.settle_ticks(closed_loop=now.closed_loop, x_ref=now.x_ref)
         self.counters["starts"] += 1
 

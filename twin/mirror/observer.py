@@ -2,7 +2,7 @@
 
 Rule 1: u_c of sample k is in force from tick k to k+1, so sample k+1 is predicted from the estimate at k and u_c(k).
 Rule 2: contact is not modelled here.  Near a stop, over a gap and until it has settled, the innovation is not valid.
-Rule 3: sensitivities are central differences of the very kernel that predicts: there is no second set of equations.
+Rule 3: sensitivities are finite differences of the very kernel that predicts: there is no second set of equations.
 """
 
 from __future__ import annotations
@@ -10,19 +10,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.compiled import kernel
+from twin.compiled import Packed, kernel
 from twin.model.parameters import Noise
 from twin.simulate import PlantNumbers, tick
 
 SETTLE_S = 0.1  # the estimate forgets its start within about 1 / (unstable pole) = 12 ms; eight of them
 CONTACT_SHARE = 0.01  # of the travel: nearer to a stop than this counts as contact
 SPEED_STD_M_S = 0.5  # of a ball whose speed nobody has seen yet
-_DELTA = (1e-6, 1e-8, 1e-6)  # A, m, m/s: central differences, error < 1e-6 relative
+_DELTA = (1e-6, 1e-8, 1e-6)  # A, m, m/s: forward differences, relative error 1e-8 m / gap and smaller
 
 
 @kernel
 def ekf_step(
-    p: PlantNumbers,
+    plant: Packed,
     z: NDArray[np.float64],
     P: NDArray[np.float64],
     q: NDArray[np.float64],
@@ -36,29 +36,30 @@ def ekf_step(
     q, shape (3,): variances of the process noise per tick; r, shape (2,): of the measurements.
     Returns (innovation of i_c, innovation of x, NIS): nu' inv(S) nu, chi-square with 2 degrees under a right model.
     """
+    p = PlantNumbers(*plant)
     i, x, v = z[0], z[1], z[2]
+    ahead = tick(p, i, x, v, u)
     F = np.empty((3, 3))
     for column in range(3):
         d = _DELTA[column]
         di = d if column == 0 else 0.0
         dx = d if column == 1 else 0.0
         dv = d if column == 2 else 0.0
-        high = tick(p, i + di, x + dx, v + dv, u)
-        low = tick(p, i - di, x - dx, v - dv, u)
+        moved = tick(p, i + di, x + dx, v + dv, u)
         for row in range(3):
-            F[row, column] = (high[row] - low[row]) / (2.0 * d)
-    z[0], z[1], z[2] = tick(p, i, x, v, u)
+            F[row, column] = (moved[row] - ahead[row]) / d
+    z[0], z[1], z[2] = ahead
 
-    moved = np.zeros((3, 3))
+    propagated = np.zeros((3, 3))
     for a in range(3):
         for b in range(3):
             for c in range(3):
-                moved[a, b] += F[a, c] * P[c, b]
+                propagated[a, b] += F[a, c] * P[c, b]
     for a in range(3):
         for b in range(3):
             total = 0.0
             for c in range(3):
-                total += moved[a, c] * F[b, c]
+                total += propagated[a, c] * F[b, c]
             P[a, b] = total
         P[a, a] += q[a]
 
@@ -94,7 +95,8 @@ class Observer:
     """
 
     def __init__(self, plant: PlantNumbers, noise: Noise, *, i_lsb_a: float = 0.0, x_lsb_m: float = 0.0) -> None:
-        self.plant = plant
+        self._plant = tuple(plant)
+        self._travel_m = plant.travel_m
         self._q = np.array([noise.process_i_c_a, 0.0, noise.process_a_m_s2 * plant.sample_time_s]) ** 2
         self._r = np.array([noise.sigma_i_c_a**2 + i_lsb_a**2 / 12.0, noise.sigma_x_m**2 + x_lsb_m**2 / 12.0])
         self._margin_m = max(CONTACT_SHARE * plant.travel_m, 10.0 * noise.sigma_x_m)
@@ -122,7 +124,7 @@ class Observer:
         if self._u is None or self._contact(x):
             self._begin(i, x, u)
             return np.nan, np.nan, np.nan, False
-        n_i, n_x, nis = ekf_step(self.plant, self._z, self._P, self._q, self._r, self._u, i, x)
+        n_i, n_x, nis = ekf_step(self._plant, self._z, self._P, self._q, self._r, self._u, i, x)
         self._u = u
         self._free_ticks += 1
         if not np.isfinite(nis) or self._contact(self._z[1]):  # the filter, not the ball, is at a stop: begin again
@@ -130,7 +132,7 @@ class Observer:
         return n_i, n_x, nis, self._free_ticks > self._settle_ticks
 
     def _contact(self, x: float) -> bool:
-        return x < self._margin_m or x > self.plant.travel_m - self._margin_m
+        return x < self._margin_m or x > self._travel_m - self._margin_m
 
     def _begin(self, i: float, x: float, u: float) -> None:
         self._z[:] = i, x, 0.0
