@@ -66,10 +66,10 @@ def run(args: argparse.Namespace) -> int:
         message = parse(topics.BY_NAME[topic].message, data)
         # Log time is the gateway's, as in its own log.  What bears no time (twin/*) gets that of the board's newest
         # message: the clock of this host may be another one.
-        own_ns = getattr(message, "host_time_ns", 0) or getattr(message, "received_ns", 0)
-        if own_ns:
+        own_ns: int | None = getattr(message, "host_time_ns", getattr(message, "received_ns", None))
+        if own_ns is not None:
             newest_ns[board] = max(own_ns, newest_ns.get(board, 0))
-        recorder.put(key, data, own_ns or newest_ns.get(board) or time.time_ns())
+        recorder.put(key, data, newest_ns.get(board, time.time_ns()) if own_ns is None else own_ns)
 
     with open_bus(args.connect) as session:
         recorder.start()
