@@ -26,8 +26,9 @@ class Capture:
 
     @property
     def u(self) -> int:
-        """The input in force until the next sample."""
-        return self._u[len(self._samples) > self._pre]
+        """The input in force from now to the next change."""
+        due_now = len(self._samples) == self._pre and self._start_us == 0
+        return self._u[due_now or len(self._samples) > self._pre]
 
     @property
     def done(self) -> bool:

@@ -1,19 +1,31 @@
 """What each command does to the loop, and why it may be refused: rules 6 to 8, 12 and 15 of protocol/README.md.
 
 A handler gets the loop, the message and the tick that comes next, and returns a `Refusal` or the `Answer`.  It changes
-something only when it does not refuse.  HELLO, PING, RESET and the stream belong to the session: `firmware.py`.
+something only when it does not refuse.  The commands of session, stream and host loss are executed in `firmware.py`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from gateway.emulator.capture import Capture
 from gateway.emulator.excitation import Excitation, Signal
+from gateway.emulator.flash import (
+    ADC_BITS,
+    BUILD,
+    CAPTURE_SIZE,
+    CAPTURE_US,
+    CURRENT,
+    DAC_BITS,
+    FIRMWARE,
+    INPUT,
+    POSITION,
+    T_S_US,
+)
 from gateway.emulator.law import Gains
 from gateway.emulator.loop import TARGET_U, ControlLoop
-from protocol.wire.messages import BY_TYPE, Message, Mode, Reason, Shape, Value
+from protocol.wire.messages import BY_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Shape, Value
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +67,45 @@ def refuse_range(body: bytes) -> Refusal:
             if bound is not None and outside:
                 return Refusal(Reason.OUT_OF_RANGE, int(abs(bound)))
     return Refusal(Reason.OUT_OF_RANGE)
+
+
+def identity(board_id: int, tick: int, reset_cause: EventCode) -> Answer:
+    """The answer to HELLO: who this is and what a count is worth (rule 14)."""
+    major, minor = FIRMWARE
+    return Answer(
+        "IDENTITY",
+        {
+            "version": VERSION,
+            "firmware_major": major,
+            "firmware_minor": minor,
+            "board_id": board_id,
+            "tick": tick,
+            "sample_time": T_S_US,
+            "adc_bits": ADC_BITS,
+            "dac_bits": DAC_BITS,
+            "i_offset": CURRENT.offset,
+            "i_lsb": CURRENT.lsb,
+            "x_offset": POSITION.offset,
+            "x_lsb": POSITION.lsb,
+            "u_offset": INPUT.offset,
+            "u_lsb": INPUT.lsb,
+            "capture_time": CAPTURE_US,
+            "capture_size": CAPTURE_SIZE,
+            "reset_cause": int(reset_cause),
+            "build": BUILD.ljust(8)[:8],
+        },
+    )
+
+
+def parameters(loop: ControlLoop, divider: int, policy: HostLoss, timeout_ms: int) -> Answer:
+    """The answer to GET_PARAMETERS: what is in force."""
+    gains = loop.law.gains
+    values: dict[str, Value] = {"law": gains.law, "i_0": gains.i_0, "x_0": gains.x_0, "u_0": gains.u_0}
+    for n, (mantissa, shift) in enumerate(zip(gains.mantissas, gains.shifts, strict=True), start=1):
+        values |= {f"k{n}_mantissa": mantissa, f"k{n}_shift": shift}
+    values |= asdict(loop.limits)
+    values |= {"divider": divider, "policy": int(policy), "timeout": timeout_ms, "tick": loop.gains_tick}
+    return Answer("PARAMETERS", values)
 
 
 def _set_mode(loop: ControlLoop, message: Message, tick: int) -> Refusal | Answer:

@@ -10,7 +10,8 @@ Every rule of 'Behaviour of the board' in protocol/README.md holds here; this fi
 `uart.py`, this.
 
 Where the page leaves room, this board
-- keeps refused commands with their answers too: a host that gave up on a NACK must not find the repeat executed;
+- keeps commands that it refused, with their NACK, too: a host that gave up must not find the repetition executed;
+  only frames that are malformed are not kept;
 - answers HELLO afresh each time and executes every STOP, whatever ids are kept;
 - does not answer frames of the board's own direction: an echoing line would otherwise talk to itself;
 - refuses a command with BUSY when 8 of them wait for the next tick, without keeping that answer.
@@ -21,16 +22,10 @@ from __future__ import annotations
 from collections import deque
 from typing import Protocol
 
-from gateway.emulator.commands import HANDLERS, Answer, Refusal, acknowledge, refuse_range
+from gateway.emulator.commands import HANDLERS, Answer, Refusal, acknowledge, identity, parameters, refuse_range
 from gateway.emulator.flash import (
-    ADC_BITS,
     BOOT_TICKS,
-    BUILD,
-    CAPTURE_SIZE,
-    CAPTURE_US,
     CURRENT,
-    DAC_BITS,
-    FIRMWARE,
     INPUT,
     POSITION,
     T_S_US,
@@ -129,7 +124,7 @@ class Firmware:
         self.loop.overrun = True
         if self._ticks_since_overrun_event >= TICKS_PER_S:
             self._ticks_since_overrun_event = 0
-            self._emit(EventCode.OVERRUN, self._overruns)
+            self._emit(EventCode.OVERRUN, 0)
 
     def feed(self, data: bytes, *, into_tick_us: int = 0) -> None:
         """Bytes from the host, at this time after the last tick; never raises."""
@@ -160,7 +155,7 @@ class Firmware:
         lost = self._plant.drop_sample()
         if self._divider and self.next_tick % self._divider == 0 and not lost:
             self._send_state(state)
-        self.next_tick += 1
+        self.next_tick = self.next_tick + 1 & 0xFFFFFFFF
         self._ticks_since_overrun_event += 1
 
     def take_frame(self) -> bytes:
@@ -232,7 +227,9 @@ class Firmware:
             elif kept is not None:
                 self._answer(body, Refusal(Reason.BUSY), keep=False)
             elif message is None:
-                self._answer(body, refusal or Refusal(Reason.OUT_OF_RANGE))
+                # Not kept: noise at the end of a good frame may leave the CRC right and the length wrong, and the
+                # repetition of that command must not meet the noise again.
+                self._answer(body, refusal or Refusal(Reason.OUT_OF_RANGE), keep=False)
             elif self._session is None and message.name not in _WITHOUT_SESSION:
                 self._answer(body, Refusal(Reason.NO_SESSION), keep=False)
             else:
@@ -250,7 +247,7 @@ class Firmware:
                 self._policy = HostLoss(message.int("policy"))
                 self._timeout_ms = message.int("timeout")
             case "GET_PARAMETERS":
-                return self._parameters()
+                return parameters(self.loop, self._divider, self._policy, self._timeout_ms)
             case "RESET":
                 self._reset_wait = WATCHDOG_TICKS  # a line that never takes the ACK must not prevent the reset
             case _:
@@ -274,41 +271,7 @@ class Firmware:
         if message.int("session") != self._session:
             self._session = message.int("session")
             self._kept.clear()
-        major, minor = FIRMWARE
-        return Answer(
-            "IDENTITY",
-            {
-                "version": VERSION,
-                "firmware_major": major,
-                "firmware_minor": minor,
-                "board_id": self._board_id,
-                "tick": self.next_tick,
-                "sample_time": T_S_US,
-                "adc_bits": ADC_BITS,
-                "dac_bits": DAC_BITS,
-                "i_offset": CURRENT.offset,
-                "i_lsb": CURRENT.lsb,
-                "x_offset": POSITION.offset,
-                "x_lsb": POSITION.lsb,
-                "u_offset": INPUT.offset,
-                "u_lsb": INPUT.lsb,
-                "capture_time": CAPTURE_US,
-                "capture_size": CAPTURE_SIZE,
-                "reset_cause": int(self._reset_cause),
-                "build": BUILD.ljust(8)[:8],
-            },
-        )
-
-    def _parameters(self) -> Answer:
-        gains, limits = self.loop.law.gains, self.loop.limits
-        values: dict[str, Value] = {"law": gains.law, "i_0": gains.i_0, "x_0": gains.x_0, "u_0": gains.u_0}
-        for n, (mantissa, shift) in enumerate(zip(gains.mantissas, gains.shifts, strict=True), start=1):
-            values[f"k{n}_mantissa"] = mantissa
-            values[f"k{n}_shift"] = shift
-        for name in ("x_ref_min", "x_ref_max", "x_ref_step", "x_ref_slew", "u_max"):
-            values[name] = getattr(limits, name)
-        values |= {"divider": self._divider, "policy": int(self._policy), "timeout": self._timeout_ms}
-        return Answer("PARAMETERS", values | {"tick": self.loop.gains_tick})
+        return identity(self._board_id, self.next_tick, self._reset_cause)
 
     def _leave(self) -> bool:
         """Whether the RESET that was acknowledged happens now."""

@@ -5,8 +5,9 @@ Rule 1: everything the board itself works with is an integer count; the SI numbe
 Rule 2: a converter's count is the nearest one, so that `offset + lsb * count` has no bias.
 
 Gains: an LQI design with u = u_0 - K [i_c - i_0, x - x_0, x', sum of (x_ref - x) T_s], K in V/A, V/m, V s/m, V/(m s),
-for the measured CE 152 at x = 2.85 mm.  Linearised there the rig has x'' = 3700 s^-2 x + 30.5 m/s^2/A i, i = 0.297 A/V u:
-K puts the fast pair at about 108 rad/s with damping 0.7 and the integral at 14 rad/s, in a loop sampled at 500 Hz.
+for the measured CE 152 at x = 2.85 mm.  Linearised there the rig has x'' = 3700 s^-2 x + 30.5 m/s^2/A i and
+i = 0.297 A/V u: K puts the fast pair at about 108 rad/s with damping 0.7 and the integral at 14 rad/s, in a
+loop sampled at 500 Hz.
 """
 
 from __future__ import annotations
@@ -84,11 +85,7 @@ LIMITS = Limits(
 
 K_LQI = (0.49, 1700.0, 17.7, -17600.0)
 K_PID = (1700.0, 17600.0, 17.7)  # k_p V/m, k_int V/(m s), k_d V s/m
-OPERATING_POINT = (
-    0.642,
-    2.85e-3,
-    2.163,
-)  # i_0 A, x_0 m, u_0 V: between the measured equilibria at 2.25 and 3.42 mm gap
+OPERATING_POINT = (0.6365, 2.85e-3, 2.143)  # i_0 A, x_0 m, u_0 V: mid-travel at rest, by the line in rig.py
 
 
 def gains_in_counts(law: Law, gains_si: tuple[float, ...], operating_point: tuple[float, float, float]) -> Gains:

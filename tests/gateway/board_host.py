@@ -1,0 +1,106 @@
+"""A host at the firmware's elbow, for tests: frames straight in, events straight out, no line between."""
+
+from __future__ import annotations
+
+from gateway.emulator.firmware import AnalogSide, Firmware
+from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
+from protocol.wire.framing import encode_frame
+from protocol.wire.messages import EventCode, Message, Value, encode_body
+
+
+class Bench(AnalogSide):
+    """Converters on a bench: fixed readings, and a record of the input: (u in V, for how long in us)."""
+
+    def __init__(self, *, i_a: float = 0.0, x_m: float = 2.85e-3) -> None:
+        self.i_a = i_a
+        self.x_m = x_m
+        self.inputs: list[tuple[float, int]] = []
+        self.lossy = False
+
+    def advance(self, u_v: float, duration_s: float) -> None:
+        self.inputs.append((u_v, round(duration_s * 1e6)))
+
+    def sense(self) -> tuple[float, float]:
+        return self.i_a, self.x_m
+
+    def drop_sample(self) -> bool:
+        return self.lossy
+
+
+def frame(name: str, /, **fields: Value) -> bytes:
+    """A command as bytes."""
+    return encode_frame(encode_body(name, **fields))
+
+
+class Host:
+    """Sends commands with fresh ids and sorts what comes back."""
+
+    def __init__(self, plant: AnalogSide | None = None, *, session: bool = True) -> None:
+        self.plant = Bench() if plant is None else plant
+        self.firmware = Firmware(self.plant)
+        self.states: list[State] = []
+        self.events: list[Message] = []
+        self.answers: list[Message] = []
+        self._decoder = StreamDecoder()
+        self._id = 0
+        if session:
+            assert self.hello(1).name == "IDENTITY"
+
+    def next_id(self) -> int:
+        self._id = self._id % 255 + 1
+        return self._id
+
+    def hello(self, session: int, *, version_min: int = 1, version_max: int = 1) -> Message:
+        return self.ask("HELLO", session=session, version_min=version_min, version_max=version_max)
+
+    def run(self, ticks: int, *, alive: bool = True) -> list[State]:
+        """Let ticks pass; a host that is alive pings now and then, so that the board does not miss it."""
+        states: list[State] = []
+        for n in range(ticks):
+            if alive and n % 100 == 99:
+                self.firmware.feed(frame("PING", id=self.next_id()))
+            self.firmware.tick()
+            states += self.collect()
+        return states
+
+    def collect(self) -> list[State]:
+        return self.sort(self._decoder.feed(self.firmware.take_output()))
+
+    def sort(self, received: list[Event]) -> list[State]:
+        states: list[State] = []
+        for event in received:
+            assert not isinstance(event, BadFrame), event
+            if isinstance(event, State):
+                states.append(event)
+            elif event.name == "EVENT":
+                self.events.append(event)
+            elif event.name != "PONG":
+                self.answers.append(event)
+        self.states += states
+        return states
+
+    def ask(self, name: str, /, **fields: Value) -> Message:
+        """One command, one tick, its answer."""
+        return self.send(frame(name, id=self.next_id(), **fields))
+
+    def send(self, data: bytes) -> Message:
+        """One frame, one tick, its answer."""
+        before = len(self.answers)
+        self.firmware.feed(data)
+        self.run(1, alive=False)
+        assert len(self.answers) == before + 1, self.answers[before:]
+        return self.answers[-1]
+
+    def codes(self) -> list[EventCode]:
+        """The events so far, in order."""
+        return [EventCode(event.int("code")) for event in self.events]
+
+    def details(self, code: EventCode) -> list[int]:
+        """The details of the events of one code."""
+        return [event.int("detail") for event in self.events if event.int("code") == code]
+
+
+def refusal(answer: Message) -> tuple[int, int]:
+    """(reason, detail) of a NACK."""
+    assert answer.name == "NACK", answer
+    return answer.int("reason"), answer.int("detail")
