@@ -1,0 +1,104 @@
+"""The gateway daemon: boards on one side, zenoh and an MCAP log on the other.
+
+It reads every board, publishes each sample in SI units under <site>/<board>/state, answers commands on
+<site>/<board>/command, and logs everything.  The end of the gateway stops no board: each follows its host-loss policy
+(default: coil off after 1 s).
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from gateway.config import BoardConfig, GatewayConfig, boards_from_text, documented_toml, load_config
+from protocol.bus.endpoint import check_endpoint
+from protocol.bus.topics import check_name
+from protocol.errors import ConfigError
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Flags override the environment, the environment the file."""
+    parser.epilog = (
+        "examples:\n  board51 gateway --board rig1=/dev/ttyUSB0\n"
+        "  board51 gateway --board rig1='/dev/serial/by-id/*Board51*' --board rig2=socket://10.0.0.5:4001\n"
+        "  board51 gateway --print-config > gateway.toml; board51 gateway --config gateway.toml"
+    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help="TOML; every key is optional but the boards")
+    parser.add_argument(
+        "--board",
+        action="append",
+        default=[],
+        metavar="NAME=PORT",
+        help="a board and its pyserial URL; may be repeated; replaces those of the file",
+    )
+    parser.add_argument("--site", help="first chunk of every key (default board51)")
+    parser.add_argument(
+        "--listen",
+        action="append",
+        default=[],
+        metavar="ENDPOINT",
+        help="be the router here (default tcp/127.0.0.1:7447)",
+    )
+    parser.add_argument(
+        "--connect", action="append", default=[], metavar="ENDPOINT", help="be a client of the router there instead"
+    )
+    log = parser.add_mutually_exclusive_group()
+    log.add_argument("--log-dir", metavar="DIR", help="where the MCAP log goes (default logs)")
+    log.add_argument("--no-log", action="store_true", help="write no log")
+    parser.add_argument("--print-config", action="store_true", help="print a commented configuration and end")
+    parser.add_argument("--check", action="store_true", help="check the configuration and end")
+
+
+def configuration(args: argparse.Namespace) -> GatewayConfig:
+    """File, environment and flags together.
+
+    Raises:
+        ConfigError: whichever of them is wrong.
+    """
+    config = load_config(args.config)
+    if args.site is not None:
+        config = replace(config, site=check_name(args.site, what="--site"))
+    if args.board:
+        boards = tuple(_board(text, config) for text in args.board)
+        names, ports = [b.name for b in boards], [b.port for b in boards]
+        if len(set(names)) < len(names) or len(set(ports)) < len(ports):
+            raise ConfigError(
+                "--board names the same board or port twice", remedy="Give each board its own name and port"
+            )
+        config = replace(config, boards=boards)
+    for flag in ("listen", "connect"):
+        for endpoint in getattr(args, flag):
+            check_endpoint(endpoint, where=f"--{flag}")
+    if args.connect:
+        config = replace(config, zenoh=replace(config.zenoh, mode="client", connect=tuple(args.connect)))
+    if args.listen:  # with --connect too: a router that links to another one
+        config = replace(config, zenoh=replace(config.zenoh, mode="router", listen=tuple(args.listen)))
+    if args.log_dir is not None:
+        config = replace(config, log=replace(config.log, enabled=True, directory=args.log_dir))
+    if args.no_log:
+        config = replace(config, log=replace(config.log, enabled=False))
+    return config
+
+
+def _board(text: str, config: GatewayConfig) -> BoardConfig:
+    """A board of the command line; where the file has one of that name, only its port changes."""
+    table = boards_from_text(text)
+    name = check_name(table["name"], what="--board")
+    known = next((board for board in config.boards if board.name == name), None)
+    return replace(known, port=table["port"]) if known else BoardConfig(name=name, port=table["port"])
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until SIGTERM or SIGINT."""
+    if args.print_config:
+        print(documented_toml())
+        return 0
+    from gateway import daemon  # zenoh and foxglove take their time; --help and --print-config answer at once
+
+    config = configuration(args)
+    if args.check:
+        daemon.check(config)
+        print(f"{len(config.boards)} boards: {', '.join(f'{b.name} at {b.port}' for b in config.boards)}")
+        return 0
+    return daemon.serve(config)

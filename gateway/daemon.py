@@ -1,0 +1,236 @@
+"""The gateway process: wires boards, bus and log together; runs until it is told to end.
+
+Threads: link (all boards), two publishers (samples, everything else), recorder, zenoh's own; the main thread waits for
+signals and publishes the status once a second.
+
+The end of the gateway moves nothing: no STOP is sent.  A gateway that is updated or restarted must not drop the ball;
+what the board does without its host is its host-loss policy, set in the configuration (default: coil off after 1 s).
+"""
+
+from __future__ import annotations
+
+import logging
+import logging.handlers
+import queue
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path
+
+import zenoh
+
+from gateway.commands_bus import CommandQueryable
+from gateway.config import GatewayConfig, LogConfig
+from gateway.link.clock import HostClock
+from gateway.link.driver import BoardDriver
+from gateway.link.loop import LinkThread
+from gateway.link.port import check_url
+from gateway.publish import BoardOutlet, Publisher
+from gateway.record.recorder import Recorder
+from gateway.record.writer import LogError
+from gateway.status import StatusMaker
+from protocol.bus import topics
+from protocol.bus.endpoint import Mode, zenoh_config
+from protocol.errors import ConfigError, ServiceError
+
+STATUS_S = 1.0
+# The default of 5 ms is how long one busy thread may keep the others from the interpreter: that would be the latency.
+SWITCH_INTERVAL_S = 0.0005
+MESSAGES_QUEUE = 10_000
+_logger = logging.getLogger("gateway")
+
+
+def run(config: GatewayConfig, stop: threading.Event) -> None:
+    """Serve until `stop` is set.
+
+    Raises:
+        ConfigError: no board, a port that can never be opened, no log directory.
+        ServiceError: the bus cannot be opened.
+    """
+    check(config)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    with ExitStack() as stack:
+        bus = stack.enter_context(open_bus(config))
+        recorder = stack.enter_context(_recording(config.log)) if config.log.enabled else None
+        samples = Publisher("publish-samples", config.zenoh.queue)
+        messages = Publisher("publish-messages", MESSAGES_QUEUE)
+        clock = HostClock()
+        outlets = [
+            BoardOutlet(bus, config.site, board.name, samples=samples, messages=messages, recorder=recorder)
+            for board in config.boards
+        ]
+        log_raw = recorder is not None and config.log.raw
+        drivers = [
+            BoardDriver(board, outlet, clock, log_raw=log_raw)
+            for board, outlet in zip(config.boards, outlets, strict=True)
+        ]
+        link = LinkThread(drivers)
+        queryables = [CommandQueryable(bus, config.site, driver, link, messages) for driver in drivers]
+        if recorder is not None:
+            recorder.on_event = partial(_tell_all, drivers)
+            twin = bus.declare_subscriber(f"{config.site}/*/twin/**", _log_twin(recorder))
+            stack.callback(twin.undeclare)
+        for publisher in (messages, samples):
+            publisher.start()
+            stack.callback(publisher.stop)
+        link.start()
+        stack.callback(link.stop)
+        now_s = time.monotonic()
+        makers = [StatusMaker(driver, outlet, now_s) for driver, outlet in zip(drivers, outlets, strict=True)]
+        _logger.info("serving %d boards as %s on %s", len(drivers), config.site, _where(config))
+        while not stop.wait(STATUS_S):
+            step_ns = clock.step_ns()
+            for driver, outlet, maker in zip(drivers, outlets, makers, strict=True):
+                if step_ns:
+                    driver.tell(
+                        "clock-stepped",
+                        "warning",
+                        f"The host's clock stepped by {step_ns * 1e-9:.3f} s; the time of the samples follows it with"
+                        " the next session.",
+                    )
+                status = maker.make(recorder.stats() if recorder is not None else None, time.monotonic())
+                outlet.send("status", status, status.host_time_ns)
+        _logger.info("ending; the boards follow their host-loss policy")
+        del queryables
+
+
+def check(config: GatewayConfig) -> None:
+    """What can be said about a configuration without opening anything.
+
+    Raises:
+        ConfigError: see the text.
+    """
+    if not config.boards:
+        raise ConfigError(
+            "No board is configured",
+            remedy="Give --board NAME=PORT, e.g. --board rig1=/dev/ttyUSB0, or a file with [[board]] and --config FILE",
+        )
+    for board in config.boards:
+        check_url(board.port)
+
+
+@contextmanager
+def open_bus(config: GatewayConfig) -> Iterator[zenoh.Session]:
+    """The zenoh session, as router or as client.
+
+    Raises:
+        ServiceError: an endpoint is in use or not ours to open.
+    """
+    z = config.zenoh
+    mode: Mode = "router" if z.mode == "router" else "client"
+    listen = z.listen if mode == "router" else ()
+    for endpoint in listen:
+        _check_free(endpoint)
+    text = zenoh_config(mode, listen=listen, connect=z.connect, wait_for_router=False)
+    try:
+        session = zenoh.open(zenoh.Config.from_json5(text))
+    except zenoh.ZError as error:
+        raise ServiceError(
+            f"The bus cannot be opened ({', '.join((*listen, *z.connect))}): {error}",
+            remedy="Correct [zenoh] listen and connect, or end what uses the endpoint",
+        ) from None
+    with session:
+        yield session
+
+
+def _check_free(endpoint: str) -> None:
+    """Look first: zenoh itself tries for five seconds before it says that a port is taken, and not which."""
+    kind, _, rest = endpoint.partition("/")
+    host, _, port = rest.partition("?")[0].rpartition(":")
+    if kind != "tcp" or not port.isdigit() or int(port) == 0:
+        return
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+            probe.listen(1)
+    except OSError as error:
+        raise ServiceError(
+            f"Cannot listen on {endpoint}: {error.strerror}",
+            remedy="End the other gateway or router, give another endpoint with --listen,"
+            " or join the router there with --connect",
+        ) from None
+
+
+@contextmanager
+def _recording(log: LogConfig) -> Iterator[Recorder]:
+    directory = Path(log.directory)
+    compression = {"lz4": "lz4", "zstd": "zstd", "none": "none"}[log.compression]
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        recorder = Recorder(
+            directory,
+            prefix=log.prefix,
+            rotate_bytes=log.rotate_bytes,
+            rotate_s=log.rotate_s,
+            flush_s=log.flush_s,
+            queue=log.queue,
+            min_free_bytes=log.min_free_bytes,
+            compression=compression,  # type: ignore[arg-type]  # config.py allows these three only
+        )
+        recorder.start()
+    except (OSError, LogError) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise ConfigError(
+            f"The log cannot be written to {directory}: {reason}",
+            remedy="Give a writable directory with --log-dir, or run without a log with --no-log",
+        ) from None
+    try:
+        yield recorder
+    finally:
+        recorder.close()
+
+
+def _tell_all(drivers: Sequence[BoardDriver], name: str, severity: str, text: str) -> None:
+    """An event of the whole gateway, under each board: whoever watches one board must see that its log is failing."""
+    for driver in drivers:
+        driver.tell(name, severity, text)
+
+
+def _log_twin(recorder: Recorder) -> Callable[[zenoh.Sample], None]:
+    def log(sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        if topics.split(key) is not None:
+            recorder.put(key, sample.payload.to_bytes(), time.time_ns())
+
+    return log
+
+
+def _where(config: GatewayConfig) -> str:
+    endpoints = config.zenoh.listen if config.zenoh.mode == "router" else config.zenoh.connect
+    return f"{config.zenoh.mode} {', '.join(endpoints)}"
+
+
+@contextmanager
+def logging_to_stderr() -> Iterator[None]:
+    """Log lines to stderr through a queue: a full pipe there must not block the serial thread."""
+    lines: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(message)s"))
+    listener = logging.handlers.QueueListener(lines, handler)
+    root = logging.getLogger()
+    queued = logging.handlers.QueueHandler(lines)
+    root.addHandler(queued)
+    root.setLevel(logging.INFO)
+    listener.start()
+    try:
+        yield
+    finally:
+        root.removeHandler(queued)
+        listener.stop()
+
+
+def serve(config: GatewayConfig) -> int:
+    """Run as a process: until SIGTERM or SIGINT; 0 then."""
+    stop = threading.Event()
+    with logging_to_stderr():
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: stop.set())
+        run(config, stop)
+    return 0

@@ -1,0 +1,207 @@
+"""What may be commanded: the last look before the wire.  Pure: time comes in, refusals come out.
+
+The board checks again; this gate is nearer to the sender, may be tighter (configuration), and says why in SI units.
+
+Rule 1: STOP passes always: no rate, no mode, no bound.  Only its form is checked.
+Rule 2: every refusal has a stable kebab-case reason and a sentence.  Reasons: malformed, oversize, bad-id, bad-who,
+        empty-command, not-finite, out-of-range, slew, wrong-mode, fault-active, flood, queue-full.
+Rule 3: bounds are those of the configuration and of the board, whichever is tighter.
+Rule 4: the reference has an allowance, as on the board (protocol/README.md, rule 7): `x_ref_step_m` at once, refilled
+        at `x_ref_slew_m_s`, used up by each accepted jump.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from google.protobuf.message import Message as ProtoMessage
+
+from gateway.config import LimitsConfig
+from gateway.samples import Refusal, WireCommand
+from protocol.bus import board51_pb2 as pb
+from protocol.bus.encoding import parse
+from protocol.wire.messages import Flag, Message, Mode
+
+MAX_PAYLOAD = 4096  # bytes; the largest sensible command has about 200
+MAX_ID = 128
+MAX_WHO = 128
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardView:
+    """What the gate needs to know of the board now; None where the board has not said."""
+
+    mode: Mode | None
+    flags: int
+    x_ref_m: float | None  # in force, or commanded and not yet visible
+    parameters: Message | None  # PARAMETERS, counts
+
+
+def read_command(payload: bytes) -> pb.Command | Refusal:
+    """The command in a query, or why it is none: its form, not yet its content."""
+    if len(payload) > MAX_PAYLOAD:
+        return Refusal("oversize", f"The payload has {len(payload)} bytes; a command has at most {MAX_PAYLOAD}.")
+    command = parse(pb.Command, payload)
+    if command is None:
+        return Refusal("malformed", "The payload is not a board51.v1.Command in protobuf.")
+    if not 0 < len(command.id) <= MAX_ID:
+        return Refusal(
+            "bad-id", f"The id has {len(command.id)} characters; choose 1 to {MAX_ID}, new for each command."
+        )
+    if len(command.who) > MAX_WHO:
+        return Refusal("bad-who", f"The who has {len(command.who)} characters; at most {MAX_WHO}.")
+    if command.WhichOneof("what") is None:
+        return Refusal("empty-command", "The command says not what to do, or something this gateway does not know.")
+    wrong = next((name for name, value in _numbers(command) if not math.isfinite(value)), None)
+    if wrong is not None:
+        return Refusal("not-finite", f"{wrong} is not a finite number.")
+    return command
+
+
+def _numbers(message: ProtoMessage, path: str = "") -> Iterator[tuple[str, float]]:
+    for field, value in message.ListFields():
+        name = f"{path}{field.name}"
+        if isinstance(value, ProtoMessage):
+            yield from _numbers(value, name + ".")
+        elif field.cpp_type == field.CPPTYPE_DOUBLE:
+            values = [value] if isinstance(value, float) else value
+            yield from ((name, v) for v in values)
+
+
+class TokenBucket:
+    """An allowance of at most `size`, refilled at `rate` per second; full at the start."""
+
+    def __init__(self, size: float, rate: float) -> None:
+        self._size, self._rate = size, rate
+        self._level, self._at_s = size, -math.inf
+
+    def level(self, now_s: float) -> float:
+        """What may be taken at `now_s`."""
+        return min(self._size, self._level + self._rate * (now_s - self._at_s))
+
+    def take(self, amount: float, now_s: float) -> None:
+        """Use up `amount`, which `level` allowed."""
+        self._level, self._at_s = self.level(now_s) - amount, now_s
+
+
+class Gate:
+    """The limits of one board.  `check` decides; `passed` must follow for each command that goes on to the wire."""
+
+    def __init__(self, limits: LimitsConfig) -> None:
+        self._limits = limits
+        self._commands = TokenBucket(max(1.0, limits.commands_per_s), limits.commands_per_s)
+        self._jumps = TokenBucket(limits.x_ref_step_m, limits.x_ref_slew_m_s)
+
+    def admit(self, command: pb.Command, now_s: float) -> Refusal | None:
+        """Against a flood: every command but STOP uses up its share, refused or not."""
+        if command.WhichOneof("what") == "stop":
+            return None
+        if self._commands.level(now_s) < 1.0:
+            return Refusal(
+                "flood", f"More than {self._limits.commands_per_s:g} commands per second; STOP alone is exempt."
+            )
+        self._commands.take(1.0, now_s)
+        return None
+
+    def check(self, command: pb.Command, wire: WireCommand, board: BoardView, now_s: float) -> Refusal | None:
+        """None if the command may go to the board."""
+        match command.WhichOneof("what"):
+            case "set_reference":
+                return self._reference(command.set_reference.x_ref_m, wire, board, now_s)
+            case "set_gains":
+                return self._gains(command.set_gains)
+            case "excite":
+                return _needs(board, command) or self._excite(command.excite, wire, board)
+            case "capture":
+                return _needs(board, command) or self._capture(command.capture, wire, board)
+        return None
+
+    def passed(self, command: pb.Command, board: BoardView, now_s: float) -> None:
+        """`command` goes to the board: use up what it uses up."""
+        if command.WhichOneof("what") == "set_reference" and board.x_ref_m is not None:
+            self._jumps.take(abs(command.set_reference.x_ref_m - board.x_ref_m), now_s)
+
+    def _reference(self, x_ref_m: float, wire: WireCommand, board: BoardView, now_s: float) -> Refusal | None:
+        limits = self._limits
+        refusal = _within(x_ref_m, limits.x_ref_min_m, limits.x_ref_max_m, "x_ref", "m")
+        refusal = refusal or _on_board(int(wire.values["x_ref"]), "x_ref_min", "x_ref_max", "x_ref", board)
+        if refusal is not None or board.x_ref_m is None:
+            return refusal
+        jump, allowed = abs(x_ref_m - board.x_ref_m), self._jumps.level(now_s)
+        if jump > allowed:
+            return Refusal(
+                "slew",
+                f"The jump of {jump:.3g} m from {board.x_ref_m:.4g} m is larger than the {allowed:.3g} m allowed now;"
+                f" the allowance refills at {limits.x_ref_slew_m_s:g} m/s up to {limits.x_ref_step_m:g} m.",
+            )
+        return None
+
+    def _gains(self, gains: pb.SetGains) -> Refusal | None:
+        for n, gain in enumerate(gains.gains, 1):
+            if abs(gain) > self._limits.gain_max:
+                return Refusal("out-of-range", f"Gain {n} = {gain:g} is above gain_max {self._limits.gain_max:g}.")
+        return None
+
+    def _excite(self, excite: pb.Excite, wire: WireCommand, board: BoardView) -> Refusal | None:
+        limits = self._limits
+        if not 0 <= excite.duration_s <= limits.excitation_max_s:
+            return Refusal(
+                "out-of-range", f"A duration of {excite.duration_s:g} s is outside 0 .. {limits.excitation_max_s:g} s."
+            )
+        low, high = excite.offset - abs(excite.amplitude), excite.offset + abs(excite.amplitude)
+        offset, amplitude = int(wire.values["offset"]), abs(int(wire.values["amplitude"]))
+        if excite.on_reference:
+            refusal = _within(low, limits.x_ref_min_m, limits.x_ref_max_m, "the lowest x_ref", "m")
+            refusal = refusal or _within(high, limits.x_ref_min_m, limits.x_ref_max_m, "the highest x_ref", "m")
+            bounds = ("x_ref_min", "x_ref_max")
+        else:
+            refusal = _within(high, -math.inf, limits.u_max_v, "the highest u_c", "V")
+            bounds = ("", "u_max")
+        for count in (offset - amplitude, offset + amplitude):
+            refusal = refusal or _on_board(count, *bounds, "offset -+ amplitude", board)
+        return refusal
+
+    def _capture(self, capture: pb.Capture, wire: WireCommand, board: BoardView) -> Refusal | None:
+        for name, value in (("u_from", capture.u_from_v), ("u_to", capture.u_to_v)):
+            refusal = _within(value, -math.inf, self._limits.u_max_v, name, "V")
+            refusal = refusal or _on_board(int(wire.values[name]), "", "u_max", name, board)
+            if refusal is not None:
+                return refusal
+        return None
+
+
+def _within(value: float, low: float, high: float, what: str, unit: str) -> Refusal | None:
+    if low <= value <= high:
+        return None
+    bounds = f"{low:g} .. {high:g} {unit}" if math.isfinite(low) else f"at most {high:g} {unit}"
+    return Refusal("out-of-range", f"{what} = {value:g} {unit} is outside the gateway's limits, {bounds}.")
+
+
+def _on_board(count: int, low: str, high: str, what: str, board: BoardView) -> Refusal | None:
+    """Against the bounds in PARAMETERS, in counts; an empty `low` means 0."""
+    if board.parameters is None:
+        return None  # the board will look itself
+    lowest, highest = board.parameters.int(low) if low else 0, board.parameters.int(high)
+    if lowest <= count <= highest:
+        return None
+    return Refusal("out-of-range", f"{what} = {count} counts is outside the board's limits, {lowest} .. {highest}.")
+
+
+def _needs(board: BoardView, command: pb.Command) -> Refusal | None:
+    if board.mode is None:
+        return None  # no state yet: the board will look itself
+    if board.flags & Flag.FAULT:
+        return Refusal("fault-active", "A fault is active and the coil is off; set a mode first to clear it.")
+    good: tuple[Mode, ...]
+    if command.WhichOneof("what") == "capture":
+        good = (Mode.IDLE, Mode.OPEN_LOOP)
+    else:
+        good = (Mode.CLOSED_LOOP,) if command.excite.on_reference else (Mode.OPEN_LOOP,)
+    if board.mode in good:
+        return None
+    names = " or ".join(mode.name.lower().replace("_", " ") for mode in good)
+    return Refusal(
+        "wrong-mode", f"This needs mode {names}; the board is in {board.mode.name.lower().replace('_', ' ')}."
+    )

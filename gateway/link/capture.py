@@ -1,0 +1,115 @@
+"""One capture from its ACK to the CaptureRecord: wait for the end, read the blocks one by one.  No I/O.
+
+Blocks are read one command at a time, so other commands find their place in between.  CAPTURE_DONE may be lost on the
+line, so reading begins at the latest when the capture must be over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+from gateway.samples import Scaling, WireCommand
+from protocol.bus import board51_pb2 as pb
+from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES, Message, unpack_pair
+from protocol.wire.session import Answer, Session
+
+_SETTLE_S = 0.02  # u_from is applied this long before the first sample (rule 12)
+_MARGIN_S = 0.25  # after the computed end, before reading without CAPTURE_DONE
+_AGAIN_S = 0.1  # between attempts while the board says BUSY
+_ATTEMPTS = 10
+
+Ended = Literal["done", "interrupted"]
+
+
+class CaptureReader:
+    """Reads one capture; `finished` is called once, with the record or the reason why there is none.
+
+    Args:
+        session: for the READ_CAPTURE commands.
+        scaling: of the session in which the capture runs.
+        wire: the accepted CAPTURE.
+        command: the same from the bus.
+        number: of the session.
+        finished: receives pb.CaptureRecord (its host_time_ns still 0) or a sentence.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        scaling: Scaling,
+        wire: WireCommand,
+        command: pb.Capture,
+        number: int,
+        now_s: float,
+        finished: Callable[[pb.CaptureRecord | str], None],
+    ) -> None:
+        self._session, self._scaling, self._finished = session, scaling, finished
+        self._wire = wire
+        self._record = pb.CaptureRecord(
+            session=number,
+            sample_time_s=scaling.capture_time_s,
+            u_from_v=scaling.u_v(int(wire.values["u_from"])),
+            u_to_v=scaling.u_v(int(wire.values["u_to"])),
+            step_index=int(wire.values["pre"]),
+        )
+        self._counts: list[int] = []
+        self._token: int | None = None
+        self._failures = 0
+        self._ended = False
+        self.deadline_s = now_s + _SETTLE_S + int(wire.values["count"]) * scaling.capture_time_s + _MARGIN_S
+
+    def board_says_done(self, now_s: float) -> None:
+        """CAPTURE_DONE arrived."""
+        if self._token is None and not self._counts:
+            self._read(now_s)
+
+    def poll(self, now_s: float) -> None:
+        """The deadline has passed."""
+        if now_s >= self.deadline_s and self._token is None:
+            self._read(now_s)
+
+    def interrupt(self, why: str) -> None:
+        """STOP, another mode, a reset: the board will not have the data."""
+        self._end(f"The capture was interrupted by {why}.")
+
+    def answered(self, answer: Answer, now_s: float) -> bool:
+        """Take the end of a READ_CAPTURE; False if it is not ours."""
+        if answer.token != self._token:
+            return False
+        self._token = None
+        if answer.outcome == "ack" and answer.message is not None:
+            self._block(answer.message, now_s)
+        elif answer.outcome == "nack" and self._failures < _ATTEMPTS:
+            self._failures += 1
+            self.deadline_s = now_s + _AGAIN_S
+        else:
+            self._end(f"The capture could not be read: {answer.outcome} at sample {len(self._counts)}.")
+        return True
+
+    def _read(self, now_s: float) -> None:
+        self.deadline_s = float("inf")
+        self._token = self._session.submit("READ_CAPTURE", now_s, index=len(self._counts))
+
+    def _block(self, block: Message, now_s: float) -> None:
+        total = min(block.int("total"), int(self._wire.values["count"]))
+        if not self._counts:
+            self._record.tick = block.int("tick")
+        elif block.int("tick") != self._record.tick:
+            self._end("The capture was interrupted by another one.")
+            return
+        packed = block.bytes("samples")
+        pairs = (unpack_pair(packed[3 * n : 3 * n + 3]) for n in range(CAPTURE_BLOCK_SAMPLES // 2))
+        counts = [count for pair in pairs for count in pair]
+        self._counts += counts[: total - len(self._counts)]
+        if len(self._counts) < total:
+            self._read(now_s)
+            return
+        self._record.i_c_a.extend(self._scaling.i_a(count) for count in self._counts)
+        self._end(self._record)
+
+    def _end(self, result: pb.CaptureRecord | str) -> None:
+        if not self._ended:
+            self._ended = True
+            self.deadline_s = float("inf")
+            self._finished(result)

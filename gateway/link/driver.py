@@ -1,0 +1,458 @@
+"""One board: what the link is doing, what the board says, what it is told.  No I/O; `loop.py` moves the bytes.
+
+Link states: `absent` (no port), `connecting` (being opened), `handshake` (open, the board has not agreed yet),
+`streaming` (valid frames arrive), `silent` (none for `stale_s`).
+
+Rule 1: one event and one log line for each change of state or reason, with counts; not one for each attempt.
+Rule 2: after each handshake the board is given this gateway's stream divider and host-loss policy, and is asked for its
+        parameters.  Nothing here ever changes mode or reference: a gateway that comes or goes must not drop the ball.
+Rule 3: a PING at least every quarter of the host-loss time-out: three may be lost.
+Rule 4: within a session `host_time_ns` never steps (clock.py).
+"""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import time
+from dataclasses import dataclass
+
+from gateway.config import BoardConfig
+from gateway.link.capture import CaptureReader
+from gateway.link.clock import HostClock
+from gateway.link.desk import CommandDesk, Known
+from gateway.link.outlet import Outlet, Reply
+from gateway.samples import StateEncoder, WireCommand, parameters_message, scaling_of
+from protocol.bus import board51_pb2 as pb
+from protocol.wire.messages import FAULT_EVENTS, VERSION, EventCode, HostLoss, Message, Mode, Value
+from protocol.wire.session import (
+    RESETS,
+    Answer,
+    BoardEvent,
+    Event,
+    Opened,
+    Restarted,
+    Sample,
+    Session,
+    VersionRefused,
+)
+
+PARAMETERS_S = 5.0
+DIAGNOSE_S = 2.0  # an open port without a handshake for this long gets an explanation
+REFUSED_RETRY_S = 5.0  # a board that was refused may have been exchanged or flashed
+_POLICIES = {"keep": HostLoss.KEEP, "coil-off": HostLoss.COIL_OFF, "hold": HostLoss.HOLD}
+_WARNINGS = frozenset({EventCode.HOST_LOST, EventCode.OVERRUN, EventCode.LIMIT_HIT}) | (RESETS - FAULT_EVENTS)
+_EVENT_TEXT = {
+    EventCode.HOST_LOST: "No frame from the host in time; policy {detail} (0 keep, 1 coil off, 2 hold) has acted.",
+    EventCode.HOST_BACK: "The host is back.",
+    EventCode.OVER_CURRENT: "The current converter stayed at its top, {detail} counts: coil off.",
+    EventCode.SENSOR_FAULT: "The position converter stayed at an end, {detail} counts: coil off.",
+    EventCode.OVERRUN: "A tick took longer than T_s; late ticks since the reset: {detail}.",
+    EventCode.EXCITATION_DONE: "The excitation has ended.",
+    EventCode.CAPTURE_DONE: "The capture is complete.",
+    EventCode.LIMIT_HIT: "A limit was hit: {detail} (0 input, 1 reference).",
+    EventCode.MODE_CHANGED: "Mode {mode}.",
+}
+_logger = logging.getLogger("gateway.link")
+
+
+@dataclass(slots=True)
+class LinkCounts:
+    """Of one board since the gateway's start."""
+
+    bytes_received: int = 0
+    bytes_sent: int = 0
+    reconnects: int = 0
+    opened: int = 0
+    board_bad_frames: int = 0
+    board_overruns: int = 0
+    write_overflows: int = 0
+
+
+class BoardDriver:
+    """The state machine of one board's link.  All calls from one thread.
+
+    Args:
+        config: of this board.
+        outlet: where samples, events and records go.
+        clock: the host's time.
+        log_raw: whether raw bytes are worth handing to the outlet.
+    """
+
+    def __init__(self, config: BoardConfig, outlet: Outlet, clock: HostClock, *, log_raw: bool = True) -> None:
+        self.config = config
+        self.counts = LinkCounts()
+        self.link = "connecting"
+        self.reason = "the port is being opened"
+        self._kind = ""
+        self.port = config.port
+        self.deadline_s = float("inf")
+        # Unix seconds: a gateway that restarts must not reuse the number of a session that a subscriber remembers.
+        self.session = Session(
+            choose_session=lambda: secrets.randbits(16),
+            timeout_s=config.command_timeout_s,
+            retries=config.command_retries,
+            hello_s=max(0.25, config.command_timeout_s),
+            first_number=int(time.time()) & 0x7FFFFFFF,
+        )
+        self.known = Known()
+        self.desk = CommandDesk(config.limits, self.session, self.known, outlet, self._accepted)
+        self._outlet, self._clock, self._log_raw = outlet, clock, log_raw
+        self._offset_ns = clock.offset_ns()
+        self._encoder: StateEncoder | None = None
+        self._capture: CaptureReader | None = None
+        self._upkeep: dict[int, tuple[str, dict[str, Value]]] = {}
+        self._redo: list[tuple[str, dict[str, Value]]] = []
+        self._ping_s = min(0.5, config.host_loss_timeout_s) / 4  # 0.5 s is the board's own until it is told ours
+        self._next_ping_s = self._next_parameters_s = self._redo_s = float("inf")
+        self._last_valid_s = self._opened_s = 0.0
+        self._valid_at_open = self._bytes_at_open = 0
+        self._refused_until_s = 0.0
+        self._now_s = 0.0
+        self._alive = False
+
+    # -- the port, as the loop finds it
+
+    def port_absent(self, kind: str, text: str) -> None:
+        """It could not be opened; `kind` is the event's name."""
+        self._change("absent", kind, text, severity="warning")
+
+    def port_opened(self, name: str, now_s: float) -> None:
+        """Bytes can flow; begin the handshake."""
+        self.counts.opened += 1
+        self.counts.reconnects = self.counts.opened - 1
+        self.port = name
+        self._opened_s = self._last_valid_s = self._now_s = now_s
+        self._valid_at_open = self.session.counters.valid_frames
+        self._bytes_at_open = self.counts.bytes_received
+        self._offset_ns = self._clock.offset_ns()
+        self._change("handshake", "port-opened", f"{name} is open; calling the board.")
+        self.session.connect(now_s)
+        self._set_deadline()
+
+    def port_lost(self, text: str, now_s: float) -> None:
+        """The port is gone; whatever was under way is answered."""
+        self._now_s = now_s
+        for event in self.session.disconnect():
+            self._handle(event, now_s)
+        self._end_session("the loss of the port")
+        self._change("absent", "port-lost", text, severity="warning")
+        self.deadline_s = float("inf")
+
+    # -- bytes and time
+
+    def received(self, data: bytes, now_ns: int) -> None:
+        """Bytes read at `now_ns` (monotonic)."""
+        now_s = self._now_s = now_ns * 1e-9
+        host_ns = now_ns + self._offset_ns
+        self.counts.bytes_received += len(data)
+        if self._log_raw:
+            self._outlet.raw(data, host_ns, to_board=False)
+        session = self.session
+        valid = session.counters.valid_frames
+        payloads: list[bytes] = []
+        sample: Sample | None = None
+        for event in session.feed(data, now_s):
+            if type(event) is Sample:
+                if self._encoder is not None:
+                    sample = event
+                    payloads.append(self._encoder.encode(event, host_ns))
+            else:
+                if payloads:  # keep the order: a reset follows the samples before it
+                    self._outlet.states(payloads, host_ns, now_ns)
+                    payloads = []
+                self._handle(event, now_s)
+        if payloads:
+            self._outlet.states(payloads, host_ns, now_ns)
+            if self._encoder is not None:
+                self.known.sample = sample
+        if session.counters.valid_frames != valid:
+            self._last_valid_s = now_s
+            if self.link != "streaming" and session.is_open and self._encoder is not None:
+                self._change("streaming", "link-streaming", self._who_is_there())
+        self._set_deadline()
+
+    def poll(self, now_s: float) -> None:
+        """Something is due: an answer, a PING, a verdict on silence."""
+        self._now_s = now_s
+        for event in self.session.poll(now_s):
+            self._handle(event, now_s)
+        if self.link == "streaming" and now_s - self._last_valid_s >= self.config.stale_s:
+            self._change("silent", "link-silent", f"No valid frame for {self.config.stale_s:g} s.", severity="warning")
+        if self.link == "handshake":
+            self._explain(now_s)
+        if self.session.is_open:
+            self._keep_up(now_s)
+        self._set_deadline()
+
+    def command(self, payload: bytes, reply: Reply, now_s: float) -> None:
+        """A query from the bus."""
+        self._now_s = now_s
+        self.desk.take(payload, reply, now_s, self.host_ns(), link=self.link, reason=self.reason)
+        self._drain(now_s)
+        self._set_deadline()
+
+    def take_output(self, host_ns: int | None = None) -> bytes:
+        """Bytes to write now; they count as sent and are logged."""
+        data = self.session.take_output()
+        if data:
+            self.counts.bytes_sent += len(data)
+            if self._log_raw:
+                self._outlet.raw(data, self.host_ns() if host_ns is None else host_ns, to_board=True)
+        return data
+
+    def host_ns(self) -> int:
+        """Unix time that does not step within a session."""
+        return time.monotonic_ns() + self._offset_ns
+
+    def tell(self, name: str, severity: str, text: str, *, source: str = "gateway", tick: int = 0) -> None:
+        """Publish and log an event of this board."""
+        event = pb.Event(
+            host_time_ns=self.host_ns(),
+            tick=tick,
+            session=self.session.number if self.session.is_open else 0,
+            source=source,
+            severity=severity,
+            name=name,
+            text=text,
+        )
+        self._outlet.send("event", event, event.host_time_ns)
+
+    # -- what the session says
+
+    def _handle(self, event: Event, now_s: float) -> None:
+        match event:
+            case Answer():
+                self._answered(event, now_s)
+            case BoardEvent():
+                self._board_event(event, now_s)
+            case Opened():
+                self._opened(event, now_s)
+            case Restarted():
+                self._end_session("a restart of the board" if event.board_reset else "a jump of the tick")
+                why = {"event": "it said so", "tick": "its tick jumped", "no-session": "it forgot this gateway"}
+                self._change(
+                    "handshake", "board-restarted", f"The board restarted: {why[event.why]}.", severity="warning"
+                )
+            case VersionRefused():
+                self._refuse_board(
+                    "version-mismatch",
+                    f"The board speaks protocol version {event.board_version}, this gateway {VERSION}:"
+                    f" flash firmware of version {VERSION}.x or install a gateway for it.",
+                    now_s,
+                )
+
+    def _opened(self, opened: Opened, now_s: float) -> None:
+        scaling = scaling_of(opened.identity)
+        board_id = opened.identity.int("board_id")
+        if self.config.board_id not in (0, board_id):
+            self._refuse_board(
+                "wrong-board",
+                f"The board at {self.port} has the serial number {board_id}, the configuration wants"
+                f" {self.config.board_id}: exchange the cables or correct board_id.",
+                now_s,
+            )
+            return
+        if scaling is None:
+            self._refuse_board("bad-identity", "The board reports a scaling of 0: its firmware is not usable.", now_s)
+            return
+        self._offset_ns = self._clock.offset_ns()
+        self.known.identity, self.known.scaling = opened.identity, scaling
+        self._encoder = StateEncoder(scaling, opened.session)
+        self._ping_s = min(0.5, self.config.host_loss_timeout_s) / 4
+        self._next_ping_s = now_s + self._ping_s
+        self._next_parameters_s = now_s + PARAMETERS_S
+        timeout_ms = round(self.config.host_loss_timeout_s * 1e3)
+        self._order("SET_STREAM", divider=self.config.stream_divider)
+        self._order("SET_HOST_LOSS", policy=int(_POLICIES[self.config.host_loss]), timeout=timeout_ms)
+        self._order("GET_PARAMETERS")
+
+    def _refuse_board(self, kind: str, text: str, now_s: float) -> None:
+        for event in self.session.disconnect():
+            self._handle(event, now_s)
+        self._end_session("the refusal of the board")
+        self._refused_until_s = now_s + REFUSED_RETRY_S
+        self._change("handshake", kind, text, severity="fault")
+
+    def _end_session(self, why: str) -> None:
+        self._encoder = None
+        self.known.identity = self.known.scaling = self.known.parameters = self.known.sample = None
+        self._upkeep.clear()
+        self._redo.clear()
+        self._next_ping_s = self._next_parameters_s = self._redo_s = float("inf")
+        self.desk.session_ended()
+        if self._capture is not None:
+            self._capture.interrupt(why)
+
+    def _answered(self, answer: Answer, now_s: float) -> None:
+        if self.desk.answered(answer, self.host_ns()):
+            return
+        if self._capture is not None and self._capture.answered(answer, now_s):
+            return
+        name, values = self._upkeep.pop(answer.token, ("", {}))
+        if answer.outcome == "ack" and answer.message is not None:
+            if name == "PING":
+                self.counts.board_bad_frames = answer.message.int("bad_frames")
+                self.counts.board_overruns = answer.message.int("overruns")
+            elif name == "GET_PARAMETERS":
+                self._got_parameters(answer.message)
+            elif name == "SET_HOST_LOSS":
+                self._ping_s = int(values["timeout"]) / 4e3
+        elif name not in ("", "PING") and self.session.is_open:
+            self._redo.append((name, values))  # the board must not stay without its stream rate or policy
+            self._redo_s = now_s + 1.0
+
+    def _got_parameters(self, message: Message) -> None:
+        identity, scaling = self.known.identity, self.known.scaling
+        if identity is not None and scaling is not None:
+            self.known.parameters = message
+            host_ns = self.host_ns()
+            parameters = parameters_message(
+                message, identity, scaling, session=self.session.number, host_time_ns=host_ns
+            )
+            self._outlet.send("parameters", parameters, host_ns)
+
+    def _accepted(self, wire: WireCommand, command: pb.Command, message: Message) -> None:
+        if wire.name == "CAPTURE" and self.known.scaling is not None:
+            if self._capture is not None:
+                self._capture.interrupt("another one")
+            self._capture = CaptureReader(
+                self.session,
+                self.known.scaling,
+                wire,
+                command.capture,
+                self.session.number,
+                self._now_s,
+                self._capture_ended,
+            )
+        elif wire.name in ("STOP", "SET_MODE") and self._capture is not None:
+            self._capture.interrupt("STOP" if wire.name == "STOP" else "a change of mode")
+        elif wire.name == "SET_HOST_LOSS":
+            self._ping_s = int(wire.values["timeout"]) / 4e3
+            self._next_ping_s = min(self._next_ping_s, self._now_s + self._ping_s)
+        if wire.name in ("SET_GAINS", "SET_STREAM", "SET_HOST_LOSS"):
+            self._order("GET_PARAMETERS")
+
+    def _capture_ended(self, result: pb.CaptureRecord | str) -> None:
+        self._capture = None
+        if isinstance(result, str):
+            self.tell("capture-failed", "warning", result)
+        else:
+            result.host_time_ns = self.host_ns()
+            self._outlet.send("capture", result, result.host_time_ns)
+
+    def _board_event(self, event: BoardEvent, now_s: float) -> None:
+        code = event.code
+        if event.missed:
+            self.tell("events-lost", "warning", f"{event.missed} events of the board were lost on the line.")
+        severity = "fault" if code in FAULT_EVENTS else "warning" if code in _WARNINGS else "info"
+        mode = Mode(event.detail).name.lower().replace("_", " ") if event.detail <= max(Mode) else str(event.detail)
+        text = _EVENT_TEXT.get(code, "The board restarted; resets since power-on: {detail}.")
+        self.tell(
+            code.name.lower().replace("_", "-"),
+            severity,
+            text.format(detail=event.detail, mode=mode),
+            source="board",
+            tick=event.tick,
+        )
+        if code == EventCode.CAPTURE_DONE and self._capture is not None:
+            self._capture.board_says_done(now_s)
+
+    # -- upkeep
+
+    def _order(self, name: str, /, **values: Value) -> None:
+        token = self.session.submit(name, self._now_s, **values)
+        self._upkeep[token] = (name, values)
+
+    def _keep_up(self, now_s: float) -> None:
+        if now_s >= self._next_ping_s:
+            self._next_ping_s = now_s + self._ping_s
+            if not any(name == "PING" for name, _ in self._upkeep.values()):
+                self._order("PING")
+        if now_s >= self._next_parameters_s:
+            self._next_parameters_s = now_s + PARAMETERS_S
+            self._order("GET_PARAMETERS")
+        if now_s >= self._redo_s:
+            redo, self._redo, self._redo_s = self._redo, [], float("inf")
+            for name, values in redo:
+                self._order(name, **values)
+        if self._capture is not None:
+            self._capture.poll(now_s)
+
+    def _drain(self, now_s: float) -> None:
+        for event in self.session.take_outcomes():
+            self._handle(event, now_s)
+
+    def _explain(self, now_s: float) -> None:
+        if self._refused_until_s:
+            if now_s >= self._refused_until_s:
+                self._refused_until_s = 0.0
+                self.session.connect(now_s)
+            return
+        if now_s - self._opened_s < DIAGNOSE_S:
+            return
+        received = self.counts.bytes_received - self._bytes_at_open
+        if self.session.counters.valid_frames > self._valid_at_open:
+            if now_s - self._last_valid_s < DIAGNOSE_S:
+                kind, text = (
+                    "hello-unanswered",
+                    "Frames arrive but HELLO is not answered: is the line to the board intact?",
+                )
+            else:
+                kind, text = "no-answer", "The board has fallen silent before the handshake."
+        elif received:
+            kind = "not-a-board"
+            text = (
+                f"{received} bytes arrived and none of them is a valid frame: is {self.config.baud} the baud rate,"
+                " and is this a Board51?"
+            )
+        else:
+            kind, text = (
+                "no-answer",
+                "The port is open but nothing arrives: is the board powered, are TX and RX crossed?",
+            )
+        self._change("handshake", kind, text, severity="warning")
+
+    def _set_deadline(self) -> None:
+        deadline = min(self.session.deadline_s, self._next_ping_s, self._next_parameters_s, self._redo_s)
+        if self.link == "streaming":
+            deadline = min(deadline, self._last_valid_s + self.config.stale_s)
+        elif self.link == "handshake":
+            deadline = min(deadline, self._refused_until_s or self._now_s + DIAGNOSE_S)
+        if self._capture is not None:
+            deadline = min(deadline, self._capture.deadline_s)
+        self.deadline_s = deadline
+
+    # -- telling
+
+    def _change(self, link: str, kind: str, text: str, *, severity: str = "info") -> None:
+        if (link, kind) == (self.link, self._kind):
+            return
+        self.link, self._kind, self.reason = link, kind, "" if link == "streaming" else text
+        alive = link == "streaming"
+        if alive != self._alive:
+            self._alive = alive
+            self._outlet.alive(alive=alive)
+        self.tell(kind, severity, text)
+        c = self.session.counters
+        level = {"info": logging.INFO, "warning": logging.WARNING}.get(severity, logging.ERROR)
+        _logger.log(
+            level,
+            "%s: %s: %s [%d samples, %d lost, %d bad frames, %d resets]",
+            self.config.name,
+            link,
+            text,
+            c.samples,
+            self.session.unwrapper.lost,
+            sum(c.bad_frames.values()),
+            c.board_resets,
+        )
+
+    def _who_is_there(self) -> str:
+        identity = self.known.identity
+        assert identity is not None
+        f = identity.int
+        return (
+            f"Board {f('board_id')} at {self.port}, firmware {f('firmware_major')}.{f('firmware_minor')},"
+            f" T_s {f('sample_time')} us, session {self.session.number}."
+        )

@@ -1,0 +1,230 @@
+"""The serial thread: one selector over all boards.  Nothing in it blocks.
+
+Rule 1: a port that is ready is read once, everything there is, and stamped once.
+Rule 2: what may block is done elsewhere: ports are opened in short-lived helper threads, puts and replies go out in the
+        publisher's threads, the log has its own.
+Rule 3: bytes to a board wait in a bounded buffer; what does not fit is dropped whole and counted, the session repeats.
+Rule 4: a fault in the handling of one board costs that board its connection, not the others theirs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import selectors
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from gateway.link.driver import BoardDriver
+from gateway.link.port import Port, PortProblem, open_port
+
+POLL_S = 0.005  # how late a time-out may be noticed; the shortest configurable one is 20 ms
+OUT_BUFFER = 4096  # bytes to one board; 0.35 s of line at 115200
+# From this many streaming boards on, the thread rests after each round so that the next one finds several boards ready:
+# without it 32 boards cost a wake-up for each of 16000 frames a second.
+BATCH_BOARDS = 4
+BATCH_S = 0.001
+_logger = logging.getLogger("gateway.link")
+
+
+@dataclass(slots=True)
+class _Line:
+    """A board's driver and what the loop needs to move its bytes."""
+
+    driver: BoardDriver
+    port: Port | None = None
+    out: bytearray = field(default_factory=bytearray)
+    opening: bool = False
+    next_open_s: float = 0.0
+    waits_for_room: bool = False
+
+
+class LinkThread:
+    """Serves all boards until `stop`."""
+
+    def __init__(self, drivers: Sequence[BoardDriver]) -> None:
+        self._lines = [_Line(driver) for driver in drivers]
+        self._by_driver = {id(line.driver): line for line in self._lines}
+        self._selector = selectors.DefaultSelector()
+        self._wake_read, self._wake_write = os.pipe()
+        os.set_blocking(self._wake_read, False)
+        os.set_blocking(self._wake_write, False)
+        self._selector.register(self._wake_read, selectors.EVENT_READ, None)
+        self._actions: deque[Callable[[], None]] = deque()
+        self._stopping = False
+        self._thread = threading.Thread(target=self._work, name="link", daemon=True)
+
+    def start(self) -> None:
+        """Begin to open ports."""
+        self._thread.start()
+
+    def post(self, action: Callable[[], None]) -> None:
+        """Have `action` run in the serial thread, soon; from any thread."""
+        self._actions.append(action)
+        with contextlib.suppress(BlockingIOError):  # a full pipe wakes as well as an empty one with a byte
+            os.write(self._wake_write, b"\x00")
+
+    def command(self, driver: BoardDriver, payload: bytes, reply: Callable[..., None]) -> None:
+        """Hand a query to a board's driver; from any thread."""
+
+        def act() -> None:
+            driver.command(payload, reply, time.monotonic())
+            self._write_output(self._by_driver[id(driver)])
+
+        self.post(act)
+
+    def stop(self) -> None:
+        """Close all ports and end the thread.  The boards are told nothing: their host-loss policy decides."""
+        self._stopping = True
+        self.post(lambda: None)
+        self._thread.join()
+
+    # -- in the serial thread
+
+    def _work(self) -> None:
+        next_poll_s = 0.0
+        streaming = 0
+        try:
+            while not self._stopping:
+                pause_s = max(0.0, next_poll_s - time.monotonic())
+                for key, mask in self._selector.select(pause_s):
+                    line: _Line | None = key.data
+                    if line is None:
+                        self._run_actions()
+                    else:
+                        try:
+                            self._serve(line, mask)
+                        except Exception:
+                            _logger.exception("%s: while reading", line.driver.config.name)
+                            self._give_up(line)
+                now_s = time.monotonic()
+                if now_s >= next_poll_s:
+                    next_poll_s = now_s + POLL_S
+                    streaming = self._poll(now_s)
+                if streaming >= BATCH_BOARDS:
+                    time.sleep(BATCH_S)
+        finally:
+            for line in self._lines:
+                self._close(line, "The gateway ends.")
+            self._selector.close()
+            os.close(self._wake_read)
+
+    def _serve(self, line: _Line, mask: int) -> None:
+        if mask & selectors.EVENT_WRITE:
+            self._write(line)
+        if not mask & selectors.EVENT_READ or line.port is None:
+            return
+        data = line.port.read()
+        now_ns = time.monotonic_ns()
+        if data is None:
+            return
+        if not data:
+            self._close(line, f"{line.port.name} is gone.")
+            return
+        line.driver.received(data, now_ns)
+        self._write_output(line)
+
+    def _poll(self, now_s: float) -> int:
+        """What is due on any board; the number of boards that stream."""
+        streaming = 0
+        for line in self._lines:
+            driver = line.driver
+            if line.port is None:
+                if not line.opening and now_s >= line.next_open_s:
+                    self._begin_opening(line)
+                continue
+            streaming += driver.link == "streaming"
+            if now_s >= driver.deadline_s:
+                try:
+                    driver.poll(now_s)
+                    self._write_output(line)
+                except Exception:
+                    _logger.exception("%s: while something was due", driver.config.name)
+                    self._give_up(line)
+        return streaming
+
+    def _run_actions(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            os.read(self._wake_read, 4096)
+        for _ in range(len(self._actions)):
+            action = self._actions.popleft()
+            try:
+                action()
+            except Exception:
+                _logger.exception("an action of the link thread failed")
+
+    def _give_up(self, line: _Line) -> None:
+        """A fault of ours (called in an except block) must not take the other boards with it."""
+        self._close(line, "An internal error; see the gateway's log.")
+
+    # -- opening and closing
+
+    def _begin_opening(self, line: _Line) -> None:
+        line.opening = True
+        config = line.driver.config
+
+        def work() -> None:
+            try:
+                result = open_port(config.port, config.baud)
+            except Exception as error:  # a driver's own bug: this port does not open, the others live on
+                result = PortProblem("port-failed", f"{config.port} cannot be opened: {error}.")
+            self.post(lambda: self._opened(line, result))
+
+        threading.Thread(target=work, name=f"open-{config.name}", daemon=True).start()
+
+    def _opened(self, line: _Line, result: Port | PortProblem) -> None:
+        now_s = time.monotonic()
+        line.opening = False
+        line.next_open_s = now_s + line.driver.config.reconnect_s
+        if isinstance(result, PortProblem):
+            line.driver.port_absent(result.kind, result.text)
+            return
+        if self._stopping:
+            result.close()
+            return
+        line.port = result
+        line.out.clear()
+        line.waits_for_room = False
+        self._selector.register(result.fd, selectors.EVENT_READ, line)
+        line.driver.port_opened(result.name, now_s)
+        self._write_output(line)
+
+    def _close(self, line: _Line, text: str) -> None:
+        port, line.port = line.port, None
+        if port is None:
+            return
+        self._selector.unregister(port.fd)
+        port.close()
+        now_s = time.monotonic()
+        line.next_open_s = now_s + line.driver.config.reconnect_s
+        line.driver.port_lost(text, now_s)
+
+    # -- writing
+
+    def _write_output(self, line: _Line) -> None:
+        data = line.driver.take_output()
+        if not data or line.port is None:
+            return
+        if len(line.out) + len(data) > OUT_BUFFER:
+            line.driver.counts.write_overflows += 1
+            return
+        line.out += data
+        self._write(line)
+
+    def _write(self, line: _Line) -> None:
+        if line.port is None:
+            return
+        if line.out:
+            written = line.port.write(bytes(line.out))
+            if written is None:
+                self._close(line, f"{line.port.name} is gone.")
+                return
+            del line.out[:written]
+        if bool(line.out) != line.waits_for_room:
+            line.waits_for_room = bool(line.out)
+            wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if line.out else 0)
+            self._selector.modify(line.port.fd, wanted, line)

@@ -1,0 +1,28 @@
+"""Where a board's driver puts what it made.  Every method returns at once: the serial thread calls them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from google.protobuf.message import Message as ProtoMessage
+
+from protocol.bus import board51_pb2 as pb
+
+Reply = Callable[[pb.CommandReply], None]  # answers one query; called once, from the serial thread
+
+
+class Outlet(Protocol):
+    """One board's way to the bus and the log."""
+
+    def states(self, payloads: list[bytes], host_time_ns: int, read_mono_ns: int) -> None:
+        """Serialised pb.State of one read; `read_mono_ns` is when its last byte was read (monotonic)."""
+
+    def send(self, topic: str, message: ProtoMessage, host_time_ns: int) -> None:
+        """Anything rarer."""
+
+    def raw(self, data: bytes, host_time_ns: int, *, to_board: bool) -> None:
+        """Bytes as they crossed the UART; for the log only."""
+
+    def alive(self, *, alive: bool) -> None:
+        """Hold or drop the liveliness token."""

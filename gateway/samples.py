@@ -1,0 +1,308 @@
+"""Counts of one board <-> SI units, with the scalings the board itself reported.  Pure.
+
+Rule 1: SI value = offset + lsb * count (protocol/README.md, rule 14); x_ref uses the scaling of x.
+Rule 2: what cannot be put into the fields of the UART is a `Refusal`, never clipped: a clipped setpoint is another one.
+Rule 3: rounding that the sender would notice is said in `WireCommand.note`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from protocol.bus import board51_pb2 as pb
+from protocol.wire.messages import COUNTS_MAX, Law, Message, Shape, Value
+from protocol.wire.session import Sample
+
+_MANTISSA_MAX = 32767
+_SHIFT_MAX = 30
+_U16 = 0xFFFF
+_U32 = 0xFFFFFFFF
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A command that does not reach the wire.  `reason` is kebab-case and stable; `text` is a sentence for people."""
+
+    reason: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scaling:
+    """What one count is worth, and the board's times; from IDENTITY."""
+
+    i_offset_a: float
+    i_lsb_a: float
+    x_offset_m: float
+    x_lsb_m: float
+    u_offset_v: float
+    u_lsb_v: float
+    sample_time_s: float  # T_s
+    capture_time_s: float
+    capture_size: int  # samples
+
+    def i_a(self, count: int) -> float:
+        """Coil current, A."""
+        return self.i_offset_a + self.i_lsb_a * count
+
+    def x_m(self, count: int) -> float:
+        """Position or reference, m, up from the sensor."""
+        return self.x_offset_m + self.x_lsb_m * count
+
+    def u_v(self, count: int) -> float:
+        """Input of the amplifier, V."""
+        return self.u_offset_v + self.u_lsb_v * count
+
+    def gain_units(self, law: int) -> tuple[float, float, float, float]:
+        """Counts per SI unit of each gain, in the order of the law (rule 14)."""
+        i, x = self.i_lsb_a / self.u_lsb_v, self.x_lsb_m / self.u_lsb_v
+        t_s = self.sample_time_s
+        return (i, x, x / t_s, x * t_s) if law == Law.LQI else (x, x * t_s, x / t_s, 1.0)
+
+
+def scaling_of(identity: Message) -> Scaling | None:
+    """The scalings in an IDENTITY; None where one of them cannot be a scaling (zero)."""
+    f = identity.float
+    if not (f("i_lsb") and f("x_lsb") and f("u_lsb")):
+        return None
+    return Scaling(
+        i_offset_a=f("i_offset"),
+        i_lsb_a=f("i_lsb"),
+        x_offset_m=f("x_offset"),
+        x_lsb_m=f("x_lsb"),
+        u_offset_v=f("u_offset"),
+        u_lsb_v=f("u_lsb"),
+        sample_time_s=identity.int("sample_time") * 1e-6,
+        capture_time_s=identity.int("capture_time") * 1e-6,
+        capture_size=identity.int("capture_size"),
+    )
+
+
+class StateEncoder:
+    """Samples of one session into serialised pb.State: once, for the bus and the log."""
+
+    def __init__(self, scaling: Scaling, session: int) -> None:
+        s = scaling
+        self._scale = (s.i_offset_a, s.i_lsb_a, s.x_offset_m, s.x_lsb_m, s.u_offset_v, s.u_lsb_v)
+        # Whole microseconds: tick * 0.002 and tick * 2000 / 1e6 differ in the last bit, and the second is right.
+        self._sample_time_us = round(s.sample_time_s * 1e6)
+        self._message = pb.State(session=session)
+
+    def encode(self, sample: Sample, host_time_ns: int) -> bytes:
+        """pb.State of `sample`, which arrived at `host_time_ns` (Unix time)."""
+        i_offset, i_lsb, x_offset, x_lsb, u_offset, u_lsb = self._scale
+        tick, _, lost_before, (sequence, i_c, x, u_c, x_ref, flags) = sample
+        # One message is used again and again: half the time of a new one for each sample.
+        m = self._message
+        m.sequence = sequence
+        m.tick = tick
+        m.host_time_ns = host_time_ns
+        m.i_c_a = i_offset + i_lsb * i_c
+        m.x_m = x_offset + x_lsb * x
+        m.u_c_v = u_offset + u_lsb * u_c
+        m.x_ref_m = x_offset + x_lsb * x_ref
+        m.mode = flags & 3  # type: ignore[assignment]  # the decoder lets no mode 3 pass
+        m.flags = flags & 0xFC
+        m.t_s = tick * self._sample_time_us / 1e6
+        m.lost_before = lost_before
+        return m.SerializeToString()
+
+
+def parameters_message(
+    parameters: Message, identity: Message, scaling: Scaling, *, session: int, host_time_ns: int
+) -> pb.Parameters:
+    """What the board answered to GET_PARAMETERS, in SI units."""
+    p, s = parameters.int, scaling
+    units = s.gain_units(p("law"))
+    gains = [p(f"k{n}_mantissa") * 2.0 ** -p(f"k{n}_shift") / units[n - 1] for n in range(1, 5)]
+    return pb.Parameters(
+        session=session,
+        host_time_ns=host_time_ns,
+        firmware=f"{identity.int('firmware_major')}.{identity.int('firmware_minor')}"
+        f" {identity.bytes('build').decode('ascii', 'replace').strip()}",
+        board_id=identity.int("board_id"),
+        protocol_version=identity.int("version"),
+        sample_time_s=s.sample_time_s,
+        law=pb.LAW_LQI if p("law") == Law.LQI else pb.LAW_PID,
+        gains=gains,
+        i_0_a=s.i_a(p("i_0")),
+        x_0_m=s.x_m(p("x_0")),
+        u_0_v=s.u_v(p("u_0")),
+        x_ref_min_m=s.x_m(p("x_ref_min")),
+        x_ref_max_m=s.x_m(p("x_ref_max")),
+        x_ref_step_max_m=p("x_ref_step") * abs(s.x_lsb_m),
+        x_ref_slew_m_s=p("x_ref_slew") * abs(s.x_lsb_m),
+        u_max_v=s.u_v(p("u_max")),
+        stream_divider=p("divider"),
+        host_loss_policy=p("policy"),
+        host_loss_timeout_s=p("timeout") / 1e3,
+        i_lsb_a=s.i_lsb_a,
+        x_lsb_m=s.x_lsb_m,
+        u_lsb_v=s.u_lsb_v,
+        u_min_v=s.u_offset_v,
+        from_tick=p("tick"),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WireCommand:
+    """A bus command in the fields of the UART."""
+
+    name: str
+    values: dict[str, Value]
+    note: str = ""  # rounding worth knowing; goes into the reply
+
+
+class _OutOfFieldError(Exception):
+    """A value does not fit its field; never leaves this file."""
+
+
+def to_wire(command: pb.Command, scaling: Scaling) -> WireCommand | Refusal:
+    """The UART form of a command whose numbers are finite and whose oneof is set (limits.py has looked)."""
+    try:
+        return _CONVERT[str(command.WhichOneof("what"))](command, scaling)
+    except _OutOfFieldError as problem:
+        return Refusal("out-of-range", f"{problem}.")
+
+
+def _count(value: float, offset: float, lsb: float, what: str, unit: str) -> int:
+    count = round((value - offset) / lsb)
+    if not 0 <= count <= COUNTS_MAX:
+        ends = sorted((offset, offset + lsb * COUNTS_MAX))
+        raise _OutOfFieldError(
+            f"{what} {value:g} {unit} is outside what the converter covers, {ends[0]:.6g} .. {ends[1]:.6g} {unit}"
+        )
+    return count
+
+
+def _whole(value: float, unit_s: float, what: str, low: int, high: int) -> int:
+    number = round(value / unit_s)
+    if not low <= number <= high:
+        raise _OutOfFieldError(f"{what} {value:g} s is outside {low * unit_s:g} .. {high * unit_s:g} s")
+    return number
+
+
+def _set_mode(command: pb.Command, scaling: Scaling) -> WireCommand:
+    if command.set_mode.mode not in (0, 1, 2):
+        raise _OutOfFieldError(f"mode {command.set_mode.mode} is none of 0 idle, 1 open loop, 2 closed loop")
+    return WireCommand(name="SET_MODE", values={"mode": int(command.set_mode.mode)})
+
+
+def _set_reference(command: pb.Command, s: Scaling) -> WireCommand:
+    x_ref = _count(command.set_reference.x_ref_m, s.x_offset_m, s.x_lsb_m, "x_ref", "m")
+    return WireCommand(name="SET_REFERENCE", values={"x_ref": x_ref})
+
+
+def to_mantissa(gain: float) -> tuple[int, int]:
+    """(mantissa, shift) with mantissa * 2^-shift nearest to `gain`; OverflowError above 32767."""
+    if gain == 0:
+        return 0, 0
+    if abs(gain) >= _MANTISSA_MAX + 0.5:
+        raise OverflowError(gain)
+    shift = min(_SHIFT_MAX, math.floor(math.log2((_MANTISSA_MAX + 0.5) / abs(gain))))
+    mantissa = round(gain * 2.0**shift)
+    return (mantissa, shift) if abs(mantissa) <= _MANTISSA_MAX else (round(gain * 2.0 ** (shift - 1)), shift - 1)
+
+
+def _set_gains(command: pb.Command, s: Scaling) -> WireCommand:
+    g = command.set_gains
+    if g.law not in (0, 1) or len(g.gains) != 4:
+        raise _OutOfFieldError(
+            f"law {g.law} with {len(g.gains)} gains; law is 0 LQI or 1 PID, and there are four gains"
+        )
+    values: dict[str, Value] = {"law": int(g.law)}
+    worst = 0.0
+    for n, (gain, unit) in enumerate(zip(g.gains, s.gain_units(g.law), strict=True), 1):
+        try:
+            mantissa, shift = to_mantissa(gain * unit)
+        except OverflowError:
+            raise _OutOfFieldError(
+                f"gain {n} = {gain:g} is above {_MANTISSA_MAX / abs(unit):g}, the board's largest"
+            ) from None
+        values[f"k{n}_mantissa"], values[f"k{n}_shift"] = mantissa, shift
+        if gain:
+            worst = max(worst, abs(mantissa * 2.0**-shift / (gain * unit) - 1))
+    values["i_0"] = _count(g.i_0_a, s.i_offset_a, s.i_lsb_a, "i_0", "A")
+    values["x_0"] = _count(g.x_0_m, s.x_offset_m, s.x_lsb_m, "x_0", "m")
+    values["u_0"] = _count(g.u_0_v, s.u_offset_v, s.u_lsb_v, "u_0", "V")
+    return WireCommand(
+        name="SET_GAINS", values=values, note=f"Rounding changed no gain by more than {worst:.1e} of it."
+    )
+
+
+def _excite(command: pb.Command, s: Scaling) -> WireCommand:
+    e = command.excite
+    shape = int(e.shape)
+    if not 0 <= shape <= max(Shape):
+        raise _OutOfFieldError(f"shape {shape} is none of 0 .. {max(Shape):d}")
+    offset, lsb, unit = (s.x_offset_m, s.x_lsb_m, "m") if e.on_reference else (s.u_offset_v, s.u_lsb_v, "V")
+    amplitude = round(e.amplitude / lsb)
+    if abs(amplitude) > COUNTS_MAX:
+        raise _OutOfFieldError(f"amplitude {e.amplitude:g} {unit} is above {COUNTS_MAX * abs(lsb):g} {unit}")
+    needs_period = shape in (Shape.RECTANGLE, Shape.SAWTOOTH, Shape.PRBS, Shape.MULTISINE, Shape.CHIRP)
+    period = _whole(e.period_s, s.sample_time_s, "period", 1, _U16) if needs_period else 1
+    period_end = _whole(e.period_end_s, s.sample_time_s, "period_end", 1, _U16) if shape == Shape.CHIRP else period
+    seed = e.seed or 1
+    if seed > _U16:
+        raise _OutOfFieldError(f"seed {seed} is above {_U16}")
+    if shape == Shape.CHIRP and e.duration_s == 0:
+        raise _OutOfFieldError("a chirp needs a duration")
+    return WireCommand(
+        name="EXCITE",
+        values={
+            "shape": shape,
+            "target": int(e.on_reference),
+            "amplitude": amplitude,
+            "offset": _count(e.offset, offset, lsb, "offset", unit),
+            "period": period,
+            "period_end": period_end,
+            "seed": seed,
+            "duration": _whole(e.duration_s, s.sample_time_s, "duration", 0, _U32),
+        },
+    )
+
+
+def _capture(command: pb.Command, s: Scaling) -> WireCommand:
+    c = command.capture
+    count = _whole(c.duration_s, s.capture_time_s, "duration", 1, min(s.capture_size, 2000))
+    pre = _whole(c.pre_s, s.capture_time_s, "pre", 0, count)
+    u_from = _count(c.u_from_v, s.u_offset_v, s.u_lsb_v, "u_from", "V")
+    u_to = _count(c.u_to_v, s.u_offset_v, s.u_lsb_v, "u_to", "V")
+    return WireCommand(name="CAPTURE", values={"u_from": u_from, "u_to": u_to, "pre": pre, "count": count})
+
+
+def _set_stream(command: pb.Command, scaling: Scaling) -> WireCommand:
+    divider = command.set_stream.divider
+    if divider > 1000:
+        raise _OutOfFieldError(f"divider {divider} is above 1000")
+    return WireCommand(name="SET_STREAM", values={"divider": divider})
+
+
+def _set_host_loss(command: pb.Command, scaling: Scaling) -> WireCommand:
+    h = command.set_host_loss
+    if h.policy > 2:
+        raise _OutOfFieldError(f"policy {h.policy} is none of 0 keep, 1 coil off, 2 hold")
+    timeout = _whole(h.timeout_s, 1e-3, "timeout", 50, 60000)
+    return WireCommand(name="SET_HOST_LOSS", values={"policy": h.policy, "timeout": timeout})
+
+
+def _stop(command: pb.Command, scaling: Scaling) -> WireCommand:
+    return WireCommand(name="STOP", values={})
+
+
+def _ping(command: pb.Command, scaling: Scaling) -> WireCommand:
+    return WireCommand(name="PING", values={})
+
+
+_CONVERT = {
+    "set_mode": _set_mode,
+    "set_reference": _set_reference,
+    "set_gains": _set_gains,
+    "excite": _excite,
+    "capture": _capture,
+    "set_stream": _set_stream,
+    "set_host_loss": _set_host_loss,
+    "stop": _stop,
+    "ping": _ping,
+}

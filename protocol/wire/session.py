@@ -1,0 +1,407 @@
+"""The host's side of the conversation with one board: bytes and time in, events and bytes out.  No I/O, no clock.
+
+Read `unwrap.py` for how states get their tick.  `protocol/README.md` part 2 states the board's side.
+
+Rule 1: one command is outstanding; the others wait in order.  STOP does not wait: it goes out at once, and whatever
+        was waiting that could move the ball is cancelled, because a command given before STOP must not act after it.
+Rule 2: a command is repeated with the same id, at most `retries` times.  Every submitted command ends in exactly one
+        `Answer`, also when the board restarts or the connection ends.
+Rule 3: after a reset of the board nothing that was under way counts; the handshake is made again and the session
+        number goes up.
+Rule 4: time comes in as `now_s` (any monotonic clock, seconds); feed what was read before calling `poll`, so that an
+        answer that waited in a buffer is not mistaken for a missing one.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+from protocol.wire.decoder import CAUSES, BadFrame, State, StreamDecoder
+from protocol.wire.framing import encode_frame
+from protocol.wire.messages import BY_NAME, VERSION, EventCode, Message, Reason, Value, encode_body
+from protocol.wire.unwrap import Jump, TickUnwrapper
+
+ANSWERS = {
+    "HELLO": "IDENTITY",
+    "PING": "PONG",
+    "GET_PARAMETERS": "PARAMETERS",
+    "READ_CAPTURE": "CAPTURE_BLOCK",
+}  # all others: ACK
+MOVERS = frozenset({"SET_MODE", "SET_REFERENCE", "SET_GAINS", "EXCITE", "CAPTURE"})
+RESETS = frozenset({EventCode.RESET_POWER_ON, EventCode.RESET_WATCHDOG, EventCode.RESET_COMMANDED})
+_YOUNG_S = 1.0  # the EVENT of a reset reaches the host within this after the reset
+
+
+class Sample(NamedTuple):
+    """A state with its place in time."""
+
+    tick: int
+    session: int
+    lost_before: int
+    state: State
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """The board answered the handshake; commands are possible."""
+
+    identity: Message
+    session: int
+
+
+@dataclass(frozen=True, slots=True)
+class VersionRefused:
+    """Host and board have no protocol version in common; the handshake has ended."""
+
+    board_version: int
+
+
+@dataclass(frozen=True, slots=True)
+class Restarted:
+    """The count of ticks ends here; `Opened` begins a new one.  `why`: 'event', 'tick', 'no-session'."""
+
+    why: str
+    board_reset: bool
+
+
+@dataclass(frozen=True, slots=True)
+class BoardEvent:
+    """An EVENT frame; `missed` events were lost directly before it."""
+
+    tick: int
+    code: EventCode
+    detail: int
+    missed: int
+
+
+Outcome = Literal["ack", "nack", "timed-out", "cancelled"]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """How a submitted command ended.
+
+    `message` is the board's answer (ack, nack); `why` says what cancelled it: 'stop', 'board-reset', 'disconnected'.
+    """
+
+    token: int
+    outcome: Outcome
+    attempts: int
+    message: Message | None = None
+    why: str = ""
+
+
+Event = Sample | Opened | VersionRefused | Restarted | BoardEvent | Answer
+
+
+@dataclass(slots=True, kw_only=True)
+class Counters:
+    """What one board's sessions have seen, over all connections."""
+
+    valid_frames: int = 0
+    samples: int = 0
+    bad_frames: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CAUSES, 0))
+    stray_answers: int = 0
+    events_lost: int = 0
+    board_resets: int = 0
+
+
+@dataclass(slots=True)
+class _Command:
+    token: int
+    name: str
+    values: dict[str, Value]
+    id: int = 0
+    frame: bytes = b""
+    attempts: int = 0
+    deadline_s: float = 0.0
+
+
+class Session:
+    """One board's conversation.  `connect` when the port is open, `disconnect` when it is gone.
+
+    Args:
+        choose_session: gives a random 16-bit number for each handshake.
+        timeout_s: wait for an answer before repeating.
+        retries: repetitions before giving up.
+        hello_s: between two HELLO while nobody answers.
+        first_number: of the first session; later ones count up.
+    """
+
+    def __init__(
+        self,
+        *,
+        choose_session: Callable[[], int],
+        timeout_s: float = 0.1,
+        retries: int = 4,
+        hello_s: float = 0.25,
+        first_number: int = 1,
+    ) -> None:
+        self.number = first_number - 1
+        self.counters = Counters()
+        self.unwrapper = TickUnwrapper()
+        self.is_open = False
+        self.deadline_s = float("inf")  # when `poll` has something to do
+        self._choose_session = choose_session
+        self._timeout_s, self._retries, self._hello_s = timeout_s, retries, hello_s
+        self._decoder = StreamDecoder()
+        self._output = bytearray()
+        self._queue: deque[_Command] = deque()
+        self._outstanding: dict[int, _Command] = {}  # the one command, and a STOP beside it
+        self._hello: _Command | None = None
+        # Not from 1: without a session the board may still hold answers to the ids of the host before us, and a STOP
+        # with such an id would be answered but not executed.
+        self._next_id = choose_session() & 0xFF
+        self._next_token = 0
+        self._identity: Message | None = None
+        self._last_event: Message | None = None
+        self._young_until_s = -1.0
+        self._pending: list[Event] = []  # outcomes that arose outside `feed` and `poll`
+
+    @property
+    def waiting(self) -> int:
+        """Commands not answered yet."""
+        return len(self._queue) + len(self._outstanding)
+
+    def connect(self, now_s: float) -> None:
+        """Begin the handshake on a fresh connection."""
+        self._decoder = StreamDecoder()
+        self._output.clear()
+        self._shake(now_s)
+
+    def disconnect(self) -> list[Event]:
+        """The port is gone: everything under way is cancelled."""
+        self._cancel(lambda _: True, "disconnected")
+        self.is_open = False
+        self._hello = self._identity = None
+        self.deadline_s = float("inf")
+        return self.take_outcomes()
+
+    def submit(self, name: str, now_s: float, /, **values: Value) -> int:
+        """Queue a command and return its token; it waits for the handshake, STOP does not.
+
+        Raises:
+            ValueError: a value is out of the range of its field.
+        """
+        encode_body(name, id=1, **values)  # refuse what cannot be sent before it gets a place in the queue
+        self._next_token += 1
+        command = _Command(self._next_token, name, values)
+        if name == "STOP":
+            self._cancel(lambda c: c.name in MOVERS, "stop")
+            self._send(command, now_s)
+        else:
+            self._queue.append(command)
+            self._pump(now_s)
+        return command.token
+
+    def take_output(self) -> bytes:
+        """The bytes to write to the UART now."""
+        output = bytes(self._output)
+        self._output.clear()
+        return output
+
+    def take_outcomes(self) -> list[Event]:
+        """Commands that ended within `submit`: those that a STOP cancelled."""
+        pending, self._pending = self._pending, []
+        return pending
+
+    def feed(self, data: bytes, now_s: float) -> list[Event]:
+        """Bytes read at `now_s`; never raises, whatever they are."""
+        events: list[Event] = []
+        good = samples = 0
+        unwrapper = self.unwrapper
+        for item in self._decoder.feed(data):
+            if type(item) is State:
+                good += 1
+                if self._identity is None:  # nothing says yet what a count is worth
+                    continue
+                for placed in unwrapper.feed(item, now_s):
+                    if isinstance(placed, Jump):
+                        self._restart(events, "tick", board_reset=placed.board_reset, now_s=now_s)
+                        break
+                    samples += 1
+                    events.append(Sample(placed[0], self.number, placed[1], placed[2]))
+            elif type(item) is BadFrame:
+                self.counters.bad_frames[item.cause] += 1
+            else:
+                assert isinstance(item, Message)
+                good += 1
+                self._message(item, now_s, events)
+        if samples:
+            self.counters.samples += samples
+            if self.is_open:
+                unwrapper.settle(now_s)
+        self.counters.valid_frames += good
+        if self._pending or self._queue:
+            self._pump(now_s)
+        return events + self.take_outcomes() if self._pending else events
+
+    def poll(self, now_s: float) -> list[Event]:
+        """Repeat or give up what was not answered in time."""
+        if self._hello is not None and now_s >= self._hello.deadline_s:
+            self._hello.attempts += 1
+            self._hello.deadline_s = now_s + self._hello_s
+            self._output += self._hello.frame
+        for command in list(self._outstanding.values()):
+            if now_s < command.deadline_s:
+                continue
+            if command.attempts > self._retries:
+                del self._outstanding[command.id]
+                self._answer(command, "timed-out")
+            else:
+                self._transmit(command, now_s)
+        self._pump(now_s)
+        return self.take_outcomes()
+
+    # -- messages from the board
+
+    def _message(self, message: Message, now_s: float, events: list[Event]) -> None:
+        if message.name == "EVENT":
+            self._event(message, now_s, events)
+            return
+        if BY_NAME[message.name].to_board:  # our own echo, or noise
+            self.counters.stray_answers += 1
+            return
+        hello = self._hello
+        if hello is not None and message.int("id") == hello.id and _answers(hello, message):
+            self._hello_answered(hello, message, now_s, events)
+            return
+        command = self._outstanding.get(message.int("id"))
+        if command is None or not _answers(command, message):
+            self.counters.stray_answers += 1
+            return
+        del self._outstanding[command.id]
+        if message.name == "NACK":
+            self._answer(command, "nack", message)
+            if message.int("reason") == Reason.NO_SESSION:
+                self._restart(events, "no-session", board_reset=True, now_s=now_s)
+            return
+        self._answer(command, "ack", message)
+        if message.name == "PONG" and self.is_open and not self.unwrapper.anchor(message.int("tick"), now_s):
+            self._restart(events, "tick", board_reset=True, now_s=now_s)
+        elif command.name == "SET_STREAM":
+            self.unwrapper.divider = int(command.values["divider"]) or None
+        elif message.name == "PARAMETERS" and not any(c.name == "SET_STREAM" for c in self._queue):
+            self.unwrapper.divider = message.int("divider") or None
+
+    def _hello_answered(self, hello: _Command, message: Message, now_s: float, events: list[Event]) -> None:
+        if message.name == "NACK" and message.int("reason") != Reason.VERSION:
+            self._shake(hello.deadline_s)  # BUSY: the id was another command's; the next HELLO has a new one
+            return
+        version = message.int("version" if message.name == "IDENTITY" else "detail")
+        self._hello = None
+        if message.name == "NACK" or version != VERSION:
+            events.append(VersionRefused(version))
+            return
+        self.number += 1
+        self._identity = message
+        self._last_event = None
+        tick, sample_time_s = message.int("tick"), message.int("sample_time") * 1e-6
+        self._young_until_s = now_s + _YOUNG_S if tick * sample_time_s < _YOUNG_S else -1.0
+        self.unwrapper.divider = None
+        self.unwrapper.restart(tick, now_s, sample_time_s=sample_time_s)
+        self.is_open = True
+        events.append(Opened(message, self.number))
+
+    def _event(self, message: Message, now_s: float, events: list[Event]) -> None:
+        last, self._last_event = self._last_event, message
+        if last is not None and last.values == message.values:
+            return  # the line doubled it
+        code = EventCode(message.int("code"))
+        missed = 0
+        if code in RESETS:
+            # Answers overtake events on the line: the EVENT of a reset may follow the IDENTITY that came after it.
+            if now_s > self._young_until_s:
+                self._restart(events, "event", board_reset=True, now_s=now_s)
+            self._young_until_s = -1.0
+            self._last_event = message
+        elif last is not None:
+            missed = (message.int("number") - last.int("number") - 1) & 0xFF
+            self.counters.events_lost += missed
+        events.append(BoardEvent(message.int("tick"), code, message.int("detail"), missed))
+
+    def _restart(self, events: list[Event], why: str, *, board_reset: bool, now_s: float) -> None:
+        """Nothing is continuous with before: cancel, forget the identity, shake hands again."""
+        if not self.is_open:
+            return  # the handshake is being made already
+        self.is_open = False
+        self._identity = None
+        if board_reset:
+            self.counters.board_resets += 1
+        self._cancel(lambda _: True, "board-reset")
+        events.append(Restarted(why, board_reset))
+        self._shake(now_s)
+
+    # -- commands to the board
+
+    def _shake(self, now_s: float) -> None:
+        """HELLO with a new session; states are ignored until it is answered, for nothing says what a count is worth."""
+        self.is_open = False
+        self._identity = None
+        session = self._choose_session() & 0xFFFF
+        self._hello = _Command(
+            0, "HELLO", {"session": session, "version_min": VERSION, "version_max": VERSION}, deadline_s=now_s
+        )
+        self._hello.id = self._free_id()
+        self._hello.frame = _frame(self._hello)
+        self.deadline_s = now_s
+
+    def _pump(self, now_s: float) -> None:
+        busy = any(c.name != "STOP" for c in self._outstanding.values())
+        if self.is_open and not busy and self._queue:
+            self._send(self._queue.popleft(), now_s)
+        self._set_deadline()
+
+    def _send(self, command: _Command, now_s: float) -> None:
+        command.id = self._free_id()
+        command.frame = _frame(command)
+        self._outstanding[command.id] = command
+        if command.name == "SET_STREAM":
+            self.unwrapper.divider = None  # which frames are still of the old rate cannot be told
+        self._transmit(command, now_s)
+        self._set_deadline()
+
+    def _transmit(self, command: _Command, now_s: float) -> None:
+        command.attempts += 1
+        command.deadline_s = now_s + self._timeout_s
+        self._output += command.frame
+
+    def _free_id(self) -> int:
+        taken = self._outstanding.keys() | ({self._hello.id} if self._hello else set())
+        while True:
+            self._next_id = self._next_id % 255 + 1
+            if self._next_id not in taken:
+                return self._next_id
+
+    def _answer(self, command: _Command, outcome: Outcome, message: Message | None = None, why: str = "") -> None:
+        self._pending.append(Answer(command.token, outcome, command.attempts, message, why))
+
+    def _cancel(self, which: Callable[[_Command], bool], why: str) -> None:
+        for command in [*self._outstanding.values(), *self._queue]:
+            if which(command):
+                self._outstanding.pop(command.id, None)
+                self._answer(command, "cancelled", why=why)
+        self._queue = deque(c for c in self._queue if not which(c))
+
+    def _set_deadline(self) -> None:
+        deadlines = [c.deadline_s for c in self._outstanding.values()]
+        if self._hello is not None:
+            deadlines.append(self._hello.deadline_s)
+        self.deadline_s = min(deadlines, default=float("inf"))
+
+
+def _frame(command: _Command) -> bytes:
+    return encode_frame(encode_body(command.name, id=command.id, **command.values))
+
+
+def _answers(command: _Command, message: Message) -> bool:
+    """Whether `message`, which has the right id, is of the kind that answers `command`."""
+    if message.name in ("ACK", "NACK"):
+        good = message.int("command") == BY_NAME[command.name].type
+        return good and (message.name == "NACK" or command.name not in ANSWERS)
+    if message.name == "CAPTURE_BLOCK" and command.values.get("index") != message.int("index"):
+        return False
+    return ANSWERS.get(command.name) == message.name
