@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from gateway.record.reader import LogReader
@@ -58,9 +59,11 @@ def recover(broken: Path, clean: Path) -> Recovery:
     gaps: dict[str, SampleGaps] = {}
     first_ns = last_ns = None
     messages = 0
+    records = reader.raw()
+    first = next(records, None)  # the metadata comes before it, and is known from here on
     writer = LogWriter(clean, metadata={**scan.metadata, "recovered": {"from": broken.name}})
     try:
-        for record in reader.raw():
+        for record in chain([] if first is None else [first], records):
             writer.write(record.key, record.data, record.time_ns)
             messages += 1
             first_ns = record.time_ns if first_ns is None else min(first_ns, record.time_ns)

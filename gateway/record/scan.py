@@ -223,11 +223,13 @@ class Scan:
             file.seek(self.size - _FOOTER_BYTES)
             footer = file.read()
             opcode, length = _RECORD.unpack_from(footer)
-            start, _, _ = struct.unpack_from("<QQI", footer, _RECORD.size)
+            start, _, crc = struct.unpack_from("<QQI", footer, _RECORD.size)
             if opcode != _FOOTER or length != 20 or not footer.endswith(MAGIC) or not 0 < start < self.size:
                 return None
             file.seek(start)
             summary = file.read(self.size - _FOOTER_BYTES - start)
+        if crc and zlib.crc32(footer[: _RECORD.size + 16], zlib.crc32(summary)) != crc:
+            return None  # a damaged index misleads: the pass finds the same in the data
         tail = _Tail()
         at = 0
         while at + _RECORD.size <= len(summary):
@@ -285,24 +287,16 @@ def _next_chunk(file: BinaryIO, start: int, size: int) -> int | None:
     """Offset of the next chunk whose CRC is right, from `start` on."""
     file.seek(start)
     data = file.read()
-    marks = [at for name in (b"\x03\0\0\0lz4", b"\x04\0\0\0zstd") for at in _find_all(data, name)]
-    for mark in sorted(marks):
-        at = mark - (_CHUNK_HEAD.size - 4) - _RECORD.size
-        if at < 0 or data[at] != _CHUNK:
-            continue
+    at = data.find(_CHUNK)
+    while 0 <= at <= len(data) - _RECORD.size - _CHUNK_HEAD.size:
         _, length = _RECORD.unpack_from(data, at)
-        if start + at + _RECORD.size + length <= size:
+        (crc, name_length) = struct.unpack_from("<II", data, at + _RECORD.size + _CHUNK_HEAD.size - 8)
+        if crc and name_length <= 4 and start + at + _RECORD.size + length <= size:
             _, problem = _unpack(data[at + _RECORD.size : at + _RECORD.size + length])
             if not problem:
                 return start + at
+        at = data.find(_CHUNK, at + 1)
     return None
-
-
-def _find_all(data: bytes, what: bytes) -> Iterator[int]:
-    at = data.find(what)
-    while at >= 0:
-        yield at
-        at = data.find(what, at + 1)
 
 
 def _unpack(content: bytes) -> tuple[bytes, str]:
