@@ -1,0 +1,206 @@
+"""A twin over a log: every board its own mirror, the outcome counted, and written where that is wanted.
+
+The summary's numbers are of samples in step only; where a figure needs a full window it is the last one's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from protocol.bus import board51_pb2 as pb
+from protocol.bus.topics import key
+from protocol.errors import DataError
+from twin.mirror.mirror import IN_STEP, Mirror, Output
+from twin.mirror.regime import Settings
+from twin.model.parameters import Model
+from twin.recordings import LogReader, TwinLog, parse
+
+SIGNALS = ("x_m", "i_c_a", "u_c_v")
+
+
+@dataclass(slots=True, kw_only=True)
+class BoardRun:
+    """What the twin of one board saw."""
+
+    site: str
+    board: str
+    mirror: Mirror
+    samples: int = 0
+    first_t_s: float = math.nan
+    last_t_s: float = math.nan
+    squares: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0.0))
+    sums: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0.0))
+    counted: dict[str, int] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0))
+    nis_sum: float = 0.0
+    innovation_x_square: float = 0.0
+    innovation_i_square: float = 0.0
+    innovations: int = 0
+    alarms: list[pb.Alarm] = field(default_factory=list)
+    parameters_seen: int = 0
+
+    def take(self, output: Output) -> None:
+        """Count one output."""
+        divergence = output.divergence
+        if divergence.sync == IN_STEP:
+            for name in SIGNALS:
+                error = getattr(divergence, name).error
+                if math.isfinite(error):
+                    self.squares[name] += error * error
+                    self.sums[name] += error
+                    self.counted[name] += 1
+        if divergence.innovation_valid:
+            self.innovations += 1
+            self.nis_sum += divergence.nis
+            self.innovation_x_square += divergence.innovation_x_m**2
+            self.innovation_i_square += divergence.innovation_i_c_a**2
+        self.alarms += output.alarms
+
+    def summary(self) -> dict[str, Any]:
+        """For people and for --json; a figure that does not exist is None."""
+
+        def ratio(total: float, count: int) -> float | None:
+            return total / count if count else None
+
+        def root(total: float, count: int) -> float | None:
+            return math.sqrt(total / count) if count else None
+
+        counters = self.mirror.counters
+        return {
+            "site": self.site,
+            "board": self.board,
+            "samples": self.samples,
+            "from_t_s": self.first_t_s,
+            "to_t_s": self.last_t_s,
+            "in_step": counters["samples_in-step"],
+            "settling": counters["samples_settling"],
+            "out_of_step": counters["samples_out-of-step"],
+            "why_out_of_step": {
+                name.removeprefix("out_of_step:"): count
+                for name, count in sorted(counters.items())
+                if name.startswith("out_of_step:")
+            },
+            "bridged_ticks": counters["bridged_ticks"],
+            "duplicates": counters["duplicates"],
+            "missing": {
+                name.removeprefix("missing_"): count
+                for name, count in sorted(counters.items())
+                if name.startswith("missing_")
+            },
+            "parameters_seen": self.parameters_seen,
+            "rmse": {name: root(self.squares[name], self.counted[name]) for name in SIGNALS},
+            "bias": {name: ratio(self.sums[name], self.counted[name]) for name in SIGNALS},
+            "innovations": self.innovations,
+            "innovation_rmse": {
+                "x_m": root(self.innovation_x_square, self.innovations),
+                "i_c_a": root(self.innovation_i_square, self.innovations),
+            },
+            "nis_mean": ratio(self.nis_sum, self.innovations),
+            "alarms": [
+                {
+                    "tick": alarm.tick,
+                    "name": alarm.name,
+                    "active": alarm.active,
+                    "value": alarm.value,
+                    "threshold_on": alarm.threshold_on,
+                    "text": alarm.text,
+                }
+                for alarm in self.alarms
+            ],
+        }
+
+
+def run_log(
+    path: Path,
+    model: Model,
+    *,
+    settings: Settings | None = None,
+    board: str | None = None,
+    out: Path | None = None,
+    on_output: Callable[[BoardRun, pb.State, Output], None] | None = None,
+) -> tuple[list[BoardRun], bool]:
+    """Run the twin over `path`; returns (one run per board, whether the log was closed properly).
+
+    Args:
+        path: MCAP log with state and parameters.
+        model: what the twin believes.
+        settings: window, false-alarm rate, longest bridge.
+        board: only this one.
+        out: write state, parameters and the twin's topics there; must not exist.
+        on_output: called with every output.
+
+    Raises:
+        DataError: the log is unreadable or holds no samples (of that board).
+    """
+    runs: dict[tuple[str, str], BoardRun] = {}
+    reader = LogReader(path, topics=("state", "parameters"), board=board)
+    log = TwinLog(out) if out else None
+    try:
+        for entry in reader:
+            run = runs.get((entry.site, entry.board))
+            if run is None:
+                run = BoardRun(site=entry.site, board=entry.board, mirror=Mirror(model, settings))
+                runs[entry.site, entry.board] = run
+            if entry.topic == "parameters":
+                run.parameters_seen += 1
+                run.mirror.parameters(parse(pb.Parameters, entry, path))
+                if log:
+                    log.write(
+                        key(entry.site, entry.board, entry.topic),
+                        entry.data,
+                        message_type=pb.Parameters,
+                        log_time_ns=entry.log_time_ns,
+                    )
+                continue
+            state = parse(pb.State, entry, path)
+            run.samples += 1
+            run.last_t_s = state.t_s
+            if run.samples == 1:
+                run.first_t_s = state.t_s
+            output = run.mirror.handle(state)
+            if log:
+                log.write(
+                    key(entry.site, entry.board, "state"),
+                    entry.data,
+                    message_type=pb.State,
+                    log_time_ns=entry.log_time_ns,
+                )
+            if output is None:
+                continue
+            run.take(output)
+            if on_output:
+                on_output(run, state, output)
+            if log:
+                _write(log, run, output, entry.log_time_ns)
+    finally:
+        if log:
+            log.__exit__(None, None, None)
+    found = [run for run in runs.values() if run.samples]
+    if not found:
+        others = ", ".join(sorted(reader.boards)) or "none"
+        raise DataError(
+            f"{path}: no samples" + (f" of board {board!r}" if board else ""),
+            remedy=f"Boards in this log: {others}",
+        )
+    return found, reader.complete
+
+
+def _write(log: TwinLog, run: BoardRun, output: Output, log_time_ns: int) -> None:
+    if output.state is not None:
+        log.write(
+            key(run.site, run.board, "twin/state"),
+            output.state,
+            message_type=pb.TwinState,
+            log_time_ns=log_time_ns,
+        )
+    log.write(
+        key(run.site, run.board, "twin/divergence"),
+        output.divergence,
+        message_type=pb.Divergence,
+        log_time_ns=log_time_ns,
+    )
+    for alarm in output.alarms:
+        log.write(key(run.site, run.board, "twin/alarm"), alarm, message_type=pb.Alarm, log_time_ns=log_time_ns)
