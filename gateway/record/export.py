@@ -28,6 +28,7 @@ from protocol.errors import DataError
 Format = Literal["csv", "mat", "parquet"]
 Cell = float | int | str | None
 Getter = Callable[[Message], Cell]
+Reach = Callable[[Any], Any]  # from a message to the nested one that holds a field; None where that is absent
 
 
 @dataclass(slots=True)
@@ -66,7 +67,7 @@ def export(
         columns = found.get(record.board)
         if columns is None:
             columns = found[record.board] = Columns(_names(record, getters), [])
-        columns.rows += _rows(record, getters, number=len(columns.rows), start_ns=reader.start_ns)
+        columns.rows += _rows(record, getters, start_ns=reader.start_ns)
     reader.check(last_ns=last_ns)
     if not found:
         seen = sorted({c.topic for scan in reader.scans for c in scan.channels.values()})
@@ -93,7 +94,7 @@ def _names(record: Record, getters: dict[str, Getter]) -> list[str]:
     return ["t_s", *(name for name in getters if name != "t_s")]
 
 
-def _rows(record: Record, getters: dict[str, Getter], *, number: int, start_ns: int) -> Iterator[list[Cell]]:
+def _rows(record: Record, getters: dict[str, Getter], *, start_ns: int) -> Iterator[list[Cell]]:
     message = record.message
     if isinstance(message, pb.CaptureRecord):
         for index, i_c_a in enumerate(message.i_c_a):
@@ -112,11 +113,11 @@ def _getters(message: type[Message]) -> dict[str, Getter]:
     return dict(_walk(message.DESCRIPTOR, "", lambda root: root))
 
 
-def _walk(descriptor: Any, prefix: str, reach: Callable[[Any], Any]) -> Iterator[tuple[str, Getter]]:
+def _walk(descriptor: Any, prefix: str, reach: Reach) -> Iterator[tuple[str, Getter]]:
     for field in descriptor.fields:
         name = prefix + field.name
         if field.is_repeated or field.type == FieldDescriptor.TYPE_BYTES:
-            yield name, _text_of(field.name, reach, whole=field.message_type is not None)
+            yield name, _text_of(field.name, reach)
         elif field.message_type is not None and field.containing_oneof is None:
             yield from _walk(field.message_type, f"{name}_", _step(field.name, reach))
         elif field.message_type is not None:
@@ -127,36 +128,35 @@ def _walk(descriptor: Any, prefix: str, reach: Callable[[Any], Any]) -> Iterator
             yield name, _plain(field.name, reach)
 
 
-def _step(name: str, reach: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    return lambda root: getattr(reach(root), name)
+def _step(name: str, reach: Reach) -> Reach:
+    """Into a message that may be absent, or inside one that is."""
 
-
-def _plain(name: str, reach: Callable[[Any], Any]) -> Getter:
-    return lambda root: _cell(getattr(reach(root), name))
-
-
-def _present(name: str, reach: Callable[[Any], Any]) -> Getter:
-    def get(root: Message) -> Cell:
+    def get(root: Any) -> Any:
         holder = reach(root)
-        return _cell(getattr(holder, name)) if holder.HasField(name) else None
+        return getattr(holder, name) if holder is not None and holder.HasField(name) else None
 
     return get
 
 
-def _json_of(name: str, reach: Callable[[Any], Any]) -> Getter:
+def _plain(name: str, reach: Reach) -> Getter:
+    return lambda root: None if (holder := reach(root)) is None else _cell(getattr(holder, name))
+
+
+def _present(name: str, reach: Reach) -> Getter:
+    return lambda root: None if (value := _step(name, reach)(root)) is None else _cell(value)
+
+
+def _json_of(name: str, reach: Reach) -> Getter:
+    return lambda root: None if (value := _step(name, reach)(root)) is None else MessageToJson(value, indent=None)
+
+
+def _text_of(name: str, reach: Reach) -> Getter:
     def get(root: Message) -> Cell:
         holder = reach(root)
-        return MessageToJson(getattr(holder, name), indent=None) if holder.HasField(name) else None
-
-    return get
-
-
-def _text_of(name: str, reach: Callable[[Any], Any], *, whole: bool) -> Getter:
-    def get(root: Message) -> Cell:
-        value = getattr(reach(root), name)
+        value = () if holder is None else getattr(holder, name)
         if isinstance(value, bytes):
             return value.hex()
-        if whole and hasattr(value, "items"):
+        if hasattr(value, "items"):
             return " ".join(f"{key}={item}" for key, item in sorted(value.items()))
         return " ".join(repr(item) for item in value)
 
