@@ -153,7 +153,7 @@ def _json_of(name: str, reach: Reach) -> Getter:
 def _text_of(name: str, reach: Reach) -> Getter:
     def get(root: Message) -> Cell:
         holder = reach(root)
-        value = () if holder is None else getattr(holder, name)
+        value: Any = () if holder is None else getattr(holder, name)
         if isinstance(value, bytes):
             return value.hex()
         if hasattr(value, "items"):
