@@ -1,0 +1,142 @@
+"""Measured against twin, from a log, as a picture (PNG, SVG or PDF by the file's suffix).
+
+The twin's topics are taken from the log where it holds them; else, or with --model, the twin is run over it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import defaultdict
+from pathlib import Path
+
+from protocol.bus import board51_pb2 as pb
+from protocol.bus.topics import check_name
+from protocol.errors import DataError, UsageError
+from twin.commands.twin import add_model_options, chosen_model, chosen_settings
+from twin.figure import Traces, draw
+from twin.mirror.mirror import Output
+from twin.mirror.offline import BoardRun, run_log
+from twin.mirror.regime import Regime, Settings
+from twin.model.nominal import SHIPPED
+from twin.model.parameters import Model
+from twin.recordings import LogReader, parse
+
+SUFFIXES = (".png", ".svg", ".pdf")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.epilog = (
+        "examples:\n"
+        "  board51 plot run.mcap --out run.png\n"
+        "  board51 plot run.mcap --out run.png --board rig1 --from 2 --to 8\n"
+        "  board51 plot run.mcap --out run.png --model identified.json"
+    )
+    parser.add_argument("log", type=Path, metavar="LOG", help="MCAP log")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the picture; is overwritten")
+    parser.add_argument("--board", help="which board (default: the only one)")
+    parser.add_argument("--from", dest="from_s", type=float, default=float("-inf"), metavar="S", help="board time, s")
+    parser.add_argument("--to", dest="to_s", type=float, default=float("inf"), metavar="S", help="board time, s")
+    parser.add_argument("--json", action="store_true", help="print what was drawn as JSON")
+    add_model_options(parser)
+    parser.set_defaults(model=None)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Draw."""
+    if args.out.suffix.lower() not in SUFFIXES:
+        raise UsageError(f"--out {args.out}: unknown kind of picture", remedy=f"End it in {', '.join(SUFFIXES)}")
+    if args.board:
+        check_name(args.board, what="--board")
+    given = args.model is not None
+    args.model = args.model or SHIPPED[0]
+    model, settings = chosen_model(args), chosen_settings(args)
+
+    traces = {} if given else _from_topics(args.log, args.board)
+    source = "the twin that was logged"
+    if not traces:
+        traces, source = _from_run(args.log, args.board, model, settings), f"the model {args.model}"
+    if len(traces) > 1:
+        raise UsageError(f"{args.log} holds the boards {', '.join(sorted(traces))}", remedy="Choose one with --board")
+    board, trace = next(iter(traces.items()))
+    trace.rows = [row for row in trace.rows if args.from_s <= row[0] <= args.to_s]
+    trace.alarms = [alarm for alarm in trace.alarms if args.from_s <= alarm[0] <= args.to_s]
+    if not trace.rows:
+        raise DataError(f"{args.log}: no samples between --from and --to", remedy="Look at `board51 info`")
+    nis_on, error_on = _thresholds(args.log, board, trace, model, settings)
+    title = f"{board}, {args.log.name}: measured against {source}"
+    try:
+        draw(trace, args.out, nis_on=nis_on, error_on=error_on, title=title)
+    except OSError as error:
+        raise DataError(f"{args.out}: cannot be written ({error.strerror})", remedy="Choose another --out") from error
+    result = {
+        "out": str(args.out),
+        "board": board,
+        "samples": len(trace.rows),
+        "from_t_s": trace.rows[0][0],
+        "to_t_s": trace.rows[-1][0],
+        "twin": source,
+    }
+    print(json.dumps(result, indent=2) if args.json else f"{args.out}: {len(trace.rows)} samples of {board}, {source}")
+    return 0
+
+
+def _thresholds(path: Path, board: str, trace: Traces, model: Model, settings: Settings) -> tuple[float, float]:
+    """(mean NIS, mean squared normalised error of x around the median reference); the latter NaN without parameters."""
+    sample_time_s = _sample_time(trace)
+    entry = next(iter(LogReader(path, topics=("parameters",), board=board)), None)
+    parameters = parse(pb.Parameters, entry, path) if entry else None
+    regime = Regime(model, settings, sample_time_s=sample_time_s, parameters=parameters)
+    references = sorted(row[2] for row in trace.rows if row[2] == row[2])
+    if not references or regime.law is None:
+        return regime.nis_on, float("nan")
+    return regime.nis_on, regime.expectation(references[len(references) // 2]).on[0]
+
+
+def _sample_time(trace: Traces) -> float:
+    steps = sorted(b[0] - a[0] for a, b in zip(trace.rows, trace.rows[1:], strict=False) if b[0] > a[0])
+    return steps[len(steps) // 2] if steps else 2e-3
+
+
+def _from_run(path: Path, board: str | None, model: Model, settings: Settings) -> dict[str, Traces]:
+    traces: dict[str, Traces] = {}
+
+    def take(run: BoardRun, state: pb.State, output: Output) -> None:
+        trace = traces.setdefault(run.board, Traces(run.board))
+        trace.add(state, output.state, output.divergence)
+        trace.note(output.alarms, state.t_s)
+
+    run_log(path, model, settings=settings, board=board, on_output=take)
+    return traces
+
+
+def _from_topics(path: Path, board: str | None) -> dict[str, Traces]:
+    """Match samples and answers by (session, tick); empty where a log has no twin topics."""
+    states: dict[str, dict[tuple[int, int], pb.State]] = defaultdict(dict)
+    twins: dict[str, dict[tuple[int, int], pb.TwinState]] = defaultdict(dict)
+    divergences: dict[str, dict[tuple[int, int], pb.Divergence]] = defaultdict(dict)
+    alarms: dict[str, list[pb.Alarm]] = defaultdict(list)
+    for entry in LogReader(path, topics=("state", "twin/state", "twin/divergence", "twin/alarm"), board=board):
+        if entry.topic == "state":
+            state = parse(pb.State, entry, path)
+            states[entry.board][state.session, state.tick] = state
+        elif entry.topic == "twin/state":
+            twin = parse(pb.TwinState, entry, path)
+            twins[entry.board][twin.session, twin.tick] = twin
+        elif entry.topic == "twin/divergence":
+            divergence = parse(pb.Divergence, entry, path)
+            divergences[entry.board][divergence.session, divergence.tick] = divergence
+        else:
+            alarms[entry.board].append(parse(pb.Alarm, entry, path))
+    traces: dict[str, Traces] = {}
+    for name, samples in states.items():
+        if not divergences[name]:
+            continue
+        trace = traces[name] = Traces(name)
+        for at, state in samples.items():
+            trace.add(state, twins[name].get(at), divergences[name].get(at))
+        times = {at: state.t_s for at, state in samples.items()}
+        for alarm in alarms[name]:
+            trace.note([alarm], times.get((alarm.session, alarm.tick), float("nan")))
+    return traces

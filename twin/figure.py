@@ -1,0 +1,141 @@
+"""Measured against twin as one picture: position, current, input, divergence with its alarm line.
+
+Rule: what is not in step is not drawn as twin; gaps stay gaps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from protocol.bus import board51_pb2 as pb
+from twin.mirror.mirror import IN_STEP, OUT_OF_STEP
+
+MEASURED, TWIN, REFERENCE, ALARM = "#1f77b4", "#d62728", "#555555", "#b8860b"
+ALARM_FLOOR_UM = 0.1  # lower end of the logarithmic axis of errors
+
+
+@dataclass(slots=True)
+class Traces:
+    """Columns over the samples of one board, gathered with `add`; NaN where there is nothing."""
+
+    board: str
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+    alarms: list[tuple[float, str, bool]] = field(default_factory=list)  # (t, name, active)
+
+    def add(self, state: pb.State, twin: pb.TwinState | None, divergence: pb.Divergence | None) -> None:
+        """One sample."""
+        nan = float("nan")
+        compared = twin is not None and twin.sync != OUT_OF_STEP
+        shown = twin if compared and twin is not None else None
+        judged = divergence if divergence is not None and divergence.HasField("x_m") else None
+        in_step = judged is not None and judged.sync == IN_STEP
+        std = nan
+        if judged is not None and judged.x_m.normalised != 0.0:
+            std = abs(judged.x_m.error / judged.x_m.normalised)
+        self.rows.append(
+            (
+                state.t_s,
+                state.x_m if state.HasField("x_m") else nan,
+                state.x_ref_m if state.HasField("x_ref_m") and state.mode == pb.MODE_CLOSED_LOOP else nan,
+                state.i_c_a if state.HasField("i_c_a") else nan,
+                state.u_c_v if state.HasField("u_c_v") else nan,
+                shown.x_m if shown else nan,
+                shown.i_c_a if shown else nan,
+                shown.u_c_v if shown else nan,
+                abs(judged.x_m.error) if in_step and judged else nan,
+                judged.x_m.rolling_rmse if in_step and judged else nan,
+                std,
+                divergence.nis_mean if divergence is not None and divergence.innovation_valid else nan,
+            )
+        )
+
+    def note(self, alarms: Iterable[pb.Alarm], t_s: float) -> None:
+        """Alarms of a sample."""
+        self.alarms += [(t_s, alarm.name, alarm.active) for alarm in alarms]
+
+    def columns(self) -> NDArray[np.float64]:
+        """Shape (12, samples): t, x, x_ref, i, u, twin x, i, u, |error of x|, rolling RMSE, std, NIS; NaN over gaps."""
+        table = np.array(self.rows, dtype=np.float64).reshape(-1, 12)
+        steps = np.diff(table[:, 0])
+        if len(steps) == 0:
+            return table.T
+        breaks = np.flatnonzero((steps > 5.0 * np.median(steps)) | (steps <= 0.0)) + 1
+        return np.insert(table, breaks, np.nan, axis=0).T
+
+
+def draw(traces: Traces, out: Path, *, nis_on: float, error_on: float, title: str) -> None:
+    """Write the picture.
+
+    Args:
+        traces: of one board.
+        out: file; its suffix chooses the format.
+        nis_on: threshold of the alarm on the mean NIS.
+        error_on: threshold of the alarm on the mean squared normalised error of x; NaN where unknown.
+        title: what is compared with what.
+    """
+    t, x, x_ref, i, u, twin_x, twin_i, twin_u, error, rmse, std, nis = traces.columns()
+    t = _continuous(t)
+    figure = Figure(figsize=(12, 11), dpi=110, layout="constrained")
+    axes = figure.subplots(5, 1, sharex=True, height_ratios=[2.4, 1.3, 1.3, 1.5, 1.2])
+    figure.suptitle(title, fontsize=13)
+
+    _pair(axes[0], t, x * 1e3, twin_x * 1e3, "position x [mm]")
+    axes[0].plot(t, x_ref * 1e3, color=REFERENCE, lw=1.0, ls="--", label="reference", zorder=1)
+    _pair(axes[1], t, i, twin_i, "current i_c [A]")
+    _pair(axes[2], t, u, twin_u, "input u_c [V]")
+
+    axes[3].semilogy(t, np.maximum(error * 1e6, ALARM_FLOOR_UM), color="#bbbbbb", lw=0.6, label="|error|")
+    axes[3].semilogy(t, rmse * 1e6, color=TWIN, lw=1.6, label="rolling RMSE (1 s)")
+    axes[3].semilogy(t, std * np.sqrt(error_on) * 1e6, color=ALARM, lw=1.4, ls="-.", label="alarm line")
+    axes[3].set_ylabel("x: measured - twin\n[um]")
+    axes[4].semilogy(t, nis, color=TWIN, lw=1.4, label="NIS, mean over 1 s")
+    axes[4].axhline(2.0, color=REFERENCE, lw=0.9, ls=":", label="a right model: 2")
+    axes[4].axhline(nis_on, color=ALARM, lw=1.4, ls="-.", label=f"alarm line: {nis_on:.2f}")
+    axes[4].set_ylabel("one-step\ninnovation [-]")
+    axes[4].set_xlabel("time on the board's clock [s]")
+
+    for axis in axes:
+        axis.grid(visible=True, color="#e4e4e4", lw=0.6)
+        axis.margins(x=0.005)
+        _shade_alarms(axis, traces.alarms, end=float(np.nanmax(t)) if len(t) else 0.0)
+        axis.legend(loc="upper left", bbox_to_anchor=(1.005, 1.0), fontsize=9, frameon=False)
+    figure.savefig(out)
+
+
+def _pair(
+    axis: Axes, t: NDArray[np.float64], measured: NDArray[np.float64], twin: NDArray[np.float64], label: str
+) -> None:
+    axis.plot(t, measured, color=MEASURED, lw=1.0, alpha=0.85, label="measured")
+    axis.plot(t, twin, color=TWIN, lw=1.3, label="twin")
+    axis.set_ylabel(label)
+
+
+def _continuous(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The board's clock, running on over a reset: each session is put behind the one before."""
+    result = t.copy()
+    offset, last = 0.0, -np.inf
+    for k, value in enumerate(t):
+        if np.isnan(value):
+            continue
+        if value + offset < last:
+            offset = last - value
+        result[k] = last = value + offset
+    return result
+
+
+def _shade_alarms(axis: Axes, alarms: Sequence[tuple[float, str, bool]], *, end: float) -> None:
+    since: dict[str, float] = {}
+    for t, name, active in [*alarms, *[(end, name, False) for _, name, _ in alarms]]:
+        if name != OUT_OF_STEP:
+            continue
+        if active:
+            since.setdefault(name, t)
+        elif name in since:
+            axis.axvspan(since.pop(name), t, color="#999999", alpha=0.25, lw=0)
