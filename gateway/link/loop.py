@@ -28,6 +28,7 @@ OUT_BUFFER = 4096  # bytes to one board; 0.35 s of line at 115200
 # without it 32 boards cost a wake-up for each of 16000 frames a second.
 BATCH_BOARDS = 4
 BATCH_S = 0.001
+CLOSE_PATIENCE_S = 1.0  # at the end, for ports that are slow to close
 _logger = logging.getLogger("gateway.link")
 
 
@@ -55,6 +56,7 @@ class LinkThread:
         os.set_blocking(self._wake_write, False)
         self._selector.register(self._wake_read, selectors.EVENT_READ, None)
         self._actions: deque[Callable[[], None]] = deque()
+        self._closing: list[threading.Thread] = []
         self._stopping = False
         self._thread = threading.Thread(target=self._work, name="link", daemon=True)
 
@@ -82,6 +84,9 @@ class LinkThread:
         self._stopping = True
         self.post(lambda: None)
         self._thread.join()
+        deadline_s = time.monotonic() + CLOSE_PATIENCE_S
+        for closing in self._closing:
+            closing.join(max(0.0, deadline_s - time.monotonic()))
 
     # -- in the serial thread
 
@@ -198,7 +203,10 @@ class LinkThread:
         if port is None:
             return
         self._selector.unregister(port.fd)
-        port.close()
+        # Closing may block as opening may: a tty drains what the adapter no longer takes, pyserial's socket sleeps.
+        closing = threading.Thread(target=port.close, name=f"close-{line.driver.config.name}", daemon=True)
+        closing.start()
+        self._closing = [*(t for t in self._closing if t.is_alive()), closing]
         now_s = time.monotonic()
         line.next_open_s = now_s + line.driver.config.reconnect_s
         line.driver.port_lost(text, now_s)

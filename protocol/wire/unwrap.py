@@ -70,7 +70,7 @@ class TickUnwrapper:
         self._window_end_s = now_s + _LEAD_WINDOW_S
 
     def anchor(self, tick: int, now_s: float) -> bool:
-        """A tick heard in full (PONG, EVENT).  False: it is behind what was placed, so the board restarted."""
+        """A tick heard in full (PONG).  False: it is behind what was placed, so the board restarted."""
         if tick < self._last - _LATE_TICKS:
             return False
         self._arrived(tick, now_s)
@@ -102,6 +102,7 @@ class TickUnwrapper:
                 self._drop_held()
             return [self._place(tick, state, now_s)]
         held, self._held = self._held, (state, now_s)
+        self._quick = False  # the next frame decides about this one, also if it follows the old count
         if held is None:
             return []
         if not 0 < (state.sequence - held[0].sequence) & 0xFFFF <= max(self.divider or 1, _EARLY_TICKS):

@@ -1,0 +1,157 @@
+"""Sequence numbers to ticks: losses, duplicates, noise, wraps, resets."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.wire.decoder import State
+from protocol.wire.unwrap import Jump, Placed, TickUnwrapper
+
+T_S = 0.002
+
+
+def state(tick: int) -> State:
+    return State(tick & 0xFFFF, 1, 2, 3, 4, 0)
+
+
+def started(tick: int = 0, *, divider: int = 1) -> TickUnwrapper:
+    unwrapper = TickUnwrapper()
+    unwrapper.restart(tick, tick * T_S, sample_time_s=T_S)
+    unwrapper.divider = divider
+    return unwrapper
+
+
+def run(unwrapper: TickUnwrapper, ticks: list[int], *, at_s: float | None = None) -> list[Placed | Jump]:
+    placed: list[Placed | Jump] = []
+    for tick in ticks:
+        now_s = tick * T_S if at_s is None else at_s
+        placed += unwrapper.feed(state(tick), now_s)
+        unwrapper.settle(now_s)
+    return placed
+
+
+def ticks_of(placed: list[Placed | Jump]) -> list[int]:
+    return [p.tick for p in placed if isinstance(p, Placed)]
+
+
+@given(
+    start=st.integers(0, 200_000),
+    steps=st.lists(st.integers(1, 400), min_size=1, max_size=60),
+    late_s=st.lists(st.floats(0, 0.05), min_size=1, max_size=10),
+)
+def test_every_loss_is_counted_and_no_tick_is_wrong(start: int, steps: list[int], late_s: list[float]) -> None:
+    unwrapper = started(start)
+    ticks = [start]
+    for step in steps:
+        ticks.append(ticks[-1] + step)
+
+    placed: list[Placed | Jump] = []
+    for n, tick in enumerate(ticks):
+        placed += unwrapper.feed(state(tick), tick * T_S + late_s[n % len(late_s)])
+
+    assert ticks_of(placed) == ticks
+    assert unwrapper.lost == sum(step - 1 for step in steps)
+    assert sum(p.lost_before for p in placed if isinstance(p, Placed)) == unwrapper.lost
+
+
+def test_the_count_goes_on_over_the_wrap() -> None:
+    placed = run(started(65_530), list(range(65_530, 65_545)))
+
+    assert ticks_of(placed) == list(range(65_530, 65_545))
+
+
+def test_losses_are_counted_in_frames_of_the_divider() -> None:
+    unwrapper = started(1000, divider=10)
+
+    run(unwrapper, [1000, 1010, 1040, 1050])
+
+    assert unwrapper.lost == 2
+
+
+def test_a_doubled_frame_is_placed_once() -> None:
+    unwrapper = started()
+
+    placed = run(unwrapper, [0, 1, 2]) + unwrapper.feed(state(2), 2 * T_S) + unwrapper.feed(state(0), 2 * T_S)
+    placed += run(unwrapper, [3, 4])
+
+    assert ticks_of(placed) == [0, 1, 2, 3, 4]
+    assert (unwrapper.duplicates, unwrapper.lost) == (2, 0)
+
+
+@given(noise=st.integers(0, 0xFFFF))
+def test_a_noise_frame_that_passed_the_crc_does_not_move_the_count(noise: int) -> None:
+    unwrapper = started()
+    before, after = list(range(1000)), list(range(1000, 1010))
+    placed = run(unwrapper, before)
+
+    placed += unwrapper.feed(state(noise), 999 * T_S)
+    placed += run(unwrapper, after)
+
+    if 1000 <= noise <= 1035:
+        return  # within what can be a real frame: 36 of 65536, and the CRC stopped 65535 of 65536 before that
+    assert ticks_of(placed) == before + after
+    assert unwrapper.lost == 0
+    assert unwrapper.duplicates + unwrapper.implausible == 1
+
+
+def test_two_noise_frames_in_a_row_are_both_dropped() -> None:
+    unwrapper = started()
+
+    placed = run(unwrapper, [0, 1, 2])
+    placed += unwrapper.feed(state(40_000), 2 * T_S) + unwrapper.feed(state(9_000), 2 * T_S)
+    placed += run(unwrapper, [3, 4])
+
+    assert ticks_of(placed) == [0, 1, 2, 3, 4]
+    assert unwrapper.implausible == 2
+
+
+def test_a_board_that_begins_again_at_zero_is_a_reset() -> None:
+    unwrapper = started()
+    run(unwrapper, list(range(5000)))
+
+    jump = unwrapper.feed(state(0), 5005 * T_S) + unwrapper.feed(state(1), 5006 * T_S)
+
+    assert jump == [Jump(board_reset=True)]
+
+
+def test_a_backlog_read_at_once_is_continuous() -> None:
+    unwrapper = started()
+    run(unwrapper, list(range(100)))
+
+    placed = run(unwrapper, list(range(100, 3000)), at_s=3000 * T_S)
+
+    assert ticks_of(placed) == list(range(100, 3000))
+    assert unwrapper.lost == 0
+
+
+def test_a_silence_of_several_wraps_is_bridged_by_a_full_tick() -> None:
+    unwrapper = started()
+    run(unwrapper, list(range(10)))
+    far = 3 * 65_536 + 77
+
+    assert unwrapper.anchor(far, far * T_S)
+    placed = run(unwrapper, [far + 1, far + 2])
+
+    assert ticks_of(placed) == [far + 1, far + 2]
+
+
+def test_a_full_tick_behind_the_count_is_a_reset() -> None:
+    unwrapper = started()
+    run(unwrapper, list(range(5000)))
+
+    assert not unwrapper.anchor(3, 5100 * T_S)
+
+
+def test_a_board_twenty_times_too_fast_keeps_its_count_over_losses() -> None:
+    unwrapper = started()
+    ticks = [*range(1000), *range(1200, 1400)]
+
+    placed: list[Placed | Jump] = []
+    for n, tick in enumerate(ticks):
+        placed += unwrapper.feed(state(tick), tick * T_S / 20)
+        if n % 10 == 0:
+            unwrapper.settle(tick * T_S / 20)
+
+    assert ticks_of(placed) == ticks
+    assert unwrapper.lost == 200
