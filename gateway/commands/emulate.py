@@ -88,7 +88,10 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps({"commitment": commitment}) if args.json else f"effects sealed in {args.sealed}: {commitment}")
     _flush()
 
-    server.run(args.duration)
+    try:
+        server.run(args.duration)
+    finally:
+        server.close()
 
     for n, line in enumerate(lines):
         counts = asdict(line.counts) | {"late_ticks": server.late_ticks, "worst_lateness_s": server.worst_lateness_s}

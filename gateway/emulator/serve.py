@@ -71,24 +71,28 @@ class Server:
 
     def run(self, duration_s: float | None = None) -> None:
         """Run the boards, for `duration_s` of their time or until `stop`; then close their ports."""
+        ticks = None if duration_s is None else round(duration_s * 1_000_000 / T_S_US)
         try:
-            ticks = None if duration_s is None else round(duration_s * 1_000_000 / T_S_US)
             if self._speed > 0:
                 self._run_in_time(ticks)
             else:
                 self._run_flat_out(ticks)
         finally:
-            self.close()
+            for line in self.lines:
+                line.close()
 
     def close(self) -> None:
-        """Take all ports away."""
+        """Take the ports away and give the rest back; after `run`, by whoever made the server.
+
+        Not at the end of `run`: another thread may just be waking it.
+        """
         for line in self.lines:
             line.close()
-        if self._wake_out >= 0:
+        wake_in, self._wake_in = self._wake_in, -1
+        if wake_in >= 0:
             self._selector.close()
+            os.close(wake_in)
             os.close(self._wake_out)
-            os.close(self._wake_in)
-            self._wake_out = self._wake_in = -1
 
     def _run_in_time(self, ticks: int | None) -> None:
         period_ns = _T_NS / self._speed
@@ -184,6 +188,7 @@ class Emulator:
     ) -> None:
         self._server.stop()
         self._thread.join(10.0)
+        self._server.close()
         if self._folder is not None:
             self._folder.cleanup()
 

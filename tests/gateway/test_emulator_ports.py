@@ -65,6 +65,14 @@ class Wire:
                     return event
         raise AssertionError(f"not among {len(self.events)} events: {self.events[-5:]}")
 
+    def until_hung_up(self) -> None:
+        """Read until the other end has gone: an end of file, or an error of the port."""
+        end = time.monotonic() + DEADLINE_S
+        with contextlib.suppress(EOFError, OSError):
+            while time.monotonic() < end:
+                self.read()
+        assert time.monotonic() < end
+
     def read(self) -> list[Event]:
         if not select.select([self._file], [], [], 0.1)[0]:
             return []
@@ -75,6 +83,12 @@ class Wire:
         events = self._decoder.feed(data)
         self.events += events
         return events
+
+    def local_flags(self) -> int:
+        """The terminal's c_lflag."""
+        flags = termios.tcgetattr(self._file)[3]
+        assert isinstance(flags, int)
+        return flags
 
     def hello(self, session: int = 1) -> Message:
         self.write(frame("HELLO", id=200, session=session, version_min=1, version_max=1))
@@ -114,7 +128,7 @@ def test_a_round_trip_over_the_real_port(emulator: Emulator) -> None:
         wire.until(lambda event: isinstance(event, State) and abs(event.x - event.x_ref) < 50)
 
     assert identity.int("board_id") == 1
-    assert not any(isinstance(event, BadFrame) for event in wire.events)
+    assert not any(isinstance(event, BadFrame) for event in wire.events[1:])  # it may begin in the middle of a frame
 
 
 def test_hosts_come_and_go_and_find_no_stale_bytes(emulator: Emulator) -> None:
@@ -133,10 +147,8 @@ def test_unplug_ends_the_connection_and_plug_brings_it_back(emulator: Emulator) 
     with Wire(emulator.urls[0]) as wire:
         wire.until(is_state)
         emulator.disconnect()
-        with pytest.raises((EOFError, ConnectionError, OSError)):
-            while True:
-                wire.read()
-    with pytest.raises(OSError, match="refused|No such file"):
+        wire.until_hung_up()
+    with pytest.raises(OSError, match=r"refused|No such file"):
         Wire(emulator.urls[0])
 
     emulator.reconnect()
@@ -162,7 +174,7 @@ def test_a_pty_is_raw_and_may_come_back_under_another_name(tmp_path: Path) -> No
     with Emulator(tcp=False, pty=link) as emulator:
         with Wire(str(link)) as wire:
             wire.until(is_state)
-            local_flags = termios.tcgetattr(os.open(str(link), os.O_RDWR | os.O_NOCTTY))[3]
+            local_flags = wire.local_flags()
         emulator.disconnect()
         emulator.reconnect(renamed=True)
         with Wire(emulator.urls[0]) as wire:
@@ -178,9 +190,8 @@ def test_a_pty_is_raw_and_may_come_back_under_another_name(tmp_path: Path) -> No
 def test_one_host_at_a_time_on_tcp() -> None:
     with Emulator() as emulator, Wire(emulator.urls[0]) as first:
         first.until(is_state)
-        with Wire(emulator.urls[0]) as second, pytest.raises((EOFError, ConnectionError)):
-            while True:
-                second.read()
+        with Wire(emulator.urls[0]) as second:
+            second.until_hung_up()
         first.until(is_state)
 
 
@@ -257,12 +268,8 @@ def test_a_port_in_use_is_an_error_and_leaves_nothing_open(tmp_path: Path) -> No
 
 
 def command(*arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "board51", "emulate", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    call = [sys.executable, "-m", "board51", "emulate", *arguments]
+    return subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -286,17 +293,8 @@ def test_the_command_serves_until_a_signal_and_cleans_up(number: signal.Signals,
 
 
 def test_the_command_seals_its_secret_and_prints_json(tmp_path: Path) -> None:
-    process = command(
-        "--tcp",
-        "127.0.0.1:0",
-        "--json",
-        "--secret",
-        "7",
-        "--sealed",
-        str(tmp_path / "sealed.json"),
-        "--duration",
-        "0.1",
-    )
+    secret = ("--secret", "7", "--sealed", str(tmp_path / "sealed.json"))
+    process = command("--tcp", "127.0.0.1:0", "--json", "--duration", "0.1", *secret)
     output, errors = process.communicate(timeout=60)
 
     told = [json.loads(line) for line in output.splitlines()]
