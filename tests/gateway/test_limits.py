@@ -1,0 +1,164 @@
+"""The gate in front of the wire."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from gateway.config import LimitsConfig
+from gateway.limits import BoardView, Gate, TokenBucket, read_command
+from gateway.samples import Refusal, Scaling, WireCommand, to_wire
+from protocol.bus import board51_pb2 as pb
+from protocol.wire.messages import Flag, Message, Mode
+
+SCALING = Scaling(
+    i_offset_a=0.0, i_lsb_a=5e-4, x_offset_m=0.0, x_lsb_m=1.5e-6, u_offset_v=0.0, u_lsb_v=1.25e-3,
+    sample_time_s=0.002, capture_time_s=4e-5, capture_size=2000,
+)  # fmt: skip
+BOARD = Message("PARAMETERS", {"x_ref_min": 200, "x_ref_max": 3000, "u_max": 3600, "divider": 1})
+VIEW = BoardView(mode=Mode.CLOSED_LOOP, flags=0, x_ref_m=2.5e-3, parameters=BOARD)
+
+
+def verdict(gate: Gate, view: BoardView = VIEW, now_s: float = 0.0, **what: Any) -> str:
+    command = pb.Command(id="a", **what)
+    wire = to_wire(command, SCALING)
+    assert isinstance(wire, WireCommand)
+    refusal = gate.check(command, wire, view, now_s)
+    if refusal is None:
+        gate.passed(command, view, now_s)
+        return ""
+    assert refusal.text.endswith(".")
+    return refusal.reason
+
+
+def reference(x_ref_m: float) -> dict[str, Any]:
+    return {"set_reference": pb.SetReference(x_ref_m=x_ref_m)}
+
+
+def excite(**fields: Any) -> dict[str, Any]:
+    return {"excite": pb.Excite(shape=pb.SHAPE_STEP, **fields)}
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason"),
+    [
+        (b"\xff\xff\xff", "malformed"),
+        (b"", "bad-id"),
+        (b"\x00" * 5000, "oversize"),
+        (pb.Command(id="x" * 129, stop=pb.Stop()).SerializeToString(), "bad-id"),
+        (pb.Command(id="x", who="y" * 129, stop=pb.Stop()).SerializeToString(), "bad-who"),
+        (pb.Command(id="x").SerializeToString(), "empty-command"),
+        (pb.Command(id="x").SerializeToString() + b"\xa2\x06\x00", "empty-command"),  # field 100: from the future
+        (pb.Command(id="x", set_reference=pb.SetReference(x_ref_m=math.nan)).SerializeToString(), "not-finite"),
+        (pb.Command(id="x", set_gains=pb.SetGains(gains=[1, math.inf, 0, 0])).SerializeToString(), "not-finite"),
+        (pb.Command(id="x", excite=pb.Excite(duration_s=-math.inf)).SerializeToString(), "not-finite"),
+    ],
+)
+def test_what_is_not_a_command_is_refused(payload: bytes, reason: str) -> None:
+    refused = read_command(payload)
+
+    assert isinstance(refused, Refusal)
+    assert refused.reason == reason
+
+
+def test_the_reference_stays_within_configuration_and_board() -> None:
+    gate = Gate(LimitsConfig(x_ref_min_m=1e-3, x_ref_max_m=5.2e-3, x_ref_step_m=0.1))
+
+    assert verdict(gate, **reference(0.9e-3)) == "out-of-range"  # configuration
+    assert verdict(gate, **reference(4.6e-3)) == "out-of-range"  # board: 3000 counts are 4.5 mm
+    assert verdict(gate, **reference(4.4e-3)) == ""
+
+
+def test_the_allowance_for_jumps_refills_with_time() -> None:
+    gate = Gate(LimitsConfig(x_ref_step_m=1e-3, x_ref_slew_m_s=10e-3))
+
+    assert verdict(gate, **reference(3.4e-3)) == ""  # 0.9 of 1.0 mm
+    assert verdict(gate, **reference(2.3e-3)) == "slew"  # 0.2 mm wanted, 0.1 left
+    assert verdict(gate, now_s=0.011, **reference(2.3e-3)) == ""  # 0.11 mm more
+
+
+def test_a_refused_jump_uses_nothing_up() -> None:
+    gate = Gate(LimitsConfig(x_ref_step_m=1e-3, x_ref_slew_m_s=1e-6))
+
+    for _ in range(5):
+        assert verdict(gate, **reference(4.0e-3)) == "slew"
+
+    assert verdict(gate, **reference(3.4e-3)) == ""
+
+
+@pytest.mark.parametrize(
+    ("mode", "on_reference", "reason"),
+    [
+        (Mode.IDLE, False, "wrong-mode"),
+        (Mode.IDLE, True, "wrong-mode"),
+        (Mode.OPEN_LOOP, False, ""),
+        (Mode.OPEN_LOOP, True, "wrong-mode"),
+        (Mode.CLOSED_LOOP, False, "wrong-mode"),
+        (Mode.CLOSED_LOOP, True, ""),
+        (None, False, ""),  # not known: the board decides
+    ],
+)
+def test_an_excitation_needs_the_mode_of_its_target(mode: Mode | None, on_reference: bool, reason: str) -> None:
+    view = replace(VIEW, mode=mode)
+    offset = 2e-3 if on_reference else 1.0
+
+    assert verdict(Gate(LimitsConfig()), view, **excite(on_reference=on_reference, offset=offset)) == reason
+
+
+def test_an_excitation_stays_within_the_bounds_at_both_peaks() -> None:
+    gate, open_loop = Gate(LimitsConfig(u_max_v=4.0)), replace(VIEW, mode=Mode.OPEN_LOOP)
+
+    assert verdict(gate, open_loop, **excite(offset=2.0, amplitude=1.9)) == ""
+    assert verdict(gate, open_loop, **excite(offset=3.0, amplitude=-1.1)) == "out-of-range"
+    assert verdict(gate, open_loop, **excite(offset=1.0, amplitude=1.1)) == "out-of-range"  # below 0 counts
+    assert verdict(gate, **excite(on_reference=True, offset=4.4e-3, amplitude=0.2e-3)) == "out-of-range"
+    assert verdict(gate, open_loop, **excite(offset=1.0, duration_s=601.0)) == "out-of-range"
+
+
+def test_a_capture_needs_idle_or_open_loop_and_bounded_inputs() -> None:
+    gate = Gate(LimitsConfig())
+    capture: dict[str, Any] = {"capture": pb.Capture(u_from_v=1.0, u_to_v=2.0, duration_s=0.01)}
+    high: dict[str, Any] = {"capture": pb.Capture(u_from_v=1.0, u_to_v=4.8, duration_s=0.01)}
+
+    assert verdict(gate, **capture) == "wrong-mode"
+    assert verdict(gate, replace(VIEW, mode=Mode.IDLE), **capture) == ""
+    assert verdict(gate, replace(VIEW, mode=Mode.IDLE), **high) == "out-of-range"  # the board's u_max is 4.5 V
+
+
+def test_a_fault_leaves_only_what_clears_it() -> None:
+    gate, faulty = Gate(LimitsConfig()), replace(VIEW, mode=Mode.IDLE, flags=int(Flag.FAULT))
+
+    assert verdict(gate, faulty, **excite(offset=1.0)) == "fault-active"
+    assert verdict(gate, faulty, set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP)) == ""
+    assert verdict(gate, faulty, stop=pb.Stop()) == ""
+
+
+def test_a_gain_has_a_largest_magnitude() -> None:
+    gate = Gate(LimitsConfig(gain_max=2000.0))
+
+    assert verdict(gate, set_gains=pb.SetGains(gains=[0.5, -1999, 1, 1])) == ""
+    assert verdict(gate, set_gains=pb.SetGains(gains=[0.5, -2001, 1, 1])) == "out-of-range"
+
+
+def test_a_flood_is_refused_but_never_stop() -> None:
+    gate = Gate(LimitsConfig(commands_per_s=10.0))
+    ping, stop = pb.Command(id="p", ping=pb.Ping()), pb.Command(id="s", stop=pb.Stop())
+
+    admitted = [gate.admit(ping, 0.001 * n) for n in range(100)]
+
+    assert sum(refusal is None for refusal in admitted) == 10
+    assert {refusal.reason for refusal in admitted if refusal} == {"flood"}
+    assert all(gate.admit(stop, 0.1) is None for _ in range(1000))
+    assert gate.admit(ping, 0.1 + 0.1) is None
+
+
+def test_a_bucket_never_holds_more_than_its_size() -> None:
+    bucket = TokenBucket(2.0, 1.0)
+
+    bucket.take(2.0, 0.0)
+
+    assert bucket.level(1.5) == pytest.approx(1.5)
+    assert bucket.level(100.0) == 2.0
