@@ -5,6 +5,7 @@ Rule: what is not in step is not drawn as twin; gaps stay gaps.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +19,8 @@ from protocol.bus import board51_pb2 as pb
 from twin.mirror.mirror import IN_STEP, OUT_OF_STEP
 
 MEASURED, TWIN, REFERENCE, ALARM = "#1f77b4", "#d62728", "#555555", "#b8860b"
-ALARM_FLOOR_UM = 0.1  # lower end of the logarithmic axis of errors
+FLOOR_UM = 1.0  # lower end of the logarithmic axis of errors: below one count of the converter nothing is to be seen
+AROUND_S = 0.5  # shown before and after the time in closed loop
 
 
 @dataclass(slots=True)
@@ -60,6 +62,18 @@ class Traces:
         """Alarms of a sample."""
         self.alarms += [(t_s, alarm.name, alarm.active) for alarm in alarms]
 
+    def crop(self, from_s: float | None, to_s: float | None) -> None:
+        """Keep a span of board time; an end that is None is where the coil was first or last on, and a moment more."""
+        used = [row[0] for row in self.rows if row[2] == row[2]]  # a reference is in force: closed loop
+        if from_s is None:
+            from_s = min(used) - AROUND_S if used else -math.inf
+        if to_s is None:
+            to_s = max(used) + AROUND_S if used else math.inf
+        self.rows = [row for row in self.rows if from_s <= row[0] <= to_s]
+        before = {name: active for t, name, active in self.alarms if t < from_s}
+        inside = [alarm for alarm in self.alarms if from_s <= alarm[0] <= to_s]
+        self.alarms = [(from_s, name, True) for name, active in before.items() if active] + inside
+
     def columns(self) -> NDArray[np.float64]:
         """Shape (12, samples): t, x, x_ref, i, u, twin x, i, u, |error of x|, rolling RMSE, std, NIS; NaN over gaps."""
         table = np.array(self.rows, dtype=np.float64).reshape(-1, 12)
@@ -91,7 +105,7 @@ def draw(traces: Traces, out: Path, *, nis_on: float, error_on: float, title: st
     _pair(axes[1], t, i, twin_i, "current i_c [A]")
     _pair(axes[2], t, u, twin_u, "input u_c [V]")
 
-    axes[3].semilogy(t, np.maximum(error * 1e6, ALARM_FLOOR_UM), color="#bbbbbb", lw=0.6, label="|error|")
+    axes[3].semilogy(t, np.maximum(error * 1e6, FLOOR_UM), color="#bbbbbb", lw=0.6, label="|error|")
     axes[3].semilogy(t, rmse * 1e6, color=TWIN, lw=1.6, label="rolling RMSE (1 s)")
     axes[3].semilogy(t, std * np.sqrt(error_on) * 1e6, color=ALARM, lw=1.4, ls="-.", label="alarm line")
     axes[3].set_ylabel("x: measured - twin\n[um]")
@@ -101,10 +115,14 @@ def draw(traces: Traces, out: Path, *, nis_on: float, error_on: float, title: st
     axes[4].set_ylabel("one-step\ninnovation [-]")
     axes[4].set_xlabel("time on the board's clock [s]")
 
+    end = float(np.nanmax(t))
+    _shade(axes[1], traces.alarms, "divergence-i_c", end)
+    _shade(axes[3], traces.alarms, "divergence-x", end)
+    _shade(axes[4], traces.alarms, "innovation", end)
     for axis in axes:
+        _shade(axis, traces.alarms, OUT_OF_STEP, end)
         axis.grid(visible=True, color="#e4e4e4", lw=0.6)
         axis.margins(x=0.005)
-        _shade_alarms(axis, traces.alarms, end=float(np.nanmax(t)) if len(t) else 0.0)
         axis.legend(loc="upper left", bbox_to_anchor=(1.005, 1.0), fontsize=9, frameon=False)
     figure.savefig(out)
 
@@ -112,8 +130,8 @@ def draw(traces: Traces, out: Path, *, nis_on: float, error_on: float, title: st
 def _pair(
     axis: Axes, t: NDArray[np.float64], measured: NDArray[np.float64], twin: NDArray[np.float64], label: str
 ) -> None:
-    axis.plot(t, measured, color=MEASURED, lw=1.0, alpha=0.85, label="measured")
-    axis.plot(t, twin, color=TWIN, lw=1.3, label="twin")
+    axis.plot(t, measured, color=MEASURED, lw=2.4, alpha=0.55, label="measured")
+    axis.plot(t, twin, color=TWIN, lw=1.1, label="twin")
     axis.set_ylabel(label)
 
 
@@ -130,12 +148,14 @@ def _continuous(t: NDArray[np.float64]) -> NDArray[np.float64]:
     return result
 
 
-def _shade_alarms(axis: Axes, alarms: Sequence[tuple[float, str, bool]], *, end: float) -> None:
-    since: dict[str, float] = {}
-    for t, name, active in [*alarms, *[(end, name, False) for _, name, _ in alarms]]:
-        if name != OUT_OF_STEP:
-            continue
-        if active:
-            since.setdefault(name, t)
-        elif name in since:
-            axis.axvspan(since.pop(name), t, color="#999999", alpha=0.25, lw=0)
+def _shade(axis: Axes, alarms: Sequence[tuple[float, str, bool]], name: str, end: float) -> None:
+    """Mark where an alarm was on."""
+    color = "#777777" if name == OUT_OF_STEP else ALARM
+    label: str | None = f"alarm {name}" if name != OUT_OF_STEP else OUT_OF_STEP
+    since: float | None = None
+    for t, _, active in [*(alarm for alarm in alarms if alarm[1] == name), (end, name, False)]:
+        if active and since is None:
+            since = t
+        elif not active and since is not None:
+            axis.axvspan(since, t, color=color, alpha=0.15, lw=0, label=label)
+            since = label = None

@@ -36,8 +36,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help="MCAP log")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the picture; is overwritten")
     parser.add_argument("--board", help="which board (default: the only one)")
-    parser.add_argument("--from", dest="from_s", type=float, default=float("-inf"), metavar="S", help="board time, s")
-    parser.add_argument("--to", dest="to_s", type=float, default=float("inf"), metavar="S", help="board time, s")
+    parser.add_argument("--from", dest="from_s", type=float, metavar="S", help="board time, s (default: coil on)")
+    parser.add_argument("--to", dest="to_s", type=float, metavar="S", help="board time, s (default: coil off)")
     parser.add_argument("--json", action="store_true", help="print what was drawn as JSON")
     add_model_options(parser)
     parser.set_defaults(model=None)
@@ -60,8 +60,7 @@ def run(args: argparse.Namespace) -> int:
     if len(traces) > 1:
         raise UsageError(f"{args.log} holds the boards {', '.join(sorted(traces))}", remedy="Choose one with --board")
     board, trace = next(iter(traces.items()))
-    trace.rows = [row for row in trace.rows if args.from_s <= row[0] <= args.to_s]
-    trace.alarms = [alarm for alarm in trace.alarms if args.from_s <= alarm[0] <= args.to_s]
+    trace.crop(args.from_s, args.to_s)
     if not trace.rows:
         raise DataError(f"{args.log}: no samples between --from and --to", remedy="Look at `board51 info`")
     nis_on, error_on = _thresholds(args.log, board, trace, model, settings)

@@ -158,6 +158,7 @@ class Comparison:
     def __init__(self) -> None:
         self.error_alarms = (WindowAlarm("divergence-x", window=2), WindowAlarm("divergence-i_c", window=2))
         self.innovation_alarm = WindowAlarm("innovation", window=2)
+        self._unseen_ticks = 0  # without a valid innovation, in a row
         self.start(2)
 
     def start(self, window: int) -> None:
@@ -173,9 +174,9 @@ class Comparison:
         for alarm in self.error_alarms:
             alarm.clear_window()
 
-    def drop_alarms(self) -> list[pb.Alarm]:
-        """The mode has changed: alarms of the mode before are over."""
-        ended = [alarm.drop() for alarm in (*self.error_alarms, self.innovation_alarm)]
+    def drop_error_alarms(self) -> list[pb.Alarm]:
+        """The mode has changed: what the free twin did in the mode before is over."""
+        ended = [alarm.drop() for alarm in self.error_alarms]
         return [alarm for alarm in ended if alarm is not None]
 
     def free(
@@ -223,6 +224,8 @@ class Comparison:
             into.nis_mean = math.nan
             self._nis.clear()
             self.innovation_alarm.clear_window()
-            return None
+            self._unseen_ticks += 1
+            return self.innovation_alarm.drop() if self._unseen_ticks > regime.window else None
+        self._unseen_ticks = 0
         into.nis_mean = self._nis.add(nis)
         return self.innovation_alarm.add(nis, on=regime.nis_on, off=regime.nis_off)

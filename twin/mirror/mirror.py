@@ -119,7 +119,7 @@ class Mirror:
             alarms += self._lose_step(loss)
         elif last is not None and last.mode != now.mode:
             self.counters["mode_changes"] += 1
-            alarms += self._comparison.drop_alarms()
+            alarms += self._comparison.drop_error_alarms()
             self._stop()
         elif missing > 0 and self._twin is not None and last is not None:
             bridged = self._bridge(self._twin, last, missing)
