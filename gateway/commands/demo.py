@@ -29,7 +29,7 @@ from protocol.errors import ServiceError
 
 BOARD = "demo"
 HOLD_S = 2.5  # at each reference: the slowest closed-loop mode has long decayed
-REFERENCES_M = (2.85e-3, 2.0e-3, 3.5e-3, 4.5e-3, 1.5e-3, 2.85e-3)
+REFERENCES_M = (2.85e-3, 1.5e-3, 3.0e-3, 4.5e-3, 2.85e-3)
 START_LIMIT_S = 90.0  # compiling the kernels for the first time takes a while on a slow machine
 
 
@@ -54,12 +54,12 @@ def run(args: argparse.Namespace) -> int:
 
         _say("1/6 emulated board on a pty")
         effects = [word for effect in args.effect for word in ("--effect", effect)]
-        emulator = processes.enter_context(_process("emulate", "--pty", tty, *effects))
+        emulator = processes.enter_context(_process(args.out, "emulate", "--pty", tty, *effects))
         _wait(lambda: Path(tty).exists(), emulator, "the emulated board")
 
         _say("2/6 gateway: UART <-> zenoh, MCAP")
         gateway = processes.enter_context(
-            _process("gateway", "--board", f"{BOARD}={tty}", "--listen", endpoint, "--log-dir", str(folder))
+            _process(args.out, "gateway", "--board", f"{BOARD}={tty}", "--listen", endpoint, "--log-dir", str(folder))
         )
         _wait(lambda: _listens(port), gateway, "the gateway")
         session = processes.enter_context(open_bus(endpoint))
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         _wait(lambda: bus.count("state") > 100, gateway, "samples from the board")
 
         _say("3/6 twin: the nominal CE 152 in step")
-        twin = processes.enter_context(_process("twin", "--connect", endpoint, "--board", BOARD))
+        twin = processes.enter_context(_process(args.out, "twin", "--connect", endpoint, "--board", BOARD))
         _wait(lambda: bus.count("twin/state") > 10, twin, "the twin")
 
         _say("4/6 lift the ball, then follow a reference")
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
         _say("6/6 what the log says")
         logs = [Path(shutil.move(path, args.out / path.name)) for path in sorted(folder.glob("*.mcap"))]
     if not logs:
-        raise ServiceError("The gateway left no log", remedy=f"Look for its messages above; is {args.out} writable")
+        raise ServiceError("The gateway left no log", remedy=f"Its messages are in {args.out / 'gateway.log'}")
     picture = args.out / "measured-vs-twin.png"
     subprocess.run([*_board51(), "plot", str(logs[-1]), "--out", str(picture)], check=True, stdout=subprocess.DEVNULL)
     print(_findings(logs[-1]))
@@ -149,8 +149,9 @@ class _Bus:
         command.who = "demo"
         reply = send(self._session, topics.DEFAULT_SITE, BOARD, command)
         if not reply.accepted:
+            what = command.WhichOneof("what")
             raise ServiceError(
-                f"{command.WhichOneof('what')} was refused by {reply.refused_by}: {reply.reason}: {reply.text}",
+                f"{what} was refused by {reply.refused_by}: {reply.reason}: {reply.text.rstrip('.')}",
                 remedy="Run it step by step with board51 emulate, gateway and send",
             )
 
@@ -178,9 +179,10 @@ def _board51() -> list[str]:
 
 
 @contextlib.contextmanager
-def _process(*words: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A board51 process; terminated, and after 15 s killed, on the way out."""
-    process = subprocess.Popen([*_board51(), *words], stdout=subprocess.DEVNULL)
+def _process(out: Path, name: str, *words: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A board51 process that talks into OUT/NAME.log; terminated, and after 15 s killed, on the way out."""
+    with (out / f"{name}.log").open("wb") as log:
+        process = subprocess.Popen([*_board51(), name, *words], stdout=log, stderr=log)
     try:
         yield process
     finally:
@@ -196,9 +198,15 @@ def _wait(ready: Callable[[], bool], process: subprocess.Popen[bytes], what: str
     end = time.monotonic() + START_LIMIT_S
     while not ready():
         if process.poll() is not None:
-            raise ServiceError(f"{what} ended with exit code {process.returncode}", remedy="See its message above")
+            raise ServiceError(
+                f"{what} ended with exit code {process.returncode}",
+                remedy="Its messages are in the .log files of --out",
+            )
         if time.monotonic() > end:
-            raise ServiceError(f"{what} did not appear within {START_LIMIT_S:.0f} s", remedy="See the messages above")
+            raise ServiceError(
+                f"{what} did not appear within {START_LIMIT_S:.0f} s",
+                remedy="Its messages are in the .log files of --out",
+            )
         time.sleep(0.05)
 
 
