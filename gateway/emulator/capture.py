@@ -18,7 +18,7 @@ class Capture:
 
     def __init__(self, *, u_from: int, u_to: int, pre: int, count: int, tick: int) -> None:
         self.total = count
-        self.began_tick = tick + CAPTURE_SETTLE_US // T_S_US
+        self.began_tick = tick + CAPTURE_SETTLE_US // T_S_US & 0xFFFFFFFF
         self._u = (u_from, u_to)
         self._pre = pre
         self._start_us = CAPTURE_SETTLE_US

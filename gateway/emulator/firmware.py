@@ -83,13 +83,14 @@ class Firmware:
     def __init__(self, plant: AnalogSide, *, board_id: int = 1) -> None:
         self._plant = plant
         self._board_id = board_id
+        self.outbox = Outbox()
         self._resets = 0
         self._elapsed_us = 0  # plant time since the last tick
         self._boot(EventCode.RESET_POWER_ON)
 
     def _boot(self, cause: EventCode) -> None:
         self.next_tick = 0
-        self.outbox = Outbox()
+        self.outbox.clear()
         self._inbox = Inbox()
         self._pending: deque[tuple[bytes, Message | None, Refusal | None]] = deque()
         self._session: int | None = None

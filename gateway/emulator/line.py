@@ -56,7 +56,7 @@ class BoardLine:
         self._plugged = True
         self._unplugged_by_hand = False
         self._renames = False  # the port opens under its other name
-        self._sent = self._received = self._not_taken = self._dropped = 0
+        self._sent = self._received = self._not_taken = 0
         port.open()
 
     @property
@@ -73,7 +73,7 @@ class BoardLine:
             bytes_received=self._received,
             bytes_not_taken=self._not_taken,
             bytes_damaged=sum(wire.damaged for wire in self._wires.values()),
-            frames_dropped=self._dropped + self.firmware.outbox.dropped,
+            frames_dropped=self.firmware.outbox.dropped,
         )
 
     def inject(self, fault: Fault) -> None:
@@ -92,7 +92,6 @@ class BoardLine:
 
     def power_cycle(self) -> None:
         """The board loses power for a moment; what was on the line is cut off."""
-        self._dropped += self.firmware.outbox.dropped
         self.firmware.reset(EventCode.RESET_POWER_ON)
         self._rest = b""
 

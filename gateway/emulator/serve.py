@@ -104,13 +104,14 @@ class Server:
             if behind_ns < 0:
                 continue
             due = 1 + int(behind_ns / period_ns)
+            now = min(due, _BURST, ticks - done if ticks is not None else due)
             if due > 1:
-                self.late_ticks += due - 1
+                self.late_ticks += min(due - 1, now)
                 self.worst_lateness_s = max(self.worst_lateness_s, behind_ns * 1e-9)
-            for _ in range(min(due, _BURST, ticks - done if ticks is not None else due)):
+            for _ in range(now):
                 for line in self.lines:
                     line.step()
-                done += 1
+            done += now
 
     def _run_flat_out(self, ticks: int | None) -> None:
         done = 0

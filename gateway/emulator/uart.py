@@ -54,6 +54,11 @@ class Outbox:
                 return queue.popleft()
         return b""
 
+    def clear(self) -> None:
+        """Forget all frames, as a reset does; the count of lost ones stays."""
+        for queue in self._queues:
+            queue.clear()
+
     def waiting(self, priority: Priority) -> int:
         """Frames of this priority not yet taken."""
         return len(self._queues[priority])

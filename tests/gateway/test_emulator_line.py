@@ -228,6 +228,16 @@ def test_a_reset_restarts_the_board_and_a_hang_ends_in_a_watchdog_reset() -> Non
     ]
 
 
+def test_a_reset_does_not_hide_what_was_dropped_before() -> None:
+    line, _, _ = on_a_line("watchdog@0.9", baud=9600)
+
+    run(line, 440)
+    before = line.counts.frames_dropped
+    run(line, 60)
+
+    assert line.counts.frames_dropped >= before > 100
+
+
 def test_an_overrun_is_reported() -> None:
     line, wire, _ = on_a_line("overrun@0.1/0.1")
 

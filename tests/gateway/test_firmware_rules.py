@@ -784,6 +784,17 @@ def test_rule_16_events_are_numbered_without_gaps() -> None:
     assert len(numbers) > 256
 
 
+def test_the_tick_wraps_after_32_bits_and_the_sequence_after_16() -> None:
+    host = Host()
+    host.firmware.next_tick = 2**32 - 2
+
+    states = host.run(3)
+    answer = host.ask("SET_STREAM", divider=1)
+
+    assert [state.sequence for state in states] == [65534, 65535, 0]
+    assert answer.int("tick") == 1
+
+
 def test_an_overrun_shows_in_the_flag_the_count_and_an_event() -> None:
     host = Host()
 
