@@ -25,6 +25,8 @@ from protocol.bus.encoding import parse
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint, zenoh_config
 from protocol.errors import DataError, ServiceError, UsageError
 
+SETTLE_S = 0.1  # a subscription that has just appeared takes up to 60 ms until data flows to it (measured)
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
@@ -101,6 +103,7 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
             stop.wait(0.02)
         if not replay.matched() and not args.json:
             print("nobody subscribes yet", file=sys.stderr)
+        stop.wait(SETTLE_S)
         progress = _Progress(quiet=args.json)
 
         def send(record: RawRecord) -> None:

@@ -69,7 +69,7 @@ def expect(found: dict[str, Any]) -> None:
     assert state["last"]["i_c_a"] == 0.0  # measured as zero, not absent
     assert "u_c_v" not in state["last"]
     assert found["topics"]["board51/rig/parameters"]["first"]["gains"] == [0.49, 1700.0, 17.7, -17600.0]
-    assert found["topics"]["board51/rig/status"]["first"]["bad_frames"] == {"crc": 3}
+    assert found["topics"]["board51/rig/status"]["first"]["bad_frames"] == [{"key": "crc", "value": 3}]
     assert found["metadata"]["config"] == {"port": "/dev/ttyUSB0"}
     assert found["streamed"] == 3002
     assert found["done"] is True
