@@ -163,8 +163,8 @@ def _print(summary: dict[str, Any]) -> None:
     )
     for why, count in summary["why_out_of_step"].items():
         print(f"  lost step {count} x: {why}")
-    if not summary["parameters_seen"]:
-        print("  the log has no board parameters: no law, hence no free twin; the observer alone")
+    if not summary["starts"]:
+        print("  no free twin: the log does not say which law ran (or no sample could start it); the observer alone")
     rmse, bias = summary["rmse"], summary["bias"]
     for name, (scale, unit) in {"x_m": (1e6, "um"), "i_c_a": (1e3, "mA"), "u_c_v": (1e3, "mV")}.items():
         if rmse[name] is not None:

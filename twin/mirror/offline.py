@@ -83,6 +83,7 @@ class BoardRun:
                 for name, count in sorted(counters.items())
                 if name.startswith("out_of_step:")
             },
+            "starts": counters["starts"],
             "bridged_ticks": counters["bridged_ticks"],
             "duplicates": counters["duplicates"],
             "missing": {
