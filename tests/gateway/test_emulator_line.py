@@ -228,6 +228,30 @@ def test_a_reset_restarts_the_board_and_a_hang_ends_in_a_watchdog_reset() -> Non
     ]
 
 
+def test_a_power_cycle_cuts_the_frame_on_the_line() -> None:
+    line, wire, _ = on_a_line()
+    wire.to_board = frame("HELLO", id=1, session=1, version_min=1, version_max=1)
+    run(line, 2)  # the 59 bytes of IDENTITY have begun
+
+    line.power_cycle()
+    run(line, 20)
+
+    events = wire.events()
+    assert sum(isinstance(event, BadFrame) for event in events) == 1
+    assert not any(isinstance(event, Message) and event.name == "IDENTITY" for event in events)
+
+
+def test_a_commanded_reset_lets_its_ack_leave_the_line() -> None:
+    line, wire, _ = on_a_line()
+    wire.to_board = frame("HELLO", id=1, session=1, version_min=1, version_max=1) + frame("RESET", id=2)
+    run(line, 40)
+
+    told = [event for event in wire.events() if isinstance(event, Message)]
+    ack = next(n for n, event in enumerate(told) if event.name == "ACK" and event.int("command") == 0x0D)
+    assert [event.int("code") for event in told[ack + 1 :]] == [EventCode.RESET_COMMANDED]
+    assert not any(isinstance(event, BadFrame) for event in wire.events())
+
+
 def test_a_reset_does_not_hide_what_was_dropped_before() -> None:
     line, _, _ = on_a_line("watchdog@0.9", baud=9600)
 
