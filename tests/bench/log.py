@@ -1,7 +1,7 @@
 """Log: messages/s and bytes per sample of our writer and reader against the plain `mcap` package in the same run.
 
-The baseline writes with its default settings (1 MiB chunks, zstd): it is what a program would do without thinking of
-kill -9, which costs it everything since the last chunk (about 20 s at 500 Hz).  Ours hands a chunk to the system every 0.1 s.
+The baseline writes with its default settings (1 MiB chunks, zstd): what a program does that does not think of kill -9,
+which costs it everything since its last chunk (about 20 s at 500 Hz).  Ours gives the system a chunk every 0.1 s.
 """
 
 from __future__ import annotations
