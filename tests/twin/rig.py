@@ -1,7 +1,7 @@
 """A rig for the tests, written from the paper and `protocol/README.md` without anything of `twin`.
 
-It integrates with scipy-free forward steps of 20 us, so that the twin's kernels are not their own judge; `gap_offset_m` puts
-the coil plane above the top stop, which eq. (3) with x_max = travel cannot express.
+It integrates by 40 mid-point steps a tick, so that the twin's kernels are not their own judge; `gap_offset_m` puts the
+coil plane above the top stop, which eq. (3) with x_max = travel cannot express.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ class Rig:
         h = T_S / steps
         keep = math.exp(-h / self.T_A)
         half = math.exp(-0.5 * h / self.T_A)
-        for _ in range(steps):  # symplectic Euler around the middle of the step (second order)
+        for _ in range(steps):  # mid-point rule, second order
             i_mid = self.K_A * u + (self.i - self.K_A * u) * half
             self.i = self.K_A * u + (self.i - self.K_A * u) * keep
             x_mid = self.x + 0.5 * h * self.v

@@ -1,0 +1,130 @@
+"""Model files: what is refused, and that the shipped ones say what their sources say."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import json
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from protocol.errors import DataError
+from twin.model.nominal import SHIPPED, force_constant, lift_off_current, nominal
+from twin.model.parameters import load_model, model_from_dict, model_to_dict
+
+DATA = Path(os.environ.get("BOARD51_DATA", Path(__file__).parents[3] / "shared" / "data"))
+
+
+def put(path: str, value: object) -> Callable[[dict[str, Any]], None]:
+    def change(data: dict[str, Any]) -> None:
+        *parents, last = path.split(".")
+        for parent in parents:
+            data = data[parent]
+        if value is None:
+            del data[last]
+        else:
+            data[last] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (put("plant", None), "the model lacks 'plant'"),
+        (put("plant.mass_kg", None), "plant lacks 'mass_kg'"),
+        (put("plant.mass_kg", 8.28e3), "plant.mass_kg = 8280 is outside"),
+        (put("plant.travel_m", 5.7), "plant.travel_m = 5.7 is outside"),
+        (put("plant.x_max_m", 5.6e-3), "x_max_m = 0.0056 is below plant.travel_m"),
+        (put("parameters.K_c", None), "parameters lacks 'K_c'"),
+        (put("parameters.T_A.unit", "ms"), "parameters.T_A.unit is 'ms'"),
+        (put("parameters.T_A.value", math.nan), "parameters.T_A.value is nan"),
+        (put("parameters.T_A.value", 0.0), "parameters.T_A.value = 0 is outside"),
+        (put("parameters.b.value", -1.0), "parameters.b.value = -1 is outside"),
+        (put("parameters.K_A.value", "0.3"), "parameters.K_A.value is '0.3'"),
+        (put("parameters.K_A.value", True), "parameters.K_A.value is True"),
+        (put("parameters.K_A.ci95", [1.0]), "parameters.K_A.ci95"),
+        (put("parameters.K_A.verdict", "sure"), "parameters.K_A.verdict is 'sure'"),
+        (put("noise.sigma_x_m", 0.0), "noise.sigma_x_m = 0 is outside"),
+        (put("causes", [{"name": "air-gap-offset"}]), "the cause 'air-gap-offset'"),
+        (put("causes", {}), "causes is not a list"),
+    ],
+)
+def test_a_model_that_is_not_one_is_refused_by_key(change: Callable[[dict[str, Any]], None], says: str) -> None:
+    data = copy.deepcopy(model_to_dict(nominal()))
+    change(data)
+
+    with pytest.raises(DataError, match=r"x\.json") as refused:
+        model_from_dict(data, where="x.json")
+
+    assert says in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "3", "{", '{"plant": 1}', "\x00\x01"])
+def test_a_file_that_is_not_a_model_gives_one_clear_error(text: str, tmp_path: Path) -> None:
+    file = tmp_path / "model.json"
+    file.write_text(text)
+
+    with pytest.raises(DataError, match=r"model\.json"):
+        load_model(file)
+
+
+def test_an_absent_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"nowhere\.json"):
+        load_model(tmp_path / "nowhere.json")
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_model_survives_its_own_json(name: str) -> None:
+    model = nominal(name)
+
+    again = model_from_dict(json.loads(json.dumps(model_to_dict(model))), where="again")
+
+    assert again == model
+
+
+def test_nominal_force_constant_follows_from_the_measured_equilibria() -> None:
+    file = DATA / "ce152-equilibria" / "equilibria.csv"
+    if not file.exists():
+        pytest.skip(f"{file} is absent; set BOARD51_DATA")
+    with file.open() as rows:
+        points = np.array([(float(row["gap_m"]), float(row["current_A"])) for row in csv.DictReader(rows)])
+    model = nominal()
+    plant = model.plant
+
+    lift_off = lift_off_current(points[:, 0], points[:, 1], plant.travel_m)
+    k_c = force_constant(
+        mass_kg=plant.mass_kg, gravity_m_s2=plant.gravity_m_s2, gap_m=plant.x_max_m, lift_off_a=lift_off
+    )
+
+    assert abs(model.K_c / k_c - 1.0) < 1e-4  # the file holds five digits
+
+
+def test_inteco_force_constant_is_the_median_of_the_lift_off_ramps() -> None:
+    folder = DATA / "inteco-mls2em"
+    if not folder.exists():
+        pytest.skip(f"{folder} is absent; set BOARD51_DATA")
+    plant = nominal("inteco").plant
+    found = []
+    for ramp in sorted(folder.glob("force_*.csv.gz")):
+        table = np.genfromtxt(ramp, delimiter=",", names=True)
+        gap, current = table["gap_m"], table["i1_A"]
+        ramp_starts = max(int(np.argmax(table["duty1"] > 0.02)), 200)
+        rest = float(np.median(gap[10:ramp_starts]))
+        left = np.flatnonzero(gap < rest - 0.4e-3)
+        left = left[left > 50]
+        if not 4.8e-3 < rest < 19e-3 or len(left) == 0:  # below the sensor's range, or resting on the coil's edge
+            continue
+        lift_off = float(np.median(current[left[0] - 12 : left[0] - 4]))
+        found.append(
+            force_constant(mass_kg=plant.mass_kg, gravity_m_s2=plant.gravity_m_s2, gap_m=rest, lift_off_a=lift_off)
+        )
+
+    assert len(found) == 15
+    assert abs(float(np.median(found)) / nominal("inteco").K_c - 1.0) < 1e-3

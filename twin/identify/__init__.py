@@ -1,0 +1,1 @@
+"""From recordings to a model: campaign data, fits, uncertainty.  Start with README.md, then `pipeline.py`."""
