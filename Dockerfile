@@ -18,8 +18,8 @@ RUN pip install --no-cache-dir --disable-pip-version-check --no-deps --no-build-
  && mkdir -p /data/logs /var/cache/numba && chown -R board51 /data /var/cache/numba
 ENV NUMBA_CACHE_DIR=/var/cache/numba MPLCONFIGDIR=/tmp/matplotlib
 USER board51
-# Compile the kernels once, in the image: a container that starts cold would miss its first ticks.
-RUN board51 twin --warm-up && board51 emulate --warm-up
+# Compiles the kernels into the image (a twin that compiles while it runs misses its first samples) and shows that it works.
+RUN board51 demo --out /tmp/demo && rm -rf /tmp/demo
 VOLUME /data
 ENTRYPOINT ["board51"]
 CMD ["--help"]
