@@ -124,7 +124,7 @@ class Campaign:
     use = "judge"              # fit | judge
     skip_s = 3.0               # optional
     board = "rig"              # optional, for a log of several boards
-    columns = { t = "t_s", x = { column = "gap", scale = -1.0, offset = 0.02 }, u_c = { column = "duty", table = [[0.0, 0.04], [0.1, 0.61]] } }
+    columns = { t = "t_s", u_c = { column = "duty", table = [[0.0, 0.04], [0.1, 0.61]] } }
     """
 
     where: str  # the file, for messages

@@ -21,9 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-import lz4.frame  # type: ignore[import-untyped]  # ships no types
-import zstandard
-
+from gateway.record.chunk import CHUNK_HEAD, text, text_map, unpack, unpack_prefix
 from protocol.errors import DataError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -32,9 +30,7 @@ _STATISTICS, _METADATA, _DATA_END = 0x0B, 0x0C, 0x0F
 _LAST_OPCODE, _FIRST_PRIVATE = 0x0F, 0x80
 _RECORD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
-_CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
 _FOOTER_BYTES = _RECORD.size + 20 + len(MAGIC)
-_LARGEST_CHUNK = 1 << 30  # a length beyond this is damage, not data
 
 
 class Schema(NamedTuple):
@@ -141,7 +137,7 @@ class Scan:
                     if self.indexed and (stop < start_ns or start >= end_ns):
                         at = end  # its channels are known from the index
                         continue
-                    plain, problem = _unpack(content)
+                    plain, problem = unpack(content)
                     if problem:
                         self._damage(at, end - at, problem, chunk=content)
                     for message in self._inside(plain):
@@ -162,7 +158,7 @@ class Scan:
                 at = end
 
     def _cut_chunk(self, content: bytes, at: int) -> Iterator[Message]:
-        plain = _unpack_prefix(content)
+        plain = unpack_prefix(content)
         kept = 0
         for message in self._inside(plain, cut=True):
             kept += 1
@@ -198,20 +194,20 @@ class Scan:
         try:
             if opcode == _SCHEMA:
                 (schema_id,) = struct.unpack_from("<H", content)
-                name, next_at = _text(content, 2)
-                encoding, next_at = _text(content, next_at)
+                name, next_at = text(content, 2)
+                encoding, next_at = text(content, next_at)
                 self.schemas[schema_id] = Schema(name, encoding, content[next_at + 4 :])
             elif opcode == _CHANNEL:
                 channel_id, schema_id = struct.unpack_from("<HH", content)
-                topic, next_at = _text(content, 4)
-                encoding, _ = _text(content, next_at)
+                topic, next_at = text(content, 4)
+                encoding, _ = text(content, next_at)
                 self.channels[channel_id] = Channel(channel_id, topic, encoding, self.schemas.get(schema_id))
             elif opcode == _METADATA:
-                name, next_at = _text(content, 0)
-                self.metadata[name] = _text_map(content, next_at)
+                name, next_at = text(content, 0)
+                self.metadata[name] = text_map(content, next_at)
             elif opcode == _HEADER:
-                _, next_at = _text(content, 0)
-                self.library, _ = _text(content, next_at)
+                _, next_at = text(content, 0)
+                self.library, _ = text(content, next_at)
         except (struct.error, UnicodeDecodeError, IndexError):
             self._damage(at, len(content), "a malformed record")
 
@@ -288,71 +284,12 @@ def _next_chunk(file: BinaryIO, start: int, size: int) -> int | None:
     file.seek(start)
     data = file.read()
     at = data.find(_CHUNK)
-    while 0 <= at <= len(data) - _RECORD.size - _CHUNK_HEAD.size:
+    while 0 <= at <= len(data) - _RECORD.size - CHUNK_HEAD.size:
         _, length = _RECORD.unpack_from(data, at)
-        (crc, name_length) = struct.unpack_from("<II", data, at + _RECORD.size + _CHUNK_HEAD.size - 8)
+        (crc, name_length) = struct.unpack_from("<II", data, at + _RECORD.size + CHUNK_HEAD.size - 8)
         if crc and name_length <= 4 and start + at + _RECORD.size + length <= size:
-            _, problem = _unpack(data[at + _RECORD.size : at + _RECORD.size + length])
+            _, problem = unpack(data[at + _RECORD.size : at + _RECORD.size + length])
             if not problem:
                 return start + at
         at = data.find(_CHUNK, at + 1)
     return None
-
-
-def _unpack(content: bytes) -> tuple[bytes, str]:
-    """(records of a chunk, "") or (b"", what is wrong with it)."""
-    try:
-        _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(content)
-        at = _CHUNK_HEAD.size + name_length
-        name = content[_CHUNK_HEAD.size : at]
-        (length,) = struct.unpack_from("<Q", content, at)
-        packed = content[at + 8 : at + 8 + length]
-        if len(packed) != length or size > _LARGEST_CHUNK:
-            return b"", "a chunk whose lengths contradict each other"
-        if name == b"lz4":
-            plain = lz4.frame.decompress(packed)
-        elif name == b"zstd":
-            plain = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
-        elif name == b"":
-            plain = packed
-        else:
-            return b"", f"a chunk compressed with {name!r}, which is unknown"
-    except (struct.error, RuntimeError, zstandard.ZstdError, MemoryError):
-        return b"", "a chunk that does not decompress"
-    if len(plain) != size or (crc and zlib.crc32(plain) != crc):
-        return b"", "a chunk whose CRC is wrong"
-    return plain, ""
-
-
-def _unpack_prefix(content: bytes) -> bytes:
-    """As much as can be had of a chunk that lacks its end."""
-    try:
-        _, _, _, _, name_length = _CHUNK_HEAD.unpack_from(content)
-        at = _CHUNK_HEAD.size + name_length
-        name, packed = content[_CHUNK_HEAD.size : at], content[at + 8 :]
-        if name == b"lz4":
-            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed))
-        if name == b"zstd":
-            return zstandard.ZstdDecompressor().decompressobj().decompress(packed)
-        return packed if name == b"" else b""
-    except (struct.error, RuntimeError, zstandard.ZstdError):
-        return b""
-
-
-def _text(content: bytes, at: int) -> tuple[str, int]:
-    (length,) = struct.unpack_from("<I", content, at)
-    end = at + 4 + length
-    if end > len(content):
-        raise IndexError
-    return content[at + 4 : end].decode(), end
-
-
-def _text_map(content: bytes, at: int) -> dict[str, str]:
-    (length,) = struct.unpack_from("<I", content, at)
-    at += 4
-    end = at + length
-    values = {}
-    while at < end:
-        key, at = _text(content, at)
-        values[key], at = _text(content, at)
-    return values

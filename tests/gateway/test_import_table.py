@@ -142,6 +142,7 @@ def test_bad_tables_are_told_with_line_and_column(tmp_path: Path, text: str, say
         (gzip.compress(b"t,x\n0,1\n1,2\n" * 50)[:-9], "damaged or cut off"),
         (gzip.compress(b"\xff\xfe\x00"), "is not text"),
     ],
+    ids=["plain", "cut", "binary"],
 )
 def test_bad_compression_is_told(tmp_path: Path, data: bytes, says: str) -> None:
     with pytest.raises(DataError, match=says):

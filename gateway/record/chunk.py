@@ -1,0 +1,80 @@
+"""The inside of an MCAP chunk, and the two compound types of the format: pure functions of bytes.
+
+Format: mcap.dev/spec.  Integers are little-endian; a string is its length (4 bytes) and UTF-8.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import lz4.frame  # type: ignore[import-untyped]  # ships no types
+import zstandard
+
+CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
+_LARGEST_CHUNK = 1 << 30  # a length beyond this is damage, not data
+
+
+def unpack(content: bytes) -> tuple[bytes, str]:
+    """(records of a chunk, "") or (b"", what is wrong with it)."""
+    try:
+        _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(content)
+        at = CHUNK_HEAD.size + name_length
+        name = content[CHUNK_HEAD.size : at]
+        (length,) = struct.unpack_from("<Q", content, at)
+        packed = content[at + 8 : at + 8 + length]
+        if len(packed) != length or size > _LARGEST_CHUNK:
+            return b"", "a chunk whose lengths contradict each other"
+        if name == b"lz4":
+            plain = lz4.frame.decompress(packed)
+        elif name == b"zstd":
+            plain = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
+        elif name == b"":
+            plain = packed
+        else:
+            return b"", f"a chunk compressed with {name!r}, which is unknown"
+    except (struct.error, RuntimeError, zstandard.ZstdError, MemoryError):
+        return b"", "a chunk that does not decompress"
+    if len(plain) != size or (crc and zlib.crc32(plain) != crc):
+        return b"", "a chunk whose CRC is wrong"
+    return plain, ""
+
+
+def unpack_prefix(content: bytes) -> bytes:
+    """As much as can be had of a chunk that lacks its end."""
+    try:
+        _, _, _, _, name_length = CHUNK_HEAD.unpack_from(content)
+        at = CHUNK_HEAD.size + name_length
+        name, packed = content[CHUNK_HEAD.size : at], content[at + 8 :]
+        if name == b"lz4":
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed))
+        if name == b"zstd":
+            return zstandard.ZstdDecompressor().decompressobj().decompress(packed)
+        return packed if name == b"" else b""
+    except (struct.error, RuntimeError, zstandard.ZstdError):
+        return b""
+
+
+def text(content: bytes, at: int) -> tuple[str, int]:
+    """The string at `at`, and where it ends.
+
+    Raises:
+        struct.error, IndexError, UnicodeDecodeError: there is none.
+    """
+    (length,) = struct.unpack_from("<I", content, at)
+    end = at + 4 + length
+    if end > len(content):
+        raise IndexError
+    return content[at + 4 : end].decode(), end
+
+
+def text_map(content: bytes, at: int) -> dict[str, str]:
+    """The map of strings at `at`; raises as `text` does."""
+    (length,) = struct.unpack_from("<I", content, at)
+    at += 4
+    end = at + length
+    values = {}
+    while at < end:
+        key, at = text(content, at)
+        values[key], at = text(content, at)
+    return values
