@@ -61,12 +61,11 @@ def test_without_drag_and_with_constant_current_energy_is_conserved() -> None:
         return 0.5 * m * v * v + m * g * x - p.k * m * i * i / (p.x_max_m - x)
 
     start = energy(x, v)
-    for _ in range(12):  # from rest towards the coil: 24 ms, a third of the travel
+    while x < 4e-3:  # from rest towards the coil
         _, x, v = tick(p, i, x, v, i / p.K_A)
 
         kinetic = 0.5 * 8.28e-3 * v * v
         assert abs(energy(x, v) - start) < 1e-6 * kinetic + 1e-15
-    assert x > 3.0e-3
 
 
 def test_a_ball_at_rest_stays_until_the_force_of_eq_8_is_reached() -> None:
@@ -118,7 +117,7 @@ def reference_tick(p: PlantNumbers, i: float, x: float, v: float, u: float) -> t
 
 
 def test_a_tick_agrees_with_an_adaptive_solver_and_halving_the_step_changes_nothing() -> None:
-    """Over currents, positions, speeds and inputs of a flying ball: 0.1 nm is 1e-4 of a converter count."""
+    """Over currents, positions, speeds and inputs of a flying ball: 1 nm is 1e-3 of a converter count."""
     rng = np.random.default_rng(7)
     p = plant_numbers(nominal(), T_S)
     fine = plant_numbers(nominal(), T_S, substeps=2 * p.substeps)
@@ -129,8 +128,11 @@ def test_a_tick_agrees_with_an_adaptive_solver_and_halving_the_step_changes_noth
 
         coarse = tick(p, i, x, v, u)
 
-        assert abs(coarse[1] - tick(fine, i, x, v, u)[1]) < 1e-10
-        assert coarse == pytest.approx(reference_tick(p, i, x, v, u), rel=1e-6, abs=1e-10)
+        assert abs(coarse[1] - tick(fine, i, x, v, u)[1]) < 1e-9
+        i_ref, x_ref, v_ref = reference_tick(p, i, x, v, u)
+        assert coarse[0] == pytest.approx(i_ref, rel=1e-9)
+        assert coarse[1] == pytest.approx(x_ref, abs=1e-9)
+        assert coarse[2] == pytest.approx(v_ref, abs=1e-9 / (T_S / p.substeps))  # 1 nm within one substep
 
 
 _TRAJECTORY = """

@@ -3,8 +3,8 @@
 State [i_c, x, x'] of (9)-(12), measured i_c and x, white noise on both, white disturbance of current and acceleration
 within each interval.  The filter sees what a board sees: u_c held from sample to sample.
 
-Rule 1: every sample says by its flags what holds for it: FOLLOWS (the sample before is one interval away), FLIES (the ball was and is
-        free of the stops), USE_I, USE_X.  A ball that does not fly leaves a filter of i_c alone.
+Rule 1: every sample says by its flags what holds for it: FOLLOWS (the one before is one interval away), FLIES (the ball
+        is free of the stops), USE_I, USE_X.  A ball that does not fly leaves a filter of i_c alone.
 Rule 2: a flight starts at its first x with an unknown speed: initial states are estimated, never assumed.
 Rule 3: derivatives are differences of this very kernel: there is no second set of equations to be wrong.
 """
@@ -55,7 +55,7 @@ class Series:
 @kernel
 def run_filter(
     physics: Packed,
-    noise: tuple[float, float, float, float],
+    noise: tuple[float, float, float, float, float],
     step: NDArray[np.float64],
     u: NDArray[np.float64],
     y_i: NDArray[np.float64],
@@ -67,12 +67,13 @@ def run_filter(
 
     Args:
         physics: tuple(Physics).
-        noise: standard deviations (i_c in A, x in m, disturbance of i_c per interval in A, acceleration in m/s^2).
+        noise: standard deviations (i_c in A, x in m, disturbance of i_c in A per tick, acceleration in m/s^2), and the
+            length of that tick in s: over other intervals the variance of the disturbance grows with their length.
         step, u, y_i, y_x, flags: of a `Series`.
         out: receives nu_i, nu_x, S_ii, S_ix, S_xx.
     """
     p = Physics(*physics)
-    r_i, r_x, q_i, a2 = noise[0] ** 2, noise[1] ** 2, noise[2] ** 2, noise[3] ** 2
+    r_i, r_x, q_per_s, a2 = noise[0] ** 2, noise[1] ** 2, noise[2] ** 2 / noise[4], noise[3] ** 2
     m = np.empty(9)
     at = -1.0
     i, x, v = 0.0, 0.0, 0.0
@@ -90,6 +91,7 @@ def run_filter(
                 moments(T, p.T_A, m)
                 at = T
             w = u[n - 1]
+            q_i = q_per_s * T
             if in_flight and flies:
                 # Differences at the scale of the state: relative error 1e-7, no cancellation of 1e-16.
                 i_0, x_0, v_0 = transit(p, m, T, i, x, v, w)

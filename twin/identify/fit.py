@@ -1,0 +1,275 @@
+"""Maximum likelihood of the innovations over a whole campaign: four parameters of (1), (6) and four noise levels.
+
+Fisher scoring with Levenberg damping.  The derivatives of innovations and their covariance are one-sided differences of
+the filter, so the score is that of the likelihood itself, terms through the gains included.
+
+Rule 1: K_A, T_A, K_c and the noise levels move as logarithms; b moves freely through zero, because a record that knows
+        nothing of the drag must be able to say so.
+Rule 2: a noise level at its floor with a score that pushes it further down is left there.
+Rule 3: never raises for numbers: an impossible step is refused, no convergence is a value (`converged`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from protocol.campaign import Plant
+from twin.identify.innovations import FOLLOWS, USE_I, USE_X, Series, information, run_filter, whiten
+from twin.identify.prepare import BLOCK_SAMPLES
+from twin.identify.record import FloatArray
+from twin.identify.transition import GAP_MIN_SHARE, Physics
+
+PARAMETERS = ("K_A", "T_A", "K_c", "b")
+NOISES = ("sigma_i_c_a", "sigma_x_m", "process_i_c_a", "process_a_m_s2")
+NAMES = PARAMETERS + NOISES
+FLOORS = {"sigma_i_c_a": 1e-7, "sigma_x_m": 1e-9, "process_i_c_a": 1e-6, "process_a_m_s2": 1e-3}
+_STEP = {"K_A": 1e-5, "T_A": 1e-4, "K_c": 1e-5} | dict.fromkeys(NOISES, 1e-4)
+_DRAG_STEP = 1e-2  # 1/s, of b / m
+_MOST = {"K_A": 0.7, "T_A": 1.5, "K_c": 0.5} | dict.fromkeys(NOISES, 2.0)  # largest step of a logarithm
+_DRAG_MOST = 20.0  # 1/s
+DONE = 1e-3  # of a standard error (Newton decrement): smaller steps move nothing that matters
+GATE = 6.0  # standard deviations: a right model does that once in 5e8 samples
+PASSES = 40
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Point:
+    """Parameters and noise levels in SI units."""
+
+    K_A: float
+    T_A: float
+    K_c: float
+    b: float
+    sigma_i_c_a: float
+    sigma_x_m: float
+    process_i_c_a: float
+    process_a_m_s2: float
+
+    def moved(self, name: str, by: float, mass_kg: float) -> Point:
+        """One coordinate moved: by a logarithm, b by `by` times m (so that its unit is 1/s)."""
+        if name == "b":
+            return replace(self, b=self.b + by * mass_kg)
+        value = getattr(self, name) * float(np.exp(by))
+        return replace(self, **{name: max(value, FLOORS.get(name, 0.0))})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fit:
+    """A maximum and what is known about it."""
+
+    point: Point
+    loglik: float
+    free: tuple[str, ...]  # coordinates of `covariance`
+    covariance: FloatArray  # of the coordinates (logarithms, b / m), inverse Fisher information
+    converged: bool
+    passes: int
+    decrement: float
+    white: FloatArray = field(repr=False)  # whitened innovations, shape (n, 2), NaN where unused
+    robust: FloatArray | None = None  # sandwich covariance
+
+    def std(self, name: str, mass_kg: float, *, robust: bool = False) -> float:
+        """Standard error in the unit of the parameter; inf where it was not free."""
+        if name not in self.free:
+            return float("inf")
+        matrix = self.robust if robust and self.robust is not None else self.covariance
+        place = self.free.index(name)
+        spread = float(np.sqrt(max(matrix[place, place], 0.0)))
+        return spread * (mass_kg if name == "b" else getattr(self.point, name))
+
+
+class Likelihood:
+    """The criterion over one series.
+
+    Args:
+        series: of `prepare`.
+        plant: mass, x_max, gravity.
+        tick_s: the interval that process noise refers to.
+    """
+
+    def __init__(self, series: Series, plant: Plant, tick_s: float) -> None:
+        self.plant = plant
+        self.tick_s = tick_s
+        self.series = series
+        starts = np.flatnonzero((series.flags & FOLLOWS) == 0)
+        self._blocks = _blocks(starts, len(series))
+        self.evaluations = 0
+
+    def value(self, point: Point) -> tuple[float, FloatArray]:
+        """(log-likelihood, whitened innovations of shape (n, 2))."""
+        white = np.full((len(self.series), 2), np.nan)
+        total = 0.0
+        for block in self._blocks:
+            out = self._filter(point, block)
+            total += whiten(out, np.empty(len(out)), white[block])
+        return total, white
+
+    def gradient(
+        self, point: Point, free: Sequence[str], *, scores: bool = False
+    ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        """(log-likelihood, score, Fisher information, scores per sample or empty) in the free coordinates."""
+        count = len(free)
+        fisher = np.zeros((count, count))
+        score = np.zeros(count)
+        rows: list[FloatArray] = []
+        total = 0.0
+        for block in self._blocks:
+            base = self._filter(point, block)
+            n = len(base)
+            total += whiten(base, np.empty(n), np.empty((n, 2)))
+            moved = np.empty((count, n, 5))
+            for place, name in enumerate(free):
+                by = _DRAG_STEP if name == "b" else _STEP[name]
+                out = self._filter(point.moved(name, by, self.plant.mass_kg), block)
+                moved[place] = (out - base) / by
+            each = np.empty((n, count))
+            information(base, moved, each, fisher)
+            score += each.sum(axis=0)
+            if scores:
+                rows.append(each)
+        return total, score, fisher, np.concatenate(rows) if rows else np.empty((0, count))
+
+    def _filter(self, point: Point, block: slice) -> FloatArray:
+        part = self.series.part(block)
+        out = np.empty((len(part), 5))
+        plant = self.plant
+        physics = Physics(
+            K_A=point.K_A,
+            T_A=point.T_A,
+            k=point.K_c / plant.mass_kg,
+            d=point.b / plant.mass_kg,
+            gravity_m_s2=plant.gravity_m_s2,
+            x_max_m=plant.x_max_m,
+            gap_min_m=GAP_MIN_SHARE * plant.travel_m,
+        )
+        noise = (point.sigma_i_c_a, point.sigma_x_m, point.process_i_c_a, point.process_a_m_s2, self.tick_s)
+        run_filter(tuple(physics), noise, part.step, part.u, part.i, part.x, part.flags, out)
+        self.evaluations += 1
+        return out
+
+
+def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: int = PASSES) -> Fit:
+    """Climb to the maximum from `start`; coordinates not in `free` stay."""
+    mass = likelihood.plant.mass_kg
+    point, damping, decrement, converged = start, 1e-3, np.inf, False
+    used = 0
+    loglik, score, fisher, _ = likelihood.gradient(point, free)
+    for used in range(1, passes + 1):
+        active = _active(point, free, score)
+        step, decrement = _newton(score, fisher, active, damping)
+        if decrement < DONE:
+            converged = True
+            break
+        trial = _move(point, free, step, mass)
+        value, _ = likelihood.value(trial)
+        if np.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
+            point, damping = trial, max(damping * 0.1, 1e-9)
+            loglik, score, fisher, _ = likelihood.gradient(point, free)
+        else:
+            damping = max(damping, 1e-4) * 10.0
+            if damping > 1e8:
+                break
+    active = _active(point, free, score)
+    covariance = np.full((len(free), len(free)), np.inf)
+    if active.any():
+        inner = _inverse(fisher[np.ix_(active, active)])
+        covariance[np.ix_(active, active)] = inner
+    for place in np.flatnonzero(~active):  # at its floor: known to be as good as zero
+        covariance[place, :] = covariance[:, place] = 0.0
+    return Fit(
+        point=point,
+        loglik=loglik,
+        free=tuple(free),
+        covariance=covariance,
+        converged=converged,
+        passes=used,
+        decrement=float(decrement),
+        white=likelihood.value(point)[1],
+    )
+
+
+def sandwich(likelihood: Likelihood, found: Fit, lags: int) -> Fit:
+    """`found` with the covariance that holds for coloured residuals too: F^-1 (Newey-West sum of scores) F^-1."""
+    _, _, fisher, scores = likelihood.gradient(found.point, found.free, scores=True)
+    active = np.diag(found.covariance) > 0.0
+    middle = scores.T @ scores
+    for lag in range(1, lags + 1):
+        weight = 1.0 - lag / (lags + 1.0)
+        cross = scores[lag:].T @ scores[:-lag]
+        middle += weight * (cross + cross.T)
+    inner = _inverse(fisher[np.ix_(active, active)])
+    robust = np.zeros_like(found.covariance)
+    robust[np.ix_(active, active)] = inner @ middle[np.ix_(active, active)] @ inner
+    return replace(found, robust=robust)
+
+
+def gate(series: Series, white: FloatArray, recording_count: int) -> tuple[Series, FloatArray]:
+    """(the series without the readings that are beyond GATE, how many in each recording).
+
+    A reading is dropped only where its neighbours are plausible: a stretch of large innovations is a wrong model or an
+    undetected contact, and dropping it would hide that.
+    """
+    flags = series.flags.copy()
+    dropped = np.zeros(recording_count)
+    for column, bit in ((0, USE_I), (1, USE_X)):
+        values = np.abs(white[:, column])
+        known = values[np.isfinite(values)]
+        if known.size < 50:
+            continue
+        scale = max(float(np.median(known)) / 0.6745, 1e-12)
+        wild = np.isfinite(values) & (values > GATE * max(scale, 1.0))
+        crowd = np.convolve(wild, np.ones(11), mode="same") > 4
+        wild &= ~crowd
+        flags[wild] &= np.uint8(~bit & 0xFF)
+        np.add.at(dropped, series.recording[wild], 1)
+    return replace(series, flags=flags), dropped
+
+
+def _blocks(starts: np.ndarray[tuple[int, ...], np.dtype[np.intp]], n: int) -> list[slice]:
+    edges = [0]
+    for start in starts:
+        if start - edges[-1] >= BLOCK_SAMPLES:
+            edges.append(int(start))
+    return [slice(a, b) for a, b in zip(edges, [*edges[1:], n], strict=True) if b > a]
+
+
+def _active(point: Point, free: Sequence[str], score: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    return np.array(
+        [
+            not (name in FLOORS and getattr(point, name) <= FLOORS[name] * 1.001 and score[place] <= 0.0)
+            for place, name in enumerate(free)
+        ]
+    )
+
+
+def _newton(
+    score: FloatArray, fisher: FloatArray, active: np.ndarray[tuple[int], np.dtype[np.bool_]], damping: float
+) -> tuple[FloatArray, float]:
+    step = np.zeros(len(score))
+    if not active.any():
+        return step, 0.0
+    g, F = score[active], fisher[np.ix_(active, active)]
+    if not (np.isfinite(g).all() and np.isfinite(F).all()):
+        return step, np.inf
+    scale = np.sqrt(np.maximum(np.diag(F), 1e-12))
+    scaled = F / np.outer(scale, scale)
+    step[active] = np.linalg.lstsq(scaled + damping * np.eye(len(g)), g / scale, rcond=1e-14)[0] / scale
+    return step, float(np.sqrt(max(step[active] @ g, 0.0)))
+
+
+def _move(point: Point, free: Sequence[str], step: FloatArray, mass_kg: float) -> Point:
+    # One factor for all: a step cut coordinate by coordinate points elsewhere.
+    most = [_DRAG_MOST if name == "b" else _MOST[name] for name in free]
+    parameters = [place for place, name in enumerate(free) if name in PARAMETERS]
+    factor = min([1.0, *(most[place] / max(abs(step[place]), 1e-300) for place in parameters)])
+    for place, name in enumerate(free):
+        by = float(np.clip(step[place] * factor, -most[place], most[place]))
+        point = point.moved(name, by, mass_kg)
+    return point
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.asarray(np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-13) / np.outer(scale, scale))

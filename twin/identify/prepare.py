@@ -1,0 +1,208 @@
+"""From recordings to one series of flagged samples: gaps, contacts with the stops, clipped and wild samples marked.
+
+Rule 1: nothing is interpolated.  What cannot be used is left out of the correction step of the filter, what breaks the
+        chain of known inputs starts a new piece.
+Rule 2: each count that was left out is reported by recording (`Usage`).
+Rule 3: a sawtooth gives lift-off currents (`liftoff.py`); its x does not enter here, because the ball may rest on
+        anything at any height while it waits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from protocol.campaign import Plant
+from twin.identify.innovations import FLIES, FOLLOWS, USE_I, USE_X, Series
+from twin.identify.record import BoolArray, FloatArray, Record, intervals, runs
+
+CONTACT_SHARE = 0.01  # of the travel: nearer to a stop than this counts as contact
+REST_SHARE = 0.05  # of the travel: a plateau this near to a stop is the stop, as a badly zeroed sensor sees it
+REST_SAMPLES = 25
+FLIGHT_SAMPLES = 8  # shorter ones only tell their own initial state
+SPIKE_SCALES = 12.0  # of the robust spread about the running median; a flight does not do that, a bit error does
+CLIPPED_RUN = 6  # equal extreme readings in a row: the converter's end, not chance
+BLOCK_SAMPLES = 50_000  # chains are cut here, so that an hour of data needs no more memory than a minute
+_CAPTURE_LEAD = 20  # samples of a capture before the step
+
+
+@dataclass(slots=True, kw_only=True)
+class Usage:
+    """What became of the samples of one recording."""
+
+    name: str
+    kind: str
+    samples: int = 0
+    pieces: int = 0  # chains without a gap
+    flights: int = 0  # stretches away from the stops
+    flight_samples: int = 0
+    contact_samples: int = 0
+    clipped: int = 0
+    outliers: int = 0
+    gaps: int = 0
+    captures: int = 0
+
+
+def prepare(records: list[Record], plant: Plant) -> tuple[Series, list[Usage]]:
+    """The series of all recordings that have u_c and i_c, and what was done to each."""
+    parts: list[Series] = []
+    usages: list[Usage] = []
+    for number, record in enumerate(records):
+        usage = Usage(name=record.name, kind=record.kind, samples=len(record.t), captures=len(record.captures))
+        usages.append(usage)
+        if record.kind == "equilibria":
+            continue
+        if record.has("u_c", "i_c") and len(record.t) > 1:
+            parts.append(_series(record, plant, usage, number))
+        parts.extend(_captures(record, number))
+    if not parts:
+        empty = np.empty(0)
+        nothing = np.empty(0, np.uint8)
+        return Series(
+            step=empty, u=empty, i=empty, x=empty, flags=nothing, recording=np.empty(0, np.int32)
+        ), usages
+    return Series(
+        step=np.concatenate([part.step for part in parts]),
+        u=np.concatenate([part.u for part in parts]),
+        i=np.concatenate([part.i for part in parts]),
+        x=np.concatenate([part.x for part in parts]),
+        flags=np.concatenate([part.flags for part in parts]),
+        recording=np.concatenate([part.recording for part in parts]),
+    ), usages
+
+
+def flights(record: Record, plant: Plant, *, at_least: int = FLIGHT_SAMPLES) -> list[slice]:
+    """Stretches of a recording in which the ball touches nothing and no sample is missing in time."""
+    _, follows = intervals(record.t)
+    free = in_flight(record.x, plant) & np.isfinite(record.t)
+    return [
+        slice(piece.start + a.start, piece.start + a.stop)
+        for piece in runs(free, at_least)
+        for a in _split(follows[piece], at_least)
+    ]
+
+
+def in_flight(x: FloatArray, plant: Plant) -> BoolArray:
+    """Whether each sample shows the ball free of the stops; a missing x goes with the one before it."""
+    known = np.isfinite(x)
+    if not known.any():
+        return np.zeros(len(x), np.bool_)
+    held = x[np.maximum.accumulate(np.where(known, np.arange(len(x)), np.argmax(known)))]
+    low, high = 0.0, plant.travel_m
+    margin = max(CONTACT_SHARE * plant.travel_m, 8.0 * _scatter(held))
+    for side, stop in ((0, 0.0), (1, plant.travel_m)):
+        near = held[np.abs(held - stop) < REST_SHARE * plant.travel_m]
+        if near.size >= REST_SAMPLES:
+            # The quartile on the stop's side: a slow passage near the stop must not move the level.
+            level = float(np.percentile(near, 25 if side == 0 else 75))
+            low, high = (max(low, level), high) if side == 0 else (low, min(high, level))
+    free = (held > low + margin) & (held < high - margin)
+    free[1:] &= free[:-1].copy()  # the sample next to a contact belongs to it: the impact lies between the two
+    free[:-1] &= free[1:].copy()
+    return np.asarray(free)
+
+
+def _split(follows: BoolArray, at_least: int) -> list[slice]:
+    starts = [0, *(int(n) for n in np.flatnonzero(~follows) if n > 0), len(follows)]
+    return [slice(a, b) for a, b in zip(starts[:-1], starts[1:], strict=True) if b - a >= at_least]
+
+
+def _scatter(values: FloatArray) -> float:
+    """Noise of a smooth signal: robust scale of its third difference, which passes white noise with gain sqrt(20)."""
+    if len(values) < 8:
+        return 0.0
+    third = np.diff(values, 3)
+    return float(1.4826 * np.median(np.abs(third - np.median(third))) / np.sqrt(20.0))
+
+
+def _series(record: Record, plant: Plant, usage: Usage, number: int) -> Series:
+    step, follows = intervals(record.t)
+    n = len(step)
+    u_known = np.isfinite(record.u_c)
+    use_i, use_x = np.isfinite(record.i_c), np.isfinite(record.x)
+    clipped = _clipped(record.i_c)
+    usage.clipped = int(clipped.sum())
+    use_i &= ~clipped
+    broken = clipped | ~u_known  # the coil current after this sample is unknown
+    follows = follows.copy()
+    follows[1:] &= ~broken[:-1]
+    follows[0] = False
+    follows[::BLOCK_SAMPLES] = False
+    usage.gaps = int(np.count_nonzero(~follows[1:])) - (n - 1) // BLOCK_SAMPLES
+    usage.pieces = int(np.count_nonzero(~follows))
+    flies = np.zeros(n, np.bool_)
+    if record.has("x") and record.kind not in ("sawtooth", "amplifier-step"):
+        wild = _spikes(record.x)
+        usage.outliers = int(wild.sum())
+        use_x &= ~wild
+        free = in_flight(np.where(wild, np.nan, record.x), plant)
+        usage.contact_samples = int(np.count_nonzero(~free))
+        for piece in runs(free, FLIGHT_SAMPLES):
+            for part in _split(follows[piece], FLIGHT_SAMPLES):
+                flies[piece.start + part.start : piece.start + part.stop] = True
+                usage.flights += 1
+        usage.flight_samples = int(flies.sum())
+    flags = FOLLOWS * follows + FLIES * flies + USE_I * use_i + USE_X * (use_x & flies)
+    # A flight that begins right behind another one (cut at a gap) is told apart by the missing FOLLOWS.
+    return Series(
+        step=step,
+        u=np.where(u_known, record.u_c, 0.0),
+        i=np.where(use_i, record.i_c, 0.0),
+        x=np.where(np.isfinite(record.x), record.x, 0.0),
+        flags=flags.astype(np.uint8),
+        recording=np.full(n, number, np.int32),
+    )
+
+
+def _clipped(values: FloatArray) -> BoolArray:
+    clipped = np.zeros(len(values), np.bool_)
+    if not np.isfinite(values).any():
+        return clipped
+    top = np.nanmax(values)
+    spread = np.nanmax(values) - np.nanmin(values)
+    for piece in runs(np.asarray(values >= top), CLIPPED_RUN):
+        # A converter's end is met at speed; a noiseless signal at rest stands still for long and is not clipped.
+        before = values[max(piece.start - 1, 0)]
+        if top - before > 1e-3 * spread and spread > 0:
+            clipped[piece] = True
+    return clipped
+
+
+def _spikes(x: FloatArray) -> BoolArray:
+    if len(x) < 16:
+        return np.zeros(len(x), np.bool_)
+    padded = np.concatenate((x[:2], x, x[-2:]))
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
+    off = np.abs(x - middle)
+    known = off[np.isfinite(off)]
+    if not known.size:
+        return np.zeros(len(x), np.bool_)
+    scale = 1.4826 * float(np.median(known))
+    steps = np.abs(np.diff(x))
+    count = float(np.min(steps[steps > 0], initial=np.inf, where=np.isfinite(steps[steps > 0])))
+    scale = max(scale, count if np.isfinite(count) else 0.0)
+    return np.asarray(np.isfinite(off) & (off > SPIKE_SCALES * scale))
+
+
+def _captures(record: Record, number: int) -> list[Series]:
+    series = []
+    for capture in record.captures:
+        first = max(capture.step_index - _CAPTURE_LEAD, 0)
+        i = capture.i_c_a[first:]
+        n = len(i)
+        u = np.full(n, capture.u_to_v)
+        u[: capture.step_index - first] = capture.u_from_v
+        flags = np.full(n, FOLLOWS + USE_I, np.uint8)
+        flags[0] = USE_I
+        series.append(
+            Series(
+                step=np.full(n, capture.sample_time_s),
+                u=u,
+                i=np.asarray(i, dtype=float),
+                x=np.zeros(n),
+                flags=flags,
+                recording=np.full(n, number, np.int32),
+            )
+        )
+    return series
