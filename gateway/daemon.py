@@ -53,7 +53,6 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
         ServiceError: the bus cannot be opened.
     """
     check(config)
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
     with ExitStack() as stack:
         bus = stack.enter_context(open_bus(config))
         recorder = stack.enter_context(_recording(config.log)) if config.log.enabled else None
@@ -229,6 +228,7 @@ def logging_to_stderr() -> Iterator[None]:
 def serve(config: GatewayConfig) -> int:
     """Run as a process: until SIGTERM or SIGINT; 0 then."""
     stop = threading.Event()
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     with logging_to_stderr():
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: stop.set())

@@ -38,13 +38,13 @@ def zenoh_config(
         listen: endpoints to open, e.g. tcp/127.0.0.1:7447.
         connect: endpoints to reach.
         wait_for_router: True fails after 5 s without a router: a command should say so.  False returns at once and
-            keeps looking for it in the background: daemons must start in any order.  (zenoh does that in its peer
-            mode only, a client's open blocks; with no listener and gossip off such a peer still talks through the
-            router alone.)
+            keeps looking for it in the background: daemons must start in any order.  zenoh's client mode cannot do
+            that, and in its peer mode two such daemons do not hear each other through a router; so they are routers
+            that listen nowhere.
     """
     return json.dumps(
         {
-            "mode": mode if mode == "router" or wait_for_router else "peer",
+            "mode": mode if wait_for_router else "router",
             "listen": {"endpoints": list(listen), "exit_on_failure": True},
             "connect": {
                 "endpoints": list(connect),
