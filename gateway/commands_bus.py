@@ -6,7 +6,7 @@ a publisher's thread.  A query without a reply would look to its sender like a g
 
 from __future__ import annotations
 
-import logging
+import threading
 
 import zenoh
 
@@ -21,7 +21,6 @@ from protocol.bus.encoding import zenoh_encoding
 
 MAX_POSTED = 256  # queries on their way to the serial thread; beyond it only STOP is carried there
 _ENCODING = zenoh_encoding(pb.CommandReply)
-_logger = logging.getLogger("gateway.commands")
 
 
 class CommandQueryable:
@@ -32,6 +31,7 @@ class CommandQueryable:
     ) -> None:
         self._key = topics.key(site, driver.config.name, "command")
         self._driver, self._link, self._messages = driver, link, messages
+        self._lock = threading.Lock()  # of _posted: queries come in several threads
         self._posted = 0
         self._queryable = session.declare_queryable(self._key, self._on_query)
 
@@ -45,10 +45,12 @@ class CommandQueryable:
                 answer.id = "" if isinstance(command, Refusal) else command.id
                 reply(answer)
                 return
-        self._posted += 1  # not exact across threads, and need not be: it bounds, it does not account
+        with self._lock:
+            self._posted += 1
 
         def done(answer: pb.CommandReply) -> None:
-            self._posted -= 1
+            with self._lock:
+                self._posted -= 1
             reply(answer)
 
         self._link.command(self._driver, payload, done)

@@ -109,11 +109,11 @@ class Publisher:
                 put = channel.target.put
                 for payload in payloads:
                     put(payload)
-            except zenoh.ZError as error:
+            except Exception as error:  # whatever it is, the next message may go through
                 channel.dropped += len(payloads)
                 if not self._failed:
                     self._failed = True
-                    _logger.warning("zenoh refuses to publish: %s", error)
+                    _logger.warning("the bus refuses a message: %s", error)
                 continue
             self._failed = False
             if read_ns:

@@ -57,8 +57,8 @@ class StatusMaker:
             publish_dropped=self._outlet.dropped,
             log_state="off",
             line_load=new_bytes * _BITS_PER_BYTE / elapsed_s / driver.config.baud,
-            board_bad_frames=counts.board_bad_frames,
-            board_overruns=counts.board_overruns,
+            board_bad_frames=driver.upkeep.board_bad_frames,
+            board_overruns=driver.upkeep.board_overruns,
         )
         status.bad_frames.update(counters.bad_frames)
         status.bad_frames.update(

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from gateway.config import LimitsConfig
 from gateway.limits import BoardView, Gate, read_command
 from gateway.link.outlet import Outlet, Reply
+from gateway.link.words import mode_name
 from gateway.samples import Refusal, Scaling, WireCommand, to_wire
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag, Message, Mode, Reason
@@ -33,7 +34,7 @@ _CANCELLED = {
 _NACK_TEXT = {
     Reason.OUT_OF_RANGE: "a value is outside the board's bounds; the bound in the way is {detail} counts",
     Reason.SLEW: "the jump of the reference is larger than the allowance of {detail} counts",
-    Reason.WRONG_MODE: "not in mode {mode}",
+    Reason.WRONG_MODE: "this is not possible in mode {mode}",
     Reason.BUSY: "it is busy, probably with a capture",
     Reason.NO_SESSION: "it has restarted and does not know this gateway yet; try again",
     Reason.NOT_AVAILABLE: "there is nothing to read",
@@ -251,6 +252,5 @@ def _content(command: pb.Command) -> bytes:
 
 def _nack(message: Message) -> tuple[str, str]:
     reason, detail = Reason(message.int("reason")), message.int("detail")
-    mode = Mode(detail).name.lower().replace("_", " ") if detail <= max(Mode) else str(detail)
-    text = _NACK_TEXT.get(reason, "it does not take this command").format(detail=detail, mode=mode)
+    text = _NACK_TEXT.get(reason, "it does not take this command").format(detail=detail, mode=mode_name(detail))
     return reason.name.lower().replace("_", "-"), f"The board refused: {text}."

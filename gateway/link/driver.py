@@ -4,10 +4,8 @@ Link states: `absent` (no port), `connecting` (being opened), `handshake` (open,
 `streaming` (valid frames arrive), `silent` (none for `stale_s`).
 
 Rule 1: one event and one log line for each change of state or reason, with counts; not one for each attempt.
-Rule 2: after each handshake the board is given this gateway's stream divider and host-loss policy, and is asked for its
-        parameters.  Nothing here ever changes mode or reference: a gateway that comes or goes must not drop the ball.
-Rule 3: a PING at least every quarter of the host-loss time-out: three may be lost.
-Rule 4: within a session `host_time_ns` never steps (clock.py).
+Rule 2: nothing here changes mode or reference: a gateway that comes or goes must not drop the ball.
+Rule 3: within a session `host_time_ns` never steps (clock.py).
 """
 
 from __future__ import annotations
@@ -22,11 +20,12 @@ from gateway.link.capture import CaptureReader
 from gateway.link.clock import HostClock
 from gateway.link.desk import CommandDesk, Known
 from gateway.link.outlet import Outlet, Reply
+from gateway.link.upkeep import Upkeep
+from gateway.link.words import describe
 from gateway.samples import StateEncoder, WireCommand, parameters_message, scaling_of
 from protocol.bus import board51_pb2 as pb
-from protocol.wire.messages import FAULT_EVENTS, VERSION, EventCode, HostLoss, Message, Mode, Value
+from protocol.wire.messages import VERSION, EventCode, Message
 from protocol.wire.session import (
-    RESETS,
     Answer,
     BoardEvent,
     Event,
@@ -37,22 +36,8 @@ from protocol.wire.session import (
     VersionRefused,
 )
 
-PARAMETERS_S = 5.0
 DIAGNOSE_S = 2.0  # an open port without a handshake for this long gets an explanation
 REFUSED_RETRY_S = 5.0  # a board that was refused may have been exchanged or flashed
-_POLICIES = {"keep": HostLoss.KEEP, "coil-off": HostLoss.COIL_OFF, "hold": HostLoss.HOLD}
-_WARNINGS = frozenset({EventCode.HOST_LOST, EventCode.OVERRUN, EventCode.LIMIT_HIT}) | (RESETS - FAULT_EVENTS)
-_EVENT_TEXT = {
-    EventCode.HOST_LOST: "No frame from the host in time; policy {detail} (0 keep, 1 coil off, 2 hold) has acted.",
-    EventCode.HOST_BACK: "The host is back.",
-    EventCode.OVER_CURRENT: "The current converter stayed at its top, {detail} counts: coil off.",
-    EventCode.SENSOR_FAULT: "The position converter stayed at an end, {detail} counts: coil off.",
-    EventCode.OVERRUN: "A tick took longer than T_s; late ticks since the reset: {detail}.",
-    EventCode.EXCITATION_DONE: "The excitation has ended.",
-    EventCode.CAPTURE_DONE: "The capture is complete.",
-    EventCode.LIMIT_HIT: "A limit was hit: {detail} (0 input, 1 reference).",
-    EventCode.MODE_CHANGED: "Mode {mode}.",
-}
 _logger = logging.getLogger("gateway.link")
 
 
@@ -64,8 +49,6 @@ class LinkCounts:
     bytes_sent: int = 0
     reconnects: int = 0
     opened: int = 0
-    board_bad_frames: int = 0
-    board_overruns: int = 0
     write_overflows: int = 0
 
 
@@ -101,10 +84,7 @@ class BoardDriver:
         self._offset_ns = clock.offset_ns()
         self._encoder: StateEncoder | None = None
         self._capture: CaptureReader | None = None
-        self._upkeep: dict[int, tuple[str, dict[str, Value]]] = {}
-        self._redo: list[tuple[str, dict[str, Value]]] = []
-        self._ping_s = min(0.5, config.host_loss_timeout_s) / 4  # 0.5 s is the board's own until it is told ours
-        self._next_ping_s = self._next_parameters_s = self._redo_s = float("inf")
+        self.upkeep = Upkeep(config, self.session, self._got_parameters)
         self._last_valid_s = self._opened_s = 0.0
         self._valid_at_open = self._bytes_at_open = 0
         self._refused_until_s = 0.0
@@ -130,13 +110,13 @@ class BoardDriver:
         self.session.connect(now_s)
         self._set_deadline()
 
-    def port_lost(self, text: str, now_s: float) -> None:
-        """The port is gone; whatever was under way is answered."""
+    def port_lost(self, text: str, now_s: float, *, severity: str = "warning") -> None:
+        """The port is gone, or given back; whatever was under way is answered."""
         self._now_s = now_s
         for event in self.session.disconnect():
             self._handle(event, now_s)
         self._end_session("the loss of the port")
-        self._change("absent", "port-lost", text, severity="warning")
+        self._change("absent", "port-lost", text, severity=severity)
         self.deadline_s = float("inf")
 
     # -- bytes and time
@@ -182,7 +162,9 @@ class BoardDriver:
         if self.link == "handshake":
             self._explain(now_s)
         if self.session.is_open:
-            self._keep_up(now_s)
+            self.upkeep.poll(now_s)
+        if self._capture is not None:
+            self._capture.poll(now_s)
         self._set_deadline()
 
     def command(self, payload: bytes, reply: Reply, now_s: float) -> None:
@@ -259,13 +241,7 @@ class BoardDriver:
         self._offset_ns = self._clock.offset_ns()
         self.known.identity, self.known.scaling = opened.identity, scaling
         self._encoder = StateEncoder(scaling, opened.session)
-        self._ping_s = min(0.5, self.config.host_loss_timeout_s) / 4
-        self._next_ping_s = now_s + self._ping_s
-        self._next_parameters_s = now_s + PARAMETERS_S
-        timeout_ms = round(self.config.host_loss_timeout_s * 1e3)
-        self._order("SET_STREAM", divider=self.config.stream_divider)
-        self._order("SET_HOST_LOSS", policy=int(_POLICIES[self.config.host_loss]), timeout=timeout_ms)
-        self._order("GET_PARAMETERS")
+        self.upkeep.begin(now_s)
 
     def _refuse_board(self, kind: str, text: str, now_s: float) -> None:
         for event in self.session.disconnect():
@@ -277,9 +253,7 @@ class BoardDriver:
     def _end_session(self, why: str) -> None:
         self._encoder = None
         self.known.identity = self.known.scaling = self.known.parameters = self.known.sample = None
-        self._upkeep.clear()
-        self._redo.clear()
-        self._next_ping_s = self._next_parameters_s = self._redo_s = float("inf")
+        self.upkeep.end()
         self.desk.session_ended()
         if self._capture is not None:
             self._capture.interrupt(why)
@@ -289,18 +263,7 @@ class BoardDriver:
             return
         if self._capture is not None and self._capture.answered(answer, now_s):
             return
-        name, values = self._upkeep.pop(answer.token, ("", {}))
-        if answer.outcome == "ack" and answer.message is not None:
-            if name == "PING":
-                self.counts.board_bad_frames = answer.message.int("bad_frames")
-                self.counts.board_overruns = answer.message.int("overruns")
-            elif name == "GET_PARAMETERS":
-                self._got_parameters(answer.message)
-            elif name == "SET_HOST_LOSS":
-                self._ping_s = int(values["timeout"]) / 4e3
-        elif name not in ("", "PING") and self.session.is_open:
-            self._redo.append((name, values))  # the board must not stay without its stream rate or policy
-            self._redo_s = now_s + 1.0
+        self.upkeep.answered(answer, now_s)
 
     def _got_parameters(self, message: Message) -> None:
         identity, scaling = self.known.identity, self.known.scaling
@@ -328,10 +291,9 @@ class BoardDriver:
         elif wire.name in ("STOP", "SET_MODE") and self._capture is not None:
             self._capture.interrupt("STOP" if wire.name == "STOP" else "a change of mode")
         elif wire.name == "SET_HOST_LOSS":
-            self._ping_s = int(wire.values["timeout"]) / 4e3
-            self._next_ping_s = min(self._next_ping_s, self._now_s + self._ping_s)
+            self.upkeep.host_loss_is(int(wire.values["timeout"]), self._now_s)
         if wire.name in ("SET_GAINS", "SET_STREAM", "SET_HOST_LOSS"):
-            self._order("GET_PARAMETERS")
+            self.upkeep.read_parameters(self._now_s)
 
     def _capture_ended(self, result: pb.CaptureRecord | str) -> None:
         self._capture = None
@@ -342,42 +304,14 @@ class BoardDriver:
             self._outlet.send("capture", result, result.host_time_ns)
 
     def _board_event(self, event: BoardEvent, now_s: float) -> None:
-        code = event.code
         if event.missed:
             self.tell("events-lost", "warning", f"{event.missed} events of the board were lost on the line.")
-        severity = "fault" if code in FAULT_EVENTS else "warning" if code in _WARNINGS else "info"
-        mode = Mode(event.detail).name.lower().replace("_", " ") if event.detail <= max(Mode) else str(event.detail)
-        text = _EVENT_TEXT.get(code, "The board restarted; resets since power-on: {detail}.")
-        self.tell(
-            code.name.lower().replace("_", "-"),
-            severity,
-            text.format(detail=event.detail, mode=mode),
-            source="board",
-            tick=event.tick,
-        )
-        if code == EventCode.CAPTURE_DONE and self._capture is not None:
+        name, severity, text = describe(event)
+        self.tell(name, severity, text, source="board", tick=event.tick)
+        if event.code == EventCode.CAPTURE_DONE and self._capture is not None:
             self._capture.board_says_done(now_s)
 
-    # -- upkeep
-
-    def _order(self, name: str, /, **values: Value) -> None:
-        token = self.session.submit(name, self._now_s, **values)
-        self._upkeep[token] = (name, values)
-
-    def _keep_up(self, now_s: float) -> None:
-        if now_s >= self._next_ping_s:
-            self._next_ping_s = now_s + self._ping_s
-            if not any(name == "PING" for name, _ in self._upkeep.values()):
-                self._order("PING")
-        if now_s >= self._next_parameters_s:
-            self._next_parameters_s = now_s + PARAMETERS_S
-            self._order("GET_PARAMETERS")
-        if now_s >= self._redo_s:
-            redo, self._redo, self._redo_s = self._redo, [], float("inf")
-            for name, values in redo:
-                self._order(name, **values)
-        if self._capture is not None:
-            self._capture.poll(now_s)
+    # -- time
 
     def _drain(self, now_s: float) -> None:
         for event in self.session.take_outcomes():
@@ -414,7 +348,7 @@ class BoardDriver:
         self._change("handshake", kind, text, severity="warning")
 
     def _set_deadline(self) -> None:
-        deadline = min(self.session.deadline_s, self._next_ping_s, self._next_parameters_s, self._redo_s)
+        deadline = min(self.session.deadline_s, self.upkeep.deadline_s)
         if self.link == "streaming":
             deadline = min(deadline, self._last_valid_s + self.config.stale_s)
         elif self.link == "handshake":

@@ -20,7 +20,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from gateway.link.driver import BoardDriver
+from gateway.link.outlet import Reply
 from gateway.link.port import Port, PortProblem, open_port
+from protocol.bus import board51_pb2 as pb
 
 POLL_S = 0.005  # how late a time-out may be noticed; the shortest configurable one is 20 ms
 OUT_BUFFER = 4096  # bytes to one board; 0.35 s of line at 115200
@@ -70,11 +72,15 @@ class LinkThread:
         with contextlib.suppress(BlockingIOError):  # a full pipe wakes as well as an empty one with a byte
             os.write(self._wake_write, b"\x00")
 
-    def command(self, driver: BoardDriver, payload: bytes, reply: Callable[..., None]) -> None:
+    def command(self, driver: BoardDriver, payload: bytes, reply: Reply) -> None:
         """Hand a query to a board's driver; from any thread."""
 
         def act() -> None:
-            driver.command(payload, reply, time.monotonic())
+            try:
+                driver.command(payload, reply, time.monotonic())
+            except Exception:
+                _logger.exception("%s: a command", driver.config.name)
+                reply(pb.CommandReply(refused_by="gateway", reason="internal-error", text="See the gateway's log."))
             self._write_output(self._by_driver[id(driver)])
 
         self.post(act)
@@ -114,7 +120,8 @@ class LinkThread:
                     time.sleep(BATCH_S)
         finally:
             for line in self._lines:
-                self._close(line, "The gateway ends.")
+                self._close(line, "The gateway ends.", severity="info")
+            self._run_actions()  # queries that came meanwhile are told that the link is down
             self._selector.close()
             os.close(self._wake_read)
 
@@ -198,7 +205,7 @@ class LinkThread:
         line.driver.port_opened(result.name, now_s)
         self._write_output(line)
 
-    def _close(self, line: _Line, text: str) -> None:
+    def _close(self, line: _Line, text: str, *, severity: str = "warning") -> None:
         port, line.port = line.port, None
         if port is None:
             return
@@ -209,7 +216,7 @@ class LinkThread:
         self._closing = [*(t for t in self._closing if t.is_alive()), closing]
         now_s = time.monotonic()
         line.next_open_s = now_s + line.driver.config.reconnect_s
-        line.driver.port_lost(text, now_s)
+        line.driver.port_lost(text, now_s, severity=severity)
 
     # -- writing
 

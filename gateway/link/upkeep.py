@@ -1,0 +1,101 @@
+"""What a board needs from its gateway during a session: settings, signs of life, its parameters read.  No I/O.
+
+Rule 1: a PING at least every quarter of the host-loss time-out: three may be lost.
+Rule 2: a setting that the board did not take is sent again a second later, for as long as the session lasts.
+Rule 3: nothing here changes mode or reference: a gateway that comes or goes must not drop the ball.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from gateway.config import BoardConfig
+from protocol.wire.messages import HostLoss, Message, Value
+from protocol.wire.session import Answer, Session
+
+PARAMETERS_S = 5.0
+REDO_S = 1.0
+_BOARD_TIMEOUT_S = 0.5  # the board's own host-loss time-out until it is told ours
+_POLICIES = {"keep": HostLoss.KEEP, "coil-off": HostLoss.COIL_OFF, "hold": HostLoss.HOLD}
+_NEVER = float("inf")
+
+
+class Upkeep:
+    """Of one board.
+
+    Args:
+        config: its settings.
+        session: where the commands go.
+        got_parameters: called with each PARAMETERS.
+    """
+
+    def __init__(self, config: BoardConfig, session: Session, got_parameters: Callable[[Message], None]) -> None:
+        self.board_bad_frames = self.board_overruns = 0  # as the board counts them, from PONG
+        self._config, self._session, self._got_parameters = config, session, got_parameters
+        self._under_way: dict[int, tuple[str, dict[str, Value]]] = {}
+        self._redo: list[tuple[str, dict[str, Value]]] = []
+        self._ping_s = 0.0
+        self.end()
+
+    @property
+    def deadline_s(self) -> float:
+        """When `poll` has something to do."""
+        return min(self._next_ping_s, self._next_parameters_s, self._redo_s)
+
+    def begin(self, now_s: float) -> None:
+        """A session has opened: give the board its settings, ask for its parameters."""
+        config = self._config
+        self._ping_s = min(_BOARD_TIMEOUT_S, config.host_loss_timeout_s) / 4
+        self._next_ping_s = now_s + self._ping_s
+        self._next_parameters_s = now_s + PARAMETERS_S
+        self._order("SET_STREAM", now_s, divider=config.stream_divider)
+        timeout_ms = round(config.host_loss_timeout_s * 1e3)
+        self._order("SET_HOST_LOSS", now_s, policy=int(_POLICIES[config.host_loss]), timeout=timeout_ms)
+        self._order("GET_PARAMETERS", now_s)
+
+    def end(self) -> None:
+        """The session is over."""
+        self._under_way.clear()
+        self._redo.clear()
+        self._next_ping_s = self._next_parameters_s = self._redo_s = _NEVER
+
+    def read_parameters(self, now_s: float) -> None:
+        """Something changed them."""
+        self._order("GET_PARAMETERS", now_s)
+
+    def host_loss_is(self, timeout_ms: int, now_s: float) -> None:
+        """The board has a new host-loss time-out."""
+        self._ping_s = timeout_ms / 4e3
+        self._next_ping_s = min(self._next_ping_s, now_s + self._ping_s)
+
+    def answered(self, answer: Answer, now_s: float) -> None:
+        """The end of a command that was ours; others are ignored."""
+        name, values = self._under_way.pop(answer.token, ("", {}))
+        if answer.outcome == "ack" and answer.message is not None:
+            if name == "PING":
+                self.board_bad_frames = answer.message.int("bad_frames")
+                self.board_overruns = answer.message.int("overruns")
+            elif name == "GET_PARAMETERS":
+                self._got_parameters(answer.message)
+            elif name == "SET_HOST_LOSS":
+                self.host_loss_is(int(values["timeout"]), now_s)
+        elif name not in ("", "PING") and self._session.is_open:
+            self._redo.append((name, values))
+            self._redo_s = now_s + REDO_S
+
+    def poll(self, now_s: float) -> None:
+        """Send what is due."""
+        if now_s >= self._next_ping_s:
+            self._next_ping_s = now_s + self._ping_s
+            if not any(name == "PING" for name, _ in self._under_way.values()):
+                self._order("PING", now_s)
+        if now_s >= self._next_parameters_s:
+            self._next_parameters_s = now_s + PARAMETERS_S
+            self._order("GET_PARAMETERS", now_s)
+        if now_s >= self._redo_s:
+            redo, self._redo, self._redo_s = self._redo, [], _NEVER
+            for name, values in redo:
+                self._order(name, now_s, **values)
+
+    def _order(self, name: str, now_s: float, /, **values: Value) -> None:
+        self._under_way[self._session.submit(name, now_s, **values)] = (name, values)
