@@ -227,7 +227,7 @@ def test_rolling_figures_are_those_of_the_window_and_do_not_drift() -> None:
     y = 3e-3 + 1e-4 * np.sin(np.arange(n) / 7.0)
     e = 1e-6 * rng.normal(size=n)
     e[:50] = 1e3  # leaves nothing behind
-    windows = SignalWindows(window)
+    windows = SignalWindows(window, np.zeros((3, 3)))
 
     for k in range(n):
         figures = windows.add((y[k], y[k], y[k]), (y[k] - e[k], y[k], y[k]), (1.0, 1.0, 1.0), in_step=True)

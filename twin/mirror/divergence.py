@@ -59,6 +59,7 @@ def figures(
     sums: NDArray[np.float64],
     origin: NDArray[np.float64],
     counts: NDArray[np.int64],
+    totals: NDArray[np.float64],
     signal: int,
     measured: float,
     twin: float,
@@ -68,7 +69,8 @@ def figures(
     """Take one sample of one signal, if in step, and return its figures; NaN restarts the signal's window.
 
     ring, shape (3, n, 3); sums, shape (3, 3); origin and counts, shape (3,): of the signal's first sample in the
-    window (squares of values near 0 keep their digits) and of the samples taken.
+    window (squares of values near 0 keep their digits) and of the samples taken; totals, shape (3, 3): samples in
+    step, sum of errors, sum of their squares, never cleared.
     """
     n = ring.shape[1]
     error = measured - twin
@@ -80,6 +82,9 @@ def figures(
             origin[signal] = measured
         push(ring[signal], sums[signal], counts[signal], error * error, measured - origin[signal])
         counts[signal] += 1
+        totals[signal, 0] += 1.0
+        totals[signal, 1] += error
+        totals[signal, 2] += error * error
     held = min(counts[signal], n)
     full = counts[signal] >= n
     rmse = math.nan
@@ -100,6 +105,7 @@ def all_figures(
     sums: NDArray[np.float64],
     origin: NDArray[np.float64],
     counts: NDArray[np.int64],
+    totals: NDArray[np.float64],
     measured: Triple,
     twin: Triple,
     std: Triple,
@@ -107,16 +113,17 @@ def all_figures(
 ) -> tuple[Figures, Figures, Figures]:
     """`figures` of x, i_c and u_c."""
     return (
-        figures(ring, sums, origin, counts, 0, measured[0], twin[0], std[0], in_step),
-        figures(ring, sums, origin, counts, 1, measured[1], twin[1], std[1], in_step),
-        figures(ring, sums, origin, counts, 2, measured[2], twin[2], std[2], in_step),
+        figures(ring, sums, origin, counts, totals, 0, measured[0], twin[0], std[0], in_step),
+        figures(ring, sums, origin, counts, totals, 1, measured[1], twin[1], std[1], in_step),
+        figures(ring, sums, origin, counts, totals, 2, measured[2], twin[2], std[2], in_step),
     )
 
 
 class SignalWindows:
     """The last `length` samples in step of x, i_c and u_c."""
 
-    def __init__(self, length: int) -> None:
+    def __init__(self, length: int, totals: NDArray[np.float64]) -> None:
+        self._totals = totals
         self._ring = np.zeros((3, length, 3))
         self._sums = np.zeros((3, 3))
         self._origin = np.zeros(3)
@@ -129,7 +136,9 @@ class SignalWindows:
 
     def add(self, measured: Triple, twin: Triple, std: Triple, *, in_step: bool) -> tuple[Figures, Figures, Figures]:
         """Take one sample (its values may be NaN) and return the figures of the three signals."""
-        return all_figures(self._ring, self._sums, self._origin, self._counts, measured, twin, std, in_step)
+        return all_figures(
+            self._ring, self._sums, self._origin, self._counts, self._totals, measured, twin, std, in_step
+        )
 
 
 class MeanWindow:
@@ -158,12 +167,16 @@ class Comparison:
     def __init__(self) -> None:
         self.error_alarms = (WindowAlarm("divergence-x", window=2), WindowAlarm("divergence-i_c", window=2))
         self.innovation_alarm = WindowAlarm("innovation", window=2)
+        # x, i_c, u_c over all time in step: samples, sum of errors, sum of squares.
+        self.error_totals = np.zeros((3, 3))
+        # Innovations: samples, sums of the squares of x and of i_c, sum of the NIS.
+        self.innovation_totals = [0.0, 0.0, 0.0, 0.0]
         self._unseen_ticks = 0  # without a valid innovation, in a row
         self.start(2)
 
     def start(self, window: int) -> None:
         """Empty windows of `window` ticks."""
-        self._signals, self._nis = SignalWindows(window), MeanWindow(window)
+        self._signals, self._nis = SignalWindows(window, self.error_totals), MeanWindow(window)
         for alarm in self.error_alarms:
             alarm.clear_window(window=window)
         self.innovation_alarm.clear_window(window=window)
@@ -182,7 +195,6 @@ class Comparison:
     def free(
         self,
         into: pb.Divergence,
-        *,
         measured: Triple,
         twin: Triple,
         expected: Expectation,
@@ -227,5 +239,10 @@ class Comparison:
             self._unseen_ticks += 1
             return self.innovation_alarm.drop() if self._unseen_ticks > regime.window else None
         self._unseen_ticks = 0
+        totals = self.innovation_totals
+        totals[0] += 1.0
+        totals[1] += n_x * n_x
+        totals[2] += n_i * n_i
+        totals[3] += nis
         into.nis_mean = self._nis.add(nis)
         return self.innovation_alarm.add(nis, on=regime.nis_on, off=regime.nis_off)

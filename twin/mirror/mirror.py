@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from protocol.bus import board51_pb2 as pb
@@ -41,8 +40,7 @@ _LOSS_TEXTS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Output:
+class Output(NamedTuple):
     """What one sample gives; `state` is None where there is no free twin."""
 
     state: pb.TwinState | None
@@ -83,7 +81,7 @@ class Mirror:
         self._known = KnownParameters()
         self._regime: Regime | None = None
         self._observer: Observer | None = None
-        self._comparison = Comparison()
+        self.comparison = Comparison()
         self._twin: FreeTwin | None = None
         self._last: _Sample | None = None
         self._settling_ticks = 0
@@ -119,7 +117,7 @@ class Mirror:
             alarms += self._lose_step(loss)
         elif last is not None and last.mode != now.mode:
             self.counters["mode_changes"] += 1
-            alarms += self._comparison.drop_error_alarms()
+            alarms += self.comparison.drop_error_alarms()
             self._stop()
         elif missing > 0 and self._twin is not None and last is not None:
             bridged = self._bridge(self._twin, last, missing)
@@ -140,7 +138,9 @@ class Mirror:
         if self._twin is not None and self._regime is not None:
             twin_state, more = self._compare(self._twin, self._regime, now, state, divergence)
             alarms += more
-        return Output(state=twin_state, divergence=divergence, alarms=tuple(_stamp(a, state) for a in alarms))
+        for alarm in alarms:
+            alarm.host_time_ns, alarm.tick, alarm.session = state.host_time_ns, state.tick, state.session
+        return Output(twin_state, divergence, tuple(alarms))
 
     def silence(self, text: str) -> pb.Alarm | None:
         """The caller, who has a clock, misses the board.  Raises the alarm only: the twin's numbers know no clock."""
@@ -166,16 +166,16 @@ class Mirror:
         if mode == pb.MODE_IDLE and math.isnan(u):
             u = 0.0  # idle is: coil off
         return _Sample(
-            tick=state.tick,
-            session=state.session,
-            t_s=state.t_s,
-            closed_loop=mode == pb.MODE_CLOSED_LOOP,
-            mode=mode,
-            i=i,
-            x=x,
-            u=u,
-            x_ref=x_ref,
-            clipped=bool(state.flags & CLIPPED),
+            state.tick,
+            state.session,
+            state.t_s,
+            mode == pb.MODE_CLOSED_LOOP,
+            mode,
+            i,
+            x,
+            u,
+            x_ref,
+            bool(state.flags & CLIPPED),
         )
 
     def _finite(self, name: str, value: float) -> float:
@@ -211,7 +211,7 @@ class Mirror:
             return "unsupported-sample-time" if math.isfinite(sample_time_s) else "parameters-changed"
         self._regime = regime = Regime(self.model, self.settings, sample_time_s=sample_time_s, parameters=parameters)
         self._observer = Observer(regime.plant, self.model.noise, i_lsb_a=regime.i_lsb_a, x_lsb_m=regime.x_lsb_m)
-        self._comparison.start(regime.window)
+        self.comparison.start(regime.window)
         return "parameters-changed" if same else ""
 
     def _interruption(self, now: _Sample, last: _Sample, *, missing: int) -> str:
@@ -244,7 +244,7 @@ class Mirror:
 
     def _stop(self) -> None:
         self._twin = None
-        self._comparison.interrupt()
+        self.comparison.interrupt()
 
     def _bridge(self, twin: FreeTwin, last: _Sample, missing: int) -> int:
         for _ in range(missing):
@@ -305,8 +305,8 @@ class Mirror:
             if now.clipped or not math.isfinite(now.i + now.x + now.u):
                 self._observer.forget()
             else:
-                n_i, n_x, nis, valid = self._observer.observe(i=now.i, x=now.x, u=now.u)
-            alarm = self._comparison.innovation(divergence, self._regime, n_i=n_i, n_x=n_x, nis=nis, valid=valid)
+                n_i, n_x, nis, valid = self._observer.observe(now.i, now.x, now.u)
+            alarm = self.comparison.innovation(divergence, self._regime, n_i=n_i, n_x=n_x, nis=nis, valid=valid)
             if valid:
                 self.counters["innovations"] += 1
             return [alarm] if alarm else []
@@ -322,7 +322,7 @@ class Mirror:
         else:
             u = now.u
             twin.drive(u)
-        alarms = self._comparison.free(
+        alarms = self.comparison.free(
             divergence,
             measured=(now.x, now.i, now.u),
             twin=(x, i, u),
@@ -344,8 +344,3 @@ class Mirror:
             bridged_ticks=divergence.bridged_ticks,
         )
         return twin_state, alarms
-
-
-def _stamp(alarm: pb.Alarm, state: pb.State) -> pb.Alarm:
-    alarm.host_time_ns, alarm.tick, alarm.session = state.host_time_ns, state.tick, state.session
-    return alarm

@@ -7,6 +7,8 @@ Rule 3: sensitivities are finite differences of the very kernel that predicts: t
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,11 +32,12 @@ def ekf_step(
     u: float,
     y_i: float,
     y_x: float,
-) -> tuple[float, float, float]:
+) -> tuple[float, float, float, float]:
     """Predict over one tick under u, correct with (y_i, y_x); z, shape (3,), and P, shape (3, 3), are updated in place.
 
     q, shape (3,): variances of the process noise per tick; r, shape (2,): of the measurements.
-    Returns (innovation of i_c, innovation of x, NIS): nu' inv(S) nu, chi-square with 2 degrees under a right model.
+    Returns (innovation of i_c, innovation of x, NIS, corrected x): NIS = nu' inv(S) nu is chi-square with 2 degrees
+    under a right model.
     """
     p = PlantNumbers(*plant)
     i, x, v = z[0], z[1], z[2]
@@ -81,7 +84,7 @@ def ekf_step(
             corrected = before[a, b] - K[a, 0] * before[0, b] - K[a, 1] * before[1, b]
             P[a, b] = corrected
             P[b, a] = corrected
-    return n_i, n_x, n_i * w_i + n_x * w_x
+    return n_i, n_x, n_i * w_i + n_x * w_x, z[1]
 
 
 class Observer:
@@ -96,10 +99,10 @@ class Observer:
 
     def __init__(self, plant: PlantNumbers, noise: Noise, *, i_lsb_a: float = 0.0, x_lsb_m: float = 0.0) -> None:
         self._plant = tuple(plant)
-        self._travel_m = plant.travel_m
         self._q = np.array([noise.process_i_c_a, 0.0, noise.process_a_m_s2 * plant.sample_time_s]) ** 2
         self._r = np.array([noise.sigma_i_c_a**2 + i_lsb_a**2 / 12.0, noise.sigma_x_m**2 + x_lsb_m**2 / 12.0])
         self._margin_m = max(CONTACT_SHARE * plant.travel_m, 10.0 * noise.sigma_x_m)
+        self._upper_m = plant.travel_m - self._margin_m
         self._settle_ticks = max(1, round(SETTLE_S / plant.sample_time_s))
         self._z = np.zeros(3)
         self._P = np.zeros((3, 3))
@@ -116,23 +119,23 @@ class Observer:
         self._u = None
         self._free_ticks = 0
 
-    def observe(self, *, i: float, x: float, u: float) -> tuple[float, float, float, bool]:
+    def observe(self, i: float, x: float, u: float) -> tuple[float, float, float, bool]:
         """Take a finite sample that follows the previous one by one tick.
 
         Returns (innovation of i_c in A, innovation of x in m, NIS, valid); NaN where nothing was predicted.
         """
         if self._u is None or self._contact(x):
             self._begin(i, x, u)
-            return np.nan, np.nan, np.nan, False
-        n_i, n_x, nis = ekf_step(self._plant, self._z, self._P, self._q, self._r, self._u, i, x)
+            return math.nan, math.nan, math.nan, False
+        n_i, n_x, nis, estimated = ekf_step(self._plant, self._z, self._P, self._q, self._r, self._u, i, x)
         self._u = u
         self._free_ticks += 1
-        if not np.isfinite(nis) or self._contact(self._z[1]):  # the filter, not the ball, is at a stop: begin again
+        if not math.isfinite(nis) or self._contact(estimated):  # the filter, not the ball, is at a stop: begin again
             self._begin(i, x, u)
         return n_i, n_x, nis, self._free_ticks > self._settle_ticks
 
     def _contact(self, x: float) -> bool:
-        return x < self._margin_m or x > self._travel_m - self._margin_m
+        return not self._margin_m <= x <= self._upper_m
 
     def _begin(self, i: float, x: float, u: float) -> None:
         self._z[:] = i, x, 0.0

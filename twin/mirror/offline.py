@@ -14,7 +14,7 @@ from typing import Any
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
 from protocol.errors import DataError
-from twin.mirror.mirror import IN_STEP, Mirror, Output
+from twin.mirror.mirror import Mirror, Output
 from twin.mirror.regime import Settings
 from twin.model.parameters import Model
 from twin.recordings import LogReader, TwinLog, parse
@@ -32,43 +32,21 @@ class BoardRun:
     samples: int = 0
     first_t_s: float = math.nan
     last_t_s: float = math.nan
-    squares: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0.0))
-    sums: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0.0))
-    counted: dict[str, int] = field(default_factory=lambda: dict.fromkeys(SIGNALS, 0))
-    nis_sum: float = 0.0
-    innovation_x_square: float = 0.0
-    innovation_i_square: float = 0.0
-    innovations: int = 0
     alarms: list[pb.Alarm] = field(default_factory=list)
     parameters_seen: int = 0
-
-    def take(self, output: Output) -> None:
-        """Count one output."""
-        divergence = output.divergence
-        if divergence.sync == IN_STEP:
-            for name in SIGNALS:
-                error = getattr(divergence, name).error
-                if math.isfinite(error):
-                    self.squares[name] += error * error
-                    self.sums[name] += error
-                    self.counted[name] += 1
-        if divergence.innovation_valid:
-            self.innovations += 1
-            self.nis_sum += divergence.nis
-            self.innovation_x_square += divergence.innovation_x_m**2
-            self.innovation_i_square += divergence.innovation_i_c_a**2
-        self.alarms += output.alarms
 
     def summary(self) -> dict[str, Any]:
         """For people and for --json; a figure that does not exist is None."""
 
-        def ratio(total: float, count: int) -> float | None:
+        def ratio(total: float, count: float) -> float | None:
             return total / count if count else None
 
-        def root(total: float, count: int) -> float | None:
+        def root(total: float, count: float) -> float | None:
             return math.sqrt(total / count) if count else None
 
         counters = self.mirror.counters
+        errors = dict(zip(SIGNALS, self.mirror.comparison.error_totals.tolist(), strict=True))
+        innovations, x_squares, i_squares, nis = self.mirror.comparison.innovation_totals
         return {
             "site": self.site,
             "board": self.board,
@@ -92,14 +70,14 @@ class BoardRun:
                 if name.startswith("missing_")
             },
             "parameters_seen": self.parameters_seen,
-            "rmse": {name: root(self.squares[name], self.counted[name]) for name in SIGNALS},
-            "bias": {name: ratio(self.sums[name], self.counted[name]) for name in SIGNALS},
-            "innovations": self.innovations,
+            "rmse": {name: root(squares, count) for name, (count, _, squares) in errors.items()},
+            "bias": {name: ratio(total, count) for name, (count, total, _) in errors.items()},
+            "innovations": int(innovations),
             "innovation_rmse": {
-                "x_m": root(self.innovation_x_square, self.innovations),
-                "i_c_a": root(self.innovation_i_square, self.innovations),
+                "x_m": root(x_squares, innovations),
+                "i_c_a": root(i_squares, innovations),
             },
-            "nis_mean": ratio(self.nis_sum, self.innovations),
+            "nis_mean": ratio(nis, innovations),
             "alarms": [
                 {
                     "tick": alarm.tick,
@@ -171,7 +149,7 @@ def run_log(
                 )
             if output is None:
                 continue
-            run.take(output)
+            run.alarms += output.alarms
             if on_output:
                 on_output(run, state, output)
             if log:
