@@ -38,9 +38,9 @@ def zenoh_config(
         listen: endpoints to open, e.g. tcp/127.0.0.1:7447.
         connect: endpoints to reach.
         wait_for_router: True fails after 5 s without a router: a command should say so.  False returns at once and
-            keeps looking for it in the background: daemons must start in any order.  zenoh's client mode cannot do
-            that, and in its peer mode two such daemons do not hear each other through a router; so they are routers
-            that listen nowhere.
+            keeps looking for it in the background: daemons must start in any order.  (zenoh does that for peers and
+            routers, a client's open blocks.  A router passes nothing between two peers that cannot reach each other, so
+            such a daemon joins as a router that listens nowhere.)
     """
     return json.dumps(
         {

@@ -1,0 +1,62 @@
+"""The bus holds together whoever starts first, and daemons that share a router hear each other."""
+
+from __future__ import annotations
+
+import queue
+import socket
+import time
+
+import pytest
+import zenoh
+
+from protocol.bus.endpoint import check_endpoint, zenoh_config
+from protocol.errors import ConfigError
+
+
+def _endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def _open(text: str) -> zenoh.Session:
+    return zenoh.open(zenoh.Config.from_json5(text))
+
+
+def _reaches(publisher: zenoh.Session, subscriber: zenoh.Session, limit_s: float = 15.0) -> bool:
+    """Whether a put of one arrives at the other; repeated, because routes spread in their own time."""
+    got: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    with subscriber.declare_subscriber("t/x", lambda sample: got.put(sample.payload.to_bytes())):
+        end = time.monotonic() + limit_s
+        while time.monotonic() < end:
+            publisher.put("t/x", b"1")
+            try:
+                return got.get(timeout=0.05) == b"1"
+            except queue.Empty:
+                continue
+    return False
+
+
+def test_daemons_that_started_before_their_router_hear_each_other_through_it() -> None:
+    endpoint = _endpoint()
+    daemon = zenoh_config("client", connect=[endpoint], wait_for_router=False)
+    with _open(daemon) as one, _open(daemon) as other:
+        with _open(zenoh_config("router", listen=[endpoint])):
+            assert _reaches(one, other)
+            with _open(zenoh_config("client", connect=[endpoint])) as command:
+                assert _reaches(one, command)
+                assert _reaches(command, other)
+
+        with _open(zenoh_config("router", listen=[endpoint])):  # gone and back
+            assert _reaches(one, other)
+
+
+def test_a_command_without_a_router_fails_instead_of_waiting_for_ever() -> None:
+    with pytest.raises(zenoh.ZError):
+        _open(zenoh_config("client", connect=[_endpoint()]))
+
+
+@pytest.mark.parametrize("endpoint", ["", "7447", "tcp/", "tcp/a b:1", "http://x:1"])
+def test_what_is_no_endpoint_is_named(endpoint: str) -> None:
+    with pytest.raises(ConfigError, match="--connect"):
+        check_endpoint(endpoint, where="--connect")
