@@ -18,6 +18,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "emulate": ("gateway.commands.emulate", "an emulated board on a pty or TCP port"),
     "gateway": ("gateway.commands.gateway", "the daemon: boards <-> zenoh, MCAP"),
     "twin": ("twin.commands.twin", "the model in step with a live rig or a log"),
+    "identify": ("twin.commands.identify", "a model from the recordings of a campaign"),
     "router": ("gateway.commands.router", "a standalone zenoh router"),
     "send": ("gateway.commands.send", "one command to a board, through the gateway"),
     "watch": ("gateway.commands.watch", "print what travels on the bus"),

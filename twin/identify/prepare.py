@@ -59,9 +59,7 @@ def prepare(records: list[Record], plant: Plant) -> tuple[Series, list[Usage]]:
     if not parts:
         empty = np.empty(0)
         nothing = np.empty(0, np.uint8)
-        return Series(
-            step=empty, u=empty, i=empty, x=empty, flags=nothing, recording=np.empty(0, np.int32)
-        ), usages
+        return Series(step=empty, u=empty, i=empty, x=empty, flags=nothing, recording=np.empty(0, np.int32)), usages
     return Series(
         step=np.concatenate([part.step for part in parts]),
         u=np.concatenate([part.u for part in parts]),

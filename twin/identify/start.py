@@ -130,8 +130,11 @@ def ball_start(
                 places = np.arange(len(x))
                 x = np.interp(places, places[good], x[good])
                 i = np.interp(places, places[good], i[good])
-            rows.append(_windows(plant.travel_m - x if downwards else x, _mean_square(i, u, step, amplifier), step,
-                                 width, plant))
+            rows.append(
+                _windows(
+                    plant.travel_m - x if downwards else x, _mean_square(i, u, step, amplifier), step, width, plant
+                )
+            )
     if not rows:
         return None
     table = np.concatenate(rows)

@@ -1,0 +1,62 @@
+"""A model from the recordings of a campaign: K_A, T_A, K_c, b with intervals and verdicts, and the noise.
+
+Takes campaign.toml or its folder; recordings may be CSV (also .gz), MATLAB or MCAP.  No initial guess is needed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+from protocol.campaign import load
+from protocol.errors import DataError
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.epilog = (
+        "examples:\n"
+        "  board51 identify runs/monday --out model.json\n"
+        "  board51 identify twin/campaigns/inteco.toml --data ../shared/data --out inteco.json\n"
+        "\nexit code 0: K_A and K_c are known and the fit converged; 1: not (the best so far is written all the same);\n"
+        "2: bad input"
+    )
+    parser.add_argument("campaign", type=Path, metavar="CAMPAIGN", help="campaign.toml or the folder that holds it")
+    parser.add_argument("--out", type=Path, metavar="MODEL.json", help="write the model there")
+    parser.add_argument(
+        "--data", type=Path, metavar="DIR", help="folder of recordings that are not beside the campaign"
+    )
+    parser.add_argument("--json", action="store_true", help="print the model as JSON instead of a table")
+    parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Identify, print, write."""
+    # Imported here: --help must not wait for numba and scipy.
+    from twin.identify.pipeline import identify
+    from twin.identify.result import table
+    from twin.model.parameters import model_to_dict
+
+    began = time.monotonic()
+
+    def say(line: str) -> None:
+        if not args.quiet:
+            print(f"[{time.monotonic() - began:5.1f} s] {line}", file=sys.stderr, flush=True)
+
+    found = identify(load(args.campaign), data=args.data, say=say)
+    text = json.dumps(model_to_dict(found.model), indent=2, allow_nan=False)
+    if args.out is not None:
+        try:
+            args.out.write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise DataError(f"{args.out} cannot be written ({error.strerror})", remedy="Give a writable path") from None
+    print(text if args.json else table(found))
+    if args.json:
+        for warning in found.warnings:
+            say(f"! {warning}")
+    if not found.usable:
+        say("no usable model: the best so far" + (f" is in {args.out}" if args.out else ""))
+    return 0 if found.usable else 1

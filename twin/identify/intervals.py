@@ -1,0 +1,82 @@
+"""95 % intervals: from the covariance where the likelihood is a parabola, from its profile where it is not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.identify.fit import PARAMETERS, Fit, Likelihood, Point, fit
+
+Z = 1.96
+CROOKED = 0.15  # relative standard error of a logarithm from which its parabola misleads
+NEAR_ZERO = 3.0  # standard errors of b from 0
+_ROUNDS = 4
+_PASSES = 6
+_FURTHEST = 4.0  # of a logarithm: beyond a factor of 50 the bound is called absent
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Interval:
+    """One parameter's interval in its own unit."""
+
+    std: float
+    low: float
+    high: float
+    method: str  # Fisher information | sandwich | profile likelihood
+
+
+def quadratic_or_profile(likelihood: Likelihood, found: Fit, *, robust: bool) -> dict[str, Interval]:
+    """Intervals of the free parameters; `robust`: the residuals are coloured, use the sandwich."""
+    mass = likelihood.plant.mass_kg
+    result = {}
+    for name in PARAMETERS:
+        if name not in found.free:
+            continue
+        std = found.std(name, mass, robust=robust)
+        value = getattr(found.point, name)
+        relative = std / value if name != "b" and value > 0 else 0.0
+        crooked = relative > CROOKED or (name == "b" and abs(value) < NEAR_ZERO * std) or not np.isfinite(std)
+        if not crooked:
+            low, high = (
+                (value - Z * std, value + Z * std)
+                if name == "b"
+                else (value * float(np.exp(-Z * relative)), value * float(np.exp(Z * relative)))
+            )
+            method = "sandwich covariance (residuals are coloured)" if robust else "Fisher information"
+        else:
+            # Coloured residuals make the likelihood too sure of itself by the ratio of the two standard errors.
+            inflate = max(std / max(found.std(name, mass), 1e-300), 1.0) if robust and np.isfinite(std) else 1.0
+            low, high = (_profile(likelihood, found, name, side, Z * inflate) for side in (-1, 1))
+            method = "profile likelihood"
+        result[name] = Interval(std=std, low=low, high=high, method=method)
+    return result
+
+
+def _profile(likelihood: Likelihood, found: Fit, name: str, side: int, target: float) -> float:
+    """Where the signed root of the likelihood ratio reaches `target`; 0 or inf where it never does."""
+    mass = likelihood.plant.mass_kg
+    std = found.std(name, mass)
+    value = getattr(found.point, name)
+    by = target * (std / mass if name == "b" else std / value) if np.isfinite(std) and std > 0 else 0.5
+    most = 200.0 if name == "b" else _FURTHEST
+    by = min(by, most)
+    free = tuple(other for other in found.free if other != name)
+    below, above = 0.0, np.inf
+    start: Point = found.point
+    for _ in range(_ROUNDS):
+        at = found.point.moved(name, side * by, mass)
+        start = replace(at, **{other: getattr(start, other) for other in free})
+        others = fit(likelihood, start, free, passes=_PASSES)
+        start = others.point
+        root = float(np.sqrt(max(2.0 * (found.loglik - others.loglik), 0.0)))
+        if abs(root - target) < 0.03 * target:
+            break
+        below, above = (max(below, by), above) if root < target else (below, min(above, by))
+        if root < target and by >= most:
+            return 0.0 if side < 0 and name != "b" else side * float("inf")
+        guess = by * target / root if root > 0.05 * target else by * 4.0
+        if not below < guess < above:
+            guess = 0.5 * (below + above) if np.isfinite(above) else by * 2.0
+        by = min(guess, most)
+    return float(getattr(found.point.moved(name, side * by, mass), name))

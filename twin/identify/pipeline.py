@@ -1,0 +1,243 @@
+"""From a campaign to a model: the steps in order, and what is said on the way.
+
+    recordings -> checks -> levels, shape, lift-off -> start -> innovations likelihood over everything at once
+               -> readings beyond 6 sigma out, again -> noise levels that are not needed out, again
+               -> whiteness, covariance, intervals -> verdicts
+
+Rule 1: one parameter set explains the whole campaign.
+Rule 2: a number always comes with its standing; what could not be estimated is written down as that, never invented.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from protocol.campaign import Campaign
+from protocol.errors import DataError
+from twin.identify import verdicts
+from twin.identify.checks import inspect
+from twin.identify.fit import FLOORS, NAMES, NOISES, PARAMETERS, Fit, Likelihood, Point, fit, gate, sandwich
+from twin.identify.innovations import FLIES, USE_I, USE_X
+from twin.identify.intervals import Interval, quadratic_or_profile
+from twin.identify.levels import Levels, Shape, find_levels, find_shape
+from twin.identify.liftoff import ForceConstant, equilibria, force_constant, lift_offs
+from twin.identify.prepare import Usage, prepare
+from twin.identify.reading import read_campaign
+from twin.identify.record import Record
+from twin.identify.start import AmplifierStart, BallStart, amplifier_start, ball_start
+from twin.identify.whiteness import Whiteness, whiteness
+from twin.model.parameters import Model, Parameter
+
+PARSIMONY = 2.0  # of log-likelihood: a process noise that gains less than that is not there
+HAC_S = 0.1  # memory of the residuals that the sandwich covers
+_NOISE_START = {"sigma_x_m": 1e-5, "process_a_m_s2": 0.1}
+_TICK_S = 2e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identification:
+    """The model and everything that was found on the way."""
+
+    model: Model
+    converged: bool
+    warnings: tuple[str, ...]
+    usages: tuple[Usage, ...]
+    levels: Levels | None
+    shape: Shape | None
+    force: ForceConstant | None
+    fit: Fit | None
+    whiteness: Whiteness | None
+
+    @property
+    def usable(self) -> bool:
+        """Whether a twin can run on it: the fit converged, K_A and K_c are known."""
+        known = all(self.model.parameters[name].verdict in ("identified", "weak") for name in ("K_A", "K_c"))
+        return self.converged and known
+
+
+def identify(
+    campaign: Campaign, *, data: Path | None = None, say: Callable[[str], None] = lambda line: None
+) -> Identification:
+    """Identify the model of a campaign from its recordings for fitting.
+
+    Args:
+        campaign: of `protocol.campaign.load`.
+        data: folder of recordings that are not beside the campaign.
+        say: takes lines of progress.
+
+    Raises:
+        DataError: a recording is absent, unreadable, or not what it says it is.
+    """
+    records = read_campaign(campaign, data=data)
+    if not records:
+        raise DataError(
+            f'{campaign.where}: no recording has use = "fit"',
+            remedy='Give at least one [[recording]] with use = "fit"',
+        )
+    say(f"{len(records)} recordings, {sum(len(r.t) for r in records)} samples")
+    return identify_records(campaign, records, say=say)
+
+
+def identify_records(
+    campaign: Campaign, records: list[Record], *, say: Callable[[str], None] = lambda line: None
+) -> Identification:
+    """As `identify`, on recordings in memory."""
+    plant = campaign.plant
+    warnings = [note for record in records for note in record.notes]
+    warnings += inspect(records, plant, campaign.controller)
+
+    levels, shape = find_levels(records), find_shape(records)
+    points = lift_offs(records, plant)
+    force = force_constant(points, plant) or force_constant(equilibria(records, plant), plant)
+    amplifier = amplifier_start(records)
+    ball = ball_start(records, plant, amplifier)
+    say("start values: " + _start_line(amplifier, ball, force, plant.mass_kg))
+
+    series, usages = prepare(records, plant)
+    tick_s = _tick(records)
+    found: Fit | None = None
+    white: Whiteness | None = None
+    likelihood = Likelihood(series, plant, tick_s)
+    flying = bool(((series.flags & (FLIES | USE_X)) == (FLIES | USE_X)).any())
+    if amplifier is not None and amplifier.K_A > 0 and (series.flags & USE_I).any():
+        start, free = _start(amplifier, ball, force, flying, plant.mass_kg, tick_s)
+        found = fit(likelihood, start, free)
+        say(f"fit: {found.passes} passes over {len(series)} samples")
+        gated, dropped = gate(series, found.white, len(records))
+        if dropped.any():
+            for usage, count in zip(usages, dropped, strict=True):
+                usage.outliers += int(count)
+            likelihood = Likelihood(gated, plant, tick_s)
+            found = fit(likelihood, found.point, free)
+        found = _parsimonious(likelihood, found)
+        white = whiteness(likelihood.series, found.white)
+        found = sandwich(likelihood, found, max(round(HAC_S / tick_s), 1))
+        say("covariance and intervals")
+        if not found.converged:
+            warnings.append(
+                f"the fit has not converged after {found.passes} passes ({found.decrement:.2g} standard errors from a "
+                "maximum): these numbers are the best so far. Check the recordings named above"
+            )
+    for usage in usages:
+        if usage.outliers:
+            warnings.append(f"{usage.name}: {usage.outliers} wild readings were left out")
+        if usage.gaps:
+            warnings.append(f"{usage.name}: {usage.gaps} gaps; the filter starts anew behind each")
+        if usage.clipped:
+            warnings.append(
+                f"{usage.name}: {usage.clipped} readings of i_c are at the converter's end and were left out"
+            )
+
+    intervals: dict[str, Interval] = {}
+    if found is not None:
+        coloured = white is not None and not white.white
+        intervals = quadratic_or_profile(likelihood, found, robust=coloured)
+    parameters = {
+        "K_A": verdicts.gain(found, intervals, levels, shape, warnings),
+        "T_A": verdicts.time_constant(found, intervals, shape, tick_s, warnings),
+        "K_c": verdicts.force_constant(found, intervals, force, ball, flying, plant, warnings),
+        "b": verdicts.drag(found, intervals, flying, warnings),
+    }
+    model = _model(campaign, parameters, found, white, records, usages, warnings, levels, shape, force)
+    return Identification(
+        model=model,
+        converged=found is None or found.converged,
+        warnings=tuple(dict.fromkeys(warnings)),
+        usages=tuple(usages),
+        levels=levels,
+        shape=shape,
+        force=force,
+        fit=found,
+        whiteness=white,
+    )
+
+
+def _tick(records: list[Record]) -> float:
+    flown = [r.interval_s for r in records if r.kind in ("closed-loop", "prbs", "free") and r.has("x", "u_c")]
+    other = [r.interval_s for r in records if r.kind != "equilibria" and len(r.t) > 1]
+    chosen = [step for step in (flown or other) if np.isfinite(step)]
+    return float(np.median(chosen)) if chosen else _TICK_S
+
+
+def _start_line(
+    amplifier: AmplifierStart | None, ball: BallStart | None, force: ForceConstant | None, mass_kg: float
+) -> str:
+    parts = []
+    if amplifier:
+        parts.append(f"K_A = {amplifier.K_A:.4g} A/V, T_A = {amplifier.T_A:.3g} s")
+    if ball:
+        parts.append(f"K_c = {ball.k * mass_kg:.4g}, b = {ball.d * mass_kg:.3g} (regression)")
+    if force:
+        parts.append(f"K_c = {force.K_c:.4g} (8)")
+    return "; ".join(parts) or "none"
+
+
+def _start(
+    amplifier: AmplifierStart,
+    ball: BallStart | None,
+    force: ForceConstant | None,
+    flying: bool,
+    mass_kg: float,
+    tick_s: float,
+) -> tuple[Point, tuple[str, ...]]:
+    k = ball.k if ball is not None and ball.k > 0 else force.K_c / mass_kg if force is not None else 1e-3
+    d = min(max(ball.d, 0.0), 50.0) if ball is not None else 2.0
+    point = Point(
+        K_A=amplifier.K_A,
+        T_A=amplifier.T_A,
+        K_c=k * mass_kg,
+        b=d * mass_kg,
+        sigma_i_c_a=max(amplifier.sigma_i_c_a, 1e-6),
+        sigma_x_m=_NOISE_START["sigma_x_m"],
+        process_i_c_a=max(0.3 * amplifier.sigma_i_c_a, 1e-6),
+        process_a_m_s2=_NOISE_START["process_a_m_s2"],
+    )
+    free = NAMES if flying else ("K_A", "T_A", "sigma_i_c_a", "process_i_c_a")
+    return point, free
+
+
+def _parsimonious(likelihood: Likelihood, found: Fit) -> Fit:
+    """Without the process noises that the likelihood does not miss.
+
+    A noise that is not there costs precision (they say "trust the model less"), and a current disturbance cannot be told
+    from current noise at all where T_A is far below the sampling interval.
+    """
+    for name in NOISES[2:]:
+        if name not in found.free:
+            continue
+        without = replace(found.point, **{name: FLOORS[name]})
+        free = tuple(other for other in found.free if other != name)
+        smaller = fit(likelihood, without, free)
+        if smaller.loglik > found.loglik - PARSIMONY:
+            found = smaller
+    return found
+
+
+def _model(
+    campaign: Campaign,
+    parameters: dict[str, Parameter],
+    found: Fit | None,
+    white: Whiteness | None,
+    records: list[Record],
+    usages: list[Usage],
+    warnings: list[str],
+    levels: Levels | None,
+    shape: Shape | None,
+    force: ForceConstant | None,
+) -> Model:
+    from twin.identify.result import noise_of, provenance_of
+    from twin.model.parameters import Plant
+
+    p = campaign.plant
+    return Model(
+        plant=Plant(
+            name=p.name, mass_kg=p.mass_kg, travel_m=p.travel_m, x_max_m=p.x_max_m, gravity_m_s2=p.gravity_m_s2
+        ),
+        parameters={name: parameters[name] for name in PARAMETERS},
+        noise=noise_of(found, records),
+        provenance=provenance_of(campaign, found, white, usages, warnings, levels, shape, force),
+    )

@@ -1,0 +1,116 @@
+"""What goes into model.json beside the parameters, and the table a person reads."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from protocol.campaign import Campaign
+from twin.identify.fit import FLOORS, Fit
+from twin.identify.levels import Levels, Shape
+from twin.identify.liftoff import ForceConstant
+from twin.identify.prepare import Usage
+from twin.identify.record import Record
+from twin.identify.whiteness import Whiteness
+from twin.model.parameters import NOISE, Noise
+
+if TYPE_CHECKING:
+    from twin.identify.pipeline import Identification
+
+_ASSUMED = Noise(sigma_x_m=5e-6, sigma_i_c_a=2e-3, process_a_m_s2=0.02, process_i_c_a=1e-4)
+
+
+def noise_of(found: Fit | None, records: list[Record]) -> Noise:
+    """Noise levels of the fit without the converters' steps, which a twin adds where it knows them."""
+    values = {name: getattr(_ASSUMED, name) for name in NOISE}
+    if found is not None:
+        known = {name: getattr(found.point, name) for name in found.free if name in NOISE}
+        known |= {name: FLOORS[name] for name in ("process_i_c_a", "process_a_m_s2") if _dropped(found, name)}
+        values |= known
+        i_lsb, x_lsb = (max((record.lsb[n] for record in records), default=0.0) for n in (0, 1))
+        for name, lsb in (("sigma_i_c_a", i_lsb), ("sigma_x_m", x_lsb)):
+            if name in known:
+                values[name] = math.sqrt(max(values[name] ** 2 - lsb**2 / 12.0, 0.01 * values[name] ** 2))
+    return Noise(**{name: min(max(values[name], low), high) for name, (low, high) in NOISE.items()})
+
+
+def _dropped(found: Fit, name: str) -> bool:
+    flying = "K_c" in found.free
+    return name not in found.free and (flying or name == "process_i_c_a")
+
+
+def provenance_of(
+    campaign: Campaign,
+    found: Fit | None,
+    white: Whiteness | None,
+    usages: list[Usage],
+    warnings: list[str],
+    levels: Levels | None,
+    shape: Shape | None,
+    force: ForceConstant | None,
+) -> dict[str, Any]:
+    """Where the numbers come from: recordings, fit, residuals, warnings."""
+    result: dict[str, Any] = {
+        "campaign": campaign.plant.name,
+        "recordings": [asdict(usage) for usage in usages],
+        "warnings": list(dict.fromkeys(warnings)),
+    }
+    if found is not None:
+        result["fit"] = {
+            "criterion": "EKF innovations, maximum likelihood",
+            "converged": found.converged,
+            "passes": found.passes,
+            "log_likelihood": found.loglik,
+            "estimated": list(found.free),
+        }
+    if white is not None:
+        result["residuals"] = {key: _finite(value) for key, value in asdict(white).items()}
+    if levels is not None:
+        result["levels"] = {
+            "K_A": levels.K_A,
+            "K_A_std": levels.K_A_std,
+            "offset_a": levels.offset_a,
+            "offset_std_a": levels.offset_std_a,
+            "count": len(levels.levels),
+        }
+    if shape is not None:
+        result["amplifier_shape"] = asdict(shape)
+    if force is not None:
+        result["rest"] = {
+            "K_c": force.K_c,
+            "std": force.std,
+            "equation": "(8)",
+            "scatter": force.scatter,
+            "coil_plane_above_x_max_m": force.shift_m,
+            "points": [
+                {"recording": p.recording, "gap_m": p.gap_m, "i_c_a": p.i_c_a, "K_c": p.K_c} for p in force.points
+            ],
+        }
+    return result
+
+
+def _finite(value: object) -> object:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def table(found: Identification) -> str:
+    """Parameters, noise, residuals and warnings as lines of text."""
+    lines = [f"{'':4}{'value':>12} {'unit':<10} {'std':>9}  {'95 % interval':<26}{'verdict':<18}how"]
+    for name, p in found.model.parameters.items():
+        interval = f"{p.ci95[0]:.5g} .. {p.ci95[1]:.5g}" if p.ci95 else "-"
+        std = f"{p.std:.2g}" if p.std is not None else "-"
+        lines.append(f"{name:<4}{p.value:>12.6g} {p.unit:<10} {std:>9}  {interval:<26}{p.verdict:<18}{p.method}")
+    n = found.model.noise
+    lines.append(
+        f"noise: i_c {n.sigma_i_c_a * 1e3:.3g} mA, x {n.sigma_x_m * 1e6:.3g} um, unexplained acceleration "
+        f"{n.process_a_m_s2:.3g} m/s^2, current {n.process_i_c_a * 1e3:.3g} mA per tick"
+    )
+    if found.whiteness is not None:
+        w = found.whiteness
+        colour = (
+            "white" if w.white else f"coloured (autocorrelation up to {w.worst:.2f}): the model is not the whole story"
+        )
+        lines.append(f"innovations: chi2 {w.chi2_x:.2f} (x), {w.chi2_i:.2f} (i_c), {colour}")
+    lines += [f"! {warning}" for warning in found.warnings]
+    return "\n".join(lines)

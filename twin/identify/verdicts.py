@@ -1,0 +1,242 @@
+"""From estimates to parameters with a standing: identified, weak, not identifiable, and the experiment that would help."""
+
+from __future__ import annotations
+
+import math
+
+from protocol.campaign import Plant
+from twin.identify.fit import Fit
+from twin.identify.intervals import Interval
+from twin.identify.levels import Levels, Shape
+from twin.identify.liftoff import ForceConstant
+from twin.identify.start import BallStart
+from twin.model.parameters import PARAMETERS, Parameter
+
+IDENTIFIED, WEAK = 0.25, 1.0  # half width of the 95 % interval over the value
+AGREE = 4.0  # standard errors between two estimates of the same number
+OFFSET_SHARE = 2e-3  # of the largest level: a smaller offset is not worth a word
+_INPUT_HELP = "record steps of u_c with two or more steady levels (kind amplifier-step)"
+_TIME_HELP = "capture a step of u_c at 25 kHz (board51 send capture; kind amplifier-step)"
+_FORCE_HELP = "record a slow sawtooth to lift-off (kind sawtooth) or a closed-loop run"
+_DRAG_HELP = "record closed loop with wide, fast reference changes (multisine), several minutes: drag shows in speed"
+_INFINITE = 1e6  # relative: an interval without an end, as JSON can hold it
+
+
+def gain(
+    found: Fit | None,
+    intervals: dict[str, Interval],
+    levels: Levels | None,
+    shape: Shape | None,
+    warnings: list[str],
+) -> Parameter:
+    """K_A: the steady levels; the joint fit where it says the same more precisely."""
+    joint = intervals.get("K_A")
+    if levels is not None:
+        top = max(abs(level.i_a) for level in levels.levels)
+        offset = abs(levels.offset_a) > max(AGREE * levels.offset_std_a, OFFSET_SHARE * top)
+        if offset:
+            warnings.append(
+                f"i_c is {levels.offset_a * 1e3:+.3g} mA at u_c = 0 by the line through the steady levels: an offset of sensor or "
+                f"amplifier that (1) does not have. Give i_c offset = {-levels.offset_a:.4g} if it is the sensor's"
+            )
+        if shape is not None and not shape.first_order:
+            warnings.append(
+                f"the amplifier's step response is not first order: its residual is {shape.ratio:.1f} times the noise "
+                f"(z = {shape.z:.0f}, {shape.steps} steps); K_A is from the steady levels, T_A the best first-order fit"
+            )
+        differ = (
+            joint is not None
+            and found is not None
+            and abs(found.point.K_A - levels.K_A) > AGREE * math.hypot(joint.std, levels.K_A_std)
+        )
+        if joint is None or found is None or offset or differ or (shape is not None and not shape.first_order):
+            if differ and found is not None and not offset:
+                warnings.append(
+                    f"K_A is {levels.K_A:.5g} A/V by steady levels and {found.point.K_A:.5g} A/V by the joint fit"
+                )
+            return _parameter(
+                "K_A",
+                levels.K_A,
+                levels.K_A_std,
+                levels.K_A - 1.96 * levels.K_A_std,
+                levels.K_A + 1.96 * levels.K_A_std,
+                f"line through {len(levels.levels)} steady levels",
+                "(1)",
+                _INPUT_HELP,
+            )
+    if found is None or joint is None:
+        return _absent("K_A", 1.0, _INPUT_HELP, warnings)
+    how = "steady levels, refined by innovations likelihood" if levels is not None else "innovations likelihood"
+    return _parameter(
+        "K_A", found.point.K_A, joint.std, joint.low, joint.high, f"{how}; {joint.method}", "(1), (7)", _INPUT_HELP
+    )
+
+
+def time_constant(
+    found: Fit | None, intervals: dict[str, Interval], shape: Shape | None, tick_s: float, warnings: list[str]
+) -> Parameter:
+    """T_A: from the steps where the shape is odd, else jointly."""
+    joint = intervals.get("T_A")
+    if shape is not None and not shape.first_order:
+        # The spread from step to step says more than the noise does about a number that is not one number.
+        std = math.hypot(shape.T_A_std, shape.spread * shape.T_A / math.sqrt(shape.steps))
+        return _parameter(
+            "T_A",
+            shape.T_A,
+            std,
+            shape.T_A - 1.96 * std,
+            shape.T_A + 1.96 * std,
+            f"best first-order response to {shape.steps} steps, which are not first order "
+            f"(residual {shape.ratio:.1f} times the noise)",
+            "(1)",
+            _TIME_HELP,
+        )
+    if found is None or joint is None:
+        return _absent("T_A", 0.15 * tick_s, _TIME_HELP, warnings)
+    parameter = _parameter(
+        "T_A",
+        found.point.T_A,
+        joint.std,
+        joint.low,
+        joint.high,
+        f"innovations likelihood; {joint.method}",
+        "(1), (7)",
+        _TIME_HELP,
+    )
+    if parameter.verdict != "identified":
+        warnings.append(
+            f"T_A is {parameter.verdict}: samples every {tick_s * 1e3:g} ms see little of {found.point.T_A * 1e3:.3g} ms. "
+            f"To know it, {_TIME_HELP}"
+        )
+    return parameter
+
+
+def force_constant(
+    found: Fit | None,
+    intervals: dict[str, Interval],
+    force: ForceConstant | None,
+    ball: BallStart | None,
+    flying: bool,
+    plant: Plant,
+    warnings: list[str],
+) -> Parameter:
+    """K_c: by innovations where the ball flies, else from lift-off."""
+    joint = intervals.get("K_c")
+    if force is not None and force.shift_m is not None and abs(force.shift_m) > AGREE * force.shift_std_m:
+        if abs(force.shift_m) > 0.01 * plant.travel_m:
+            warnings.append(
+                f"the currents that carry the ball point to a coil plane {force.shift_m * 1e3:+.3g} mm above x_max "
+                f"(+- {force.shift_std_m * 1e3:.2g} mm): (3) holds with x_max_m = {plant.x_max_m + force.shift_m:.5g}, or not at all"
+            )
+    if flying and found is not None and joint is not None:
+        if force is not None and abs(force.K_c - found.point.K_c) > AGREE * math.hypot(force.std, joint.std):
+            warnings.append(
+                f"K_c is {force.K_c:.4g} by (8) and {found.point.K_c:.4g} N m^2/A^2 in flight: no single K_c explains both. "
+                "(3) does not hold over the whole travel; board51 diagnose looks for the reason"
+            )
+        return _parameter(
+            "K_c",
+            found.point.K_c,
+            joint.std,
+            joint.low,
+            joint.high,
+            f"innovations likelihood over all flights; {joint.method}",
+            "(6), (7)",
+            _FORCE_HELP,
+        )
+    if force is not None:
+        kind = "lift-offs" if force.points[0].t_s != 0 and len(force.points) else "equilibria"
+        return _parameter(
+            "K_c",
+            force.K_c,
+            force.std,
+            force.K_c - 1.96 * force.std,
+            force.K_c + 1.96 * force.std,
+            f"median of {len(force.points)} {kind}",
+            "(8)",
+            _FORCE_HELP,
+        )
+    if ball is not None and ball.k > 0:
+        value = ball.k * plant.mass_kg
+        warnings.append("K_c comes from a regression without error: u_c is missing. " + _FORCE_HELP.capitalize())
+        return Parameter(
+            value=value, unit=PARAMETERS["K_c"][0], verdict="weak", method="modulating functions", equation="(6)"
+        )
+    return _absent("K_c", 1e-6, _FORCE_HELP, warnings)
+
+
+def drag(found: Fit | None, intervals: dict[str, Interval], flying: bool, warnings: list[str]) -> Parameter:
+    """b, honestly: an interval that reaches zero is said to."""
+    joint = intervals.get("b")
+    if not flying or found is None or joint is None:
+        return _absent("b", 0.0, _DRAG_HELP, warnings)
+    value = found.point.b
+    if joint.high <= 0.0:
+        warnings.append(
+            f"b = {value:.3g} N s/m is negative beyond its error: something that the model lacks feeds energy in "
+            "(a delay, a lag). It is set to its bound, 0; board51 diagnose looks for the reason"
+        )
+        return Parameter(
+            value=0.0,
+            unit=PARAMETERS["b"][0],
+            std=joint.std,
+            ci95=(0.0, max(joint.std, 0.0)),
+            verdict="not-identifiable",
+            method=f"innovations likelihood, at its bound (unbounded {value:.3g}); {joint.method}",
+            equation="(5), (7)",
+        )
+    parameter = _parameter(
+        "b",
+        max(value, 0.0),
+        joint.std,
+        max(joint.low, 0.0),
+        joint.high,
+        f"innovations likelihood over all flights; {joint.method}",
+        "(5), (7)",
+        _DRAG_HELP,
+    )
+    if parameter.verdict != "identified":
+        lower = "which includes 0" if joint.low <= 0.0 else "wide"
+        warnings.append(
+            f"b is {parameter.verdict}: 95 % interval {max(joint.low, 0.0):.3g} to {joint.high:.3g} N s/m, {lower}. "
+            f"To know it, {_DRAG_HELP}"
+        )
+    return parameter
+
+
+def _parameter(
+    name: str, value: float, std: float, low: float, high: float, method: str, equation: str, remedy: str
+) -> Parameter:
+    unit, lowest, highest = PARAMETERS[name]
+    bounded = min(max(value, lowest), highest)
+    low = max(low, 0.0)
+    high = high if math.isfinite(high) else highest
+    width = 0.5 * (high - low) / abs(value) if value else _INFINITE
+    verdict = "identified" if width <= IDENTIFIED else "weak" if width <= WEAK else "not-identifiable"
+    if bounded != value:
+        verdict = "not-identifiable"
+        method += f"; at its bound (unbounded {value:.3g})"
+    if verdict != "identified":
+        method += f"; to know it, {remedy}"
+    return Parameter(
+        value=bounded,
+        unit=unit,
+        std=std if math.isfinite(std) else None,
+        ci95=(low, high),
+        verdict=verdict,
+        method=method,
+        equation=equation,
+    )
+
+
+def _absent(name: str, value: float, remedy: str, warnings: list[str]) -> Parameter:
+    warnings.append(
+        f"{name} is not identifiable from these recordings: {remedy}. The {value:g} in the model is a placeholder"
+    )
+    return Parameter(
+        value=value,
+        unit=PARAMETERS[name][0],
+        verdict="not-identifiable",
+        method=f"placeholder, no recording shows it; {remedy}",
+        equation={"K_A": "(1)", "T_A": "(1)", "K_c": "(8)", "b": "(5)"}[name],
+    )
