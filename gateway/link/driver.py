@@ -211,6 +211,7 @@ class BoardDriver:
             case Opened():
                 self._opened(event, now_s)
             case Restarted():
+                self._opened_s = now_s
                 self._end_session("a restart of the board" if event.board_reset else "a jump of the tick")
                 why = {"event": "it said so", "tick": "its tick jumped", "no-session": "it forgot this gateway"}
                 self._change(

@@ -280,7 +280,9 @@ class Session:
                 self._restart(events, "no-session", board_reset=True, now_s=now_s)
             return
         self._answer(command, "ack", message)
-        if message.name == "PONG" and self.is_open and not self.unwrapper.anchor(message.int("tick"), now_s):
+        # The answer to a repeated PING is the kept one: its tick is that of the first.
+        fresh = message.name == "PONG" and command.attempts == 1 and self.is_open
+        if fresh and not self.unwrapper.anchor(message.int("tick"), now_s):
             self._restart(events, "tick", board_reset=True, now_s=now_s)
         elif command.name == "SET_STREAM":
             self.unwrapper.divider = int(command.values["divider"]) or None
@@ -359,8 +361,9 @@ class Session:
         command.id = self._free_id()
         command.frame = _frame(command)
         self._outstanding[command.id] = command
-        if command.name == "SET_STREAM":
-            self.unwrapper.divider = None  # which frames are still of the old rate cannot be told
+        old, new = self.unwrapper.divider, command.values.get("divider")
+        if command.name == "SET_STREAM" and old is not None and isinstance(new, int):
+            self.unwrapper.divider = max(old, new)  # until the ACK: which frames are of which rate cannot be told
         self._transmit(command, now_s)
         self._set_deadline()
 

@@ -5,7 +5,7 @@ Rule 2: a frame can be late, never early.  Since the best arrival so far says wh
         lie in the future is either noise that passed the CRC (once in 65536) or a restarted board.
 Rule 3: a step that breaks rule 2 or goes back is held until the next frame confirms it by following it; if that one
         follows the old count instead, the held one was noise (`implausible`) and the count never moved.
-Rule 4: losses are counted against the divider of the stream, and only while the divider is known.
+Rule 4: losses are counted against the divider of the stream; while it is not known, against the smallest step seen.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ class TickUnwrapper:
         self.duplicates = 0
         self.implausible = 0
         self.lost = 0
-        self.divider: int | None = None  # None: not known, losses are not counted
+        self.divider: int | None = None  # None: not known
+        self._smallest_step = WRAP
         self._rate = 500.0
         self._last = -_LATE_TICKS
         self._last_s = 0.0
@@ -66,6 +67,7 @@ class TickUnwrapper:
         self._first = True
         self._held = None
         self._quick = False
+        self._smallest_step = WRAP
         self._lead = self._next_lead = tick - now_s * self._rate
         self._window_end_s = now_s + _LEAD_WINDOW_S
 
@@ -121,8 +123,10 @@ class TickUnwrapper:
 
     def _place(self, tick: int, state: State, now_s: float) -> Placed:
         lost = 0
-        if not self._first and self.divider:
-            lost = (tick - self._last - 1) // self.divider
+        if not self._first:
+            step = tick - self._last
+            self._smallest_step = min(step, self._smallest_step)
+            lost = (step - 1) // (self.divider or self._smallest_step)
             self.lost += lost
         self._last, self._last_s, self._first, self._quick = tick, now_s, False, True
         return Placed(tick, lost, state)

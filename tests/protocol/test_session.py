@@ -236,6 +236,30 @@ def test_every_submitted_command_is_answered_when_the_port_goes() -> None:
     assert sorted(a.token for a in answers(events)) == sorted(tokens)
 
 
+def test_the_old_tick_in_the_answer_to_a_repeated_ping_is_not_a_reset() -> None:
+    session = opened(timeout_s=1.0)
+    session.submit("PING", 0.0)
+    session.poll(1.01)
+    (ping, _) = sent(session)
+    states = b"".join(state(10_000 + n) for n in range(600))
+
+    events = session.feed(states + frame("PONG", id=ping.int("id"), tick=10_001, bad_frames=0, overruns=0), 1.2)
+
+    assert [type(e) for e in events[600:]] == [Answer]
+    assert session.is_open
+
+
+def test_a_ping_that_finds_the_tick_behind_is_a_reset() -> None:
+    session = opened()
+    session.feed(b"".join(state(10_000 + n) for n in range(600)), 1.2)
+    session.submit("PING", 1.2)
+    (ping,) = sent(session)
+
+    events = session.feed(frame("PONG", id=ping.int("id"), tick=40, bad_frames=0, overruns=0), 1.21)
+
+    assert [type(e) for e in events] == [Restarted, Answer]
+
+
 def test_lost_and_doubled_events_are_seen() -> None:
     session = opened()
     one = frame("EVENT", number=4, tick=10_001, code=int(EventCode.LIMIT_HIT), detail=0)

@@ -69,6 +69,15 @@ def test_losses_are_counted_in_frames_of_the_divider() -> None:
     assert unwrapper.lost == 2
 
 
+def test_losses_are_counted_before_the_divider_is_known() -> None:
+    unwrapper = started(1000)
+    unwrapper.divider = None
+
+    run(unwrapper, [1000, 1005, 1010, 1025])
+
+    assert unwrapper.lost == 2
+
+
 def test_a_doubled_frame_is_placed_once() -> None:
     unwrapper = started()
 
