@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass
 
 from protocol.bus import board51_pb2 as pb
+from protocol.wire.events import Sample
 from protocol.wire.messages import COUNTS_MAX, Law, Message, Shape, Value
-from protocol.wire.session import Sample
 
 _MANTISSA_MAX = 32767
 _SHIFT_MAX = 30

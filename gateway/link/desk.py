@@ -20,8 +20,9 @@ from gateway.link.outlet import Outlet, Reply
 from gateway.link.words import mode_name
 from gateway.samples import Refusal, Scaling, WireCommand, to_wire
 from protocol.bus import board51_pb2 as pb
+from protocol.wire.events import Answer, Sample
 from protocol.wire.messages import Flag, Message, Mode, Reason
-from protocol.wire.session import Answer, Sample, Session
+from protocol.wire.session import Session
 
 KEPT_IDS = 256
 MAX_WAITING = 32  # commands on their way to one board: at 0.5 s per time-out, a queue beyond it is not worth joining

@@ -24,17 +24,9 @@ from gateway.link.upkeep import Upkeep
 from gateway.link.words import describe
 from gateway.samples import StateEncoder, WireCommand, parameters_message, scaling_of
 from protocol.bus import board51_pb2 as pb
+from protocol.wire.events import Answer, BoardEvent, Event, Opened, Restarted, Sample, VersionRefused
 from protocol.wire.messages import VERSION, EventCode, Message
-from protocol.wire.session import (
-    Answer,
-    BoardEvent,
-    Event,
-    Opened,
-    Restarted,
-    Sample,
-    Session,
-    VersionRefused,
-)
+from protocol.wire.session import Session
 
 DIAGNOSE_S = 2.0  # an open port without a handshake for this long gets an explanation
 REFUSED_RETRY_S = 5.0  # a board that was refused may have been exchanged or flashed

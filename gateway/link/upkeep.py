@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from gateway.config import BoardConfig
+from protocol.wire.events import Answer
 from protocol.wire.messages import HostLoss, Message, Value
-from protocol.wire.session import Answer, Session
+from protocol.wire.session import Session
 
 PARAMETERS_S = 5.0
 REDO_S = 1.0

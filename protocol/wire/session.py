@@ -1,6 +1,7 @@
 """The host's side of the conversation with one board: bytes and time in, events and bytes out.  No I/O, no clock.
 
-Read `unwrap.py` for how states get their tick.  `protocol/README.md` part 2 states the board's side.
+Read `events.py` (what comes out) and `unwrap.py` (how states get their tick) first; `protocol/README.md` states the
+board's side.
 
 Rule 1: one command is outstanding; the others wait in order.  STOP does not wait: it goes out at once, and whatever
         was waiting that could move the ball is cancelled, because a command given before STOP must not act after it.
@@ -17,9 +18,9 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
 
 from protocol.wire.decoder import CAUSES, BadFrame, State, StreamDecoder
+from protocol.wire.events import Answer, BoardEvent, Event, Opened, Outcome, Restarted, Sample, VersionRefused
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import BY_NAME, VERSION, EventCode, Message, Reason, Value, encode_body
 from protocol.wire.unwrap import Jump, TickUnwrapper
@@ -33,68 +34,6 @@ ANSWERS = {
 MOVERS = frozenset({"SET_MODE", "SET_REFERENCE", "SET_GAINS", "EXCITE", "CAPTURE"})
 RESETS = frozenset({EventCode.RESET_POWER_ON, EventCode.RESET_WATCHDOG, EventCode.RESET_COMMANDED})
 _YOUNG_S = 1.0  # the EVENT of a reset reaches the host within this after the reset
-
-
-class Sample(NamedTuple):
-    """A state with its place in time."""
-
-    tick: int
-    session: int
-    lost_before: int
-    state: State
-
-
-@dataclass(frozen=True, slots=True)
-class Opened:
-    """The board answered the handshake; commands are possible."""
-
-    identity: Message
-    session: int
-
-
-@dataclass(frozen=True, slots=True)
-class VersionRefused:
-    """Host and board have no protocol version in common; the handshake has ended."""
-
-    board_version: int
-
-
-@dataclass(frozen=True, slots=True)
-class Restarted:
-    """The count of ticks ends here; `Opened` begins a new one.  `why`: 'event', 'tick', 'no-session'."""
-
-    why: str
-    board_reset: bool
-
-
-@dataclass(frozen=True, slots=True)
-class BoardEvent:
-    """An EVENT frame; `missed` events were lost directly before it."""
-
-    tick: int
-    code: EventCode
-    detail: int
-    missed: int
-
-
-Outcome = Literal["ack", "nack", "timed-out", "cancelled"]
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """How a submitted command ended.
-
-    `message` is the board's answer (ack, nack); `why` says what cancelled it: 'stop', 'board-reset', 'disconnected'.
-    """
-
-    token: int
-    outcome: Outcome
-    attempts: int
-    message: Message | None = None
-    why: str = ""
-
-
-Event = Sample | Opened | VersionRefused | Restarted | BoardEvent | Answer
 
 
 @dataclass(slots=True, kw_only=True)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from gateway.samples import Refusal, Scaling, StateEncoder, WireCommand, parameters_message, to_mantissa, to_wire
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.decoder import State
+from protocol.wire.events import Sample
 from protocol.wire.messages import Message, encode_body
-from protocol.wire.session import Sample
 
 SCALING = Scaling(
     i_offset_a=-0.1, i_lsb_a=5e-4, x_offset_m=-5e-5, x_lsb_m=1.5e-6, u_offset_v=0.2, u_lsb_v=1.25e-3,
@@ -84,7 +84,14 @@ def test_gains_follow_rule_14_and_come_back_in_the_parameters() -> None:
     assert k == pytest.approx(expected, rel=2**-15)
     assert "Rounding" in command.note
 
-    board: dict[str, Any] = {"x_ref_min": 0, "x_ref_max": 4095, "x_ref_step": 1, "x_ref_slew": 1, "u_max": 4095, "divider": 1}
+    board: dict[str, Any] = {
+        "x_ref_min": 0,
+        "x_ref_max": 4095,
+        "x_ref_step": 1,
+        "x_ref_slew": 1,
+        "u_max": 4095,
+        "divider": 1,
+    }
     values: dict[str, Any] = {**command.values, **board, "id": 1, "policy": 1, "timeout": 500, "tick": 99}
     identity: dict[str, Any] = {
         "board_id": 5, "version": 1, "firmware_major": 1, "firmware_minor": 4, "build": b"abc     ",
