@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import socket
 import subprocess
 import uuid
 from collections.abc import Iterator
@@ -59,7 +60,10 @@ def project(compose: list[str]) -> Iterator[list[str]]:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_the_whole_line_runs_in_containers_and_leaves_a_closed_log(project: list[str]) -> None:
-    environment = {**os.environ, "DOCKER_BUILDKIT": os.environ.get("DOCKER_BUILDKIT", "0")}
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        free = str(probe.getsockname()[1])
+    environment = {**os.environ, "BOARD51_BUS_PORT": free, "DOCKER_BUILDKIT": os.environ.get("DOCKER_BUILDKIT", "0")}
 
     def call(*words: str) -> str:
         done = subprocess.run(
