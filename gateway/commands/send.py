@@ -28,14 +28,7 @@ def _number(text: str) -> float:
     return value
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Board and one sub-command for each command of the bus."""
-    parser.epilog = (
-        "examples:\n  board51 send rig1 mode closed-loop\n  board51 send rig1 reference 0.0030\n"
-        "  board51 send rig1 excite rectangle --on-reference --amplitude 0.001"
-        " --offset 0.003 --period 2 --duration 20\n"
-        "  board51 send rig1 stop"
-    )
+def _add_options(parser: argparse.ArgumentParser) -> None:
     add_bus_arguments(parser)
     parser.add_argument(
         "--id", default="", help="command id: the same id is executed at most once (default: a new one)"
@@ -43,15 +36,33 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--who", default="", help="who sends it, for the log (default: the login name)")
     parser.add_argument("--timeout", type=_number, default=5.0, metavar="S", help="wait this long for the answer (5 s)")
     parser.add_argument("--json", action="store_true", help="print the reply as JSON")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Board and one sub-command for each command of the bus."""
+    parser.epilog = (
+        "examples:\n  board51 send rig1 mode closed-loop\n  board51 send rig1 reference 0.0030\n"
+        "  board51 send rig1 excite rectangle --on-reference --amplitude 0.001"
+        " --offset 0.003 --period 2 --duration 20\n"
+        "  board51 send rig1 stop --connect tcp/10.0.0.5:7447"
+    )
+    options = argparse.ArgumentParser(add_help=False)
+    _add_options(options)
     parser.add_argument("board", help="name of the board")
     what = parser.add_subparsers(dest="what", required=True, metavar="COMMAND")
-    what.add_parser("mode", help="idle, open-loop or closed-loop").add_argument("mode", choices=_MODES)
-    what.add_parser("reference", help="position to hold").add_argument("x_ref", type=_number, metavar="METRES")
-    gains = what.add_parser("gains", help="control law, gains and operating point, SI (eq. 16-19)")
+    what.add_parser("mode", parents=[options], help="idle, open-loop or closed-loop").add_argument(
+        "mode", choices=_MODES
+    )
+    what.add_parser("reference", parents=[options], help="position to hold").add_argument(
+        "x_ref", type=_number, metavar="METRES"
+    )
+    gains = what.add_parser("gains", parents=[options], help="control law, gains and operating point, SI (eq. 16-19)")
     gains.add_argument("gains", type=_number, nargs=4, metavar="K", help="LQI: k_i k_x k_v k_int; PID: k_p k_int k_d 0")
     gains.add_argument("--law", choices=("lqi", "pid"), default="lqi")
     gains.add_argument("--operating-point", type=_number, nargs=3, required=True, metavar=("I_A", "X_M", "U_V"))
-    excite = what.add_parser("excite", help="play a signal on u_c (open loop) or x_ref (closed loop)")
+    excite = what.add_parser(
+        "excite", parents=[options], help="play a signal on u_c (open loop) or x_ref (closed loop)"
+    )
     excite.add_argument("shape", choices=_SHAPES)
     excite.add_argument("--on-reference", action="store_true", help="x_ref in metres instead of u_c in volts")
     for name, unit in (
@@ -63,17 +74,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
     ):
         excite.add_argument(f"--{name}", type=_number, default=0.0, metavar=unit)
     excite.add_argument("--seed", type=int, default=1)
-    capture = what.add_parser("capture", help="record i_c at 25 kHz around a step of u_c")
+    capture = what.add_parser("capture", parents=[options], help="record i_c at 25 kHz around a step of u_c")
     for name in ("u-from", "u-to"):
         capture.add_argument(f"--{name}", type=_number, required=True, metavar="V")
     capture.add_argument("--duration", type=_number, default=0.04, metavar="S", help="0.04 s")
     capture.add_argument("--pre", type=_number, default=0.004, metavar="S", help="before the step (0.004 s)")
-    what.add_parser("stream", help="send every n-th tick").add_argument("divider", type=int)
-    loss = what.add_parser("host-loss", help="what the board does without its host")
+    what.add_parser("stream", parents=[options], help="send every n-th tick").add_argument("divider", type=int)
+    loss = what.add_parser("host-loss", parents=[options], help="what the board does without its host")
     loss.add_argument("policy", choices=_POLICIES)
     loss.add_argument("--after", type=_number, default=1.0, metavar="S", help="1 s")
-    what.add_parser("stop", help="coil off at once")
-    what.add_parser("ping", help="sign of life")
+    what.add_parser("stop", parents=[options], help="coil off at once")
+    what.add_parser("ping", parents=[options], help="sign of life")
 
 
 def _login() -> str:

@@ -77,7 +77,7 @@ def test_the_whole_line_runs_in_containers_and_leaves_a_closed_log(project: list
     call("up", "-d")
     watch = ["exec", "-T", "gateway", "board51", "watch", "--connect", "tcp/router:7447", "--json"]
     lines = call(*watch, "--topic", "twin/state", "--count", "200", "--timeout", "60").splitlines()
-    reply = call(*watch[:4], "send", "--connect", "tcp/router:7447", "rig1", "mode", "closed-loop")
+    reply = call(*watch[:4], "send", "rig1", "mode", "closed-loop", "--connect", "tcp/router:7447")
     call("stop", "gateway")  # SIGTERM: the log must be complete
     info = call(
         "run", "--rm", "--no-deps", "--entrypoint", "sh", "gateway", "-c", "board51 info --json /data/logs/*.mcap"
