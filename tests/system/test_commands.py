@@ -1,0 +1,178 @@
+"""The `board51` command as a user meets it: help, mistakes, and the line from an emulated board to a client."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import board51
+from gateway.emulator.serve import Emulator
+
+ROOT = Path(__file__).parents[2]
+LIMIT_S = 60.0
+
+
+def _start(*words: object, cwd: Path) -> subprocess.Popen[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    return subprocess.Popen(
+        [sys.executable, "-m", "board51", *map(str, words)],
+        cwd=cwd,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def _call(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    process = _start(*words, cwd=cwd)
+    out, err = process.communicate(timeout=LIMIT_S)
+    return subprocess.CompletedProcess(process.args, process.returncode, out, err)
+
+
+def _endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.mark.parametrize("name", sorted(board51.COMMANDS))
+def test_every_command_has_help_with_an_example(name: str, tmp_path: Path) -> None:
+    done = _call(name, "--help", cwd=tmp_path)
+
+    assert done.returncode == 0, done.stderr
+    assert re.search(rf"example.*board51 {name}", done.stdout, re.DOTALL)
+
+
+def test_the_list_of_commands_answers_without_importing_them() -> None:
+    code = "import sys, board51\ntry: board51.main(['--help'])\nexcept SystemExit: pass\nprint(sorted(sys.modules))"
+
+    out = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+
+    listing, modules = out.rsplit("\n[", 1)
+    assert all(name in listing for name in board51.COMMANDS)
+    assert not {"zenoh", "numpy", "numba", "matplotlib", "foxglove"} & set(re.findall(r"'([^']+)'", modules))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["fly"], "invalid choice"),
+        (["send", "rig1", "reference", "nan"], "not a finite number"),
+        (["send", "Rig 1", "stop"], "is not a name"),
+        (["send", "rig1", "stop", "--connect", "7447"], "is not a zenoh endpoint"),
+        (["gateway"], "board"),
+        (["gateway", "--board", "rig1"], "NAME=PORT"),
+        (["gateway", "--config", "absent.toml"], "absent.toml"),
+        (["router", "--config", "absent.json5"], "absent.json5"),
+        (["router", "--listen", "x"], "is not a zenoh endpoint"),
+        (["info", "absent.mcap"], "absent.mcap"),
+        (["twin", "--model", "absent.json"], "absent.json"),
+        (["plot", "absent.mcap", "--out", "p.png"], "absent.mcap"),
+        (["bench", "nothing"], "nothing"),
+        (["emulate", "--effect", "magic=1"], "magic"),
+        (["import", "absent.csv", "-o", "x.mcap"], "absent.csv"),
+        (["export", "absent.mcap", "--format", "csv", "-o", "x.csv"], "absent.mcap"),
+        (["recover", "absent.mcap", "-o", "x.mcap"], "absent.mcap"),
+        (["replay", "absent.mcap"], "absent.mcap"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_a_mistake_is_one_clear_line_and_exit_code_2(words: list[str], said: str, tmp_path: Path) -> None:
+    done = _call(*words, cwd=tmp_path)
+
+    assert done.returncode == 2, done.stderr
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_without_a_gateway_a_command_says_where_it_looked(tmp_path: Path) -> None:
+    endpoint = _endpoint()
+
+    done = _call("send", "rig1", "ping", "--connect", endpoint, cwd=tmp_path)
+
+    assert done.returncode == 1
+    assert f"No router answers at {endpoint}" in done.stderr
+
+
+@pytest.fixture
+def line(tmp_path: Path) -> Iterator[str]:
+    """Router, gateway (its client) and an emulated board; the router's endpoint."""
+    endpoint = _endpoint()
+    with Emulator(boards=1, tcp=True) as emulator:
+        gateway = _start(
+            "gateway", "--board", f"rig1={emulator.urls[0]}", "--connect", endpoint, "--log-dir", "logs", cwd=tmp_path
+        )
+        router = _start("router", "--listen", endpoint, cwd=tmp_path)
+        assert router.stdout is not None
+        assert "listens on" in router.stdout.readline()
+        try:
+            yield endpoint
+        finally:
+            for process in (gateway, router):
+                process.send_signal(signal.SIGTERM)
+                process.communicate(timeout=LIMIT_S)
+    assert (gateway.returncode, router.returncode) == (0, 0)
+
+
+def test_send_and_watch_through_a_standalone_router(line: str, tmp_path: Path) -> None:
+    bus = ("--connect", line)
+    deadline = time.monotonic() + LIMIT_S
+    while _call("watch", *bus, "--topic", "state", "--count", 1, "--timeout", 2, cwd=tmp_path).returncode:
+        assert time.monotonic() < deadline, "no samples"
+
+    accepted = _call("send", "rig1", "mode", "closed-loop", "--json", "--who", "me", *bus, cwd=tmp_path)
+    refused = _call("send", "rig1", "reference", "0.1", *bus, cwd=tmp_path)
+    nobody = _call("send", "rig2", "ping", *bus, "--timeout", 1, cwd=tmp_path)
+    states = _call("watch", *bus, "--topic", "state", "--json", "--count", 50, "--timeout", 20, cwd=tmp_path)
+
+    assert accepted.returncode == 0
+    assert json.loads(accepted.stdout)["accepted"] is True
+    assert refused.returncode == 1
+    assert "refused by gateway: out-of-range" in refused.stdout
+    assert nobody.returncode == 1
+    assert "not-delivered" in nobody.stdout
+    rows = [json.loads(row) for row in states.stdout.splitlines()]
+    assert len(rows) == 50
+    assert rows[-1]["mode"] == "MODE_CLOSED_LOOP"
+    ticks = [int(row["tick"]) for row in rows]
+    assert ticks == list(range(ticks[0], ticks[0] + 50))
+
+
+def test_the_demo_lifts_the_ball_and_leaves_log_and_picture(tmp_path: Path) -> None:
+    before = _board51_processes()
+
+    done = _call("demo", "--out", "out", cwd=tmp_path)
+
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"reference 4\.50 mm: ball at 4\.(4[5-9]|5[0-5]) mm", done.stdout)
+    assert "alarms raised" in done.stdout
+    picture = next((tmp_path / "out").glob("*.png"))
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    info = _call("info", "--json", next((tmp_path / "out").glob("*.mcap")), cwd=tmp_path)
+    assert info.returncode == 0
+    assert "without its end" not in info.stdout
+    assert _board51_processes() <= before
+
+
+def _board51_processes() -> set[str]:
+    """Command lines of the demo's own processes, which carry its board's name."""
+    found = set()
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = path.read_bytes().split(b"\0")
+        except OSError:  # ended meanwhile
+            continue
+        if b"board51" in words and any(word.startswith(b"demo=") for word in words):
+            found.add(str(path))
+    return found
