@@ -41,7 +41,7 @@ def plant_numbers(model: Model, sample_time_s: float, *, substeps: int | None = 
         model: the plant and its four parameters.
         sample_time_s: T_s, s.
         substeps: of Runge-Kutta within a tick; None takes steps of at most T_A / 2, where halving them moves the
-            position after a tick by less than 5e-9 m, a thousandth of the sensor noise (tests/twin/test_simulate.py).
+            position after a tick by less than 2e-8 m, a hundredth of a converter count (tests/twin/test_simulate.py).
     """
     if substeps is None:
         substeps = min(max(SUBSTEPS_MIN, math.ceil(2.0 * sample_time_s / model.T_A)), SUBSTEPS_MAX)

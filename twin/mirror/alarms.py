@@ -70,8 +70,10 @@ class WindowAlarm:
         """
         self._sum += square
         self._count += 1
-        self._on = max(self._on, on)
-        self._off = max(self._off, off)
+        if on > self._on:
+            self._on = on
+        if off > self._off:
+            self._off = off
         change: pb.Alarm | None = None
         if not self._exceeded and self._sum > self._on * self._window:
             self._exceeded = True

@@ -79,6 +79,7 @@ class TwinService:
         self.boards: dict[str, Watched] = {}
         self.dropped = 0
         self.malformed = 0
+        self.parameters_heard = 0
         self._model = model
         self._site = site
         self._board = board
@@ -103,8 +104,9 @@ class TwinService:
             ) from error
         self._worker = threading.Thread(target=self._work, name="twin", daemon=True)
         self._worker.start()
-        for topic in ("state", "parameters"):
-            self._session.declare_subscriber(f"{self._site}/{self._board or '*'}/{topic}", self._receive)
+        # One subscriber for both topics: zenoh keeps the order within a subscriber, not between two, and a sample that
+        # overtakes its board's parameters would be compared under the old ones.
+        self._session.declare_subscriber(f"{self._site}/{self._board or '*'}/*", self._receive)
 
     def stop(self) -> None:
         """Answer what is queued for at most a second, then close.  Idempotent."""
@@ -128,8 +130,11 @@ class TwinService:
         return self._worker is not None and self._worker.is_alive()
 
     def _receive(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        if not key.endswith(("/state", "/parameters")):
+            return
         try:
-            self._queue.put_nowait((str(sample.key_expr), sample.payload.to_bytes()))
+            self._queue.put_nowait((key, sample.payload.to_bytes()))
         except queue.Full:
             self.dropped += 1
 
@@ -166,6 +171,7 @@ class TwinService:
                 self.malformed += 1
                 return
             self._watched(site, board, now).mirror.parameters(parameters)
+            self.parameters_heard += 1
             return
         state = encoding.parse(pb.State, data)
         if state is None:
