@@ -68,14 +68,14 @@ class ScriptedBoard:
     `answers(command)` may return bytes instead of the usual answer, b"" for silence, None for the usual one.
     """
 
-    def __init__(self, *, answers: Callable[[Message], bytes | None] = lambda _: None) -> None:
+    def __init__(self, *, answers: Callable[[Message], bytes | None] = lambda _: None, streaming: bool = True) -> None:
         self.master, slave = os.openpty()
         tty.setraw(slave)
         self.url = os.ttyname(slave)
         self._slave = slave  # held, so that the pty outlives a gateway that closes it
         self.heard: list[Message] = []
         self.tick = 1000
-        self.streaming = True
+        self.streaming = streaming
         self._answers = answers
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, daemon=True)

@@ -79,8 +79,7 @@ def test_a_silent_board_is_called_silent_and_streams_again() -> None:
 
 
 def test_bytes_without_frames_are_not_a_board() -> None:
-    with ScriptedBoard(answers=lambda _: b"") as board, linked(board.url) as (_, _, collector):
-        board.streaming = False
+    with ScriptedBoard(answers=lambda _: b"", streaming=False) as board, linked(board.url) as (_, _, collector):
         wait_for(lambda: board.heard, "HELLO")
         board.send(b"$GPGGA,123519,4807.038,N*47\r\n" * 3)
 
@@ -89,9 +88,7 @@ def test_bytes_without_frames_are_not_a_board() -> None:
 
 
 def test_an_open_port_without_bytes_gets_a_hint() -> None:
-    with ScriptedBoard(answers=lambda _: b"") as board, linked(board.url) as (_, _, collector):
-        board.streaming = False
-
+    with ScriptedBoard(answers=lambda _: b"", streaming=False) as board, linked(board.url) as (_, _, collector):
         assert "powered" in wait_for(lambda: collector.event("no-answer"), "verdict").text
 
 
