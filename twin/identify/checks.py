@@ -105,7 +105,7 @@ def _position(record: Record, plant: Plant) -> None:
 def _swapped(record: Record, plant: Plant) -> None:
     if record.has("x", "x_ref") and record.kind == "closed-loop":
         still = [float(np.mean(np.diff(values) == 0.0)) for values in (record.x, record.x_ref)]
-        if still[0] > 0.9 and still[1] < 0.5:
+        if 0.9 < still[0] < 1.0 and still[1] < 0.5:
             raise DataError(
                 f"{record.name}: x stands still for {100 * still[0]:.0f} % of the samples while x_ref moves; swapped",
                 remedy="Exchange the columns of x and x_ref",

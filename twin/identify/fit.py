@@ -11,6 +11,7 @@ Rule 3: never raises for numbers: an impossible step is refused, no convergence 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -30,9 +31,11 @@ _STEP = {"K_A": 1e-5, "T_A": 1e-4, "K_c": 1e-5} | dict.fromkeys(NOISES, 1e-4)
 _DRAG_STEP = 1e-2  # 1/s, of b / m
 _MOST = {"K_A": 0.7, "T_A": 1.5, "K_c": 0.5} | dict.fromkeys(NOISES, 2.0)  # largest step of a logarithm
 _DRAG_MOST = 20.0  # 1/s
-DONE = 1e-3  # of a standard error (Newton decrement): smaller steps move nothing that matters
+DONE = 0.01  # of a standard error (Newton decrement): smaller steps move nothing that matters
+NEAR = 0.3  # the same, where a wrong model makes the climb slow: what is left to gain is 0.05 of log-likelihood
 GATE = 6.0  # standard deviations: a right model does that once in 5e8 samples
 PASSES = 40
+_NO_STATE = np.empty((0, 3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +55,7 @@ class Point:
         """One coordinate moved: by a logarithm, b by `by` times m (so that its unit is 1/s)."""
         if name == "b":
             return replace(self, b=self.b + by * mass_kg)
-        value = getattr(self, name) * float(np.exp(by))
+        value = float(getattr(self, name)) * math.exp(by)
         return replace(self, **{name: max(value, FLOORS.get(name, 0.0))})
 
 
@@ -131,46 +134,68 @@ class Likelihood:
                 rows.append(each)
         return total, score, fisher, np.concatenate(rows) if rows else np.empty((0, count))
 
-    def _filter(self, point: Point, block: slice) -> FloatArray:
+    def states(self, point: Point) -> FloatArray:
+        """Corrected estimates (i_c, x, x') at each sample, shape (n, 3), NaN where the ball does not fly."""
+        state = np.empty((len(self.series), 3))
+        for block in self._blocks:
+            self._filter(point, block, state[block])
+        return state
+
+    def _filter(self, point: Point, block: slice, state: FloatArray = _NO_STATE) -> FloatArray:
         part = self.series.part(block)
         out = np.empty((len(part), 5))
-        plant = self.plant
-        physics = Physics(
-            K_A=point.K_A,
-            T_A=point.T_A,
-            k=point.K_c / plant.mass_kg,
-            d=point.b / plant.mass_kg,
-            gravity_m_s2=plant.gravity_m_s2,
-            x_max_m=plant.x_max_m,
-            gap_min_m=GAP_MIN_SHARE * plant.travel_m,
+        noise = tuple(getattr(point, name) for name in NOISES)
+        run_filter(
+            tuple(physics(point, self.plant)),
+            (*noise, self.tick_s),
+            part.step,
+            part.u,
+            part.i,
+            part.x,
+            part.flags,
+            out,
+            state,
         )
-        noise = (point.sigma_i_c_a, point.sigma_x_m, point.process_i_c_a, point.process_a_m_s2, self.tick_s)
-        run_filter(tuple(physics), noise, part.step, part.u, part.i, part.x, part.flags, out)
         self.evaluations += 1
         return out
+
+
+def physics(point: Point, plant: Plant) -> Physics:
+    """The numbers of the kernel."""
+    return Physics(
+        K_A=point.K_A,
+        T_A=point.T_A,
+        k=point.K_c / plant.mass_kg,
+        d=point.b / plant.mass_kg,
+        gravity_m_s2=plant.gravity_m_s2,
+        x_max_m=plant.x_max_m,
+        gap_min_m=GAP_MIN_SHARE * plant.travel_m,
+    )
 
 
 def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: int = PASSES) -> Fit:
     """Climb to the maximum from `start`; coordinates not in `free` stay."""
     mass = likelihood.plant.mass_kg
     point, damping, decrement, converged = start, 1e-3, np.inf, False
-    used = 0
+    used = slow = 0
     loglik, score, fisher, _ = likelihood.gradient(point, free)
     for used in range(1, passes + 1):
         active = _active(point, free, score)
         step, decrement = _newton(score, fisher, active, damping)
-        if decrement < DONE:
+        if decrement < DONE or (slow >= 3 and decrement < NEAR):
             converged = True
             break
         trial = _move(point, free, step, mass)
         value, _ = likelihood.value(trial)
         if np.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
+            slow = slow + 1 if value - loglik < 0.05 else 0
             point, damping = trial, max(damping * 0.1, 1e-9)
             loglik, score, fisher, _ = likelihood.gradient(point, free)
         else:
             damping = max(damping, 1e-4) * 10.0
             if damping > 1e8:
                 break
+    converged = converged or decrement < NEAR
     active = _active(point, free, score)
     covariance = np.full((len(free), len(free)), np.inf)
     if active.any():

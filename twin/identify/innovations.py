@@ -62,8 +62,9 @@ def run_filter(
     y_x: NDArray[np.float64],
     flags: NDArray[np.uint8],
     out: NDArray[np.float64],
+    state: NDArray[np.float64],
 ) -> None:
-    """Fill out, shape (n, 5), with innovations and their covariance.
+    """Fill out, shape (n, 5), with innovations and their covariance, and `state` with the corrected estimates.
 
     Args:
         physics: tuple(Physics).
@@ -71,6 +72,8 @@ def run_filter(
             length of that tick in s: over other intervals the variance of the disturbance grows with their length.
         step, u, y_i, y_x, flags: of a `Series`.
         out: receives nu_i, nu_x, S_ii, S_ix, S_xx.
+        state: receives i_c, x, x' after the correction, shape (n, 3), NaN where the ball does not fly; shape (0, 3)
+            where nobody wants them.
     """
     p = Physics(*physics)
     r_i, r_x, q_per_s, a2 = noise[0] ** 2, noise[1] ** 2, noise[2] ** 2 / noise[4], noise[3] ** 2
@@ -185,6 +188,10 @@ def run_filter(
             p_vv -= k_v * p_xv
             p_xv -= k_x * p_xv
             p_xx -= k_x * p_xx
+        if state.shape[0] > 0:
+            state[n, 0] = i if in_flight else np.nan
+            state[n, 1] = x if in_flight else np.nan
+            state[n, 2] = v if in_flight else np.nan
 
 
 @kernel

@@ -122,7 +122,7 @@ def _departures(record: Record, plant: Plant) -> list[LiftOff]:
     jump = np.zeros(len(x))
     jump[width:] = x[width:] - x[:-width]
     moved = jump > max(0.1 * plant.travel_m, 20.0 * noise)  # a tenth of a second later the ball is far away
-    points = []
+    points: list[LiftOff] = []
     for rise in runs(np.asarray(moved)):
         point = _departure(record.name, t, x, i, max(rise.start - 2 * width, 0), rise.start, noise, step, plant)
         if point is not None and not (points and point.t_s - points[-1].t_s < 5 * width * step):

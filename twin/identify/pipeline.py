@@ -10,16 +10,18 @@ Rule 2: a number always comes with its standing; what could not be estimated is 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from protocol.campaign import Campaign
+from protocol.campaign import Campaign, Plant
 from protocol.errors import DataError
 from twin.identify import verdicts
 from twin.identify.checks import inspect
+from twin.identify.delay import delayed, input_delay
 from twin.identify.fit import FLOORS, NAMES, NOISES, PARAMETERS, Fit, Likelihood, Point, fit, gate, sandwich
 from twin.identify.innovations import FLIES, USE_I, USE_X
 from twin.identify.intervals import Interval, quadratic_or_profile
@@ -90,6 +92,15 @@ def identify_records(
     warnings = [note for record in records for note in record.notes]
     warnings += inspect(records, plant, campaign.controller)
 
+    delays = [input_delay(record, plant) for record in records]
+    records = [delayed(record, samples) for record, samples in zip(records, delays, strict=True)]
+    for samples in sorted(set(delays) - {0}):
+        names = [record.name for record, own in zip(records, delays, strict=True) if own == samples]
+        listed = names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "")
+        warnings.append(
+            f"{listed}: u_c acts {samples} sample(s) later than recorded, by the response of i_c; this was corrected for the "
+            "fit. The model has no delay: shift the column, or let board51 diagnose confirm it"
+        )
     levels, shape = find_levels(records), find_shape(records)
     points = lift_offs(records, plant)
     force = force_constant(points, plant) or force_constant(equilibria(records, plant), plant)
@@ -98,6 +109,8 @@ def identify_records(
     say("start values: " + _start_line(amplifier, ball, force, plant.mass_kg))
 
     series, usages = prepare(records, plant)
+    for usage, samples in zip(usages, delays, strict=True):
+        usage.input_delay = samples
     tick_s = _tick(records)
     found: Fit | None = None
     white: Whiteness | None = None
@@ -114,6 +127,15 @@ def identify_records(
             likelihood = Likelihood(gated, plant, tick_s)
             found = fit(likelihood, found.point, free)
         found = _parsimonious(likelihood, found)
+        if flying and found.point.b / plant.mass_kg > most_drag(plant):
+            free = tuple(name for name in found.free if name != "b")
+            steady = min(max(ball.d, 0.0), most_drag(plant)) * plant.mass_kg if ball else 0.0
+            absurd, found = found.point.b, fit(likelihood, replace(found.point, b=steady), free)
+            warnings.append(
+                f"the likelihood asks for b = {absurd:.3g} N s/m, more than a ball at its unstable pole of "
+                f"{most_drag(plant):.0f} 1/s can have: it stands for something else that (6) lacks. b is from a regression over "
+                "60 ms windows instead; board51 diagnose looks for the reason"
+            )
         white = whiteness(likelihood.series, found.white)
         found = sandwich(likelihood, found, max(round(HAC_S / tick_s), 1))
         say("covariance and intervals")
@@ -122,15 +144,7 @@ def identify_records(
                 f"the fit has not converged after {found.passes} passes ({found.decrement:.2g} standard errors from a "
                 "maximum): these numbers are the best so far. Check the recordings named above"
             )
-    for usage in usages:
-        if usage.outliers:
-            warnings.append(f"{usage.name}: {usage.outliers} wild readings were left out")
-        if usage.gaps:
-            warnings.append(f"{usage.name}: {usage.gaps} gaps; the filter starts anew behind each")
-        if usage.clipped:
-            warnings.append(
-                f"{usage.name}: {usage.clipped} readings of i_c are at the converter's end and were left out"
-            )
+    warnings += _left_out(usages)
 
     intervals: dict[str, Interval] = {}
     if found is not None:
@@ -140,7 +154,7 @@ def identify_records(
         "K_A": verdicts.gain(found, intervals, levels, shape, warnings),
         "T_A": verdicts.time_constant(found, intervals, shape, tick_s, warnings),
         "K_c": verdicts.force_constant(found, intervals, force, ball, flying, plant, warnings),
-        "b": verdicts.drag(found, intervals, flying, warnings),
+        "b": verdicts.drag(found, intervals, ball, flying, plant, warnings),
     }
     model = _model(campaign, parameters, found, white, records, usages, warnings, levels, shape, force)
     return Identification(
@@ -154,6 +168,25 @@ def identify_records(
         fit=found,
         whiteness=white,
     )
+
+
+def _left_out(usages: list[Usage]) -> list[str]:
+    said = []
+    for count, what in (
+        ([u.outliers for u in usages], "wild readings were left out"),
+        ([u.gaps for u in usages], "gaps; the filter starts anew behind each"),
+        ([u.clipped for u in usages], "readings of i_c are at the converter's end and were left out"),
+    ):
+        where = [f"{usage.name} {n}" for usage, n in zip(usages, count, strict=True) if n]
+        if where:
+            listed = ", ".join(where[:3]) + (f" and {len(where) - 3} more recordings" if len(where) > 3 else "")
+            said.append(f"{sum(count)} {what} ({listed})")
+    return said
+
+
+def most_drag(plant: Plant) -> float:
+    """b / m that equals the unstable pole sqrt(2 g / gap) in the middle of the travel, 1/s: no ball in air has it."""
+    return math.sqrt(2.0 * plant.gravity_m_s2 / (plant.x_max_m - 0.5 * plant.travel_m))
 
 
 def _tick(records: list[Record]) -> float:
@@ -230,11 +263,11 @@ def _model(
     force: ForceConstant | None,
 ) -> Model:
     from twin.identify.result import noise_of, provenance_of
-    from twin.model.parameters import Plant
+    from twin.model import parameters as file
 
     p = campaign.plant
     return Model(
-        plant=Plant(
+        plant=file.Plant(
             name=p.name, mass_kg=p.mass_kg, travel_m=p.travel_m, x_max_m=p.x_max_m, gravity_m_s2=p.gravity_m_s2
         ),
         parameters={name: parameters[name] for name in PARAMETERS},

@@ -20,8 +20,9 @@ from twin.identify.record import BoolArray, FloatArray, Record, intervals, runs
 CONTACT_SHARE = 0.01  # of the travel: nearer to a stop than this counts as contact
 REST_SHARE = 0.05  # of the travel: a plateau this near to a stop is the stop, as a badly zeroed sensor sees it
 REST_SAMPLES = 25
+REACH = 1.3  # times the last or next change of x: what acceleration may add within an interval
 FLIGHT_SAMPLES = 8  # shorter ones only tell their own initial state
-SPIKE_SCALES = 12.0  # of the robust spread about the running median; a flight does not do that, a bit error does
+SPIKE_SCALES = 12.0  # of the robust spread about the neighbours; a flight does not do that, a bit error does
 CLIPPED_RUN = 6  # equal extreme readings in a row: the converter's end, not chance
 BLOCK_SAMPLES = 50_000  # chains are cut here, so that an hour of data needs no more memory than a minute
 _CAPTURE_LEAD = 20  # samples of a capture before the step
@@ -42,6 +43,7 @@ class Usage:
     outliers: int = 0
     gaps: int = 0
     captures: int = 0
+    input_delay: int = 0  # samples by which u_c acts later than recorded; corrected
 
 
 def prepare(records: list[Record], plant: Plant) -> tuple[Series, list[Usage]]:
@@ -95,7 +97,16 @@ def in_flight(x: FloatArray, plant: Plant) -> BoolArray:
             # The quartile on the stop's side: a slow passage near the stop must not move the level.
             level = float(np.percentile(near, 25 if side == 0 else 75))
             low, high = (max(low, level), high) if side == 0 else (low, min(high, level))
-    free = (held > low + margin) & (held < high - margin)
+    # A fast ball hits and rebounds between two samples that both look free: it is near to a stop if, at its speed, it
+    # could have been there within an interval.
+    jump = np.abs(np.diff(held))
+    reach = np.zeros(len(held))
+    for lag in (-1, 0):
+        own = np.zeros(len(held))
+        own[-lag : len(held) - 1 - lag] = jump
+        reach = np.maximum(reach, own)
+    near_by = margin + REACH * reach
+    free = (held > low + near_by) & (held < high - near_by)
     free[1:] &= free[:-1].copy()  # the sample next to a contact belongs to it: the impact lies between the two
     free[:-1] &= free[1:].copy()
     return np.asarray(free)
@@ -131,8 +142,7 @@ def _series(record: Record, plant: Plant, usage: Usage, number: int) -> Series:
     usage.pieces = int(np.count_nonzero(~follows))
     flies = np.zeros(n, np.bool_)
     if record.has("x") and record.kind not in ("sawtooth", "amplifier-step"):
-        wild = _spikes(record.x)
-        usage.outliers = int(wild.sum())
+        wild = _spikes(record.x, plant)
         use_x &= ~wild
         free = in_flight(np.where(wild, np.nan, record.x), plant)
         usage.contact_samples = int(np.count_nonzero(~free))
@@ -141,6 +151,7 @@ def _series(record: Record, plant: Plant, usage: Usage, number: int) -> Series:
                 flies[piece.start + part.start : piece.start + part.stop] = True
                 usage.flights += 1
         usage.flight_samples = int(flies.sum())
+        usage.outliers = int(np.count_nonzero(wild & flies))
     flags = FOLLOWS * follows + FLIES * flies + USE_I * use_i + USE_X * (use_x & flies)
     # A flight that begins right behind another one (cut at a gap) is told apart by the missing FOLLOWS.
     return Series(
@@ -167,20 +178,26 @@ def _clipped(values: FloatArray) -> BoolArray:
     return clipped
 
 
-def _spikes(x: FloatArray) -> BoolArray:
+def _spikes(x: FloatArray, plant: Plant) -> BoolArray:
+    """Single readings far off the cubic through their four neighbours, and further off than these neighbours are.
+
+    Not where the ball may be hitting a stop: an impact has a corner, too.
+    """
+    wild = np.zeros(len(x), np.bool_)
     if len(x) < 16:
-        return np.zeros(len(x), np.bool_)
-    padded = np.concatenate((x[:2], x, x[-2:]))
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
-    off = np.abs(x - middle)
-    known = off[np.isfinite(off)]
-    if not known.size:
-        return np.zeros(len(x), np.bool_)
-    scale = 1.4826 * float(np.median(known))
+        return wild
+    off = np.zeros(len(x))
+    off[2:-2] = np.abs(x[2:-2] - (4.0 * (x[1:-3] + x[3:-1]) - x[:-4] - x[4:]) / 6.0)
+    off = np.where(np.isfinite(off), off, 0.0)
     steps = np.abs(np.diff(x))
-    count = float(np.min(steps[steps > 0], initial=np.inf, where=np.isfinite(steps[steps > 0])))
-    scale = max(scale, count if np.isfinite(count) else 0.0)
-    return np.asarray(np.isfinite(off) & (off > SPIKE_SCALES * scale))
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    count = float(np.min(steps)) if steps.size else 0.0
+    scale = max(1.4826 * float(np.median(off[off > 0])) if (off > 0).any() else 0.0, count)
+    wild[1:-1] = (off[1:-1] > SPIKE_SCALES * scale) & (off[1:-1] >= off[:-2]) & (off[1:-1] >= off[2:])
+    middle, apart = 0.5 * (x[:-2] + x[2:]), np.abs(x[2:] - x[:-2])
+    clear = apart + 2.0 * CONTACT_SHARE * plant.travel_m
+    wild[1:-1] &= (middle > clear) & (middle < plant.travel_m - clear)
+    return wild
 
 
 def _captures(record: Record, number: int) -> list[Series]:

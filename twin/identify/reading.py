@@ -143,7 +143,7 @@ def _mat_columns(path: Path) -> dict[str, FloatArray]:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError:
         raise DataError(f"{path} is a MATLAB 7.3 file", remedy="Save it again with: save(name, '-v7')") from None
-    except (MatReadError, ValueError, TypeError, OSError, EOFError) as error:
+    except (MatReadError, ValueError, TypeError, IndexError, OSError, EOFError) as error:
         raise DataError(f"{path} is not a MATLAB file, or is cut off: {error}", remedy="Save it again") from None
     columns: dict[str, FloatArray] = {}
     for name, value in content.items():

@@ -23,6 +23,8 @@ from twin.identify.prepare import flights
 from twin.identify.record import FloatArray, Record, intervals, runs
 
 WINDOW_S = 0.06
+_ENOUGH = 40  # windows; fewer, because the ball keeps hitting its stops, and shorter ones are taken
+_OVERLAP = 4  # windows begin a quarter of their length apart
 _GRID = np.geomspace(0.03, 100.0, 40)  # T_A in sampling intervals
 _MOST_SAMPLES = 20_000  # of one recording: enough for a start value
 
@@ -45,6 +47,7 @@ class BallStart:
     d: float
     misfit: float  # rms of the residual over rms of the left side without its mean
     windows: int
+    d_std: float = float("nan")  # of d, neighbouring windows taken as dependent
 
 
 def amplifier_start(records: list[Record]) -> AmplifierStart | None:
@@ -115,12 +118,24 @@ def ball_start(
         amplifier: the current between the samples follows it; None: straight lines.
         downwards: as if x were measured down from the top stop (to recognise that it was).
     """
+    for window_s in (WINDOW_S, 0.5 * WINDOW_S):
+        rows = _rows(records, plant, amplifier, window_s, downwards=downwards)
+        if sum(len(row) for row in rows) >= _ENOUGH:
+            break
+    if not rows:
+        return None
+    return _regress(np.concatenate(rows))
+
+
+def _rows(
+    records: list[Record], plant: Plant, amplifier: AmplifierStart | None, window_s: float, *, downwards: bool
+) -> list[FloatArray]:
     rows: list[FloatArray] = []
     for record in records:
         if record.kind in ("equilibria", "sawtooth", "amplifier-step") or not record.has("i_c", "x"):
             continue
         step = record.interval_s
-        width = max(round(WINDOW_S / step), 8)
+        width = max(round(window_s / step), 8)
         for flight in flights(record, plant, at_least=width + 1):
             x = record.x[flight]
             i = record.i_c[flight]
@@ -135,18 +150,27 @@ def ball_start(
                     plant.travel_m - x if downwards else x, _mean_square(i, u, step, amplifier), step, width, plant
                 )
             )
-    if not rows:
-        return None
-    table = np.concatenate(rows)
+    return rows
+
+
+def _regress(table: FloatArray) -> BallStart:
     left, force, drag = table.T
     solution, *_ = np.linalg.lstsq(np.column_stack((force, drag)), left, rcond=None)
     residual = left - force * solution[0] - drag * solution[1]
+    columns = np.column_stack((force, drag))
+    scores = columns * residual[:, None]
+    middle = scores.T @ scores
+    for lag in range(1, min(_OVERLAP * 2, len(scores) - 1) + 1):
+        cross = scores[lag:].T @ scores[:-lag]
+        middle += (1.0 - lag / (_OVERLAP * 2 + 1)) * (cross + cross.T)
+    inverse = np.linalg.pinv(columns.T @ columns)
     spread = float(np.sqrt(np.mean(force**2))) * abs(float(solution[0]))
     return BallStart(
         k=float(solution[0]),
         d=float(solution[1]),
         misfit=float(np.sqrt(np.mean(residual**2)) / max(spread, 1e-300)),
         windows=len(left),
+        d_std=float(np.sqrt(max((inverse @ middle @ inverse)[1, 1], 0.0))),
     )
 
 
@@ -178,7 +202,7 @@ def _windows(x: FloatArray, square: FloatArray, step: float, width: int, plant: 
     phi_middle = (1.0 - (0.5 * (s[:-1] + s[1:])) ** 2) ** 3
 
     def slide(values: FloatArray, window: FloatArray) -> FloatArray:
-        return np.asarray(fftconvolve(values, window[::-1], mode="valid")[:: max(width // 4, 1)] * step)
+        return np.asarray(fftconvolve(values, window[::-1], mode="valid")[:: max(width // _OVERLAP, 1)] * step)
 
     # x about its mean: only differences of x matter, and sums over a window cancel otherwise.
     centred = x - np.mean(x)

@@ -1,4 +1,4 @@
-"""From estimates to parameters with a standing: identified, weak, not identifiable, and the experiment that would help."""
+"""From estimates to parameters with a standing, and where they are not identified, the experiment that would help."""
 
 from __future__ import annotations
 
@@ -165,9 +165,28 @@ def force_constant(
     return _absent("K_c", 1e-6, _FORCE_HELP, warnings)
 
 
-def drag(found: Fit | None, intervals: dict[str, Interval], flying: bool, warnings: list[str]) -> Parameter:
+def drag(
+    found: Fit | None,
+    intervals: dict[str, Interval],
+    ball: BallStart | None,
+    flying: bool,
+    plant: Plant,
+    warnings: list[str],
+) -> Parameter:
     """b, honestly: an interval that reaches zero is said to."""
     joint = intervals.get("b")
+    if flying and found is not None and joint is None and ball is not None:
+        std = ball.d_std * plant.mass_kg
+        return Parameter(
+            value=found.point.b,
+            unit=PARAMETERS["b"][0],
+            std=std,
+            ci95=(max(ball.d * plant.mass_kg - 1.96 * std, 0.0), max(ball.d * plant.mass_kg + 1.96 * std, 0.0)),
+            verdict="not-identifiable",
+            method="regression over 60 ms windows, because the innovations likelihood has its maximum at an impossible drag: "
+            "the model lacks something that acts faster; board51 diagnose looks for it",
+            equation="(5), (6)",
+        )
     if not flying or found is None or joint is None:
         return _absent("b", 0.0, _DRAG_HELP, warnings)
     value = found.point.b

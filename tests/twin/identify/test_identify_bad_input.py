@@ -1,0 +1,154 @@
+"""What is not what it says: recognised, named with its remedy, never fitted into a wrong number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from protocol.campaign import Campaign, parse
+from protocol.errors import DataError
+from tests.twin.identify.emulated_campaign import campaign_of, random_rig, run_campaign
+from twin.identify.pipeline import identify_records
+from twin.identify.record import Record
+
+RIG = random_rig(np.random.default_rng(30))
+
+
+@pytest.fixture(scope="module")
+def records() -> list[Record]:
+    return run_campaign(RIG, seed=30, flight_s=8.0)
+
+
+@pytest.fixture(scope="module")
+def campaign() -> Campaign:
+    return campaign_of(RIG)
+
+
+WRONG: dict[str, tuple[Callable[[Record], Record], str, str]] = {
+    "position in mm": (lambda r: replace(r, x=r.x * 1e3, x_ref=r.x_ref * 1e3), "millimetres", "scale = 0.001"),
+    "position in um": (lambda r: replace(r, x=r.x * 1e6, x_ref=r.x_ref * 1e6), "micrometres", "scale = 1e-06"),
+    "position downwards": (
+        lambda r: replace(r, x=RIG.travel_m - r.x, x_ref=RIG.travel_m - r.x_ref),
+        "downwards",
+        "scale = -1.0",
+    ),
+    "position negative": (lambda r: replace(r, x=r.x - RIG.travel_m), "downwards", "offset"),
+    "position off by far": (lambda r: replace(r, x=r.x + 0.012), "the travel is", "offset"),
+    "current in mA": (lambda r: replace(r, i_c=r.i_c * 1e3), "milliamperes", "scale = 1e-3"),
+    "current reversed": (lambda r: replace(r, i_c=-r.i_c), "opposite signs", "scale = -1.0"),
+    "current and position swapped": (lambda r: replace(r, i_c=r.x, x=r.i_c), "swapped", "Exchange"),
+    "input and current swapped": (lambda r: replace(r, i_c=r.u_c, u_c=r.i_c), "swapped", "Exchange"),
+    "position and reference swapped": (
+        lambda r: replace(r, x=np.round(r.x_ref, 3), x_ref=r.x),
+        "swapped",
+        "x_ref",
+    ),
+    "time in ms": (lambda r: replace(r, t=r.t * 1e3), "milliseconds", "scale = 1e-3"),
+    "time stands still": (lambda r: replace(r, t=r.t * 0.0), "never rises", "seconds"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_channel_is_recognised_with_its_remedy(name: str, records: list[Record], campaign: Campaign) -> None:
+    change, problem, remedy = WRONG[name]
+    flight = change(records[2])
+
+    with pytest.raises(DataError) as caught:
+        identify_records(campaign, [flight])
+
+    assert problem in str(caught.value)
+    assert remedy in caught.value.remedy
+    assert flight.name in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_right_recordings_raise_nothing_and_warn_of_nothing(records: list[Record], campaign: Campaign) -> None:
+    found = identify_records(campaign, records)
+
+    assert found.usable
+    assert not found.warnings
+
+
+def test_a_sawtooth_measured_downwards_is_recognised(records: list[Record], campaign: Campaign) -> None:
+    with pytest.raises(DataError, match="downwards"):
+        identify_records(campaign, [replace(records[1], x=RIG.travel_m - records[1].x)])
+
+
+def test_a_missing_experiment_names_the_one_that_would_help(records: list[Record], campaign: Campaign) -> None:
+    found = identify_records(campaign, records[:1])
+
+    assert not found.usable
+    assert found.model.parameters["K_A"].verdict == "identified"
+    for name, help_ in (("K_c", "sawtooth"), ("b", "closed loop")):
+        assert found.model.parameters[name].verdict == "not-identifiable"
+        assert any(name in warning and help_ in warning for warning in found.warnings)
+
+
+def test_a_ball_that_never_moves_is_said(records: list[Record], campaign: Campaign) -> None:
+    rest = records[2].x * 0.0 + np.random.default_rng(1).normal(0.0, 5e-6, len(records[2].x))
+
+    found = identify_records(campaign, [replace(records[2], x=rest)])
+
+    assert any("never leaves its stops" in warning for warning in found.warnings)
+    assert found.model.parameters["K_c"].verdict == "not-identifiable"
+    assert not found.usable
+
+
+def test_constant_channels_are_said(records: list[Record], campaign: Campaign) -> None:
+    flight = records[2]
+    n = len(flight.t)
+
+    found = identify_records(campaign, [replace(flight, u_c=np.full(n, 2.0), i_c=np.full(n, 0.5), x=np.full(n, 3e-3))])
+
+    assert not found.usable
+    assert {w.split(": ")[1].split(" ")[0] for w in found.warnings if "throughout" in w} == {"u_c", "i_c", "x"}
+
+
+def test_a_controller_section_that_contradicts_the_recording_is_said(records: list[Record]) -> None:
+    text = (
+        '[controller]\nkind = "lqi"\ngains = [0.49, 400.0, 5.0, -2000.0]\n'
+        "operating_point = { i_c_a = 0.6, x_m = 2.85e-3, u_c_v = 2.1 }\n"
+    )
+    campaign = campaign_of(RIG, text)
+
+    found = identify_records(campaign, records)
+
+    assert any("[controller]" in warning and "gains of about" in warning for warning in found.warnings)
+    assert found.usable
+
+
+def test_noise_in_place_of_data_gives_a_statement_and_no_traceback(campaign: Campaign) -> None:
+    rng = np.random.default_rng(3)
+    n = 3000
+    junk = Record(
+        name="junk",
+        kind="closed-loop",
+        use="fit",
+        t=np.arange(n) * 2e-3,
+        u_c=rng.uniform(0, 5, n),
+        i_c=rng.uniform(0, 1.5, n),
+        x=rng.uniform(1e-3, 5e-3, n),
+        x_ref=np.full(n, 3e-3),
+    )
+
+    try:
+        found = identify_records(campaign, [junk])
+    except DataError as error:
+        assert "junk" in str(error)
+    else:
+        assert not found.usable
+        assert found.warnings
+
+
+def test_an_empty_campaign_is_refused() -> None:
+    campaign = parse(
+        '[plant]\nmass_kg = 8.28e-3\ntravel_m = 5.7e-3\n[[recording]]\nfile = "a.csv"\nkind = "free"\nuse = "judge"\n',
+        where="campaign.toml",
+    )
+    from twin.identify.pipeline import identify
+
+    with pytest.raises(DataError, match="use"):
+        identify(campaign)
