@@ -92,16 +92,17 @@ class LogReader:
     def _chunk(self, chunk: Chunk) -> Iterator[Entry]:
         stream, length = get_chunk_data_stream(chunk, validate_crc=True)
         records = stream.read(length)
+        wanted, head, message = self._wanted, _RECORD.unpack_from, _MESSAGE.unpack_from
         at = 0
         # By hand: mcap's own `breakup_chunk` builds objects for every message, wanted or not, at 8 us each.
         while at < length:
-            opcode, size = _RECORD.unpack_from(records, at)
+            opcode, size = head(records, at)
             at += _RECORD.size
             if opcode == Opcode.MESSAGE:
-                channel, _, log_time, _ = _MESSAGE.unpack_from(records, at)
-                found = self._wanted.get(channel)
+                channel, _, log_time, _ = message(records, at)
+                found = wanted.get(channel)
                 if found:
-                    yield Entry(*found, log_time, records[at + _MESSAGE.size : at + size])
+                    yield Entry(found[0], found[1], found[2], log_time, records[at + _MESSAGE.size : at + size])
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 stream_of_one, _ = get_chunk_data_stream(_bare(records[at : at + size]))
                 read = Schema.read if opcode == Opcode.SCHEMA else Channel.read

@@ -24,7 +24,7 @@ from twin.mirror.offline import run_log
 from twin.model.nominal import nominal
 from twin.recordings import TwinLog
 
-SAMPLES = 30_000  # one minute of a board
+SAMPLES = 60_000  # two minutes of a board
 BASELINE_TICKS = 300
 REPEATS = 5
 

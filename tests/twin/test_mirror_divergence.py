@@ -18,6 +18,7 @@ from twin.mirror.expected import (
     autocovariance,
     discrete_lyapunov,
     error_dynamics,
+    toeplitz_eigenvalues,
     weighted_chi_square_quantile,
 )
 from twin.mirror.mirror import IN_STEP, Mirror, Output
@@ -270,3 +271,11 @@ def test_the_same_messages_give_the_same_bits() -> None:
         return produced
 
     assert run() == run()
+
+
+@pytest.mark.parametrize("n", [2, 7, 30])
+def test_eigenvalues_of_a_toeplitz_matrix_by_halves_are_those_of_the_whole(n: int) -> None:
+    column = np.asarray(0.7 ** np.arange(n) + np.r_[0.5, np.zeros(n - 1)], dtype=np.float64)
+    whole = column[np.abs(np.subtract.outer(np.arange(n), np.arange(n)))]
+
+    assert np.allclose(np.sort(toeplitz_eigenvalues(column)), np.linalg.eigvalsh(whole), rtol=1e-12)

@@ -29,6 +29,7 @@ from twin.model.parameters import Model
 
 IN_STEP, SETTLING, OUT_OF_STEP = "in-step", "settling", "out-of-step"
 SAMPLE_TIME_RANGE_S = (1e-4, 2e-2)  # T_s for which the steps of the kernels were checked
+_SAMPLES_IN = {sync: f"samples_{sync}" for sync in (IN_STEP, SETTLING, OUT_OF_STEP)}
 CLIPPED = int(Flag.POSITION_RANGE | Flag.CURRENT_RANGE)
 _LOSS_TEXTS = {
     "board-reset": "the board was reset or reconnected",
@@ -156,10 +157,12 @@ class Mirror:
     # ---- what kind of sample is this
 
     def _read(self, state: pb.State) -> _Sample:
-        i = state.i_c_a if state.HasField("i_c_a") else math.nan
-        x = state.x_m if state.HasField("x_m") else math.nan
-        u = state.u_c_v if state.HasField("u_c_v") else math.nan
-        x_ref = state.x_ref_m if state.HasField("x_ref_m") else math.nan
+        i, x, u, x_ref = state.i_c_a, state.x_m, state.u_c_v, state.x_ref_m
+        if i == 0.0 or x == 0.0 or u == 0.0 or x_ref == 0.0:  # what an absent field reads as
+            i = i if state.HasField("i_c_a") else math.nan
+            x = x if state.HasField("x_m") else math.nan
+            u = u if state.HasField("u_c_v") else math.nan
+            x_ref = x_ref if state.HasField("x_ref_m") else math.nan
         if not math.isfinite(i + x + u + x_ref):
             i, x, u, x_ref = (self._finite(*one) for one in (("i_c", i), ("x", x), ("u_c", u), ("x_ref", x_ref)))
         mode = state.mode
@@ -288,10 +291,10 @@ class Mirror:
             self._settling_ticks -= 1 + bridged
         else:
             self.sync = IN_STEP
-            if self._alarm_active:
-                self._alarm_active = False
-                return [pb.Alarm(name=OUT_OF_STEP, active=False, value=self._losses(), text="in step again")]
-        self.counters[f"samples_{self.sync}"] += 1
+        self.counters[_SAMPLES_IN[self.sync]] += 1
+        if self.sync == IN_STEP and self._alarm_active:
+            self._alarm_active = False
+            return [pb.Alarm(name=OUT_OF_STEP, active=False, value=self._losses(), text="in step again")]
         return []
 
     # ---- the two comparisons
