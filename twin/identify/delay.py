@@ -19,7 +19,7 @@ from twin.identify.start import amplifier_start
 
 MOST = 2  # samples
 MARGIN = 50.0  # of log-likelihood
-_SAMPLES = 20_000
+_SAMPLES = 5_000  # enough by far for that margin
 _FREE = ("K_A", "T_A", "sigma_i_c_a", "process_i_c_a")
 
 

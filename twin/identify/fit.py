@@ -5,6 +5,7 @@ the filter, so the score is that of the likelihood itself, terms through the gai
 
 Rule 1: K_A, T_A, K_c and the noise levels move as logarithms; b moves freely through zero, because a record that knows
         nothing of the drag must be able to say so.
+        It is held below the unstable pole: beyond, it only stands for something else.
 Rule 2: a noise level at its floor with a score that pushes it further down is left there.
 Rule 3: never raises for numbers: an impossible step is refused, no convergence is a value (`converged`).
 """
@@ -99,6 +100,7 @@ class Likelihood:
         starts = np.flatnonzero((series.flags & FOLLOWS) == 0)
         self._blocks = _blocks(starts, len(series))
         self.evaluations = 0
+        self.drag_most = most_drag(plant)
 
     def value(self, point: Point) -> tuple[float, FloatArray]:
         """(log-likelihood, whitened innovations of shape (n, 2))."""
@@ -160,6 +162,11 @@ class Likelihood:
         return out
 
 
+def most_drag(plant: Plant) -> float:
+    """b / m that equals the unstable pole sqrt(2 g / gap) in the middle of the travel, 1/s: no ball in air has it."""
+    return math.sqrt(2.0 * plant.gravity_m_s2 / (plant.x_max_m - 0.5 * plant.travel_m))
+
+
 def physics(point: Point, plant: Plant) -> Physics:
     """The numbers of the kernel."""
     return Physics(
@@ -180,12 +187,13 @@ def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: in
     used = slow = 0
     loglik, score, fisher, _ = likelihood.gradient(point, free)
     for used in range(1, passes + 1):
-        active = _active(point, free, score)
+        active = _active(point, free, score, likelihood.drag_most * mass)
         step, decrement = _newton(score, fisher, active, damping)
         if decrement < DONE or (slow >= 3 and decrement < NEAR):
             converged = True
             break
         trial = _move(point, free, step, mass)
+        trial = replace(trial, b=min(trial.b, likelihood.drag_most * mass))
         value, _ = likelihood.value(trial)
         if np.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
             slow = slow + 1 if value - loglik < 0.05 else 0
@@ -196,7 +204,7 @@ def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: in
             if damping > 1e8:
                 break
     converged = converged or decrement < NEAR
-    active = _active(point, free, score)
+    active = _active(point, free, score, likelihood.drag_most * mass)
     covariance = np.full((len(free), len(free)), np.inf)
     if active.any():
         inner = _inverse(fisher[np.ix_(active, active)])
@@ -260,13 +268,16 @@ def _blocks(starts: np.ndarray[tuple[int, ...], np.dtype[np.intp]], n: int) -> l
     return [slice(a, b) for a, b in zip(edges, [*edges[1:], n], strict=True) if b > a]
 
 
-def _active(point: Point, free: Sequence[str], score: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    return np.array(
-        [
-            not (name in FLOORS and getattr(point, name) <= FLOORS[name] * 1.001 and score[place] <= 0.0)
-            for place, name in enumerate(free)
-        ]
-    )
+def _active(
+    point: Point, free: Sequence[str], score: FloatArray, b_most: float
+) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Which coordinates may move: not a noise at its floor that wants lower, not a drag at its bound that wants higher."""
+    stuck = [
+        (name in FLOORS and getattr(point, name) <= FLOORS[name] * 1.001 and score[place] <= 0.0)
+        or (name == "b" and point.b >= b_most and score[place] >= 0.0)
+        for place, name in enumerate(free)
+    ]
+    return ~np.array(stuck, np.bool_)
 
 
 def _newton(

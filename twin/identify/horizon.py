@@ -7,15 +7,19 @@ the unstable pole's 13 ms.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.campaign import Plant
+from protocol.campaign import Campaign, Plant
 from twin.compiled import Packed, kernel
+from twin.identify.delay import delayed, input_delay
 from twin.identify.fit import Likelihood, Point, physics
 from twin.identify.innovations import FLIES, FOLLOWS, USE_X
+from twin.identify.pipeline import Identification
 from twin.identify.prepare import prepare
+from twin.identify.reading import read_campaign
 from twin.identify.record import Record
 from twin.identify.transition import Physics, moments, transit
 
@@ -102,3 +106,17 @@ def horizons(
             )
         )
     return result
+
+
+def on_judges(campaign: Campaign, found: Identification, *, data: Path | None = None) -> dict[str, list[Horizon]]:
+    """Errors of an identified model on each flight that is kept for judging, by recording.
+
+    A late input is taken out of them as it was of the recordings for fitting.
+    """
+    rows = {}
+    for record in read_campaign(campaign, use="judge", data=data):
+        if found.fit is None or record.kind not in ("closed-loop", "prbs", "free"):
+            continue
+        late = delayed(record, input_delay(record, campaign.plant))
+        rows[record.name] = horizons([late], campaign.plant, found.fit.point, found.tick_s)
+    return rows

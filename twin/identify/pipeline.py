@@ -10,7 +10,6 @@ Rule 2: a number always comes with its standing; what could not be estimated is 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +21,7 @@ from protocol.errors import DataError
 from twin.identify import verdicts
 from twin.identify.checks import inspect
 from twin.identify.delay import delayed, input_delay
-from twin.identify.fit import FLOORS, NAMES, NOISES, PARAMETERS, Fit, Likelihood, Point, fit, gate, sandwich
+from twin.identify.fit import FLOORS, NAMES, NOISES, PARAMETERS, Fit, Likelihood, Point, fit, gate, most_drag, sandwich
 from twin.identify.innovations import FLIES, USE_I, USE_X
 from twin.identify.intervals import Interval, quadratic_or_profile
 from twin.identify.levels import Levels, Shape, find_levels, find_shape
@@ -53,6 +52,7 @@ class Identification:
     force: ForceConstant | None
     fit: Fit | None
     whiteness: Whiteness | None
+    tick_s: float  # interval that the process noise refers to
 
     @property
     def usable(self) -> bool:
@@ -127,14 +127,14 @@ def identify_records(
             likelihood = Likelihood(gated, plant, tick_s)
             found = fit(likelihood, found.point, free)
         found = _parsimonious(likelihood, found)
-        if flying and found.point.b / plant.mass_kg > most_drag(plant):
+        if flying and found.point.b >= 0.999 * most_drag(plant) * plant.mass_kg:
             free = tuple(name for name in found.free if name != "b")
             steady = min(max(ball.d, 0.0), most_drag(plant)) * plant.mass_kg if ball else 0.0
-            absurd, found = found.point.b, fit(likelihood, replace(found.point, b=steady), free)
+            found = fit(likelihood, replace(found.point, b=steady), free)
             warnings.append(
-                f"the likelihood asks for b = {absurd:.3g} N s/m, more than a ball at its unstable pole of "
-                f"{most_drag(plant):.0f} 1/s can have: it stands for something else that (6) lacks. b is from a regression over "
-                "60 ms windows instead; board51 diagnose looks for the reason"
+                f"the likelihood asks for more drag than b/m = {most_drag(plant):.0f} 1/s, the unstable pole: no ball in air "
+                "has that, it stands for something that (6) lacks. b is from a regression over 60 ms windows instead; "
+                "board51 diagnose looks for the reason"
             )
         white = whiteness(likelihood.series, found.white)
         found = sandwich(likelihood, found, max(round(HAC_S / tick_s), 1))
@@ -167,6 +167,7 @@ def identify_records(
         force=force,
         fit=found,
         whiteness=white,
+        tick_s=tick_s,
     )
 
 
@@ -182,11 +183,6 @@ def _left_out(usages: list[Usage]) -> list[str]:
             listed = ", ".join(where[:3]) + (f" and {len(where) - 3} more recordings" if len(where) > 3 else "")
             said.append(f"{sum(count)} {what} ({listed})")
     return said
-
-
-def most_drag(plant: Plant) -> float:
-    """b / m that equals the unstable pole sqrt(2 g / gap) in the middle of the travel, 1/s: no ball in air has it."""
-    return math.sqrt(2.0 * plant.gravity_m_s2 / (plant.x_max_m - 0.5 * plant.travel_m))
 
 
 def _tick(records: list[Record]) -> float:
