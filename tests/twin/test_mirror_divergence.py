@@ -22,7 +22,7 @@ from twin.mirror.expected import (
     weighted_chi_square_quantile,
 )
 from twin.mirror.mirror import IN_STEP, Mirror, Output
-from twin.mirror.regime import Settings
+from twin.mirror.settings import Settings
 from twin.model.nominal import nominal
 
 HELD = 2.85e-3

@@ -94,11 +94,11 @@ def test_nominal_force_constant_follows_from_the_measured_equilibria() -> None:
     if not file.exists():
         pytest.skip(f"{file} is absent; set BOARD51_DATA")
     with file.open() as rows:
-        points = np.array([(float(row["gap_m"]), float(row["current_A"])) for row in csv.DictReader(rows)])
+        points = [(float(row["gap_m"]), float(row["current_A"])) for row in csv.DictReader(rows)]
     model = nominal()
     plant = model.plant
 
-    lift_off = lift_off_current(points[:, 0], points[:, 1], plant.travel_m)
+    lift_off = lift_off_current([gap for gap, _ in points], [i for _, i in points], plant.travel_m)
     k_c = force_constant(
         mass_kg=plant.mass_kg, gravity_m_s2=plant.gravity_m_s2, gap_m=plant.x_max_m, lift_off_a=lift_off
     )

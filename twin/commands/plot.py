@@ -9,18 +9,20 @@ import argparse
 import json
 from collections import defaultdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import check_name
 from protocol.errors import DataError, UsageError
 from twin.commands.twin import add_model_options, chosen_model, chosen_settings
-from twin.figure import Traces, draw
-from twin.mirror.mirror import Output
-from twin.mirror.offline import BoardRun, run_log
-from twin.mirror.regime import Regime, Settings
+from twin.mirror.settings import Settings
 from twin.model.nominal import SHIPPED
 from twin.model.parameters import Model
-from twin.recordings import LogReader, parse
+
+if TYPE_CHECKING:
+    from twin.figure import Traces
+    from twin.mirror.mirror import Output
+    from twin.mirror.offline import BoardRun
 
 SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -45,6 +47,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Draw."""
+    from twin.figure import draw
+
     if args.out.suffix.lower() not in SUFFIXES:
         raise UsageError(f"--out {args.out}: unknown kind of picture", remedy=f"End it in {', '.join(SUFFIXES)}")
     if args.board:
@@ -83,6 +87,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _thresholds(path: Path, board: str, trace: Traces, model: Model, settings: Settings) -> tuple[float, float]:
     """(mean NIS, mean squared normalised error of x around the median reference); the latter NaN without parameters."""
+    from twin.mirror.regime import Regime
+    from twin.recordings import LogReader, parse
+
     sample_time_s = _sample_time(trace)
     entry = next(iter(LogReader(path, topics=("parameters",), board=board)), None)
     parameters = parse(pb.Parameters, entry, path) if entry else None
@@ -99,6 +106,9 @@ def _sample_time(trace: Traces) -> float:
 
 
 def _from_run(path: Path, board: str | None, model: Model, settings: Settings) -> dict[str, Traces]:
+    from twin.figure import Traces
+    from twin.mirror.offline import run_log
+
     traces: dict[str, Traces] = {}
 
     def take(run: BoardRun, state: pb.State, output: Output) -> None:
@@ -112,6 +122,9 @@ def _from_run(path: Path, board: str | None, model: Model, settings: Settings) -
 
 def _from_topics(path: Path, board: str | None) -> dict[str, Traces]:
     """Match samples and answers by (session, tick); empty where a log has no twin topics."""
+    from twin.figure import Traces
+    from twin.recordings import LogReader, parse
+
     states: dict[str, dict[tuple[int, int], pb.State]] = defaultdict(dict)
     twins: dict[str, dict[tuple[int, int], pb.TwinState]] = defaultdict(dict)
     divergences: dict[str, dict[tuple[int, int], pb.Divergence]] = defaultdict(dict)

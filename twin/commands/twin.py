@@ -19,7 +19,7 @@ from typing import Any
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.errors import UsageError
-from twin.mirror.regime import Settings
+from twin.mirror.settings import Settings
 from twin.model.nominal import SHIPPED, nominal
 from twin.model.parameters import Model, load_model
 

@@ -24,7 +24,8 @@ from twin.control import integral_behind
 from twin.mirror.divergence import Comparison
 from twin.mirror.loop import FreeTwin
 from twin.mirror.observer import Observer
-from twin.mirror.regime import KnownParameters, Regime, Settings
+from twin.mirror.regime import KnownParameters, Regime
+from twin.mirror.settings import Settings
 from twin.model.parameters import Model
 
 IN_STEP, SETTLING, OUT_OF_STEP = "in-step", "settling", "out-of-step"

@@ -15,7 +15,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
 from protocol.errors import DataError
 from twin.mirror.mirror import Mirror, Output
-from twin.mirror.regime import Settings
+from twin.mirror.settings import Settings
 from twin.model.parameters import Model
 from twin.recordings import LogReader, TwinLog, parse
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from protocol.bus import board51_pb2 as pb
 from twin.control import law_numbers
 from twin.mirror.alarms import probability_per_window, white_threshold
 from twin.mirror.expected import OFF_PROBABILITY, Expectation, ExpectedError
+from twin.mirror.settings import Settings
 from twin.model.parameters import Model
 from twin.simulate import plant_numbers
 
@@ -28,15 +28,6 @@ _IRRELEVANT = (
     "x_ref_min_m",
     "x_ref_max_m",
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
-    """What a user may choose."""
-
-    window_s: float = 1.0  # of the rolling figures, and of one alarm decision
-    false_alarms_per_day: float = 0.1  # of each alarm, under a right model
-    bridge_ticks_max: int = 10
 
 
 class KnownParameters:

@@ -24,7 +24,7 @@ from protocol.bus import encoding, topics
 from protocol.bus.endpoint import zenoh_config
 from protocol.errors import ServiceError
 from twin.mirror.mirror import Mirror, Output
-from twin.mirror.regime import Settings
+from twin.mirror.settings import Settings
 from twin.model.parameters import Model
 
 QUEUE_LENGTH = 5000  # ten seconds of one board

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.resources import files
-
-import numpy as np
-from numpy.typing import NDArray
+from statistics import linear_regression
 
 from twin.model.parameters import Model, load_model
 
@@ -17,18 +16,18 @@ def nominal(name: str = "ce152") -> Model:
     return load_model(str(files("twin.model").joinpath(f"{name}.json")))
 
 
-def lift_off_current(gap_m: NDArray[np.float64], i_c_a: NDArray[np.float64], at_gap_m: float) -> float:
+def lift_off_current(gap_m: Sequence[float], i_c_a: Sequence[float], at_gap_m: float) -> float:
     """Current that just carries the ball at `at_gap_m`, A, from the straight line through measured equilibria.
 
     By (6) at rest i = sqrt(m g / K_c) * gap, so equilibria lie on a line whatever the origin of the gap.
 
     Args:
-        gap_m: gaps of the equilibria, shape (n,), m.
-        i_c_a: their coil currents, shape (n,), A.
+        gap_m: gaps of the equilibria, m.
+        i_c_a: their coil currents, A.
         at_gap_m: where the ball rests, m: the travel.
     """
-    slope, intercept = np.polyfit(gap_m, i_c_a, 1)
-    return float(slope * at_gap_m + intercept)
+    slope, intercept = linear_regression(gap_m, i_c_a)
+    return slope * at_gap_m + intercept
 
 
 def force_constant(*, mass_kg: float, gravity_m_s2: float, gap_m: float, lift_off_a: float) -> float:
