@@ -1,9 +1,10 @@
 """Four parameters from 20 s at 500 Hz: `board51 identify`'s estimator against what one writes first.
 
 Baseline: the closed loop simulated tick by tick with scipy's `solve_ivp`, fitted to the recorded x and i_c with scipy's
-`least_squares`.  Its cost is timed on the full record (three evaluations); its fit is run to the end on a shorter one, because
-on the full record it takes minutes; the time of the full fit is (evaluations that the short fit needed) x (time of one on
-the full record).  Ours is the whole estimate: checks excluded, start values and noise levels included, after compilation.
+`least_squares`.  Its cost is timed on the full record (best of three); its fit is run to the end on a shorter one,
+because on the full record it takes minutes; the time of the full fit is (evaluations that the short fit needed) x (time
+of one on the full record).  Ours is the whole estimate after compilation: start values and noise levels included,
+checks and intervals not.
 """
 
 from __future__ import annotations
@@ -57,8 +58,9 @@ def run() -> list[dict[str, Any]]:
                 "name": f"identify: relative error of {name} on the same 1 s",
                 "value": abs(getattr(short_ours.point, name) / true - 1.0),
                 "unit": "1",
-                "baseline": abs(fitted[n] / true - 1.0),
-                "ratio": abs(fitted[n] / true - 1.0) / max(abs(getattr(short_ours.point, name) / true - 1.0), 1e-12),
+                "baseline": abs(float(fitted[n]) / true - 1.0),
+                "ratio": abs(float(fitted[n]) / true - 1.0)
+                / max(abs(getattr(short_ours.point, name) / true - 1.0), 1e-12),
                 "note": f"on 20 s ours is off by {abs(getattr(ours.point, name) / true - 1.0):.1e}",
             }
         )

@@ -21,14 +21,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n"
         "  board51 identify runs/monday --out model.json\n"
         "  board51 identify twin/campaigns/inteco.toml --data ../shared/data --out inteco.json\n"
-        "\nexit code 0: K_A and K_c are known and the fit converged; 1: not (the best so far is written all the same);\n"
+        "\nexit code 0: K_A and K_c are known and the fit converged; 1: not (the best so far is written anyway);\n"
         "2: bad input"
     )
     parser.add_argument("campaign", type=Path, metavar="CAMPAIGN", help="campaign.toml or the folder that holds it")
     parser.add_argument("--out", type=Path, metavar="MODEL.json", help="write the model there")
-    parser.add_argument(
-        "--data", type=Path, metavar="DIR", help="folder of recordings that are not beside the campaign"
-    )
+    parser.add_argument("--data", type=Path, metavar="DIR", help="folder of recordings not beside the campaign")
     parser.add_argument("--json", action="store_true", help="print the model as JSON instead of a table")
     parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
 

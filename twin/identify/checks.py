@@ -60,10 +60,10 @@ def _current(record: Record) -> None:
         return
     top = float(np.nanpercentile(np.abs(record.i_c), 99))
     if record.has("x") and record.kind != "amplifier-step":
-        return_to_position = float(np.nanpercentile(np.abs(record.x), 99))
-        if top < 0.05 < return_to_position and return_to_position < CURRENT_MOST_A:
+        reach = float(np.nanpercentile(np.abs(record.x), 99))
+        if top < 0.05 < reach < CURRENT_MOST_A:
             raise DataError(
-                f"{record.name}: i_c stays below {top:.3g} A while x reaches {return_to_position:.3g} m; the two look swapped",
+                f"{record.name}: i_c stays below {top:.3g} A while x reaches {reach:.3g} m; they look swapped",
                 remedy="Exchange the columns of i_c and x",
             )
     if top > CURRENT_MOST_A:
@@ -92,8 +92,8 @@ def _position(record: Record, plant: Plant) -> None:
             )
     if high < 0.1 * travel and low < -0.15 * travel and -low < 1.5 * travel:
         raise DataError(
-            f"{record.name}: x runs from {low:.4g} to {high:.4g} m; it looks like measured downwards from the top",
-            remedy=f"Write x = {{ column = ..., scale = 1.0, offset = {travel:g} }}, or scale = -1.0 for a reversed sign",
+            f"{record.name}: x runs from {low:.4g} to {high:.4g} m; it looks measured downwards",
+            remedy=f"Write x = {{ column = ..., offset = {travel:g} }}, or scale = -1.0 for a reversed sign",
         )
     if low < -0.3 * travel or high > 1.3 * travel:
         raise DataError(
@@ -115,7 +115,7 @@ def _swapped(record: Record, plant: Plant) -> None:
     lag, peak = _lag(record.u_c, record.i_c)
     if lag < 0 and peak > 0.4:
         raise DataError(
-            f"{record.name}: i_c changes {-lag} sample(s) before u_c does (correlation {peak:.2f}); the two look swapped",
+            f"{record.name}: i_c changes {-lag} sample(s) before u_c does (correlation {peak:.2f}); they look swapped",
             remedy="Exchange the columns of u_c and i_c, or shift u_c: it is the input from its sample on",
         )
 
@@ -153,7 +153,10 @@ def _idle(record: Record, plant: Plant) -> list[str]:
             f"{record.name}: the ball never leaves its stops, so it says nothing of K_c and b. Raise the amplitude"
         )
     if record.kind == "sawtooth" and record.has("x", "i_c") and not lift_offs([record], plant):
-        said.append(f"{record.name}: the ball never lifts off, so (8) has no current. Raise the end of the ramp")
+        said.append(
+            f"{record.name}: no clean lift-off (the ball stays, or creeps before it leaves), so no current for (8). "
+            "Raise the end of the ramp, or steady the ball"
+        )
     return said
 
 
@@ -172,8 +175,8 @@ def _downwards(records: list[Record], plant: Plant) -> None:
             continue
         if down.k > 0 and down.misfit < 0.33 * up.misfit:
             raise DataError(
-                f"{record.name}: the force fits {up.misfit / down.misfit:.0f} times better with x measured downwards",
-                remedy=f"Write x = {{ column = ..., scale = -1.0, offset = {plant.travel_m:g} }}, and the same for x_ref",
+                f"{record.name}: the force fits {up.misfit / down.misfit:.0f} times better with x downwards",
+                remedy=f"Write x = {{ column = ..., scale = -1.0, offset = {plant.travel_m:g} }}, and so for x_ref",
             )
     rising = [point for record in records if record.kind == "sawtooth" for point in lift_offs([record], plant)]
     falling = [
@@ -234,7 +237,7 @@ def _law(record: Record, plant: Plant, controller: Controller) -> list[str]:
         fitted = ", ".join(f"{value:.4g}" for value in found[:4])
         share = 100.0 * (1.0 - (rest / spread) ** 2) if spread > 0 else 0.0
         return [
-            f"{record.name}: u_c is not what [controller] gives (off by {np.std(off):.3g} V rms); the recording follows gains "
-            f"of about [{fitted}] (which explain {share:.0f} % of it). Correct the section; the fit does not use it"
+            f"{record.name}: u_c is not what [controller] gives (off by {np.std(off):.3g} V rms); it follows "
+            f"gains of about [{fitted}] (they explain {share:.0f} % of it). Correct the section; the fit does not use it"
         ]
     return []

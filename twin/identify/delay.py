@@ -1,7 +1,8 @@
 """Does the recorded u_c act when it says it does?  Loops in PCs often log the input one sample before it takes effect.
 
 Rule: decided for each recording by the likelihood of i_c alone (no force model is involved), by a margin that no
-      record of a right clock reaches.  A late input shifts T_A by most of a sampling interval, so it is corrected and said.
+      record of a right clock reaches.  A late input shifts T_A by most of a sampling interval: it is corrected and
+      said.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _FREE = ("K_A", "T_A", "sigma_i_c_a", "process_i_c_a")
 
 
 def input_delay(record: Record, plant: Plant) -> int:
-    """By how many samples u_c acts later than recorded; 0 where that cannot be told (a ramp is the same a little later)."""
+    """By how many samples u_c acts later than recorded; 0 where that cannot be told, as in a ramp."""
     if record.kind in ("equilibria", "sawtooth") or not record.has("u_c", "i_c") or len(record.t) < 100:
         return 0
     piece = slice(0, _SAMPLES)

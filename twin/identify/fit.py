@@ -163,7 +163,7 @@ class Likelihood:
 
 
 def most_drag(plant: Plant) -> float:
-    """b / m that equals the unstable pole sqrt(2 g / gap) in the middle of the travel, 1/s: no ball in air has it."""
+    """B / m that equals the unstable pole sqrt(2 g / gap) in the middle of the travel, 1/s: no ball in air has it."""
     return math.sqrt(2.0 * plant.gravity_m_s2 / (plant.x_max_m - 0.5 * plant.travel_m))
 
 
@@ -186,7 +186,8 @@ def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: in
     point, damping, decrement, converged = start, 1e-3, np.inf, False
     used = slow = 0
     loglik, score, fisher, _ = likelihood.gradient(point, free)
-    for used in range(1, passes + 1):
+    for _ in range(passes):
+        used += 1
         active = _active(point, free, score, likelihood.drag_most * mass)
         step, decrement = _newton(score, fisher, active, damping)
         if decrement < DONE or (slow >= 3 and decrement < NEAR):
@@ -224,7 +225,7 @@ def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: in
 
 
 def sandwich(likelihood: Likelihood, found: Fit, lags: int) -> Fit:
-    """`found` with the covariance that holds for coloured residuals too: F^-1 (Newey-West sum of scores) F^-1."""
+    """The fit with the covariance that holds for coloured residuals too: F^-1 (Newey-West sum of scores) F^-1."""
     _, _, fisher, scores = likelihood.gradient(found.point, found.free, scores=True)
     active = np.diag(found.covariance) > 0.0
     middle = scores.T @ scores
@@ -271,7 +272,7 @@ def _blocks(starts: np.ndarray[tuple[int, ...], np.dtype[np.intp]], n: int) -> l
 def _active(
     point: Point, free: Sequence[str], score: FloatArray, b_most: float
 ) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Which coordinates may move: not a noise at its floor that wants lower, not a drag at its bound that wants higher."""
+    """Which coordinates may move: not a noise at its floor that wants less, nor a drag at its bound that wants more."""
     stuck = [
         (name in FLOORS and getattr(point, name) <= FLOORS[name] * 1.001 and score[place] <= 0.0)
         or (name == "b" and point.b >= b_most and score[place] >= 0.0)
@@ -292,7 +293,9 @@ def _newton(
     scale = np.sqrt(np.maximum(np.diag(F), 1e-12))
     scaled = F / np.outer(scale, scale)
     step[active] = np.linalg.lstsq(scaled + damping * np.eye(len(g)), g / scale, rcond=1e-14)[0] / scale
-    return step, float(np.sqrt(max(step[active] @ g, 0.0)))
+    # Undamped: a step that damping has made small is no sign of a maximum.
+    whole = np.linalg.lstsq(scaled, g / scale, rcond=1e-14)[0] / scale
+    return step, float(np.sqrt(max(float(whole @ g), 0.0)))
 
 
 def _move(point: Point, free: Sequence[str], step: FloatArray, mass_kg: float) -> Point:

@@ -65,11 +65,11 @@ def _predict(
             continue
         i_at, x_at, v_at = state[begin, 0], state[begin, 1], state[begin, 2]
         for k in range(begin, n):
-            T = step[k + 1]
-            if T != at:
-                moments(T, p.T_A, m)
-                at = T
-            i_at, x_at, v_at = transit(p, m, T, i_at, x_at, v_at, u[k])
+            T_s = step[k + 1]
+            if T_s != at:
+                moments(T_s, p.T_A, m)
+                at = T_s
+            i_at, x_at, v_at = transit(p, m, T_s, i_at, x_at, v_at, u[k])
         error[n] = x[n] - x_at
         still[n] = x[n] - x[begin]
 

@@ -70,7 +70,11 @@ def run_filter(
         physics: tuple(Physics).
         noise: standard deviations (i_c in A, x in m, disturbance of i_c in A per tick, acceleration in m/s^2), and the
             length of that tick in s: over other intervals the variance of the disturbance grows with their length.
-        step, u, y_i, y_x, flags: of a `Series`.
+        step: time to the sample before, s, shape (n,).
+        u: u_c from each sample on, V, shape (n,).
+        y_i: measured i_c, A, shape (n,).
+        y_x: measured x, m, shape (n,).
+        flags: of each sample, shape (n,).
         out: receives nu_i, nu_x, S_ii, S_ix, S_xx.
         state: receives i_c, x, x' after the correction, shape (n, 3), NaN where the ball does not fly; shape (0, 3)
             where nobody wants them.
@@ -89,19 +93,19 @@ def run_filter(
         follows = flag & FOLLOWS != 0 and n > 0
         flies = flag & FLIES != 0
         if follows:
-            T = step[n]
-            if T != at:
-                moments(T, p.T_A, m)
-                at = T
+            T_s = step[n]
+            if T_s != at:
+                moments(T_s, p.T_A, m)
+                at = T_s
             w = u[n - 1]
-            q_i = q_per_s * T
+            q_i = q_per_s * T_s
             if in_flight and flies:
                 # Differences at the scale of the state: relative error 1e-7, no cancellation of 1e-16.
-                i_0, x_0, v_0 = transit(p, m, T, i, x, v, w)
+                i_0, x_0, v_0 = transit(p, m, T_s, i, x, v, w)
                 h_i, h_x, h_v = 1e-5 * (abs(i) + 1e-3), 1e-6 * p.x_max_m, 1e-5
-                _, x_i, v_i = transit(p, m, T, i + h_i, x, v, w)
-                _, x_x, v_x = transit(p, m, T, i, x + h_x, v, w)
-                _, x_v, v_v = transit(p, m, T, i, x, v + h_v, w)
+                _, x_i, v_i = transit(p, m, T_s, i + h_i, x, v, w)
+                _, x_x, v_x = transit(p, m, T_s, i, x + h_x, v, w)
+                _, x_v, v_v = transit(p, m, T_s, i, x, v + h_v, w)
                 f_ii = m[8]
                 f_xi, f_xx, f_xv = (x_i - x_0) / h_i, (x_x - x_0) / h_x, (x_v - x_0) / h_v
                 f_vi, f_vx, f_vv = (v_i - v_0) / h_i, (v_x - v_0) / h_x, (v_v - v_0) / h_v
@@ -116,9 +120,9 @@ def run_filter(
                 p_ix = g_ii * f_xi + g_ix * f_xx + g_iv * f_xv
                 p_iv = g_ii * f_vi + g_ix * f_vx + g_iv * f_vv
                 p_ii = g_ii * f_ii + q_i
-                p_xx = g_xi * f_xi + g_xx * f_xx + g_xv * f_xv + 0.25 * a2 * T**4
-                p_xv = g_xi * f_vi + g_xx * f_vx + g_xv * f_vv + 0.5 * a2 * T**3
-                p_vv = g_vi * f_vi + g_vx * f_vx + g_vv * f_vv + a2 * T**2
+                p_xx = g_xi * f_xi + g_xx * f_xx + g_xv * f_xv + 0.25 * a2 * T_s**4
+                p_xv = g_xi * f_vi + g_xx * f_vx + g_xv * f_vv + 0.5 * a2 * T_s**3
+                p_vv = g_vi * f_vi + g_vx * f_vx + g_vv * f_vv + a2 * T_s**2
             else:
                 e = p.K_A * w
                 i = e + (i - e) * m[8]

@@ -2,8 +2,8 @@
 
 Rule 1: K_A is the slope of the line through (u_c, median of i_c) of all plateaus.  Its offset is reported, not hidden
         in the gain: a current sensor that is off by 20 mA would otherwise change K_A by 2 %.
-Rule 2: the shape is judged by the residual of the best first-order response against the noise on the plateaus.  A response of another
-        shape leaves K_A as it is, because a steady level does not care how it was reached.
+Rule 2: the shape is judged by the residual of the best first-order response against the noise on the plateaus.  A
+        response of another shape leaves K_A as it is, because a steady level does not care how it was reached.
 """
 
 from __future__ import annotations
@@ -168,8 +168,8 @@ def find_shape(records: list[Record]) -> Shape | None:
     sigma = max(sigma, 1e-9)
     shortest, longest = steps[0].sample_time_s / 30.0, len(steps[0].i) * steps[0].sample_time_s
 
-    def cost(log_T: float) -> float:
-        return sum(_first_order(step, float(np.exp(log_T)))[0] for step in steps)
+    def cost(log_tau: float) -> float:
+        return sum(_first_order(step, float(np.exp(log_tau)))[0] for step in steps)
 
     grid = np.linspace(np.log(shortest), np.log(longest), 60)
     values = [cost(g) for g in grid]

@@ -3,9 +3,9 @@
 At rest m g = K_c i^2 / (x_max - x)^2 (8), at whatever x the ball rests.
 
 Rule: the instant of departure is not the first sample at which x has visibly moved: by then the current is higher.
-      Behind the departure t_0 the ball follows x - x_0 = c / w^3 (sinh w tau - w tau), tau = t - t_0, with w^2 = 2 g / gap
-      and c = 2 g (di/dt) / i, the linearised (6) under a rising current; t_0 is what makes this fit the first
-      part of the flight, and i_c(t_0) is read off a straight line through the samples before it.
+      Behind the departure t_0 the ball follows x - x_0 = c / w^3 (sinh w tau - w tau), tau = t - t_0, with
+      w^2 = 2 g / gap and c = 2 g (di/dt) / i, the linearised (6) under a rising current; t_0 is what makes this
+      fit the first part of the flight, and i_c(t_0) is read off a straight line through the samples before it.
 """
 
 from __future__ import annotations

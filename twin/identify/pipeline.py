@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from protocol.campaign import Campaign, Plant
+from protocol.campaign import Campaign
 from protocol.errors import DataError
 from twin.identify import verdicts
 from twin.identify.checks import inspect
@@ -98,7 +98,7 @@ def identify_records(
         names = [record.name for record, own in zip(records, delays, strict=True) if own == samples]
         listed = names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "")
         warnings.append(
-            f"{listed}: u_c acts {samples} sample(s) later than recorded, by the response of i_c; this was corrected for the "
+            f"{listed}: u_c acts {samples} sample(s) later than recorded, by the response of i_c; corrected in the "
             "fit. The model has no delay: shift the column, or let board51 diagnose confirm it"
         )
     levels, shape = find_levels(records), find_shape(records)
@@ -132,8 +132,8 @@ def identify_records(
             steady = min(max(ball.d, 0.0), most_drag(plant)) * plant.mass_kg if ball else 0.0
             found = fit(likelihood, replace(found.point, b=steady), free)
             warnings.append(
-                f"the likelihood asks for more drag than b/m = {most_drag(plant):.0f} 1/s, the unstable pole: no ball in air "
-                "has that, it stands for something that (6) lacks. b is from a regression over 60 ms windows instead; "
+                f"the likelihood asks for more drag than b/m = {most_drag(plant):.0f} 1/s, the unstable pole: no ball "
+                "in air has that, it stands for what (6) lacks. b is from a regression over 60 ms windows instead; "
                 "board51 diagnose looks for the reason"
             )
         white = whiteness(likelihood.series, found.white)
@@ -176,7 +176,7 @@ def _left_out(usages: list[Usage]) -> list[str]:
     for count, what in (
         ([u.outliers for u in usages], "wild readings were left out"),
         ([u.gaps for u in usages], "gaps; the filter starts anew behind each"),
-        ([u.clipped for u in usages], "readings of i_c are at the converter's end and were left out"),
+        ([u.clipped for u in usages], "readings of i_c at the converter's end were left out"),
     ):
         where = [f"{usage.name} {n}" for usage, n in zip(usages, count, strict=True) if n]
         if where:
@@ -232,7 +232,7 @@ def _start(
 def _parsimonious(likelihood: Likelihood, found: Fit) -> Fit:
     """Without the process noises that the likelihood does not miss.
 
-    A noise that is not there costs precision (they say "trust the model less"), and a current disturbance cannot be told
+    A noise that is not there costs precision (it says "trust the model less"), and a current disturbance cannot be told
     from current noise at all where T_A is far below the sampling interval.
     """
     for name in NOISES[2:]:

@@ -10,6 +10,7 @@ Rule 3: a sawtooth gives lift-off currents (`liftoff.py`); its x does not enter 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -114,7 +115,7 @@ def in_flight(x: FloatArray, plant: Plant) -> BoolArray:
 
 def _split(follows: BoolArray, at_least: int) -> list[slice]:
     starts = [0, *(int(n) for n in np.flatnonzero(~follows) if n > 0), len(follows)]
-    return [slice(a, b) for a, b in zip(starts[:-1], starts[1:], strict=True) if b - a >= at_least]
+    return [slice(a, b) for a, b in pairwise(starts) if b - a >= at_least]
 
 
 def _scatter(values: FloatArray) -> float:

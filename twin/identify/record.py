@@ -24,7 +24,7 @@ GAP_IRREGULAR = 10.0  # the same where the sampling time varies on purpose
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Capture:
-    """i_c around one step of u_c at 25 kHz; the step falls on `step_index`, whose sample still shows what was before."""
+    """i_c around one step of u_c at 25 kHz; the sample `step_index`, at the step, still shows what was before."""
 
     sample_time_s: float
     u_from_v: float

@@ -14,6 +14,7 @@ No derivative of a noisy signal, no initial state, no local minimum; about 60 ms
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.signal import fftconvolve, lfilter
@@ -64,7 +65,7 @@ def amplifier_start(records: list[Record]) -> AmplifierStart | None:
         for run in runs(np.isfinite(record.u_c) & np.isfinite(record.i_c), 20):
             starts = np.flatnonzero(~follows[run])
             edges = [run.start, *(run.start + int(n) for n in starts if n > 0), run.stop]
-            for a, b in zip(edges[:-1], edges[1:], strict=True):
+            for a, b in pairwise(edges):
                 if b - a >= 20:
                     b = min(b, a + _MOST_SAMPLES)
                     pieces.append((record.interval_s, record.u_c[a:b], record.i_c[a:b]))
@@ -192,10 +193,10 @@ def _mean_square(i: FloatArray, u: FloatArray, step: float, amplifier: Amplifier
 
 def _windows(x: FloatArray, square: FloatArray, step: float, width: int, plant: Plant) -> FloatArray:
     s = np.linspace(-1.0, 1.0, width + 1)
-    L = 0.5 * width * step
+    reach_s = 0.5 * width * step
     phi = (1.0 - s**2) ** 3
-    slope = -6.0 * s * (1.0 - s**2) ** 2 / L
-    bend = (-6.0 * (1.0 - s**2) ** 2 + 24.0 * s**2 * (1.0 - s**2)) / L**2
+    slope = -6.0 * s * (1.0 - s**2) ** 2 / reach_s
+    bend = (-6.0 * (1.0 - s**2) ** 2 + 24.0 * s**2 * (1.0 - s**2)) / reach_s**2
     gap = np.maximum(plant.x_max_m - x, 0.01 * plant.travel_m)
     # The force over an interval belongs to its middle: window and gap are taken there.
     gap_middle = 0.5 * (gap[:-1] + gap[1:])

@@ -36,8 +36,8 @@ def gain(
         offset = abs(levels.offset_a) > max(AGREE * levels.offset_std_a, OFFSET_SHARE * top)
         if offset:
             warnings.append(
-                f"i_c is {levels.offset_a * 1e3:+.3g} mA at u_c = 0 by the line through the steady levels: an offset of sensor or "
-                f"amplifier that (1) does not have. Give i_c offset = {-levels.offset_a:.4g} if it is the sensor's"
+                f"i_c is {levels.offset_a * 1e3:+.3g} mA at u_c = 0 by the line through the steady levels: an offset "
+                f"of sensor or amplifier that (1) lacks. Give i_c offset = {-levels.offset_a:.4g} if it is the sensor's"
             )
         if shape is not None and not shape.first_order:
             warnings.append(
@@ -105,8 +105,8 @@ def time_constant(
     )
     if parameter.verdict != "identified":
         warnings.append(
-            f"T_A is {parameter.verdict}: samples every {tick_s * 1e3:g} ms see little of {found.point.T_A * 1e3:.3g} ms. "
-            f"To know it, {_TIME_HELP}"
+            f"T_A is {parameter.verdict}: samples every {tick_s * 1e3:g} ms see little of "
+            f"{found.point.T_A * 1e3:.3g} ms. To know it, {_TIME_HELP}"
         )
     return parameter
 
@@ -126,13 +126,14 @@ def force_constant(
         if abs(force.shift_m) > 0.01 * plant.travel_m:
             warnings.append(
                 f"the currents that carry the ball point to a coil plane {force.shift_m * 1e3:+.3g} mm above x_max "
-                f"(+- {force.shift_std_m * 1e3:.2g} mm): (3) holds with x_max_m = {plant.x_max_m + force.shift_m:.5g}, or not at all"
+                f"(+- {force.shift_std_m * 1e3:.2g} mm): (3) holds with "
+                f"x_max_m = {plant.x_max_m + force.shift_m:.5g}, or not at all"
             )
     if flying and found is not None and joint is not None:
         if force is not None and abs(force.K_c - found.point.K_c) > AGREE * math.hypot(force.std, joint.std):
             warnings.append(
-                f"K_c is {force.K_c:.4g} by (8) and {found.point.K_c:.4g} N m^2/A^2 in flight: no single K_c explains both. "
-                "(3) does not hold over the whole travel; board51 diagnose looks for the reason"
+                f"K_c is {force.K_c:.4g} by (8) and {found.point.K_c:.4g} N m^2/A^2 in flight: no single K_c explains "
+                "both. (3) does not hold over the whole travel; board51 diagnose looks for the reason"
             )
         return _parameter(
             "K_c",
@@ -183,8 +184,8 @@ def drag(
             std=std,
             ci95=(max(ball.d * plant.mass_kg - 1.96 * std, 0.0), max(ball.d * plant.mass_kg + 1.96 * std, 0.0)),
             verdict="not-identifiable",
-            method="regression over 60 ms windows, because the innovations likelihood has its maximum at an impossible drag: "
-            "the model lacks something that acts faster; board51 diagnose looks for it",
+            method="regression over 60 ms windows, because the likelihood asks for an impossible drag: the model lacks "
+            "something that acts faster; board51 diagnose looks for it",
             equation="(5), (6)",
         )
     if not flying or found is None or joint is None:

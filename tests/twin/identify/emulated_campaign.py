@@ -1,8 +1,8 @@
 """A whole campaign on the emulated board, in process and without waiting: what `board51 identify` is meant for.
 
-The board's own firmware flies the ball, so counts, delays and saturations are the real ones; the records are read off the
-STATE frames as a gateway would.  A random rig gets the board's gains for its own force constant, as a designed controller
-would have.
+The board's own firmware flies the ball, so counts, delays and saturations are the real ones; the records are read off
+the STATE frames as a gateway would.  A random rig gets the board's gains for its own force constant, as its designer
+would give it.
 """
 
 from __future__ import annotations

@@ -127,20 +127,17 @@ def test_noise_in_place_of_data_gives_a_statement_and_no_traceback(campaign: Cam
         name="junk",
         kind="closed-loop",
         use="fit",
-        t=np.arange(n) * 2e-3,
+        t=2e-3 * np.arange(n, dtype=np.float64),
         u_c=rng.uniform(0, 5, n),
         i_c=rng.uniform(0, 1.5, n),
         x=rng.uniform(1e-3, 5e-3, n),
         x_ref=np.full(n, 3e-3),
     )
 
-    try:
-        found = identify_records(campaign, [junk])
-    except DataError as error:
-        assert "junk" in str(error)
-    else:
-        assert not found.usable
-        assert found.warnings
+    found = identify_records(campaign, [junk])
+
+    assert not found.usable
+    assert found.warnings
 
 
 def test_an_empty_campaign_is_refused() -> None:

@@ -31,8 +31,8 @@ def test_intervals_contain_the_truth_in_90_to_99_percent_and_bias_is_below_the_s
 
     for name in TRUTHS:
         print(
-            f"{name:4} inside {100 * np.mean(inside[name]):5.1f} %  z {np.mean(z[name]):+.2f} +- {np.std(z[name]):.2f}  "
-            f"relative bias {np.mean(relative[name]):+.1e}  rms {np.sqrt(np.mean(np.square(relative[name]))):.1e}"
+            f"{name:4} inside {100 * np.mean(inside[name]):5.1f} %  z {np.mean(z[name]):+.2f} +- {np.std(z[name]):.2f} "
+            f" relative bias {np.mean(relative[name]):+.1e}  rms {np.sqrt(np.mean(np.square(relative[name]))):.1e}"
         )
     together = np.mean([inside[name] for name in TRUTHS])
     # 240 intervals at 95 %: one standard deviation is 1.4 %; of 60 per parameter, 2.8 %.

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.twin.identify.emulated_campaign import TRUTHS, Lab, campaign_of, random_rig, run_campaign, truth
-from tests.twin.identify.independent_plant import Ball, wandering
 
 from gateway.emulator.flash import INPUT
 from protocol.wire.messages import Mode, Shape
+from tests.twin.identify.emulated_campaign import TRUTHS, Lab, campaign_of, random_rig, run_campaign, truth
+from tests.twin.identify.independent_plant import Ball, wandering
 from twin.identify.pipeline import Identification, identify_records
 from twin.identify.record import Record
 
