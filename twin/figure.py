@@ -106,10 +106,13 @@ def draw(traces: Traces, out: Path, *, nis_on: float, error_on: float, title: st
     _pair(axes[2], t, u, twin_u, "input u_c [V]")
 
     axes[3].semilogy(t, np.maximum(error * 1e6, FLOOR_UM), color="#bbbbbb", lw=0.6, label="|error|")
-    axes[3].semilogy(t, rmse * 1e6, color=TWIN, lw=1.6, label="rolling RMSE (1 s)")
+    axes[3].semilogy(t, rmse * 1e6, color=TWIN, lw=1.6, label="rolling RMSE")
     axes[3].semilogy(t, std * np.sqrt(error_on) * 1e6, color=ALARM, lw=1.4, ls="-.", label="alarm line")
+    if not np.isfinite(twin_x).any():
+        why = "no free twin: the log does not say which law ran"
+        axes[3].text(0.5, 0.5, why, transform=axes[3].transAxes, ha="center", color=REFERENCE)
     axes[3].set_ylabel("x: measured - twin\n[um]")
-    axes[4].semilogy(t, nis, color=TWIN, lw=1.4, label="NIS, mean over 1 s")
+    axes[4].semilogy(t, nis, color=TWIN, lw=1.4, label="NIS, window mean")
     axes[4].axhline(2.0, color=REFERENCE, lw=0.9, ls=":", label="a right model: 2")
     axes[4].axhline(nis_on, color=ALARM, lw=1.4, ls="-.", label=f"alarm line: {nis_on:.2f}")
     axes[4].set_ylabel("one-step\ninnovation [-]")
@@ -131,7 +134,7 @@ def _pair(
     axis: Axes, t: NDArray[np.float64], measured: NDArray[np.float64], twin: NDArray[np.float64], label: str
 ) -> None:
     axis.plot(t, measured, color=MEASURED, lw=2.4, alpha=0.55, label="measured")
-    axis.plot(t, twin, color=TWIN, lw=1.1, label="twin")
+    axis.plot(t, twin, color=TWIN, lw=1.1, label="twin" if np.isfinite(twin).any() else None)
     axis.set_ylabel(label)
 
 
