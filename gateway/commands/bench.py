@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from protocol.errors import UsageError
 
-FOLDER = Path(__file__).parents[2] / "tests" / "bench"
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "tests" / "bench"
 Row = dict[str, Any]  # name, value, unit, baseline, ratio, note
 
 
@@ -36,6 +38,7 @@ def run(args: argparse.Namespace) -> int:
     if unknown:
         raise UsageError(f"No benchmark is called {sorted(unknown)[0]!r}", remedy=f"There are: {', '.join(_names())}")
     rows: list[Row] = []
+    sys.path.insert(0, str(ROOT))  # benchmarks share plants and loads with the tests
     for name in args.names or _names():
         if not args.json:
             print(f"{name} ...", flush=True)
