@@ -1,7 +1,7 @@
 """The `board51` command: lists the sub-commands, imports the one that was asked for, decides nothing.
 
-A sub-command is a module with `configure(parser)` and `run(args) -> exit code`.  Exit codes: 0 done, 1 the work says no,
-2 bad usage or bad input (one line on stderr: what, where, what to do).
+A sub-command is a module with `configure(parser)` and `run(args) -> exit code`.  Exit codes: 0 done, 1 the work says
+no, 2 bad usage or bad input (one line on stderr: what, where, what to do).
 """
 
 from __future__ import annotations

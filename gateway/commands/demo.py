@@ -113,6 +113,7 @@ def _findings(log: Path) -> str:
         "  x_ref      current i_c [A]           input u_c [V]",
         "   [mm]    rig    twin    error     rig    twin    error",
     ]
+    errors: list[float] = []
     for x_ref, pairs in sorted(rows.items()):
         # The last half second under this reference: at rest, so that only the force balance is compared.
         rest = pairs[-250:]
@@ -122,7 +123,13 @@ def _findings(log: Path) -> str:
         lines.append(
             f"  {x_ref:5.2f}  {i:6.3f}  {i_twin:6.3f}  {i - i_twin:+7.3f}  {u:6.3f}  {u_twin:6.3f}  {u - u_twin:+7.3f}"
         )
-    lines += ["", f"  alarms raised: {len(alarms)}" + "".join(f"\n    {text}" for text in dict.fromkeys(alarms))]
+        errors.append(i - i_twin)
+    if errors:
+        kind = "more" if min(errors) > 0 else "less" if max(errors) < 0 else ""
+        trend = ", the more the higher the ball" if errors == sorted(errors, key=abs) and len(errors) > 2 else ""
+        lines += ["", f"  To hold the ball the rig takes {min(errors):+.3f} to {max(errors):+.3f} A against the model"]
+        lines[-1] += f": always {kind}{trend}." if kind else "."
+    lines += [f"  Alarms raised: {len(alarms)}" + "".join(f"\n    {text}" for text in dict.fromkeys(alarms))]
     return "\n".join(lines)
 
 

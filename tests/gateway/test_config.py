@@ -41,7 +41,9 @@ def test_the_environment_overrides_the_file(tmp_path: Path) -> None:
         "BOARD51_BOARDS": "a=/dev/ttyS0,b=socket://host:4001",
     }
 
-    config = _load(tmp_path, '[[board]]\nname = "x"\nport = "y"\n[log]\ndirectory = "here"\nrotate_s = 5', **environment)
+    config = _load(
+        tmp_path, '[[board]]\nname = "x"\nport = "y"\n[log]\ndirectory = "here"\nrotate_s = 5', **environment
+    )
 
     assert config.site == "lab"
     assert config.log.directory == "/data"

@@ -156,7 +156,8 @@ def test_the_demo_lifts_the_ball_and_leaves_log_and_picture(tmp_path: Path) -> N
 
     assert done.returncode == 0, done.stderr
     assert re.search(r"reference 4\.50 mm: ball at 4\.(4[5-9]|5[0-5]) mm", done.stdout)
-    assert "alarms raised" in done.stdout
+    assert "Alarms raised" in done.stdout
+    assert "always more, the more the higher the ball" in done.stdout
     picture = next((tmp_path / "out").glob("*.png"))
     assert picture.read_bytes().startswith(b"\x89PNG")
     info = _call("info", "--json", next((tmp_path / "out").glob("*.mcap")), cwd=tmp_path)
