@@ -238,6 +238,6 @@ def _law(record: Record, plant: Plant, controller: Controller) -> list[str]:
         share = 100.0 * (1.0 - (rest / spread) ** 2) if spread > 0 else 0.0
         return [
             f"{record.name}: u_c is not what [controller] gives (off by {np.std(off):.3g} V rms); it follows "
-            f"gains of about [{fitted}] (they explain {share:.0f} % of it). Correct the section; the fit does not use it"
+            f"gains of about [{fitted}] (they explain {share:.0f} % of it). Correct it; the fit does not use it"
         ]
     return []

@@ -112,13 +112,15 @@ class Likelihood:
         return total, white
 
     def gradient(
-        self, point: Point, free: Sequence[str], *, scores: bool = False
+        self, point: Point, free: Sequence[str], *, lags: int = 0
     ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-        """(log-likelihood, score, Fisher information, scores per sample or empty) in the free coordinates."""
+        """(log-likelihood, score, Fisher information, Newey-West sum of scores) in the free coordinates.
+
+        The sum is taken within blocks of `BLOCK_SAMPLES`: the scores of an hour would not fit beside its data.
+        """
         count = len(free)
-        fisher = np.zeros((count, count))
+        fisher, spread = np.zeros((count, count)), np.zeros((count, count))
         score = np.zeros(count)
-        rows: list[FloatArray] = []
         total = 0.0
         for block in self._blocks:
             base = self._filter(point, block)
@@ -127,14 +129,14 @@ class Likelihood:
             moved = np.empty((count, n, 5))
             for place, name in enumerate(free):
                 by = _DRAG_STEP if name == "b" else _STEP[name]
-                out = self._filter(point.moved(name, by, self.plant.mass_kg), block)
-                moved[place] = (out - base) / by
+                np.subtract(self._filter(point.moved(name, by, self.plant.mass_kg), block), base, out=moved[place])
+                moved[place] /= by
             each = np.empty((n, count))
             information(base, moved, each, fisher)
             score += each.sum(axis=0)
-            if scores:
-                rows.append(each)
-        return total, score, fisher, np.concatenate(rows) if rows else np.empty((0, count))
+            if lags:
+                spread += _newey_west(each, lags)
+        return total, score, fisher, spread
 
     def states(self, point: Point) -> FloatArray:
         """Corrected estimates (i_c, x, x') at each sample, shape (n, 3), NaN where the ball does not fly."""
@@ -226,17 +228,20 @@ def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: in
 
 def sandwich(likelihood: Likelihood, found: Fit, lags: int) -> Fit:
     """The fit with the covariance that holds for coloured residuals too: F^-1 (Newey-West sum of scores) F^-1."""
-    _, _, fisher, scores = likelihood.gradient(found.point, found.free, scores=True)
+    _, _, fisher, middle = likelihood.gradient(found.point, found.free, lags=lags)
     active = np.diag(found.covariance) > 0.0
-    middle = scores.T @ scores
-    for lag in range(1, lags + 1):
-        weight = 1.0 - lag / (lags + 1.0)
-        cross = scores[lag:].T @ scores[:-lag]
-        middle += weight * (cross + cross.T)
     inner = _inverse(fisher[np.ix_(active, active)])
     robust = np.zeros_like(found.covariance)
     robust[np.ix_(active, active)] = inner @ middle[np.ix_(active, active)] @ inner
     return replace(found, robust=robust)
+
+
+def _newey_west(scores: FloatArray, lags: int) -> FloatArray:
+    total = scores.T @ scores
+    for lag in range(1, min(lags, len(scores) - 1) + 1):
+        cross = scores[lag:].T @ scores[:-lag]
+        total += (1.0 - lag / (lags + 1.0)) * (cross + cross.T)
+    return np.asarray(total)
 
 
 def gate(series: Series, white: FloatArray, recording_count: int) -> tuple[Series, FloatArray]:

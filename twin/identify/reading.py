@@ -7,7 +7,6 @@ Rule 2: `skip_s` is taken off every file alike, after sorting out nothing: the o
 from __future__ import annotations
 
 import gzip
-import io
 import zlib
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from protocol.errors import DataError
 from twin.identify.record import Capture, FloatArray, Record
 
 _GZIP = b"\x1f\x8b"
+_HEAD = 4096  # bytes that tell text from something else
 
 
 def read_campaign(campaign: Campaign, *, use: str = "fit", data: Path | None = None) -> list[Record]:
@@ -95,25 +95,39 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
             data = gzip.decompress(data)
         except (EOFError, OSError, zlib.error) as error:
             raise DataError(f"{path} is damaged or cut off: {error}", remedy="Fetch it again") from None
-    try:
-        lines = data.decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise DataError(f"{path} is not text", remedy="Name a CSV file in UTF-8, a .mat or an MCAP file") from None
-    kept = [line for line in lines if line.strip() and not line.startswith("#")]
-    if len(kept) < 2:
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    if b"\0" in data[:_HEAD] or not data[:_HEAD].decode("utf-8", errors="ignore").strip():
+        raise DataError(f"{path} is not text", remedy="Name a CSV file in UTF-8, a .mat or an MCAP file")
+    # Bytes all the way: an hour of samples as a list of lines takes half a gigabyte.
+    if data.startswith(b"#") or b"\n#" in data:
+        data = b"\n".join(line for line in data.split(b"\n") if not line.startswith(b"#"))
+    start = len(data) - len(data.lstrip()) if data[:1].isspace() else 0
+    end = data.find(b"\n", start)
+    if end < 0 or not data[end : end + _HEAD].strip():
         raise DataError(f"{path} holds no rows", remedy="Name a file with a line of column names and rows of numbers")
-    separator = max(",;\t", key=kept[0].count)
-    names = [cell.strip().strip('"') for cell in kept[0].split(separator)]
+    header = data[start:end].decode("utf-8", errors="replace").strip()
+    separator = max(",;\t", key=header.count)
+    names = [cell.strip().strip('"') for cell in header.split(separator)]
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise DataError(f"{path}: column {twice!r} is there twice", remedy="Give each column its own name")
-    body = "\n".join(kept[1:]).encode()
+    options = {
+        "read_options": csv.ReadOptions(column_names=names),
+        "parse_options": csv.ParseOptions(delimiter=separator),
+    }
+    body = memoryview(data)[end + 1 :]
     try:
-        table = csv.read_csv(
-            io.BytesIO(body),
-            read_options=csv.ReadOptions(column_names=names),
-            parse_options=csv.ParseOptions(delimiter=separator),
-        )
+        # In pieces, so that an hour of samples is never in memory as text, as Arrow and as numpy all at once.
+        batches = [
+            [_numbers(column) for column in batch.columns] for batch in csv.open_csv(pa.BufferReader(body), **options)
+        ]
+        columns = {name: np.concatenate([batch[n] for batch in batches]) for n, name in enumerate(names)}
+        pa.default_memory_pool().release_unused()
+        return columns
+    except pa.ArrowInvalid:
+        pass  # a column changes its type on the way: read whole, cell by cell where need be
+    try:
+        table = csv.read_csv(pa.BufferReader(body), **options)
     except pa.ArrowInvalid as error:
         raise DataError(f"{path} is not a table: {str(error).splitlines()[0]}", remedy="Complete that line") from None
     return {name: _numbers(table.column(name)) for name in names}
@@ -122,9 +136,9 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
 def _numbers(column: object) -> FloatArray:
     import pyarrow as pa
 
-    assert isinstance(column, pa.ChunkedArray)
+    assert isinstance(column, pa.ChunkedArray | pa.Array)
     if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
-        return np.asarray(column.cast(pa.float64()).to_numpy(), dtype=float)
+        return np.asarray(column.cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=float).copy()
     return np.array([_number(cell) for cell in column.to_pylist()], dtype=float)
 
 

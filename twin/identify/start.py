@@ -24,6 +24,7 @@ from twin.identify.prepare import flights
 from twin.identify.record import FloatArray, Record, intervals, runs
 
 WINDOW_S = 0.06
+_CONVOLVED = 50_000  # samples at a time
 _ENOUGH = 40  # windows; fewer, because the ball keeps hitting its stops, and shorter ones are taken
 _OVERLAP = 4  # windows begin a quarter of their length apart
 _SHORTEST, _LONGEST = 0.03, 100.0  # T_A in sampling intervals
@@ -138,7 +139,8 @@ def _rows(
             continue
         step = record.interval_s
         width = max(round(window_s / step), 8)
-        for flight in flights(record, plant, at_least=width + 1):
+        whole = flights(record, plant, at_least=width + 1)
+        for flight in (part for long in whole for part in _cut(long, width)):
             x = record.x[flight]
             i = record.i_c[flight]
             u = record.u_c[flight]
@@ -153,6 +155,11 @@ def _rows(
                 )
             )
     return rows
+
+
+def _cut(flight: slice, width: int) -> list[slice]:
+    starts = range(flight.start, flight.stop, _CONVOLVED)
+    return [slice(a, min(a + _CONVOLVED, flight.stop)) for a in starts if min(a + _CONVOLVED, flight.stop) - a > width]
 
 
 def _regress(table: FloatArray) -> BallStart:
