@@ -146,15 +146,21 @@ def identify_records(
             )
     warnings += _left_out(usages)
 
+    if white is not None and not white.white:
+        warnings.append(
+            f"the residuals are not white (autocorrelation up to {white.worst:.2f}): the model is not the whole story. "
+            "The intervals are those of its best approximation, and b is the first to be wrong; board51 diagnose looks "
+            "for the cause"
+        )
     intervals: dict[str, Interval] = {}
+    coloured = white is not None and not white.white
     if found is not None:
-        coloured = white is not None and not white.white
         intervals = quadratic_or_profile(likelihood, found, robust=coloured)
     parameters = {
         "K_A": verdicts.gain(found, intervals, levels, shape, warnings),
         "T_A": verdicts.time_constant(found, intervals, shape, tick_s, warnings),
         "K_c": verdicts.force_constant(found, intervals, force, ball, flying, plant, warnings),
-        "b": verdicts.drag(found, intervals, ball, flying, plant, warnings),
+        "b": verdicts.drag(found, intervals, ball, flying, plant, warnings, coloured=coloured),
     }
     model = _model(campaign, parameters, found, white, records, usages, warnings, levels, shape, force)
     return Identification(

@@ -63,6 +63,8 @@ def prepare(records: list[Record], plant: Plant) -> tuple[Series, list[Usage]]:
         empty = np.empty(0)
         nothing = np.empty(0, np.uint8)
         return Series(step=empty, u=empty, i=empty, x=empty, flags=nothing, recording=np.empty(0, np.int32)), usages
+    if len(parts) == 1:
+        return parts[0], usages
     return Series(
         step=np.concatenate([part.step for part in parts]),
         u=np.concatenate([part.u for part in parts]),

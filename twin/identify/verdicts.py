@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from protocol.campaign import Plant
 from twin.identify.fit import Fit
@@ -91,6 +92,23 @@ def time_constant(
             "(1)",
             _TIME_HELP,
         )
+    if shape is not None and (
+        found is None
+        or joint is None
+        or not joint.std <= shape.T_A_std
+        or abs(found.point.T_A - shape.T_A) > AGREE * math.hypot(joint.std, shape.T_A_std)
+    ):
+        # Each step of its own levels: an offset that (1) does not have cannot pass for a slow amplifier.
+        return _parameter(
+            "T_A",
+            shape.T_A,
+            shape.T_A_std,
+            shape.T_A - 1.96 * shape.T_A_std,
+            shape.T_A + 1.96 * shape.T_A_std,
+            f"first-order response to {shape.steps} steps",
+            "(1)",
+            _TIME_HELP,
+        )
     if found is None or joint is None:
         return _absent("T_A", 0.15 * tick_s, _TIME_HELP, warnings)
     parameter = _parameter(
@@ -173,8 +191,13 @@ def drag(
     flying: bool,
     plant: Plant,
     warnings: list[str],
+    *,
+    coloured: bool,
 ) -> Parameter:
-    """b, honestly: an interval that reaches zero is said to."""
+    """b, honestly: an interval that reaches zero is said to, and coloured residuals make it weak at best.
+
+    Drag is the smallest force: whatever the model lacks (a lag, a delay, another force law) ends up in b first.
+    """
     joint = intervals.get("b")
     if flying and found is not None and joint is None and ball is not None:
         std = ball.d_std * plant.mass_kg
@@ -215,6 +238,12 @@ def drag(
         "(5), (7)",
         _DRAG_HELP,
     )
+    if coloured and parameter.verdict == "identified":
+        return replace(
+            parameter,
+            verdict="weak",
+            method=parameter.method + "; the residuals are coloured, and what the model lacks ends up in b first",
+        )
     if parameter.verdict != "identified":
         lower = "which includes 0" if joint.low <= 0.0 else "wide"
         warnings.append(

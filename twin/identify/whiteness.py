@@ -11,6 +11,7 @@ from twin.identify.innovations import FLIES, FOLLOWS, Series
 from twin.identify.record import FloatArray
 
 LAGS = 25
+SMALL = 0.015  # autocorrelation that no length of a record makes important
 LEVEL = 1e-3  # of the Ljung-Box test, below which residuals are called coloured
 
 
@@ -28,10 +29,11 @@ class Whiteness:
 
 def whiteness(series: Series, white: FloatArray) -> Whiteness:
     """Ljung-Box of both channels over all chains; a pair of samples counts where nothing broke between them."""
-    chain = np.cumsum((series.flags & FOLLOWS) == 0)
-    flight = np.cumsum(np.diff((series.flags & FLIES).astype(np.int8), prepend=0) != 0)
+    broken = (series.flags & FOLLOWS) == 0
+    turned = np.diff((series.flags & FLIES).astype(np.int8), prepend=np.int8(0)) != 0
     results = []
-    for column, groups in ((0, chain), (1, chain + (chain[-1] + 1 if len(chain) else 0) * flight)):
+    for column, edges in ((0, broken), (1, broken | turned)):
+        groups = np.cumsum(edges, dtype=np.int32)
         values = white[:, column]
         good = np.isfinite(values)
         n = int(good.sum())
@@ -58,5 +60,5 @@ def whiteness(series: Series, white: FloatArray) -> Whiteness:
         p_i=p_i,
         p_x=p_x,
         worst=max(worst_i, worst_x),
-        white=min(known, default=1.0) > LEVEL,
+        white=min(known, default=1.0) > LEVEL or max(worst_i, worst_x) < SMALL,
     )

@@ -179,3 +179,45 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
 
     assert stopped.value.code == 0
     assert "board51 identify" in capsys.readouterr().out
+
+
+def test_a_log_brings_captures_scalings_and_sessions(tmp_path: Path, flight: Record) -> None:
+    rng = np.random.default_rng(4)
+    after = BALL.K_A * 2.0 * (1.0 - np.exp(-40e-6 * np.arange(800) / BALL.T_A))
+    current = np.concatenate((np.zeros(100), after)) + BALL.sigma_i * rng.normal(size=900)
+    capture = pb.CaptureRecord(
+        session=1, sample_time_s=40e-6, u_from_v=0.0, u_to_v=2.0, step_index=100, i_c_a=current.tolist()
+    )
+    parameters = pb.Parameters(session=1, sample_time_s=2e-3, i_lsb_a=5e-4, x_lsb_m=1e-6)
+    with TwinLog(tmp_path / "a.mcap") as log:
+        log.write(key("board51", "rig", "parameters"), parameters, message_type=pb.Parameters, log_time_ns=1)
+        log.write(key("board51", "rig", "capture"), capture, message_type=pb.CaptureRecord, log_time_ns=2)
+        for n, (t, u, i, x, x_ref) in enumerate(table(flight)):
+            session = 1 if n < 1000 else 2  # the board was reset: its clock starts anew
+            state = pb.State(session=session, t_s=t if n < 1000 else t - 2.0, u_c_v=u, i_c_a=i, x_m=x, x_ref_m=x_ref)
+            log.write(key("board51", "rig", "state"), state, message_type=pb.State, log_time_ns=n + 3)
+
+    assert run(campaign(tmp_path, "a.mcap"), "--out", tmp_path / "m.json", "--quiet") == 0
+
+    model = load_model(tmp_path / "m.json")
+    (usage,) = model.provenance["recordings"]
+    assert usage["captures"] == 1
+    assert usage["pieces"] >= 2
+    T_A = model.parameters["T_A"]
+    assert T_A.std is not None
+    assert abs(T_A.value - BALL.T_A) < 4.0 * T_A.std
+    assert T_A.std < 0.01 * BALL.T_A  # 800 samples at 25 kHz know it better than 5 s at 500 Hz
+    assert model.provenance["amplifier_shape"]["first_order"]
+
+
+def test_a_log_of_two_boards_asks_which_one(tmp_path: Path, flight: Record, capsys: pytest.CaptureFixture[str]) -> None:
+    with TwinLog(tmp_path / "a.mcap") as log:
+        for n, (t, u, i, x, _) in enumerate(table(flight)):
+            for board in ("left", "right"):
+                state = pb.State(session=1, t_s=t, u_c_v=u, i_c_a=i, x_m=x if board == "left" else 0.0)
+                log.write(key("board51", board, "state"), state, message_type=pb.State, log_time_ns=n + 1)
+
+    assert run(campaign(tmp_path, "a.mcap"), "--quiet") == 2
+    assert "holds 2 boards: left, right" in capsys.readouterr().err
+
+    assert run(campaign(tmp_path, "a.mcap", 'board = "left"\n'), "--quiet") == 0

@@ -162,3 +162,15 @@ def test_a_response_that_is_not_first_order_is_said_and_k_a_stays_right() -> Non
     K_A = found.model.parameters["K_A"]
     assert "steady levels" in K_A.method
     assert K_A.value == pytest.approx(rig.amplifier_gain_a_v, rel=2e-3)
+
+
+def test_what_the_model_lacks_is_said_and_drag_is_not_called_identified() -> None:
+    rig = random_rig(np.random.default_rng(14))
+    records = run_campaign(rig, seed=14, flight_s=8.0, effects={"motional-emf": 0.5})
+
+    found = identify_records(campaign_of(rig), records)
+
+    assert found.whiteness is not None
+    assert not found.whiteness.white
+    assert any("not white" in warning for warning in found.warnings)
+    assert found.model.parameters["b"].verdict != "identified"
