@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -71,7 +71,6 @@ class Fit:
     converged: bool
     passes: int
     decrement: float
-    white: FloatArray = field(repr=False)  # whitened innovations, shape (n, 2), NaN where unused
     robust: FloatArray | None = None  # sandwich covariance
 
     def std(self, name: str, mass_kg: float, *, robust: bool = False) -> float:
@@ -102,14 +101,21 @@ class Likelihood:
         self.evaluations = 0
         self.drag_most = most_drag(plant)
 
-    def value(self, point: Point) -> tuple[float, FloatArray]:
-        """(log-likelihood, whitened innovations of shape (n, 2))."""
-        white = np.full((len(self.series), 2), np.nan)
+    def value(self, point: Point) -> float:
+        """The log-likelihood."""
         total = 0.0
         for block in self._blocks:
             out = self._filter(point, block)
-            total += whiten(out, np.empty(len(out)), white[block])
-        return total, white
+            total += whiten(out, np.empty(len(out)), np.empty((len(out), 2)))
+        return total
+
+    def white(self, point: Point) -> FloatArray:
+        """Whitened innovations, shape (n, 2), NaN where unused."""
+        white = np.full((len(self.series), 2), np.nan)
+        for block in self._blocks:
+            out = self._filter(point, block)
+            whiten(out, np.empty(len(out)), white[block])
+        return white
 
     def gradient(
         self, point: Point, free: Sequence[str], *, lags: int = 0
@@ -197,7 +203,7 @@ def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: in
             break
         trial = _move(point, free, step, mass)
         trial = replace(trial, b=min(trial.b, likelihood.drag_most * mass))
-        value, _ = likelihood.value(trial)
+        value = likelihood.value(trial)
         if np.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
             slow = slow + 1 if value - loglik < 0.05 else 0
             point, damping = trial, max(damping * 0.1, 1e-9)
@@ -222,7 +228,6 @@ def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: in
         converged=converged,
         passes=used,
         decrement=float(decrement),
-        white=likelihood.value(point)[1],
     )
 
 

@@ -120,7 +120,7 @@ def identify_records(
         start, free = _start(amplifier, ball, force, flying, plant.mass_kg, tick_s)
         found = fit(likelihood, start, free)
         say(f"fit: {found.passes} passes over {len(series)} samples")
-        gated, dropped = gate(series, found.white, len(records))
+        gated, dropped = gate(series, likelihood.white(found.point), len(records))
         if dropped.any():
             for usage, count in zip(usages, dropped, strict=True):
                 usage.outliers += int(count)
@@ -136,7 +136,7 @@ def identify_records(
                 "in air has that, it stands for what (6) lacks. b is from a regression over 60 ms windows instead; "
                 "board51 diagnose looks for the reason"
             )
-        white = whiteness(likelihood.series, found.white)
+        white = whiteness(likelihood.series, likelihood.white(found.point))
         found = sandwich(likelihood, found, max(round(HAC_S / tick_s), 1))
         say("covariance and intervals")
         if not found.converged:
