@@ -118,10 +118,13 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
     body = memoryview(data)[end + 1 :]
     try:
         # In pieces, so that an hour of samples is never in memory as text, as Arrow and as numpy all at once.
-        batches = [
-            [_numbers(column) for column in batch.columns] for batch in csv.open_csv(pa.BufferReader(body), **options)
-        ]
-        columns = {name: np.concatenate([batch[n] for batch in batches]) for n, name in enumerate(names)}
+        values = np.empty((len(names), data.count(b"\n", end) + 1))
+        rows = 0
+        for batch in csv.open_csv(pa.BufferReader(body), **options):
+            for n, column in enumerate(batch.columns):
+                values[n, rows : rows + batch.num_rows] = _numbers(column)
+            rows += batch.num_rows
+        columns = {name: values[n, :rows] for n, name in enumerate(names)}
         pa.default_memory_pool().release_unused()
         return columns
     except pa.ArrowInvalid:
@@ -138,7 +141,7 @@ def _numbers(column: object) -> FloatArray:
 
     assert isinstance(column, pa.ChunkedArray | pa.Array)
     if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
-        return np.asarray(column.cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=float).copy()
+        return np.asarray(column.cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=float)
     return np.array([_number(cell) for cell in column.to_pylist()], dtype=float)
 
 
