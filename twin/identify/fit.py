@@ -263,8 +263,9 @@ def gate(series: Series, white: FloatArray, recording_count: int) -> tuple[Serie
         if known.size < 50:
             continue
         scale = max(float(np.median(known)) / 0.6745, 1e-12)
+        del known
         wild = np.isfinite(values) & (values > GATE * max(scale, 1.0))
-        crowd = np.convolve(wild, np.ones(11), mode="same") > 4
+        crowd = np.convolve(wild.astype(np.int8), np.ones(11, np.int8), mode="same") > 4
         wild &= ~crowd
         flags[wild] &= np.uint8(~bit & 0xFF)
         np.add.at(dropped, series.recording[wild], 1)

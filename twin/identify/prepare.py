@@ -25,7 +25,7 @@ REACH = 1.3  # times the last or next change of x: what acceleration may add wit
 FLIGHT_SAMPLES = 8  # shorter ones only tell their own initial state
 SPIKE_SCALES = 12.0  # of the robust spread about the neighbours; a flight does not do that, a bit error does
 CLIPPED_RUN = 6  # equal extreme readings in a row: the converter's end, not chance
-BLOCK_SAMPLES = 50_000  # chains are cut here, so that an hour of data needs no more memory than a minute
+BLOCK_SAMPLES = 20_000  # chains are cut here, so that an hour of data needs no more memory than a minute
 _CAPTURE_LEAD = 20  # samples of a capture before the step
 
 
