@@ -30,7 +30,8 @@ from protocol.errors import DataError
 # What reading a truncated or damaged record raises: mcap, its decompressors and struct each have their own.
 _DAMAGE = (McapError, ValueError, RuntimeError, EOFError, struct.error, ZstdError)
 _RECORD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_MESSAGE = struct.Struct("<xQHxxxxQxxxxxxxx")  # of a whole record: size, channel, log time
+_IS_MESSAGE = int(Opcode.MESSAGE)
 
 
 class Entry(NamedTuple):
@@ -92,22 +93,25 @@ class LogReader:
     def _chunk(self, chunk: Chunk) -> Iterator[Entry]:
         stream, length = get_chunk_data_stream(chunk, validate_crc=True)
         records = stream.read(length)
-        wanted, head, message = self._wanted, _RECORD.unpack_from, _MESSAGE.unpack_from
+        wanted, message, head, payload = self._wanted, _MESSAGE.unpack_from, _RECORD.size, _MESSAGE.size
         at = 0
         # By hand: mcap's own `breakup_chunk` builds objects for every message, wanted or not, at 8 us each.
         while at < length:
-            opcode, size = head(records, at)
-            at += _RECORD.size
-            if opcode == Opcode.MESSAGE:
-                channel, _, log_time, _ = message(records, at)
-                found = wanted.get(channel)
-                if found:
-                    yield Entry(found[0], found[1], found[2], log_time, records[at + _MESSAGE.size : at + size])
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                stream_of_one, _ = get_chunk_data_stream(_bare(records[at : at + size]))
-                read = Schema.read if opcode == Opcode.SCHEMA else Channel.read
-                self._declare(read(stream_of_one))
-            at += size
+            opcode = records[at]
+            if opcode == _IS_MESSAGE:
+                size, channel, log_time = message(records, at)
+                end = at + head + size
+                if channel in wanted:
+                    site, board, topic = wanted[channel]
+                    yield Entry(site, board, topic, log_time, records[at + payload : end])
+            else:
+                _, size = _RECORD.unpack_from(records, at)
+                end = at + head + size
+                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    stream_of_one, _ = get_chunk_data_stream(_bare(records[at + head : end]))
+                    read = Schema.read if opcode == Opcode.SCHEMA else Channel.read
+                    self._declare(read(stream_of_one))
+            at = end
 
     def _declare(self, record: Schema | Channel) -> None:
         if isinstance(record, Schema):

@@ -12,6 +12,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from twin.compiled import kernel
 from twin.model.parameters import Model
 
@@ -67,6 +70,29 @@ def acceleration(p: PlantNumbers, i: float, x: float, v: float) -> float:
 
 
 @kernel
+def substep(
+    p: PlantNumbers, h: float, i: float, i_half: float, i_next: float, x: float, v: float
+) -> tuple[float, float]:
+    """(x, x') after h, i_c being i, i_half and i_next at its beginning, middle and end: m, m/s."""
+    a1 = acceleration(p, i, x, v)
+    v2 = v + 0.5 * h * a1
+    a2 = acceleration(p, i_half, x + 0.5 * h * v, v2)
+    v3 = v + 0.5 * h * a2
+    a3 = acceleration(p, i_half, x + 0.5 * h * v2, v3)
+    v4 = v + h * a3
+    a4 = acceleration(p, i_next, x + h * v3, v4)
+    x += h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
+    v += h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+    if x <= 0.0:
+        x = 0.0
+        v = max(v, 0.0)
+    elif x >= p.travel_m:
+        x = p.travel_m
+        v = min(v, 0.0)
+    return x, v
+
+
+@kernel
 def tick(p: PlantNumbers, i: float, x: float, v: float, u: float) -> tuple[float, float, float]:
     """(i_c, x, x') one T_s later, with u_c = u held: A, m, m/s."""
     h = p.sample_time_s / p.substeps
@@ -74,20 +100,24 @@ def tick(p: PlantNumbers, i: float, x: float, v: float, u: float) -> tuple[float
     for _ in range(p.substeps):
         i_half = i_end + (i - i_end) * p.half_step_decay
         i_next = i_end + (i_half - i_end) * p.half_step_decay
-        a1 = acceleration(p, i, x, v)
-        v2 = v + 0.5 * h * a1
-        a2 = acceleration(p, i_half, x + 0.5 * h * v, v2)
-        v3 = v + 0.5 * h * a2
-        a3 = acceleration(p, i_half, x + 0.5 * h * v2, v3)
-        v4 = v + h * a3
-        a4 = acceleration(p, i_next, x + h * v3, v4)
-        x += h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
-        v += h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+        x, v = substep(p, h, i, i_half, i_next, x, v)
         i = i_next
-        if x <= 0.0:
-            x = 0.0
-            v = max(v, 0.0)
-        elif x >= p.travel_m:
-            x = p.travel_m
-            v = min(v, 0.0)
     return i, x, v
+
+
+@kernel
+def ticks(p: PlantNumbers, states: NDArray[np.float64], u: float) -> None:
+    """`tick` of several states [i_c, x, x'], shape (3, n), in place.
+
+    The same bits as one after the other, in less than half the time: a substep waits for its divisions, which those of
+    the other states fill.
+    """
+    h = p.sample_time_s / p.substeps
+    i_end = p.K_A * u
+    for _ in range(p.substeps):
+        for k in range(states.shape[1]):
+            i = states[0, k]
+            i_half = i_end + (i - i_end) * p.half_step_decay
+            i_next = i_end + (i_half - i_end) * p.half_step_decay
+            states[1, k], states[2, k] = substep(p, h, i, i_half, i_next, states[1, k], states[2, k])
+            states[0, k] = i_next

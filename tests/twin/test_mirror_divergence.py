@@ -11,8 +11,8 @@ from scipy.stats import binom, chi2
 from protocol.bus import board51_pb2 as pb
 from tests.twin.rig import T_S, G, M, Rig
 from twin.control import law_numbers
-from twin.mirror.alarms import WindowAlarm, white_threshold
-from twin.mirror.divergence import MeanWindow, SignalWindows
+from twin.mirror.alarms import PLACES, TURNED_OFF, TURNED_ON, UNCHANGED, decide, message, white_threshold
+from twin.mirror.divergence import NIS, Comparison, figures, rolling_mean
 from twin.mirror.expected import (
     ExpectedError,
     autocovariance,
@@ -21,7 +21,8 @@ from twin.mirror.expected import (
     toeplitz_eigenvalues,
     weighted_chi_square_quantile,
 )
-from twin.mirror.mirror import IN_STEP, Mirror, Output
+from twin.mirror.mirror import IN_STEP, Mirror
+from twin.mirror.output import Output
 from twin.mirror.settings import Settings
 from twin.model.nominal import nominal
 
@@ -208,17 +209,18 @@ def test_a_coil_plane_above_the_stop_raises_every_alarm() -> None:
 
 
 def test_an_alarm_is_raised_as_soon_as_it_is_certain_and_cleared_by_a_whole_window() -> None:
-    alarm = WindowAlarm("a", window=10)
+    alarm = np.zeros(PLACES)
 
-    raised = [alarm.add(6.0, on=2.0, off=1.5) for _ in range(10)]
-    kept = [alarm.add(1.8, on=2.0, off=1.5) for _ in range(10)]
-    cleared = [alarm.add(1.0, on=2.0, off=1.5) for _ in range(10)]
+    raised = [decide(alarm, 10, 6.0, 2.0, 1.5) for _ in range(10)]
+    told = message("a", alarm, TURNED_ON)
+    kept = [decide(alarm, 10, 1.8, 2.0, 1.5) for _ in range(10)]
+    cleared = [decide(alarm, 10, 1.0, 2.0, 1.5) for _ in range(10)]
 
-    assert [c is not None for c in raised] == [False] * 3 + [True] + [False] * 6  # 4 * 6 > 10 * 2
-    assert kept == [None] * 10  # below on, above off
-    assert cleared[:9] == [None] * 9
-    assert cleared[9] is not None
-    assert not cleared[9].active
+    assert raised == [UNCHANGED] * 3 + [TURNED_ON] + [UNCHANGED] * 6  # 4 * 6 > 10 * 2
+    assert (told.active, told.value, told.threshold_on, told.threshold_off) == (True, 2.4, 2.0, 1.5)
+    assert kept == [UNCHANGED] * 10  # below on, above off
+    assert cleared == [UNCHANGED] * 9 + [TURNED_OFF]
+    assert not message("a", alarm, TURNED_OFF).active
 
 
 def test_rolling_figures_are_those_of_the_window_and_do_not_drift() -> None:
@@ -228,26 +230,29 @@ def test_rolling_figures_are_those_of_the_window_and_do_not_drift() -> None:
     y = 3e-3 + 1e-4 * np.sin(np.arange(n) / 7.0)
     e = 1e-6 * rng.normal(size=n)
     e[:50] = 1e3  # leaves nothing behind
-    windows = SignalWindows(window, np.zeros((3, 3)))
+    windows = Comparison()
+    windows.start(window)
+    arrays = (windows.ring, windows.sums, windows.counts, windows.totals)
 
     for k in range(n):
-        figures = windows.add((y[k], y[k], y[k]), (y[k] - e[k], y[k], y[k]), (1.0, 1.0, 1.0), in_step=True)
+        _, _, rmse, fit, full = figures(*arrays, 0, y[k], y[k] - e[k], 1.0, True)
 
     held_e, held_y = e[-window:], y[-window:]
-    _, _, rmse, fit, full = figures[0]
     assert full
     assert rmse == pytest.approx(math.sqrt(np.mean(held_e**2)), rel=1e-6)  # y - (y - e) itself costs digits of e
     assert fit == pytest.approx(100 * (1 - np.linalg.norm(held_e) / np.linalg.norm(held_y - held_y.mean())), rel=1e-6)
 
 
 def test_a_mean_window_forgets_completely() -> None:
-    window = MeanWindow(4)
-    for value in (1.0, 2.0, 3.0, 4.0):
-        window.add(value)
+    windows = Comparison()
+    windows.start(4)
+    means = [
+        rolling_mean(windows.ring, windows.sums, windows.counts, NIS, value) for value in (1.0, 2.0, 3.0, 4.0, 5.0)
+    ]
 
-    assert window.add(5.0) == pytest.approx(3.5)
-    window.clear()
-    assert window.add(7.0) == 7.0
+    assert means == pytest.approx([1.0, 1.5, 2.0, 2.5, 3.5])
+    windows.start(4)
+    assert rolling_mean(windows.ring, windows.sums, windows.counts, NIS, 7.0) == 7.0
 
 
 def test_the_same_messages_give_the_same_bits() -> None:
@@ -265,9 +270,9 @@ def test_the_same_messages_give_the_same_bits() -> None:
         for state in states:
             output = mirror.handle(pb.State.FromString(state.SerializeToString()))
             assert output is not None
-            for message in (output.divergence, output.state, *output.alarms):
-                if message is not None:
-                    produced.append(message.SerializeToString(deterministic=True))
+            for said in (output.divergence, output.state, *output.alarms):
+                if said is not None:
+                    produced.append(said.SerializeToString(deterministic=True))
         return produced
 
     assert run() == run()

@@ -10,7 +10,8 @@ import pytest
 
 from protocol.bus import board51_pb2 as pb
 from tests.twin.rig import Rig
-from twin.mirror.mirror import IN_STEP, OUT_OF_STEP, SETTLING, Mirror, Output
+from twin.mirror.mirror import IN_STEP, OUT_OF_STEP, SETTLING, Mirror
+from twin.mirror.output import Output
 from twin.model.nominal import nominal
 
 HELD = 2.85e-3

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 
 from twin.model.nominal import nominal
 from twin.model.parameters import Model
-from twin.simulate import PlantNumbers, plant_numbers, tick
+from twin.simulate import PlantNumbers, plant_numbers, tick, ticks
 
 T_S = 2e-3
 
@@ -133,6 +133,18 @@ def test_a_tick_agrees_with_an_adaptive_solver_and_halving_the_step_changes_noth
         assert coarse[0] == pytest.approx(i_ref, rel=1e-9)
         assert coarse[1] == pytest.approx(x_ref, abs=2e-8)
         assert coarse[2] == pytest.approx(v_ref, abs=2e-8 / (T_S / p.substeps))  # 20 nm within one substep
+
+
+def test_several_states_at_once_move_as_each_alone_bit_by_bit() -> None:
+    rng = np.random.default_rng(8)
+    p = plant_numbers(nominal(), T_S)
+    # from one stop to the other, so that some of them hit
+    states = np.array([rng.uniform(0.0, 1.5, 50), rng.uniform(0.0, 5.7e-3, 50), rng.uniform(-1.0, 1.0, 50)])
+    alone = [tick(p, i, x, v, 1.7) for i, x, v in states.T.tolist()]
+
+    ticks(p, states, 1.7)
+
+    assert states.T.tolist() == [list(state) for state in alone]
 
 
 _TRAJECTORY = """

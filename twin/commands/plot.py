@@ -21,8 +21,8 @@ from twin.model.parameters import Model
 
 if TYPE_CHECKING:
     from twin.figure import Traces
-    from twin.mirror.mirror import Output
     from twin.mirror.offline import BoardRun
+    from twin.mirror.output import Output
 
 SUFFIXES = (".png", ".svg", ".pdf")
 

@@ -13,9 +13,12 @@ Rule 2: cleared by one complete window below the lower threshold, which 19 of 20
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
 from protocol.bus import board51_pb2 as pb
+from twin.compiled import kernel
 
 DAY_S = 86400.0
 
@@ -33,63 +36,69 @@ def white_threshold(window: int, degrees: int, probability: float) -> float:
     return float(2.0 * gammainccinv(0.5 * degrees * window, probability)) / window
 
 
-class WindowAlarm:
-    """One alarm: squares in, changes of state out."""
+# What an alarm remembers, by its place in a row: the window so far, ...
+SUM, COUNT, ON, OFF, EXCEEDED = 0, 1, 2, 3, 4
+# ... the alarm over all time, and what was so when it last changed.
+ACTIVE, DECISIONS, RAISED, CHANGED_MEAN, CHANGED_ON, CHANGED_OFF = 5, 6, 7, 8, 9, 10
+PLACES = 11
+UNCHANGED, TURNED_ON, TURNED_OFF, ENDED = 0, 1, 2, 3  # what a sample did to an alarm
+_TEXTS = ("", "more than noise and a right model explain", "back to what noise explains")
 
-    def __init__(self, name: str, *, window: int) -> None:
-        self.name = name
-        self.active = False
-        self.decisions = 0
-        self.raised = 0
-        self._window = window
-        self._sum = 0.0
-        self._count = 0
-        self._exceeded = False
-        self._on = self._off = 0.0
 
-    def clear_window(self, *, window: int | None = None) -> None:
-        """Begin a new window (of another length, where one is given); the state of the alarm stays."""
-        self._window = window or self._window
-        self._sum = 0.0
-        self._count = 0
-        self._exceeded = False
-        self._on = self._off = 0.0
+@kernel
+def clear_window(row: NDArray[np.float64]) -> None:
+    """Begin a new window; the state of the alarm stays."""
+    row[SUM : EXCEEDED + 1] = 0.0
 
-    def drop(self) -> pb.Alarm | None:
-        """End the alarm without a decision: what it was about cannot be compared any longer."""
-        self.clear_window()
-        if not self.active:
-            return None
-        self.active = False
-        return pb.Alarm(name=self.name, active=False, text="ended: twin and rig are not compared any longer")
 
-    def add(self, square: float, *, on: float, off: float) -> pb.Alarm | None:
-        """Take one square; `on`, `off` are the thresholds of its window mean at this operating point.
+@kernel
+def end(row: NDArray[np.float64]) -> int:
+    """End the alarm without a decision: what it was about cannot be compared any longer."""
+    clear_window(row)
+    if row[ACTIVE] == 0.0:
+        return UNCHANGED
+    row[ACTIVE] = 0.0
+    return ENDED
 
-        Returns the alarm where its state changes.  Over a window the largest thresholds seen apply.
-        """
-        self._sum += square
-        self._count += 1
-        if on > self._on:
-            self._on = on
-        if off > self._off:
-            self._off = off
-        change: pb.Alarm | None = None
-        if not self._exceeded and self._sum > self._on * self._window:
-            self._exceeded = True
-            if not self.active:
-                self.active = True
-                self.raised += 1
-                change = self._message(self._sum / self._window, "more than noise and a right model explain")
-        if self._count == self._window:
-            self.decisions += 1
-            if self.active and not self._exceeded and self._sum < self._off * self._window:
-                self.active = False
-                change = self._message(self._sum / self._window, "back to what noise explains")
-            self.clear_window()
-        return change
 
-    def _message(self, value: float, text: str) -> pb.Alarm:
-        return pb.Alarm(
-            name=self.name, active=self.active, value=value, threshold_on=self._on, threshold_off=self._off, text=text
-        )
+@kernel
+def decide(row: NDArray[np.float64], window: int, square: float, on: float, off: float) -> int:
+    """Take one square; `on`, `off` are the thresholds of its window mean at this operating point.
+
+    Over a window the largest thresholds seen apply.
+    """
+    row[SUM] += square
+    row[COUNT] += 1.0
+    row[ON] = max(row[ON], on)
+    row[OFF] = max(row[OFF], off)
+    change = UNCHANGED
+    if row[EXCEEDED] == 0.0 and row[SUM] > row[ON] * window:
+        row[EXCEEDED] = 1.0
+        if row[ACTIVE] == 0.0:
+            row[ACTIVE] = 1.0
+            row[RAISED] += 1.0
+            change = TURNED_ON
+    full = row[COUNT] == window
+    if full and row[ACTIVE] == 1.0 and row[EXCEEDED] == 0.0 and row[SUM] < row[OFF] * window:
+        row[ACTIVE] = 0.0
+        change = TURNED_OFF
+    if change != UNCHANGED:
+        row[CHANGED_MEAN], row[CHANGED_ON], row[CHANGED_OFF] = row[SUM] / window, row[ON], row[OFF]
+    if full:
+        row[DECISIONS] += 1.0
+        clear_window(row)
+    return change
+
+
+def message(name: str, row: NDArray[np.float64], change: int) -> pb.Alarm:
+    """What is said about a change."""
+    if change == ENDED:
+        return pb.Alarm(name=name, active=False, text="ended: twin and rig are not compared any longer")
+    return pb.Alarm(
+        name=name,
+        active=change == TURNED_ON,
+        value=row[CHANGED_MEAN],
+        threshold_on=row[CHANGED_ON],
+        threshold_off=row[CHANGED_OFF],
+        text=_TEXTS[change],
+    )

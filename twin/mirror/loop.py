@@ -6,7 +6,8 @@ Rule 2: the state held is the one at the tick of the next sample: look at it, th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import numpy as np
+from numpy.typing import NDArray
 
 from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, law
@@ -24,33 +25,20 @@ def closed_loop_tick(
 
 
 @kernel
-def driven_tick(plant: Packed, i: float, x: float, v: float, u: float) -> tuple[float, float, float]:
-    """(i_c, x, x') one tick later under u_c = u."""
-    return tick(PlantNumbers(*plant), i, x, v, u)
+def advance(
+    plant: Packed, law_: Packed, memory: NDArray[np.float64], closed_loop: bool, x_ref: float, u: float
+) -> tuple[float, float, float, float]:
+    """Run one tick, in closed loop under x_ref, else under the given u: A, m, m/s, V.
 
-
-@dataclass(slots=True, kw_only=True)
-class FreeTwin:
-    """Own states of the twin at the tick of the coming sample."""
-
-    plant: Packed  # PlantNumbers
-    law: Packed  # LawNumbers
-    i: float  # i_c, A
-    x: float  # m
-    v: float  # x', m/s
-    s: float = 0.0  # integral of (x_ref - x) dt, m s
-    x_prev: float = 0.0  # x at the tick before, for the law's speed, m
-
-    def follow(self, x_ref: float) -> float:
-        """Run one tick in closed loop; returns the twin's own u_c of this tick, V."""
-        x = self.x
-        u, self.i, self.x, self.v, self.s = closed_loop_tick(
-            self.plant, self.law, self.i, x, self.v, self.s, self.x_prev, x_ref
+    memory, shape (5,): i_c, x, x', integral of (x_ref - x) dt, x at the tick before (for the law's speed).
+    Returns (i_c, x, x', u_c) of the tick that was run.
+    """
+    i, x, v = memory[0], memory[1], memory[2]
+    if closed_loop:
+        u, memory[0], memory[1], memory[2], memory[3] = closed_loop_tick(
+            plant, law_, i, x, v, memory[3], memory[4], x_ref
         )
-        self.x_prev = x
-        return u
-
-    def drive(self, u: float) -> None:
-        """Run one tick under the given u_c (open loop, idle), V."""
-        self.x_prev = self.x
-        self.i, self.x, self.v = driven_tick(self.plant, self.i, self.x, self.v, u)
+    else:
+        memory[0], memory[1], memory[2] = tick(PlantNumbers(*plant), i, x, v, u)
+    memory[4] = x
+    return i, x, v, u

@@ -14,7 +14,8 @@ from typing import Any
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
 from protocol.errors import DataError
-from twin.mirror.mirror import Mirror, Output
+from twin.mirror.mirror import Mirror
+from twin.mirror.output import Output
 from twin.mirror.settings import Settings
 from twin.model.parameters import Model
 from twin.recordings import LogReader, TwinLog, parse
@@ -45,8 +46,9 @@ class BoardRun:
             return math.sqrt(total / count) if count else None
 
         counters = self.mirror.counters
-        errors = dict(zip(SIGNALS, self.mirror.comparison.error_totals.tolist(), strict=True))
-        innovations, x_squares, i_squares, nis = self.mirror.comparison.innovation_totals
+        *of_signals, of_innovations = self.mirror.comparison.totals.tolist()
+        errors = dict(zip(SIGNALS, of_signals, strict=True))
+        innovations, x_squares, i_squares, nis = of_innovations
         return {
             "site": self.site,
             "board": self.board,
@@ -70,8 +72,8 @@ class BoardRun:
                 if name.startswith("missing_")
             },
             "parameters_seen": self.parameters_seen,
-            "rmse": {name: root(squares, count) for name, (count, _, squares) in errors.items()},
-            "bias": {name: ratio(total, count) for name, (count, total, _) in errors.items()},
+            "rmse": {name: root(squares, count) for name, (count, _, squares, _) in errors.items()},
+            "bias": {name: ratio(total, count) for name, (count, total, _, _) in errors.items()},
             "innovations": int(innovations),
             "innovation_rmse": {
                 "x_m": root(x_squares, innovations),

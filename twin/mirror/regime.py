@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from protocol.bus import board51_pb2 as pb
-from twin.control import law_numbers
+from twin.compiled import Packed
+from twin.control import LawNumbers, law_numbers
 from twin.mirror.alarms import probability_per_window, white_threshold
 from twin.mirror.expected import OFF_PROBABILITY, Expectation, ExpectedError
 from twin.mirror.settings import Settings
@@ -102,7 +103,11 @@ class Regime:
             on=(white_threshold(self.window, 1, probability),) * 2,
             off=(white_threshold(self.window, 1, OFF_PROBABILITY),) * 2,
         )
-        self._at: tuple[float, Expectation] | None = None
+        # As the kernels take them; where there is no law there is no free twin, and nobody looks at the zeros.
+        self.packed_plant: Packed = tuple(self.plant)
+        self.packed_law: Packed = tuple(self.law) if self.law else (0.0,) * len(LawNumbers._fields)
+        self.sensors_yardstick = self._pack(self.sensors)
+        self._yardstick = (math.nan, self.sensors_yardstick)
 
     def expectation(self, x_ref: float) -> Expectation:
         """In closed loop around `x_ref`.
@@ -110,10 +115,16 @@ class Regime:
         Where the model calls this loop unstable there is no such thing as an expected error, while the rig may well
         fly: then the sensor noise is the yardstick, and whatever is left of the twin's flight raises the alarm.
         """
-        if self._at is None or self._at[0] != x_ref:
-            found = self._expected.at(x_ref) if self._expected else None
-            self._at = (x_ref, found or self.sensors)
-        return self._at[1]
+        return (self._expected.at(x_ref) if self._expected else None) or self.sensors
+
+    def yardstick(self, x_ref: float) -> Packed:
+        """`expectation` and the thresholds of the NIS as `step` takes them; references mostly stay where they are."""
+        if self._yardstick[0] != x_ref:
+            self._yardstick = (x_ref, self._pack(self.expectation(x_ref)))
+        return self._yardstick[1]
+
+    def _pack(self, expected: Expectation) -> Packed:
+        return (*expected.std, *expected.on, *expected.off, self.nis_on, self.nis_off)
 
     def settle_ticks(self, *, closed_loop: bool, x_ref: float) -> int:
         """How long the start shows."""

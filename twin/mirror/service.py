@@ -23,7 +23,8 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus import encoding, topics
 from protocol.bus.endpoint import zenoh_config
 from protocol.errors import ServiceError
-from twin.mirror.mirror import Mirror, Output
+from twin.mirror.mirror import Mirror
+from twin.mirror.output import Output
 from twin.mirror.settings import Settings
 from twin.model.parameters import Model
 
