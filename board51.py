@@ -19,6 +19,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "gateway": ("gateway.commands.gateway", "the daemon: boards <-> zenoh, MCAP"),
     "twin": ("twin.commands.twin", "the model in step with a live rig or a log"),
     "identify": ("twin.commands.identify", "a model from the recordings of a campaign"),
+    "design": ("twin.commands.design", "a controller for the board from a model"),
+    "validate": ("twin.commands.validate", "does a model explain the recordings? figures, numbers, a report"),
     "router": ("gateway.commands.router", "a standalone zenoh router"),
     "send": ("gateway.commands.send", "one command to a board, through the gateway"),
     "watch": ("gateway.commands.watch", "print what travels on the bus"),

@@ -1,0 +1,74 @@
+"""`board51 design` as a user meets it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import board51
+
+
+def test_it_writes_what_a_board_is_to_be_loaded_with(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "controller.json"
+
+    code = board51.main(["design", "ce152", "--observer", "--out", str(out)])
+
+    said = capsys.readouterr().out
+    written = json.loads(out.read_text())
+    assert code == 0
+    assert written["law"] == "lqi"
+    assert len(written["gains"]) == 4
+    assert written["sample_time_s"] == 2e-3
+    assert written["operating_point"]["x_0_m"] == pytest.approx(2.85e-3)
+    assert written["observer"]["runs_on_board"] is False
+    assert "the backward difference costs" in said
+    assert "cannot run it" in said
+    assert "robustness was not checked" in said
+
+
+def test_json_holds_everything(capsys: pytest.CaptureFixture[str]) -> None:
+    code = board51.main(["design", "ce152", "--law", "pid", "--json"])
+
+    found = json.loads(capsys.readouterr().out)
+    assert code == 0
+    assert found["stable"]
+    assert found["gains"][3] == 0.0
+    assert [loop["name"] for loop in found["loops"]][1] == "backward difference"
+    assert found["loops"][2]["delay_margin_s"] > 0.0
+
+
+def test_an_unstable_loop_is_not_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "controller.json"
+
+    # A coil of 28 ms cannot be taken for one that follows at once, which the PID gains do.
+    code = board51.main(["design", "inteco", "--law", "pid", "--u-max", "12", "--out", str(out)])
+
+    assert code == 1
+    assert "UNSTABLE" in capsys.readouterr().out
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere.json"], "cannot be read"),
+        (["ce152", "--operating-point", "0.0057"], "not between the stops"),
+        (["ce152", "--operating-point", "nan"], "not between the stops"),
+        (["ce152", "--operating-point", "1e-4", "--u-max", "2"], "no equilibrium"),
+        (["ce152", "--Q", "1", "1", "1", "0"], "weight of the integral"),
+        (["ce152", "--R", "-1"], "weight of u_c"),
+        (["ce152", "--settling-time", "0"], "settling time"),
+        (["ce152", "--sample-time", "2"], "--sample-time"),
+        (["ce152", "--x-lsb", "0"], "x_lsb_m"),
+        (["ce152", "--law", "pid", "--observer"], "--observer"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code = board51.main(["design", *words])
+
+    err = capsys.readouterr().err
+    assert code == 2
+    assert said in err
+    assert err.count("\n") == 1

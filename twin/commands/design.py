@@ -1,0 +1,113 @@
+"""A controller for the board from a model: LQI or PID gains, and what they are worth.
+
+Takes a model.json, as `identify` writes it, or the name of a shipped model (ce152, inteco).  Without weights it chooses
+them by Bryson's rule.  Prints gains, poles and margins of the loop the board will run, what the speed estimate and
+the converters cost, and whether the model's uncertainty could make it unstable.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+
+from protocol.errors import DataError, UsageError
+
+SAMPLE_TIME_MIN_S, SAMPLE_TIME_MAX_S = 1e-4, 2e-2
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.epilog = (
+        "examples:\n"
+        "  board51 design model.json --out controller.json\n"
+        "  board51 design ce152 --operating-point 2e-3 --settling-time 0.1\n"
+        "  board51 design model.json --Q 17 3e6 7e3 1.3e9 --R 1.5 --observer\n"
+        "\nexit code 0: done; 1: the board's loop is unstable on the model itself, nothing is written; 2: bad input"
+    )
+    parser.add_argument("model", metavar="MODEL", help="model.json, or a shipped model: ce152, inteco")
+    parser.add_argument(
+        "--operating-point", type=float, metavar="X_M", help="position in m, up from the bottom stop (mid-travel)"
+    )
+    parser.add_argument("--law", choices=("lqi", "pid"), default="lqi", help="law on the board (%(default)s)")
+    parser.add_argument(
+        "--Q",
+        type=float,
+        nargs=4,
+        metavar=("I", "X", "V", "S"),
+        help="weights of i_c 1/A^2, x 1/m^2, speed s^2/m^2, integral of the error 1/(m s)^2 (Bryson's rule)",
+    )
+    parser.add_argument("--R", type=float, metavar="U", help="weight of u_c, 1/V^2 (Bryson's rule)")
+    parser.add_argument(
+        "--settling-time",
+        type=float,
+        metavar="S",
+        help="for Bryson's rule: how long an error may last (four time constants of the falling ball)",
+    )
+    parser.add_argument("--sample-time", type=float, default=2e-3, metavar="S", help="T_s (%(default)s)")
+    parser.add_argument(
+        "--observer", action="store_true", help="compare with a Kalman filter (the board cannot run it)"
+    )
+    parser.add_argument("--u-max", type=float, default=5.0, metavar="V", help="end of the input's range (%(default)s)")
+    parser.add_argument("--i-lsb", type=float, metavar="A", help="one count of i_c (2 A / 4096)")
+    parser.add_argument("--x-lsb", type=float, metavar="M", help="one count of x (5 V / 4096 / 855 V/m)")
+    parser.add_argument("--u-lsb", type=float, metavar="V", help="one count of u_c (5 V / 4096)")
+    parser.add_argument(
+        "--seed", type=int, default=1, help="of the parameters drawn from their intervals (%(default)s)"
+    )
+    parser.add_argument("--out", type=Path, metavar="CONTROLLER.json", help="write law, gains and operating point")
+    parser.add_argument("--json", action="store_true", help="print everything as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Design, print, write."""
+    # Imported here: --help must not wait for numba and scipy.
+    from twin.design.board import Converters
+    from twin.design.design import design
+    from twin.design.gains import Weights, bryson, operating_point
+    from twin.design.report import controller, everything, table
+    from twin.model.nominal import SHIPPED, nominal
+    from twin.model.parameters import load_model
+
+    if not SAMPLE_TIME_MIN_S <= args.sample_time <= SAMPLE_TIME_MAX_S:
+        raise UsageError(
+            f"--sample-time {args.sample_time:g} s",
+            remedy=f"Give {SAMPLE_TIME_MIN_S:g} to {SAMPLE_TIME_MAX_S:g} s; the board runs at 0.002",
+        )
+    if not (math.isfinite(args.u_max) and args.u_max > 0.0):
+        raise UsageError(f"--u-max {args.u_max:g} V", remedy="Give a positive voltage")
+    if args.seed < 0:
+        raise UsageError(f"--seed {args.seed}", remedy="Give a number from 0")
+    if args.observer and args.law != "lqi":
+        raise UsageError("--observer with --law pid", remedy="An observer needs state feedback: use --law lqi")
+    if args.settling_time is not None and args.Q is not None and args.R is not None:
+        raise UsageError("--settling-time beside --Q and --R has no effect", remedy="Leave out the one or the other")
+    model = nominal(args.model) if args.model in SHIPPED else load_model(args.model)
+    lsb = {"i_lsb_a": args.i_lsb, "x_lsb_m": args.x_lsb, "u_lsb_v": args.u_lsb}
+    point = operating_point(model, args.operating_point, u_max_v=args.u_max)
+    chosen = bryson(model, point, settling_time_s=args.settling_time)
+    found = design(
+        model,
+        x_m=args.operating_point,
+        sample_time_s=args.sample_time,
+        law=args.law,
+        weights=Weights(Q=chosen.Q if args.Q is None else tuple(args.Q), R=chosen.R if args.R is None else args.R),
+        converters=Converters(**{name: value for name, value in lsb.items() if value is not None}),
+        u_max_v=args.u_max,
+        with_observer=args.observer,
+        seed=args.seed,
+    )
+    print(json.dumps(everything(found), indent=2, allow_nan=False) if args.json else table(found))
+    if args.json:
+        for warning in found.warnings:
+            print(f"! {warning}", file=sys.stderr)
+    if not found.board.stable:
+        return 1
+    if args.out is not None:
+        try:
+            args.out.write_text(json.dumps(controller(found), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise DataError(f"{args.out} cannot be written ({error.strerror})", remedy="Give a writable path") from None
+    return 0

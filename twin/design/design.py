@@ -1,0 +1,185 @@
+"""From a model and weights to a controller that is judged: the whole of `board51 design` without its text.
+
+Rule: what is judged is what the board will hold, the gains after rounding to its format.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.control import linearise
+from twin.design.board import Converters, QuantisedGain, from_order_of, quantise
+from twin.design.gains import Law, OperatingPoint, Weights, bryson, design_gains, in_order_of, operating_point
+from twin.design.loop import (
+    Controller,
+    Noise,
+    backward,
+    closed_loop,
+    ideal,
+    kalman_gain,
+    noise_rms,
+    observer,
+)
+from twin.design.margins import Margins, margins
+from twin.design.robust import Robustness, over_intervals, plant_at, stable_range_m
+from twin.model.parameters import Model
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judged:
+    """One controller on the model."""
+
+    name: str
+    poles: NDArray[np.complex128]  # of z, largest first
+    margins: Margins | None  # None: unstable
+    x_rms_m: float  # under sensor, process and converter noise
+    u_rms_v: float
+    x_rms_analog_m: float  # the same with converters that do not round
+    u_rms_analog_v: float
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole is inside the unit circle."""
+        return bool(abs(self.poles[0]) < 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Design:
+    """A controller and what is known about it."""
+
+    law: Law
+    sample_time_s: float
+    point: OperatingPoint
+    weights: Weights
+    gains: tuple[float, float, float, float]  # as designed, in the order of the law (rule 9)
+    quantised: tuple[QuantisedGain, ...]
+    converters: Converters
+    loops: tuple[Judged, ...]  # ideal, as designed on the board, rounded on the board, observer where asked for
+    observer_gain: NDArray[np.float64] | None  # L, shape (3, 2)
+    robustness: Robustness  # of the board's loop
+    observer_robustness: Robustness | None
+    stable_range_m: tuple[float, float]
+    warnings: tuple[str, ...]
+
+    @property
+    def board(self) -> Judged:
+        """The loop as the board runs it."""
+        return self.loops[2]
+
+
+def design(
+    model: Model,
+    *,
+    x_m: float | None = None,
+    sample_time_s: float = 2e-3,
+    law: Law = "lqi",
+    weights: Weights | None = None,
+    settling_time_s: float | None = None,
+    converters: Converters | None = None,
+    u_max_v: float = 5.0,
+    with_observer: bool = False,
+    seed: int = 1,
+) -> Design:
+    """Design and judge; see `twin/design/README.md` for what each number is.
+
+    Raises:
+        UsageError: no such operating point, weights without a solution, gains beyond the board's format.
+    """
+    converters = Converters() if converters is None else converters
+    point = operating_point(model, x_m, u_max_v=u_max_v)
+    weights = bryson(model, point, settling_time_s=settling_time_s) if weights is None else weights
+    K = design_gains(model, point, weights, sample_time_s=sample_time_s, law=law)
+    gains = in_order_of(law, K)
+    quantised = quantise(gains, law, converters, sample_time_s)
+    K_board = from_order_of(law, tuple(gain.value for gain in quantised))
+    plant = plant_at(model, point.x_m, sample_time_s)
+    noise = _noise(model, sample_time_s, converters)
+    on_board = backward(K_board, sample_time_s)
+    candidates = [
+        ("ideal state feedback", ideal(K, sample_time_s)),
+        ("backward difference", backward(K, sample_time_s)),
+        ("the same, gains rounded", on_board),
+    ]
+    filter_gain = kalman_gain(plant, noise) if with_observer else None
+    if filter_gain is not None:
+        candidates.append(("Kalman filter", observer(K, plant, filter_gain, sample_time_s)))
+    loops = tuple(_judge(model, point, name, controller, noise, sample_time_s) for name, controller in candidates)
+
+    def robustness(controller: Controller) -> Robustness:
+        return over_intervals(model, controller, point.x_m, sample_time_s, seed=seed)
+
+    box = robustness(on_board)
+    return Design(
+        law=law,
+        sample_time_s=sample_time_s,
+        point=point,
+        weights=weights,
+        gains=gains,
+        quantised=quantised,
+        converters=converters,
+        loops=loops,
+        observer_gain=filter_gain,
+        robustness=box,
+        observer_robustness=None if filter_gain is None else robustness(candidates[-1][1]),
+        stable_range_m=stable_range_m(model, on_board, point.x_m, sample_time_s),
+        warnings=_warnings(loops[2], box, point, u_max_v),
+    )
+
+
+def _noise(model: Model, sample_time_s: float, converters: Converters | None) -> Noise:
+    rounding = (0.0, 0.0, 0.0)
+    if converters is not None:
+        rounding = (converters.i_lsb_a**2 / 12, converters.x_lsb_m**2 / 12, converters.u_lsb_v**2 / 12)
+    n = model.noise
+    return Noise(
+        i=n.sigma_i_c_a**2 + rounding[0],
+        x=n.sigma_x_m**2 + rounding[1],
+        u=rounding[2],
+        process_i=n.process_i_c_a**2,
+        process_v=(n.process_a_m_s2 * sample_time_s) ** 2,
+    )
+
+
+def _judge(
+    model: Model, point: OperatingPoint, name: str, controller: Controller, noise: Noise, sample_time_s: float
+) -> Judged:
+    plant = plant_at(model, point.x_m, sample_time_s)
+    poles = np.linalg.eigvals(closed_loop(plant, controller)).astype(np.complex128)
+    x, u = noise_rms(plant, controller, noise)
+    x_analog, u_analog = noise_rms(plant, controller, _noise(model, sample_time_s, None))
+    return Judged(
+        name=name,
+        poles=poles[np.argsort(-np.abs(poles), kind="stable")],
+        margins=margins(*linearise(model, point.x_m), controller, sample_time_s),
+        x_rms_m=x,
+        u_rms_v=u,
+        x_rms_analog_m=x_analog,
+        u_rms_analog_v=u_analog,
+    )
+
+
+def _warnings(board: Judged, box: Robustness, point: OperatingPoint, u_max_v: float) -> tuple[str, ...]:
+    said = []
+    if not board.stable:
+        said.append(
+            f"the loop on the board is UNSTABLE, largest pole {abs(board.poles[0]):.4f}; increase R, or --settling-time"
+        )
+    elif box.unstable_share > 0.0:
+        where = ", ".join(f"{name} = {value:.4g}" for name, value in box.worst_at.items())
+        said.append(
+            f"the model's uncertainty could destabilise the loop: {100 * box.unstable_share:.1f} % of {box.loops} "
+            f"loops within the 95 % intervals are unstable, worst pole {box.worst_pole:.4f} at {where}"
+        )
+    if not box.varied:
+        said.append("no parameter of this model has an interval: robustness was not checked; identify the rig first")
+    elif box.fixed:
+        said.append(f"without an interval, hence not varied: {', '.join(box.fixed)}")
+    if board.margins is not None and board.margins.delay_s < 0.5e-3:
+        said.append(f"only {board.margins.delay_s * 1e3:.2f} ms of additional delay make it unstable")
+    room = min(point.u_v, u_max_v - point.u_v)
+    if board.stable and 3.0 * board.u_rms_v > room:
+        said.append(f"noise alone moves u_c by {board.u_rms_v:.2g} V rms, and only {room:.2g} V are left to its limit")
+    return tuple(said)

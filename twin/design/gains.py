@@ -1,0 +1,147 @@
+"""Gains from a model and weights: operating point (13), linearisation (14), c2d (15), integral (16), LQI (17)-(18).
+
+Rule 1: signs and order are the board's (protocol/README.md, rules 9 and 14): delta u = -K [i - i_0, x - x_0, x', s]
+        with s = integral of (x_ref - x) dt, so the gain of s is negative.
+Rule 2: s advances after u was computed, as on the board; the augmented model says so, the gains need no correction.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.errors import UsageError
+from twin.control import c2d, equilibrium, linearise
+from twin.model.parameters import Model
+
+Law = Literal["lqi", "pid"]
+LARGEST_X_SHARE = 0.1  # of the travel
+LARGEST_U_SHARE = 0.5  # of u_c0
+TIME_CONSTANTS = 4.0  # of the unstable pole: how long an error of position may last
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OperatingPoint:
+    """At rest at `x_m`, (13)."""
+
+    i_a: float
+    x_m: float
+    u_v: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Weights:
+    """Diagonals of the quadratic cost (17): sum of xi' Q xi + R u^2, xi = [i_c, x, x', s] as deviations."""
+
+    Q: tuple[float, float, float, float]  # 1/A^2, 1/m^2, s^2/m^2, 1/(m s)^2
+    R: float  # 1/V^2
+
+    def __post_init__(self) -> None:
+        for name, value in (*zip(("i_c", "x", "speed", "integral"), self.Q, strict=True), ("u_c", self.R)):
+            if not math.isfinite(value) or value < 0.0:
+                raise UsageError(f"the weight of {name} is {value:g}", remedy="Give weights that are positive")
+        if self.R == 0.0:
+            raise UsageError("the weight R is 0", remedy="Give R > 0: an input that costs nothing has no bound")
+        if self.Q[3] == 0.0:
+            raise UsageError(
+                "the weight of the integral is 0", remedy="Give Q[4] > 0: without it no gain acts on the integral"
+            )
+
+
+def operating_point(model: Model, x_m: float | None, *, u_max_v: float) -> OperatingPoint:
+    """(13) at `x_m`; None: the middle of the travel.
+
+    Raises:
+        UsageError: x is not between the stops, or the input to stay there is beyond `u_max_v`.
+    """
+    travel = model.plant.travel_m
+    x = 0.5 * travel if x_m is None else x_m
+    if not 0.0 < x < travel:
+        raise UsageError(
+            f"operating point x = {x:g} m is not between the stops",
+            remedy=f"Choose 0 < x < {travel:g} m; it is in metres, up from the bottom stop",
+        )
+    i, u = equilibrium(model, x)
+    if not u < u_max_v:
+        raise UsageError(
+            f"no equilibrium at x = {x:g} m: it takes u_c = {u:.3g} V, and the input ends at {u_max_v:g} V",
+            remedy="Choose a higher x, or give the range of the input with --u-max",
+        )
+    return OperatingPoint(i_a=i, x_m=x, u_v=u)
+
+
+def bryson(model: Model, point: OperatingPoint, *, settling_time_s: float | None = None) -> Weights:
+    """Weights for someone without wishes: each is 1 / (largest excursion one would accept)^2 (Bryson's rule).
+
+    Accepted: a tenth of the travel in x; half of u_c0 in u_c; in i_c what that u_c gives; in speed and integral x over
+    and times the time T an error may last, four time constants 1/p of the ball falling away,
+    p the unstable pole of (14).
+
+    Args:
+        model: the plant.
+        point: where it works.
+        settling_time_s: T instead of the default, s.
+    """
+    if settling_time_s is not None and not (math.isfinite(settling_time_s) and settling_time_s > 0.0):
+        raise UsageError(f"settling time {settling_time_s:g} s", remedy="Give a positive number of seconds")
+    A, _ = linearise(model, point.x_m)
+    unstable = float(np.max(np.linalg.eigvals(A).real))
+    time_s = TIME_CONSTANTS / unstable if settling_time_s is None else settling_time_s
+    x = LARGEST_X_SHARE * model.plant.travel_m
+    u = LARGEST_U_SHARE * point.u_v
+    i = model.K_A * u
+    return Weights(Q=(i**-2, x**-2, (x / time_s) ** -2, (x * time_s) ** -2), R=u**-2)
+
+
+def augmented(
+    phi: NDArray[np.float64], gamma: NDArray[np.float64], sample_time_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(16): s(k+1) = s(k) - T_s x(k) below a model of n states whose last but one is x; shapes (n+1, n+1), (n+1, 1)."""
+    n = len(phi)
+    A = np.zeros((n + 1, n + 1))
+    A[:n, :n] = phi
+    A[n, n - 2], A[n, n] = -sample_time_s, 1.0
+    return A, np.vstack([gamma, [[0.0]]])
+
+
+def design_gains(
+    model: Model, point: OperatingPoint, weights: Weights, *, sample_time_s: float, law: Law
+) -> tuple[float, float, float, float]:
+    """K of (18) as [k_i, k_x, k_v, k_int]: V/A, V/m, V s/m, V/(m s).
+
+    A PID measures no current.  Its gains are those of the same cost for a ball whose current follows u_c within a tick,
+    i.e. (15) without the row and column of i_c; k_i is 0.  Right for T_A well below T_s; the loop is judged with the
+    whole model anyway.
+
+    Raises:
+        UsageError: the Riccati equation has no solution in floating point; the weights are too far apart.
+    """
+    import control  # here: 2 s that --help need not wait for
+
+    phi, gamma = c2d(*linearise(model, point.x_m), sample_time_s)
+    first = 1 if law == "pid" else 0
+    A, B = augmented(phi[first:, first:], gamma[first:], sample_time_s)
+    try:
+        K, _, poles = control.dlqr(A, B, np.diag(weights.Q[first:]), np.array([[weights.R]]))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise UsageError(
+            f"no gains for Q = {weights.Q}, R = {weights.R:g} ({error})", remedy="Choose weights less far apart"
+        ) from error
+    numbers = [float(k) for k in np.asarray(K).ravel()]
+    if not np.all(np.isfinite(numbers)) or np.max(np.abs(poles)) >= 1.0:
+        raise UsageError(
+            f"the gains for Q = {weights.Q}, R = {weights.R:g} do not even stabilise their own model",
+            remedy="Choose weights less far apart",
+        )
+    k_i, k_x, k_v, k_int = [0.0, *numbers] if law == "pid" else numbers
+    return k_i, k_x, k_v, k_int
+
+
+def in_order_of(law: Law, K: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    """`K` as SET_GAINS takes it: LQI [k_i, k_x, k_v, k_int], PID [k_p, k_int, k_d, 0] (rule 9)."""
+    k_i, k_x, k_v, k_int = K
+    return (k_x, -k_int, k_v, 0.0) if law == "pid" else (k_i, k_x, k_v, k_int)

@@ -1,0 +1,128 @@
+"""Controllers and the loops they close, linear, around the operating point, in steps of T_s.
+
+    plant       p(k+1) = Phi p(k) + Gamma (u(k) + n_u) + w,   p = [i_c, x, x']
+    controller  z(k+1) = A z(k) + B y(k),  u(k) = C z(k) + D y(k),   y = p + [n_i, n_x, 0]
+
+Three controllers with the same K: `ideal` is told the true speed (what (17) optimises, and nobody has), `backward`
+takes (x - x_prev)/T_s (what the board runs), `observer` a stationary Kalman filter of i_c and x.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
+
+from twin.mirror.expected import discrete_lyapunov
+
+Gains = tuple[float, float, float, float]  # [k_i, k_x, k_v, k_int] of the law u = -K [i, x, x', s]
+
+
+class Plant(NamedTuple):
+    """(15)."""
+
+    phi: NDArray[np.float64]  # (3, 3)
+    gamma: NDArray[np.float64]  # (3, 1)
+
+
+class Controller(NamedTuple):
+    """Linear law with the memory z; shapes (n, n), (n, 3), (1, n), (1, 3)."""
+
+    A: NDArray[np.float64]
+    B: NDArray[np.float64]
+    C: NDArray[np.float64]
+    D: NDArray[np.float64]
+
+
+class Noise(NamedTuple):
+    """Variances per sample: of the sensors (A^2, m^2), of u (V^2), of process (A^2, m^2/s^2)."""
+
+    i: float
+    x: float
+    u: float
+    process_i: float
+    process_v: float
+
+
+def ideal(K: Gains, sample_time_s: float) -> Controller:
+    """State feedback with the true speed; z = [s]."""
+    k_i, k_x, k_v, k_int = K
+    return Controller(
+        np.eye(1), np.array([[0.0, -sample_time_s, 0.0]]), np.array([[-k_int]]), np.array([[-k_i, -k_x, -k_v]])
+    )
+
+
+def backward(K: Gains, sample_time_s: float) -> Controller:
+    """The board's: speed = (x - x_prev)/T_s, u before s is advanced; z = [x_prev, s]."""
+    k_i, k_x, k_v, k_int = K
+    k_d = k_v / sample_time_s
+    return Controller(
+        np.diag([0.0, 1.0]),
+        np.array([[0.0, 1.0, 0.0], [0.0, -sample_time_s, 0.0]]),
+        np.array([[k_d, -k_int]]),
+        np.array([[-k_i, -k_x - k_d, 0.0]]),
+    )
+
+
+def kalman_gain(plant: Plant, noise: Noise) -> NDArray[np.float64]:
+    """Stationary filter gain L of p(k|k) = p(k|k-1) + L (y - p(k|k-1)), shape (3, 2), from i_c and x.
+
+    Solved in units of the noise: squares of amperes and of micrometres side by side cost the solver its digits.
+    """
+    phi, gamma = plant
+    scale = np.array([np.sqrt(noise.i), np.sqrt(noise.x), np.sqrt(noise.x) * abs(phi[2, 1])])
+    A = phi * scale[None, :] / scale[:, None]
+    process = noise.u * gamma @ gamma.T + np.diag([noise.process_i, 0.0, noise.process_v])
+    H = np.eye(2, 3)
+    P = solve_discrete_are(A.T, H.T, process / np.outer(scale, scale), np.eye(2))
+    gain = np.linalg.solve(H @ P @ H.T + np.eye(2), H @ P).T
+    return np.asarray(gain * scale[:, None] / scale[None, :2])
+
+
+def observer(K: Gains, plant: Plant, filter_gain: NDArray[np.float64], sample_time_s: float) -> Controller:
+    """LQG: K on the filtered state; z = [i_c, x, x' predicted for this tick, s]."""
+    phi, gamma = plant
+    K_p = np.array([K[:3]])
+    gain = np.hstack([filter_gain, np.zeros((3, 1))])
+    read = np.hstack([-K_p @ (np.eye(3) - gain), [[-K[3]]]])
+    direct = -K_p @ gain
+    A, B = np.zeros((4, 4)), np.zeros((4, 3))
+    A[:3, :3] = phi @ (np.eye(3) - gain)
+    A[:3] += gamma @ read
+    A[3, 3] = 1.0
+    B[:3] = phi @ gain + gamma @ direct
+    B[3, 1] = -sample_time_s
+    return Controller(A, B, read, direct)
+
+
+def closed_loop(plant: Plant, controller: Controller) -> NDArray[np.float64]:
+    """F of [p, z](k+1) = F [p, z](k), shape (3 + n, 3 + n)."""
+    phi, gamma = plant
+    A, B, read, direct = controller
+    return np.block([[phi + gamma @ direct, gamma @ read], [B, A]])
+
+
+def radius(plant: Plant, controller: Controller) -> float:
+    """Largest |pole|; stable below 1."""
+    return float(np.max(np.abs(np.linalg.eigvals(closed_loop(plant, controller)))))
+
+
+def noise_rms(plant: Plant, controller: Controller, noise: Noise) -> tuple[float, float]:
+    """Stationary rms of x (true) and u_c, m and V: P = F P F' + G Q G'; infinite where the loop is unstable."""
+    if radius(plant, controller) >= 1.0:
+        return np.inf, np.inf
+    gamma = plant.gamma
+    B, read, direct = controller.B, controller.C, controller.D
+    n = len(controller.A)
+    G = np.zeros((3 + n, 5))  # of [n_i, n_x, n_u, w_i, w_v]
+    G[:3, :2], G[3:, :2] = gamma @ direct[:, :2], B[:, :2]
+    G[:3, 2:3] = gamma
+    G[0, 3] = G[2, 4] = 1.0
+    P = discrete_lyapunov(closed_loop(plant, controller), G @ np.diag(noise) @ G.T)
+    H = np.hstack([direct, read])
+    through = np.array(
+        [direct[0, 0], direct[0, 1], 1.0, 0.0, 0.0]
+    )  # u_c as it reaches the plant, its rounding included
+    return float(np.sqrt(P[1, 1])), float(np.sqrt((H @ P @ H.T)[0, 0] + through**2 @ np.array(noise)))

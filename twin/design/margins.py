@@ -1,0 +1,130 @@
+"""How much the loop at the plant's input may change before it is unstable.
+
+Gain and delay margin are found as what they mean: the nearest factor, or delay, at which a pole leaves the unit circle.
+So they hold for loops that are stable only between two gains, as every loop around an unstable plant is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from twin.design.loop import Controller, Plant, radius
+
+GAIN_MAX = 1000.0
+DELAY_MAX_TICKS = 25
+FREQUENCIES = 2000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Margins:
+    """Of a stable loop."""
+
+    gain_low: float  # factor below 1 at which it becomes unstable; 0: none down to 1/GAIN_MAX
+    gain_high: float  # factor above 1; inf: none up to GAIN_MAX
+    phase_deg: float
+    delay_s: float  # beyond what is in the model; inf: none up to DELAY_MAX_TICKS
+
+
+def margins(
+    A: NDArray[np.float64], B: NDArray[np.float64], controller: Controller, sample_time_s: float
+) -> Margins | None:
+    """Margins of `controller` on the continuous plant (14) `A`, `B`; None where the loop is unstable as it is."""
+    plant = delayed_plant(A, B, 0.0, sample_time_s)
+    if _radius(plant, controller) >= 1.0:
+        return None
+
+    def with_gain(factor: float) -> bool:
+        scaled = controller._replace(C=controller.C * factor, D=controller.D * factor)
+        return _radius(plant, scaled) < 1.0
+
+    def with_delay(delay_s: float) -> bool:
+        return _radius(delayed_plant(A, B, delay_s, sample_time_s), controller) < 1.0
+
+    factors = np.geomspace(1.0, GAIN_MAX, 150)[1:].tolist()
+    low = _first_loss(lambda inverse: with_gain(1.0 / inverse), 1.0, factors)
+    delays = (0.2 * sample_time_s * n for n in range(1, 5 * DELAY_MAX_TICKS + 1))
+    return Margins(
+        gain_low=1.0 / low,
+        gain_high=_first_loss(with_gain, 1.0, factors),
+        phase_deg=phase_margin_deg(plant, controller),
+        delay_s=_first_loss(with_delay, 0.0, delays),
+    )
+
+
+def delayed_plant(A: NDArray[np.float64], B: NDArray[np.float64], delay_s: float, sample_time_s: float) -> Plant:
+    """(15) with u_c acting `delay_s` late, exactly: a part of a tick by splitting the hold, whole ticks as states.
+
+    States [i_c, x, x', u(k-1), u(k-2), ..]; the first three are what the controller measures.
+    """
+    whole, part_s = divmod(delay_s, sample_time_s)
+    held, n = int(whole), len(A)
+    phi = expm(A * sample_time_s)
+
+    def integral(duration_s: float) -> NDArray[np.float64]:
+        block = np.zeros((n + 1, n + 1))
+        block[:n, :n], block[:n, n:] = A, B
+        return np.asarray(expm(block * duration_s)[:n, n:])
+
+    new = integral(sample_time_s - part_s)
+    old = expm(A * (sample_time_s - part_s)) @ integral(part_s)
+    taps = [new if age == held else old if age == held + 1 else np.zeros((n, 1)) for age in range(held + 2)]
+    if delay_s == 0.0:
+        return Plant(phi, new)
+    size = n + held + 1
+    F, G = np.zeros((size, size)), np.zeros((size, 1))
+    F[:n, :n] = phi
+    F[:n, n:] = np.hstack(taps[1:])
+    F[n + 1 :, n:-1] = np.eye(held)
+    G[:n], G[n, 0] = taps[0], 1.0
+    return Plant(F, G)
+
+
+def _radius(plant: Plant, controller: Controller) -> float:
+    extra = len(plant.phi) - 3
+    blind = np.zeros((len(controller.A), extra))
+    return radius(
+        plant,
+        controller._replace(B=np.hstack([controller.B, blind]), D=np.hstack([controller.D, np.zeros((1, extra))])),
+    )
+
+
+def _first_loss(holds: Callable[[float], bool], start: float, values: Iterable[float]) -> float:
+    """Where `holds`, true at `start`, ends on the way through `values`; inf: at none of them."""
+    inside = start
+    for value in values:
+        if holds(value):
+            inside = value
+            continue
+        outside = value
+        while outside - inside > 1e-6 * outside:
+            middle = 0.5 * (inside + outside)
+            inside, outside = (middle, outside) if holds(middle) else (inside, middle)
+        return inside
+    return math.inf
+
+
+def phase_margin_deg(plant: Plant, controller: Controller) -> float:
+    """Smallest |180 deg + arg L| where |L| = 1, L the loop broken at the plant's input, up to the Nyquist frequency."""
+    omega = np.geomspace(1e-3, np.pi, FREQUENCIES)  # rad per tick
+    size = np.abs(_loop_gain(plant, controller, omega))
+    k = np.flatnonzero((size[1:] > 1.0) != (size[:-1] > 1.0))
+    share = np.log(size[k]) / np.log(size[k] / size[k + 1])
+    crossings = omega[k] * (omega[k + 1] / omega[k]) ** share
+    if not len(crossings):
+        return math.inf
+    return float(np.min(np.abs(np.degrees(np.angle(-_loop_gain(plant, controller, crossings))))))
+
+
+def _loop_gain(plant: Plant, controller: Controller, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """L at `omega` rad per tick, shape of `omega`."""
+    z = np.exp(1j * omega)[:, None, None]
+    A, B, read, direct = controller
+    y = np.linalg.solve(z * np.eye(len(plant.phi)) - plant.phi, plant.gamma[None].astype(complex))
+    u = read @ np.linalg.solve(z * np.eye(len(A)) - A, B @ y) + direct @ y
+    return np.asarray(-u[:, 0, 0])
