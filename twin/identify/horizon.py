@@ -37,7 +37,7 @@ class Horizon:
 
 
 @kernel
-def _predict(
+def predict(
     numbers: Packed,
     state: NDArray[np.float64],
     step: NDArray[np.float64],
@@ -95,7 +95,7 @@ def horizons(
         ahead = max(round(horizon / tick_s), 1)
         error, still = np.empty(len(series)), np.empty(len(series))
         settle = max(round(0.1 / tick_s), 2)
-        _predict(numbers, state, series.step, series.u, series.x, series.flags, ahead, settle, error, still)
+        predict(numbers, state, series.step, series.u, series.x, series.flags, ahead, settle, error, still)
         count = int(np.isfinite(error).sum())
         result.append(
             Horizon(

@@ -1,0 +1,222 @@
+"""A right model passes on a rig that shares no code with it; a wrong one does not, and the reason is said."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from protocol.campaign import Controller, OperatingPoint
+from tests.twin.identify.independent_plant import Ball
+from twin.identify.record import Capture, Record
+from twin.model.parameters import PARAMETERS, Model, Noise, Parameter, Plant
+from twin.validate.source import Source, source_of
+from twin.validate.verdict import Validation, validate_sources
+
+BALL = Ball()
+TICKS = 8000
+
+
+def model_of(ball: Ball, **wrong: float) -> Model:
+    values = {name: getattr(ball, name) * wrong.get(name, 1.0) for name in PARAMETERS}
+    return Model(
+        plant=Plant(name="bench", mass_kg=ball.m, travel_m=ball.travel, x_max_m=ball.x_max, gravity_m_s2=ball.g),
+        parameters={name: Parameter(value=values[name], unit=PARAMETERS[name][0]) for name in PARAMETERS},
+        noise=Noise(sigma_x_m=ball.sigma_x, sigma_i_c_a=ball.sigma_i, process_a_m_s2=0.0, process_i_c_a=0.0),
+    )
+
+
+def controller_of(ball: Ball) -> Controller:
+    """The law that `Ball.closed_loop` runs."""
+    x = 0.5 * ball.travel
+    point = OperatingPoint(i_c_a=ball.current(x), x_m=x, u_c_v=ball.current(x) / ball.K_A)
+    return Controller(kind="lqi", gains=(0.49, 2000.0, 18.0, -17600.0), operating_point=point)
+
+
+def steps(seed: int) -> Callable[[int], float]:
+    """A reference that jumps every 0.5 s."""
+    levels = np.random.default_rng(seed).uniform(2.3e-3, 3.7e-3, TICKS // 250 + 1)
+    return lambda k: float(levels[k // 250])
+
+
+def captured(ball: Ball, seed: int) -> Record:
+    """A step of the amplifier at 25 kHz, from (1) alone."""
+    t = (np.arange(1000) - 200) * 40e-6
+    i = ball.K_A * (0.5 + np.where(t > 0, 1.5 * (1.0 - np.exp(-t / ball.T_A)), 0.0))
+    i = i + ball.sigma_i * np.random.default_rng(seed).normal(size=len(t))
+    capture = Capture(sample_time_s=40e-6, u_from_v=0.5, u_to_v=2.0, step_index=200, i_c_a=i)
+    empty = np.empty(0)
+    return Record(
+        name="step",
+        kind="amplifier-step",
+        use="judge",
+        t=empty,
+        u_c=empty,
+        i_c=empty,
+        x=empty,
+        x_ref=empty,
+        captures=(capture,),
+    )
+
+
+@pytest.fixture(scope="module")
+def records() -> list[Record]:
+    flight = replace(BALL.closed_loop(steps(100), TICKS, seed=200), use="judge")
+    return [captured(BALL, 5), flight]
+
+
+def judged(records: list[Record], model: Model, controller: Controller | None = None) -> Validation:
+    sources: list[Source] = [source_of(r, model, controller=controller or controller_of(BALL)) for r in records]
+    return validate_sources(sources, model)
+
+
+def test_right_model_passes_every_part(records: list[Record]) -> None:
+    result = judged(records, model_of(BALL))
+
+    assert result.passed, result.failures()
+    assert [round(row.horizon_s * 1e3) for row in result.ahead] == [2, 10, 20, 40]
+    assert all(row.at_floor for row in result.ahead)
+    # Both ways: a floor stated too high would pass anything.
+    assert all(row.ratio_ci95[1] > 0.95 for row in result.ahead)
+    assert not isinstance(result.channels, str)
+    assert [c.name for c in result.channels] == ["i_c", "x"]
+    assert all(c.passed for c in result.channels)
+    assert not isinstance(result.amplifier, str)
+    # RMSE of 1000 samples scatters by 1/sqrt(2000) = 2.2 %; four of these.
+    assert result.amplifier.rmse_a == pytest.approx(BALL.sigma_i, rel=0.09)
+    assert not isinstance(result.loop, str)
+    settling = next(row for row in result.loop.steps if row.name == "settling_s")
+    assert settling.count > 20
+    assert settling.ci95 is not None
+    # One flight in twenty is allowed to miss it; the coverage test below counts them.
+    assert settling.ci95[0] <= 0.0 <= settling.ci95[1]
+    assert "does not settle measurably later" in result.answer()
+
+
+def test_wrong_force_constant_is_refused(records: list[Record]) -> None:
+    result = judged(records, model_of(BALL, K_c=0.8))
+
+    assert result.passed is False
+    # After 40 ms a force 20 % wrong is 0.2 g t^2 / 2 = 1.5 mm off at least; noise leaves tens of micrometres.
+    assert result.ahead[-1].ratio > 10.0
+    assert not result.ahead[-1].at_floor
+    assert not isinstance(result.channels, str)
+    assert not result.channels[1].passed
+    assert result.answer().startswith("The model does not explain")
+
+
+def test_wrong_amplifier_gain_shows_in_figure_7(records: list[Record]) -> None:
+    right, wrong = (judged(records, model_of(BALL, K_A=k)) for k in (1.0, 1.1))
+
+    assert not isinstance(right.amplifier, str)
+    assert not isinstance(wrong.amplifier, str)
+    assert wrong.amplifier.rmse_a > 10.0 * right.amplifier.rmse_a
+    assert wrong.passed is False
+
+
+def test_a_delay_the_model_does_not_have_is_refused(records: list[Record]) -> None:
+    step, flight = records
+    # Logged a tick before it acts: the response of rig and record is then one tick later than (1) says.
+    early = replace(flight, u_c=np.append(flight.u_c[1:], flight.u_c[-1]))
+
+    result = judged([step, early], model_of(BALL))
+
+    assert result.passed is False
+    assert any("u_c acts 1 sample(s) later" in note for note in result.notes)
+
+
+def test_a_rig_with_other_dynamics_settles_differently() -> None:
+    """Drag ten times the model's moves the rise by a measurable time."""
+    heavy = replace(BALL, b=0.3)
+    flight = replace(heavy.closed_loop(steps(3), TICKS, seed=4), use="judge")
+
+    result = judged([flight], model_of(BALL))
+
+    assert not isinstance(result.loop, str)
+    rise = {row.name: row for row in result.loop.steps}["rise_s"]
+    assert rise.ci95 is not None
+    assert not rise.ci95[0] <= 0.0 <= rise.ci95[1]
+
+
+def test_a_controller_that_did_not_run_is_said(records: list[Record]) -> None:
+    other = replace(controller_of(BALL), gains=(0.49, 1000.0, 9.0, -8000.0))
+
+    result = judged(records, model_of(BALL), other)
+
+    assert isinstance(result.loop, str)
+    assert "does not give the recorded u_c" in result.loop
+    assert result.passed  # the prediction errors do not need the law
+
+
+def test_one_step_has_no_interval() -> None:
+    flight = replace(BALL.closed_loop(lambda k: 2.6e-3 if k < 250 else 3.4e-3, 700, seed=6), use="judge")
+
+    result = judged([flight], model_of(BALL))
+
+    assert not isinstance(result.loop, str)
+    assert {row.count for row in result.loop.steps} == {1}
+    assert all(row.ci95 is None for row in result.loop.steps)
+    assert "no interval" in result.pace()
+
+
+def test_missing_pieces_are_not_testable_and_say_why(records: list[Record]) -> None:
+    model = model_of(BALL)
+    step, flight = records
+
+    only_step = validate_sources([source_of(step, model)], model)
+    no_law = validate_sources([source_of(flight, model)], model)
+    nothing = validate_sources([], model)
+
+    assert only_step.passed is None
+    assert "flight" in str(only_step.channels)
+    assert "flight" in str(only_step.windows)
+    assert isinstance(no_law.loop, str)
+    assert "[controller]" in no_law.loop
+    assert no_law.passed
+    assert not isinstance(no_law.amplifier, str)
+    assert not no_law.amplifier.from_steps
+    assert nothing.passed is None
+    assert "could not be tested" in nothing.answer()
+
+
+def test_data_for_fitting_judge_only_for_want_of_others_and_it_is_said(records: list[Record]) -> None:
+    model = model_of(BALL)
+    fit = replace(records[1], use="fit", name="fitted")
+
+    alone = judged([fit], model)
+    both = judged([fit, records[1]], model)
+
+    assert alone.flown == ("fitted",)
+    assert any("may have been fitted" in note for note in alone.notes)
+    assert both.flown == (records[1].name,)
+    assert not any("may have been fitted" in note for note in both.notes)
+
+
+def test_a_stated_noise_that_is_wrong_is_seen(records: list[Record]) -> None:
+    model = model_of(BALL)
+    quiet = replace(model, noise=replace(model.noise, sigma_x_m=model.noise.sigma_x_m / math.sqrt(2.0)))
+
+    result = judged(records, quiet)
+
+    assert not isinstance(result.channels, str)
+    assert not result.channels[1].size_right
+
+
+@pytest.mark.slow
+def test_settling_interval_and_verdict_hold_over_many_flights() -> None:
+    """20 flights under a right model: 95 % intervals miss 0 in more than 4 of them with a probability of 0.3 %."""
+    missed, refused = 0, 0
+    for seed in range(20):
+        flight = replace(BALL.closed_loop(steps(300 + seed), TICKS, seed=400 + seed), use="judge")
+        result = judged([flight], model_of(BALL))
+        assert not isinstance(result.loop, str)
+        settling = next(row for row in result.loop.steps if row.name == "settling_s")
+        assert settling.ci95 is not None
+        missed += not settling.ci95[0] <= 0.0 <= settling.ci95[1]
+        refused += not result.passed
+    assert missed <= 4
+    # Two size tests at 1 %, four at 0.1 %, four floors with a margin of 5 %: 3 % of flights at most.
+    assert refused <= 3

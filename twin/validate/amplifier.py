@@ -1,0 +1,106 @@
+"""The paper's figure 7: measured i_c against (1), driven by the recorded u_c alone, open loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.identify.record import FloatArray, intervals, runs
+from twin.model.parameters import Model
+from twin.validate.source import Source, chosen
+
+ROOM_S = 2.0  # of a recording that is drawn
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AmplifierTrace:
+    """One stretch, measured and simulated; time from its beginning."""
+
+    name: str
+    t_s: FloatArray
+    u_c_v: FloatArray
+    measured_a: FloatArray
+    simulated_a: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Amplifier:
+    """Figure 7 in numbers."""
+
+    traces: tuple[AmplifierTrace, ...]
+    fit_percent: float  # 100 (1 - |y - y_sim| / |y - mean y|), as `compare` of MATLAB
+    rmse_a: float
+    noise_a: float  # sigma of the current sensor, which a right model leaves
+    from_steps: bool  # amplifier steps; else any recording with u_c and i_c
+    fitted: bool  # the data had been used for fitting
+
+
+def fit_percent(measured: FloatArray, simulated: FloatArray) -> float:
+    """MATLAB's NRMSE fit; NaN for a constant signal."""
+    spread = float(np.linalg.norm(measured - measured.mean()))
+    return 100.0 * (1.0 - float(np.linalg.norm(measured - simulated)) / spread) if spread > 0 else float("nan")
+
+
+def amplifier(sources: Sequence[Source], model: Model) -> Amplifier | str:
+    """Compare; a string says why it is not testable."""
+    stepped = [s for s in sources if s.record.kind == "amplifier-step" or s.record.captures]
+    usable = stepped or [s for s in sources if s.record.has("u_c", "i_c")]
+    if not usable:
+        return "no recording has both u_c and i_c"
+    judges, fitted = chosen(usable)
+    traces = [trace for source in judges for trace in _traces(source, model)]
+    if not traces:
+        return "no stretch of u_c and i_c without gaps"
+    # Every trace about its own mean, or the difference between recordings would count as explained.
+    errors = np.concatenate([t.measured_a - t.simulated_a for t in traces])
+    spread = np.concatenate([t.measured_a - t.measured_a.mean() for t in traces])
+    power = float(np.linalg.norm(spread))
+    lsb = max(s.record.lsb[0] for s in judges)
+    return Amplifier(
+        traces=tuple(traces),
+        fit_percent=100.0 * (1.0 - float(np.linalg.norm(errors)) / power) if power > 0 else float("nan"),
+        rmse_a=float(np.sqrt(np.mean(errors**2))),
+        noise_a=float(np.hypot(model.noise.sigma_i_c_a, lsb / np.sqrt(12.0))),
+        from_steps=bool(stepped),
+        fitted=fitted,
+    )
+
+
+def _traces(source: Source, model: Model) -> list[AmplifierTrace]:
+    record = source.acting
+    traces = []
+    for n, capture in enumerate(record.captures):
+        first = max(capture.step_index - 200, 0)
+        measured = np.asarray(capture.i_c_a[first:], dtype=float)
+        u = np.full(len(measured), capture.u_to_v)
+        u[: capture.step_index - first] = capture.u_from_v
+        step = np.full(len(measured), capture.sample_time_s)
+        # i_c is steady before the step: the simulation starts on it, not on one noisy sample.
+        start = float(measured[: max(capture.step_index - first, 1)].mean())
+        traces.append(_trace(f"{record.name}, capture {n + 1}", u, measured, step, start, model))
+    if traces or not record.has("u_c", "i_c"):
+        return traces
+    step, follows = intervals(record.t)
+    known = np.isfinite(record.u_c) & np.isfinite(record.i_c)
+    chain = known.copy()
+    chain[1:] &= follows[1:] | ~known[:-1]
+    for piece in runs(np.asarray(chain), 50):
+        traces.append(
+            _trace(record.name, record.u_c[piece], record.i_c[piece], step[piece], float(record.i_c[piece][0]), model)
+        )
+    return traces
+
+
+def _trace(
+    name: str, u: FloatArray, measured: FloatArray, step: FloatArray, start: float, model: Model
+) -> AmplifierTrace:
+    simulated = np.empty(len(u))
+    simulated[0] = i = start
+    decay = np.exp(-step / model.T_A)
+    for k in range(1, len(u)):
+        e = model.K_A * u[k - 1]
+        simulated[k] = i = e + (i - e) * decay[k]
+    t = np.concatenate(([0.0], np.cumsum(step[1:])))
+    return AmplifierTrace(name=name, t_s=t, u_c_v=u, measured_a=measured, simulated_a=simulated)

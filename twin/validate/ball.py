@@ -1,0 +1,197 @@
+"""The paper's figure 8 and the multi-step errors: the ball predicted from the filter's estimate by u_c alone.
+
+The ball is unstable (an error grows by e within about 13 ms on a CE 152), so open loop means short windows.
+
+The noise floor is what a right model leaves: with P the filter's steady covariance around a position (discrete Riccati
+equation of (14), (15)), the error N samples ahead has the variance H (F^N P F'^N + sum of F^j Q F'^j) H' + sigma_x^2.
+It is averaged over the positions where the ball was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from twin.control import c2d, linearise
+from twin.identify.fit import Point, physics
+from twin.identify.horizon import HORIZONS_S, predict
+from twin.identify.innovations import FLIES, FOLLOWS
+from twin.identify.record import BoolArray, FloatArray, runs
+from twin.identify.transition import Physics, moments, transit
+from twin.model.parameters import Model
+from twin.validate.source import Filtered, plant_of
+
+SETTLE_S = 0.1  # the filter's own start
+WINDOW_S = 0.04
+FLOOR_TOLERANCE = 1.05  # of the floor's linearisation, half of it seen around 40 ms on an exact model
+POSITIONS = 7
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ahead:
+    """Prediction of x so far ahead."""
+
+    horizon_s: float
+    rmse_m: float
+    floor_m: float
+    ratio: float  # rmse / floor
+    ratio_ci95: tuple[float, float]
+    still_m: float  # the same for "x stays where it is"
+    count: int
+    at_floor: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Windows:
+    """A stretch with short open-loop predictions, each from a fresh estimate."""
+
+    name: str
+    t_s: FloatArray
+    u_c_v: FloatArray
+    measured_m: FloatArray
+    simulated_m: FloatArray  # NaN between windows
+    fit_percent: float  # over all windows of all recordings
+    rmse_m: float
+    count: int
+
+
+def multi_step(runs_: Sequence[Filtered], model: Model) -> tuple[Ahead, ...]:
+    """Errors over all flights, against the floor; empty where nothing could be predicted."""
+    rows = []
+    numbers = None
+    for wanted in HORIZONS_S:
+        errors: list[FloatArray] = []
+        stills: list[FloatArray] = []
+        floor2, actual_s = 0.0, wanted
+        for run in runs_:
+            tick_s = run.source.record.interval_s
+            ahead = max(round(wanted / tick_s), 1)
+            actual_s = ahead * tick_s
+            n = len(run.series)
+            error, still = np.empty(n), np.empty(n)
+            numbers = tuple(physics(run.point, plant_of(model)))
+            s = run.series
+            settle = max(round(SETTLE_S / tick_s), 2)
+            predict(numbers, run.state, s.step, s.u, s.x, s.flags, ahead, settle, error, still)
+            good = np.isfinite(error)
+            if good.any():
+                errors.append(error)
+                stills.append(still[good])
+                floor2 += int(good.sum()) * _floor2(model, run.point, s.x[good], tick_s, ahead)
+        count = sum(len(e) for e in stills)
+        if not count:
+            continue
+        joined = np.concatenate(errors)
+        mean2 = float(np.nanmean(joined**2))
+        floor2 /= count
+        # Relative standard error of a mean square of correlated Gaussian samples: sqrt(2 / n_eff).
+        spread = np.sqrt(2.0 / _effective(joined, count))
+        ratio = float(np.sqrt(mean2 / floor2))
+        low = ratio / np.sqrt(1.0 + 1.96 * spread)
+        high = ratio / np.sqrt(max(1.0 - 1.96 * spread, 0.05))
+        rows.append(
+            Ahead(
+                horizon_s=actual_s,
+                rmse_m=float(np.sqrt(mean2)),
+                floor_m=float(np.sqrt(floor2)),
+                ratio=ratio,
+                ratio_ci95=(float(low), float(high)),
+                still_m=float(np.sqrt(np.mean(np.concatenate(stills) ** 2))),
+                count=count,
+                at_floor=bool(low <= FLOOR_TOLERANCE),
+            )
+        )
+    return tuple(rows)
+
+
+def _effective(error: FloatArray, count: int) -> float:
+    """Count over the sum of squared autocorrelations: what a mean of squares of correlated samples is worth."""
+    filled = np.where(np.isfinite(error), error, 0.0)
+    power = float(filled @ filled)
+    total = 1.0
+    for lag in range(1, min(200, len(filled) - 1)):
+        rho = float(filled[lag:] @ filled[:-lag]) / power
+        total += 2.0 * rho * rho
+    return max(count / total, 1.0)
+
+
+def _floor2(model: Model, point: Point, x: FloatArray, tick_s: float, ahead: int) -> float:
+    """Mean variance of the prediction error of a right model over these positions, m^2."""
+    H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    R = np.diag([point.sigma_i_c_a**2, point.sigma_x_m**2])
+    push = np.array([[0.0], [0.5 * tick_s**2], [tick_s]]) * point.process_a_m_s2
+    Q = push @ push.T + np.diag([point.process_i_c_a**2, 0.0, 0.0])
+    Q += np.diag([1e-14, 1e-18, 1e-14])  # a model without process noise still has a filter
+    values = []
+    for position in np.percentile(x, np.linspace(5.0, 95.0, POSITIONS)):
+        A, B = linearise(model, float(np.clip(position, 0.0, 0.98 * model.plant.travel_m)))
+        F, _ = c2d(A, B, tick_s)
+        P = solve_discrete_are(F.T, H.T, Q, R)
+        P = P - P @ H.T @ np.linalg.solve(H @ P @ H.T + R, H @ P)
+        for _ in range(ahead):
+            P = F @ P @ F.T + Q
+        values.append(float(P[1, 1]) + point.sigma_x_m**2)
+    return float(np.mean(values))
+
+
+def windows(runs_: Sequence[Filtered], model: Model, *, shown_s: float = 0.8) -> Windows | None:
+    """Windows over every flight; the stretch with most motion is kept to be drawn."""
+    best: tuple[float, Filtered, slice, FloatArray] | None = None
+    errors, centred = [], []
+    count = 0
+    for run in runs_:
+        tick_s = run.source.record.interval_s
+        length, settle = max(round(WINDOW_S / tick_s), 2), max(round(SETTLE_S / tick_s), 2)
+        s = run.series
+        simulated = np.full(len(s), np.nan)
+        for piece in _chains(run):
+            for begin in range(piece.start + settle, piece.stop - length, length):
+                simulated[begin : begin + length] = _window(run, model, begin, length)
+                count += 1
+            shown = slice(piece.start + settle, min(piece.stop, piece.start + settle + round(shown_s / tick_s)))
+            for start in range(piece.start + settle, max(piece.stop - (shown.stop - shown.start), shown.start + 1), 50):
+                part = slice(start, start + shown.stop - shown.start)
+                motion = float(np.std(s.x[part])) if part.stop - part.start > length else 0.0
+                if best is None or motion > best[0]:
+                    best = (motion, run, part, simulated)
+        good = np.isfinite(simulated) & np.isfinite(run.source.record.x)
+        if good.any():
+            errors.append(s.x[good] - simulated[good])
+            centred.append(s.x[good] - s.x[good].mean())
+    if best is None or not errors:
+        return None
+    error, spread = np.concatenate(errors), np.concatenate(centred)
+    _, run, part, simulated = best
+    return Windows(
+        name=run.source.record.name,
+        t_s=np.cumsum(run.series.step[part]) - run.series.step[part][0],
+        u_c_v=run.series.u[part],
+        measured_m=run.source.record.x[part],
+        simulated_m=simulated[part],
+        fit_percent=100.0 * (1.0 - float(np.linalg.norm(error) / np.linalg.norm(spread))),
+        rmse_m=float(np.sqrt(np.mean(error**2))),
+        count=count,
+    )
+
+
+def _chains(run: Filtered) -> list[slice]:
+    free: BoolArray = np.asarray((run.series.flags & (FLIES | FOLLOWS)) == (FLIES | FOLLOWS))
+    return runs(free, max(round((SETTLE_S + 2 * WINDOW_S) / run.source.record.interval_s), 8))
+
+
+def _window(run: Filtered, model: Model, begin: int, length: int) -> FloatArray:
+    p = Physics(*physics(run.point, plant_of(model)))
+    out, m, at = np.full(length, np.nan), np.empty(9), -1.0
+    i, x, v = (float(value) for value in run.state[begin])
+    out[0] = x
+    for k in range(1, length - 1):  # the last stays NaN: the next window starts there
+        T_s = float(run.series.step[begin + k])
+        if T_s != at:
+            moments(T_s, p.T_A, m)
+            at = T_s
+        i, x, v = transit(p, m, T_s, i, x, v, float(run.series.u[begin + k - 1]))
+        out[k] = x
+    return out

@@ -1,0 +1,160 @@
+"""The pictures of the report as PNG bytes: measured blue, model red, reference grey, as in `board51 plot`."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from twin.figure import MEASURED, REFERENCE, TWIN
+from twin.identify.record import FloatArray
+from twin.validate.amplifier import Amplifier, AmplifierTrace
+from twin.validate.ball import Ahead, Windows
+from twin.validate.loop import LoopRun
+from twin.validate.residuals import Channel
+
+SHOWN_S = 4.0  # of a closed loop
+MOST_TRACES = 3
+
+
+def amplifier_figure(result: Amplifier) -> bytes:
+    """Figure 7."""
+    traces = sorted(result.traces, key=lambda t: -float(np.ptp(t.u_c_v)))[:MOST_TRACES]
+    figure, axes = _grid(2, len(traces), height=5.0, ratios=[2.2, 1.0])
+    for n, trace in enumerate(traces):
+        part = _around_change(trace)
+        t = (trace.t_s[part] - trace.t_s[part.start]) * 1e3
+        axes[0][n].plot(t, trace.measured_a[part], color=MEASURED, lw=0.8, label="measured")
+        axes[0][n].plot(t, trace.simulated_a[part], color=TWIN, lw=1.4, label="(1)")
+        axes[1][n].step(t, trace.u_c_v[part], color=REFERENCE, lw=1.0, where="post")
+        axes[0][n].set_title(trace.name, fontsize=9)
+        axes[1][n].set_xlabel("time [ms]")
+    axes[0][0].set_ylabel("current i_c [A]")
+    axes[1][0].set_ylabel("input u_c [V]")
+    axes[0][0].legend(loc="best", fontsize=9)
+    return _png(figure)
+
+
+def ball_figure(result: Windows) -> bytes:
+    """Figure 8, in windows."""
+    figure, axes = _grid(2, 1, height=5.0, ratios=[2.4, 1.0])
+    top, bottom = axes[0][0], axes[1][0]
+    top.plot(result.t_s, result.measured_m * 1e3, color=MEASURED, lw=2.6, alpha=0.55, label="measured")
+    top.plot(result.t_s, result.simulated_m * 1e3, color=TWIN, lw=1.2, label="(6), each window from a fresh estimate")
+    top.set_ylabel("position x [mm]")
+    top.legend(loc="best", fontsize=9)
+    error = (result.measured_m - result.simulated_m) * 1e6
+    bottom.plot(result.t_s, error, color=TWIN, lw=0.9)
+    bottom.axhline(0.0, color="black", lw=0.6)
+    bottom.set_ylabel("error [um]")
+    bottom.set_xlabel("time [s]")
+    return _png(figure)
+
+
+def ahead_figure(rows: Sequence[Ahead]) -> bytes:
+    """Errors over the horizon."""
+    figure, axes = _grid(1, 1, height=3.6, width=6.4)
+    ax = axes[0][0]
+    h = np.array([row.horizon_s for row in rows]) * 1e3
+    ax.loglog(h, [row.still_m * 1e6 for row in rows], color=REFERENCE, ls=":", marker=".", label="x stays where it is")
+    ax.loglog(h, [row.rmse_m * 1e6 for row in rows], color=TWIN, marker="o", label="model")
+    ax.loglog(h, [row.floor_m * 1e6 for row in rows], color="black", ls="--", marker="_", label="noise floor")
+    ax.set_xticks(h, [f"{value:g}" for value in h])
+    ax.minorticks_off()
+    ax.set_xlabel("prediction horizon [ms]")
+    ax.set_ylabel("rms error of x [um]")
+    ax.legend(fontsize=9)
+    return _png(figure)
+
+
+def residual_figure(channels: Sequence[Channel]) -> bytes:
+    """Auto- and cross-correlation with their 99 % bounds."""
+    figure, axes = _grid(2, len(channels), height=5.0)
+    for n, channel in enumerate(channels):
+        for row, values, title in (
+            (0, channel.autocorrelation, f"autocorrelation of e({channel.name})"),
+            (1, channel.cross_correlation, f"e({channel.name}) with u_c, so many samples earlier"),
+        ):
+            ax = axes[row][n]
+            lags = np.arange(1, len(values) + 1)
+            ax.axhspan(-channel.bound, channel.bound, color=MEASURED, alpha=0.18, lw=0, label="99 %, one lag")
+            ax.axhline(0.0, color="black", lw=0.6)
+            ax.vlines(lags, 0.0, values, color=TWIN, lw=1.6)
+            ax.plot(lags, values, "o", color=TWIN, ms=3)
+            span = max(1.25 * float(np.max(np.abs(values))), 2.0 * channel.bound)
+            ax.set_ylim(-span, span)
+            ax.set_title(title, fontsize=10)
+            ax.set_ylabel("correlation [-]")
+        axes[1][n].set_xlabel("lag [samples]")
+    axes[0][0].legend(fontsize=9)
+    return _png(figure)
+
+
+def loop_figure(run: LoopRun) -> bytes:
+    """Figures 11 and 12 over one another."""
+    part = _busiest(run)
+    t = run.t_s[part]
+    figure, axes = _grid(4, 1, height=8.4, ratios=[2.4, 1.2, 1.2, 1.0])
+    x, error, i, u = (axes[n][0] for n in range(4))
+    x.plot(t, run.simulated_x_m[0][part] * 1e3, color=TWIN, lw=1.2, label="simulated with noise")
+    x.plot(t, run.x_m[part] * 1e3, color=MEASURED, lw=1.2, label="measured")
+    x.plot(t, run.x_ref_m[part] * 1e3, color=REFERENCE, lw=1.0, ls="--", label="reference")
+    x.set_ylabel("position x [mm]")
+    x.legend(fontsize=9, loc="best")
+    error.plot(
+        t, (run.x_m - run.quiet_x_m)[part] * 1e6, color=MEASURED, lw=0.7, label="measured - noise-free simulation"
+    )
+    if np.isfinite(run.expected_std_m):
+        band = 2.0 * run.expected_std_m * 1e6
+        error.axhspan(-band, band, color=REFERENCE, alpha=0.2, lw=0, label="2 standard deviations of noise alone")
+    error.set_ylabel("error [um]")
+    error.legend(fontsize=8, loc="upper right")
+    i.plot(t, run.simulated_i_c_a[0][part], color=TWIN, lw=0.7)
+    i.plot(t, run.i_c_a[part], color=MEASURED, lw=0.7)
+    i.set_ylabel("current i_c [A]")
+    u.plot(t, run.simulated_u_c_v[0][part], color=TWIN, lw=0.6)
+    u.plot(t, run.u_c_v[part], color=MEASURED, lw=0.6)
+    u.set_ylabel("input u_c [V]")
+    u.set_xlabel("time [s]")
+    x.set_title(run.name, fontsize=10)
+    return _png(figure)
+
+
+def _busiest(run: LoopRun) -> slice:
+    n = min(round(SHOWN_S / float(np.median(np.diff(run.t_s)))), len(run.t_s))
+    moves = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(run.x_ref_m)))))
+    starts = np.arange(0, len(run.t_s) - n + 1, max(n // 8, 1))
+    best = int(starts[int(np.argmax(moves[starts + n - 1] - moves[starts]))])
+    return slice(best, best + n)
+
+
+def _around_change(trace: AmplifierTrace) -> slice:
+    """The largest step with 30 ms after it; a capture whole."""
+    step = float(np.median(np.diff(trace.t_s)))
+    if len(trace.t_s) * step < 0.1:
+        return slice(0, len(trace.t_s))
+    # Among equal steps the one whose input then stays longest shows the response best.
+    changes: FloatArray = np.abs(np.diff(trace.u_c_v))
+    k = int(np.argmax(changes))
+    room = max(round(0.2 / step), 10)
+    return slice(max(k - room // 5, 0), min(k + room, len(trace.t_s)))
+
+
+def _grid(
+    rows: int, columns: int, *, height: float, width: float = 11.0, ratios: Sequence[float] | None = None
+) -> tuple[Figure, list[list[Axes]]]:
+    figure = Figure(figsize=(width, height), dpi=100, layout="constrained")
+    made = figure.subplots(rows, columns, squeeze=False, sharex="col", height_ratios=ratios)
+    axes = [list(row) for row in made]
+    for ax in made.flat:
+        ax.grid(alpha=0.3)
+    return figure, axes
+
+
+def _png(figure: Figure) -> bytes:
+    out = io.BytesIO()
+    figure.savefig(out, format="png", metadata={"Software": None})
+    return out.getvalue()

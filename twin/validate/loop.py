@@ -1,0 +1,215 @@
+"""The paper's figures 11 and 12: the closed loop simulated with the identified noise, against the measured one.
+
+Rule 1: the simulation gets the recorded reference and the rig's state and integral at one instant, nothing after it.
+Rule 2: a law that does not reproduce the recorded u_c from the recorded samples is not the one that ran: not testable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.compiled import Packed, kernel
+from twin.control import LawNumbers, integral_behind, law
+from twin.identify.record import FloatArray, runs
+from twin.mirror.expected import STABLE, autocovariance, error_dynamics
+from twin.model.parameters import Model
+from twin.simulate import PlantNumbers, plant_numbers, tick
+from twin.validate.ball import SETTLE_S
+from twin.validate.source import Filtered, Source
+
+SHORTEST_S = 0.5
+UNEXPLAINED = 0.25  # of the changes of u_c that the law may leave open: rounding, not another law
+REALISATIONS = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopRun:
+    """One flight in closed loop; all of shape (n,) but the simulations, (realisations, n)."""
+
+    name: str
+    t_s: FloatArray
+    x_ref_m: FloatArray
+    x_m: FloatArray
+    i_c_a: FloatArray
+    u_c_v: FloatArray
+    simulated_x_m: FloatArray
+    simulated_i_c_a: FloatArray
+    simulated_u_c_v: FloatArray
+    quiet_x_m: FloatArray  # simulated without noise
+    expected_std_m: float  # of measured - quiet under a right model; NaN where the model's loop is unstable
+
+
+@kernel
+def simulate_loop(
+    plant: Packed,
+    numbers: Packed,
+    x_ref: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    lsb: NDArray[np.float64],
+    begin: NDArray[np.float64],
+    before: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """Fill out, shape (3, n), with i_c, x as the board would read them and u_c.
+
+    Args:
+        plant: tuple(PlantNumbers).
+        numbers: tuple(LawNumbers).
+        x_ref: m, shape (n,).
+        noise: of i_c (A), x (m), process of i_c (A), of x' (m/s), shape (4, n).
+        lsb: of i_c (A), x (m), u_c (V); 0 does not round.
+        begin: i_c, x, x', integral, previous measured x.
+        before: inputs that still have to act, oldest first: their number is the delay.
+        out: receives the result.
+    """
+    p = PlantNumbers(*plant)
+    c = LawNumbers(*numbers)
+    i, x, v, s, x_prev = begin[0], begin[1], begin[2], begin[3], begin[4]
+    late = len(before)
+    for k in range(len(x_ref)):
+        i_m, x_m = i + noise[0, k], x + noise[1, k]
+        if lsb[0] > 0.0:
+            i_m = round(i_m / lsb[0]) * lsb[0]
+        if lsb[1] > 0.0:
+            x_m = round(x_m / lsb[1]) * lsb[1]
+        u, s = law(c, i_m, x_m, x_prev, s, x_ref[k])
+        if lsb[2] > 0.0:
+            u = round(u / lsb[2]) * lsb[2]
+        x_prev = x_m
+        out[0, k], out[1, k], out[2, k] = i_m, x_m, u
+        acting = u
+        if late > 0:
+            acting = before[k] if k < late else out[2, k - late]
+        i, x, v = tick(p, i, x, v, acting)
+        i += noise[2, k]
+        if 0.0 < x < p.travel_m:
+            v += noise[3, k]
+
+
+def closed_loops(runs_: Sequence[Filtered], model: Model, *, seed: int = 1) -> tuple[list[LoopRun], list[str]]:
+    """(every flight that can be simulated, why the others cannot)."""
+    found: list[LoopRun] = []
+    why: list[str] = []
+    for n, run in enumerate(runs_):
+        record = run.source.record
+        c = run.source.law
+        if c is None:
+            why.append(f"{record.name}: {run.source.without_law}")
+            continue
+        if not record.has("x_ref"):
+            why.append(f"{record.name}: no reference was recorded")
+            continue
+        if abs(record.interval_s - c.sample_time_s) > 0.05 * c.sample_time_s:
+            why.append(
+                f"{record.name}: sampled every {record.interval_s * 1e3:.3g} ms, "
+                f"the law runs every {c.sample_time_s * 1e3:.3g} ms"
+            )
+            continue
+        flown = _flown(run, c)
+        if not flown:
+            why.append(
+                f"{record.name}: no {SHORTEST_S:g} s of flight at a steady sampling time with the reference known"
+            )
+            continue
+        for piece in flown:
+            begin = _begin(run, c, piece)
+            if begin is None:
+                why.append(f"{record.name}: u_c stays at its limit, so the law's integral is not known")
+                continue
+            start, integral = begin
+            part = slice(start, piece.stop)
+            left = unexplained(run.source, c, part, integral)
+            if left > UNEXPLAINED:
+                why.append(
+                    f"{record.name}: the law does not give the recorded u_c ({100 * left:.0f} % of its changes left): "
+                    "other gains, another filter or another operating point ran"
+                )
+                continue
+            found.append(_simulate(run, model, c, part, integral, seed=seed + n))
+    return found, why
+
+
+def unexplained(source: Source, c: LawNumbers, part: slice, integral: float) -> float:
+    """Share of the changes of u_c (rms) that the law, given the recorded samples, does not explain."""
+    r = source.record
+    s, x_prev = integral, float(r.x[part.start - 1])
+    predicted = np.full(part.stop - part.start, np.nan)
+    for n, k in enumerate(range(part.start, part.stop)):
+        i, x = float(r.i_c[k]), float(r.x[k])
+        if not (np.isfinite(i) and np.isfinite(x)):
+            continue
+        predicted[n], s = law(c, i, x, x_prev, s, float(r.x_ref[k]))
+        x_prev = x
+    measured = r.u_c[part]
+    left, moves = np.diff(measured - predicted), np.diff(measured)
+    power = float(np.nanmean(moves**2))
+    return float(np.sqrt(np.nanmean(left**2) / power)) if power > 0 else 0.0
+
+
+def _flown(run: Filtered, c: LawNumbers) -> list[slice]:
+    record = run.source.record
+    steady = np.abs(run.series.step - c.sample_time_s) < 0.05 * c.sample_time_s
+    free = steady & np.isfinite(run.state[:, 0]) & np.isfinite(record.x_ref) & np.isfinite(record.u_c)
+    return runs(np.asarray(free), round((SHORTEST_S + SETTLE_S) / c.sample_time_s))
+
+
+def _begin(run: Filtered, c: LawNumbers, piece: slice) -> tuple[int, float] | None:
+    """(sample, integral) of the first instant after the filter's start at which u_c tells the integral."""
+    r = run.source.record
+    settle = round(SETTLE_S / c.sample_time_s)
+    for k in range(piece.start + settle, piece.stop - round(SHORTEST_S / c.sample_time_s) + settle):
+        values = [float(v) for v in (r.i_c[k], r.x[k], r.x[k - 1], r.x_ref[k], r.u_c[k])]
+        if np.all(np.isfinite(values)):
+            i, x, x_prev, x_ref, u = values
+            integral = integral_behind(c, i=i, x=x, x_prev=x_prev, x_ref=x_ref, u=u)
+            if integral is not None:
+                return k, integral
+    return None
+
+
+def _simulate(run: Filtered, model: Model, c: LawNumbers, part: slice, integral: float, *, seed: int) -> LoopRun:
+    r, n = run.source.record, part.stop - part.start
+    rng = np.random.default_rng(seed)
+    plant = tuple(plant_numbers(model, c.sample_time_s))
+    noise_levels = np.array(
+        [
+            model.noise.sigma_i_c_a,
+            model.noise.sigma_x_m,
+            model.noise.process_i_c_a,
+            model.noise.process_a_m_s2 * c.sample_time_s,
+        ]
+    )
+    lsb = np.array([*r.lsb, run.source.u_lsb_v])
+    begin = np.array([*run.state[part.start], integral, r.x[part.start - 1]])
+    late = run.source.late
+    before = np.asarray(r.u_c[part.start - late : part.start], dtype=float)
+    x_ref = np.ascontiguousarray(r.x_ref[part])
+    out = np.empty((REALISATIONS + 1, 3, n))
+    for m in range(REALISATIONS + 1):
+        scale = 0.0 if m == REALISATIONS else 1.0
+        noise = scale * noise_levels[:, None] * rng.standard_normal((4, n))
+        simulate_loop(plant, tuple(c), x_ref, noise, scale * lsb, begin, before, out[m])
+    loop = error_dynamics(model, c, float(np.clip(np.mean(x_ref), 0.0, 0.95 * model.plant.travel_m)))
+    expected = float("nan")
+    if np.max(np.abs(np.linalg.eigvals(loop[0]))) < STABLE:
+        variances = noise_levels**2
+        variances[:2] += lsb[:2] ** 2 / 12.0
+        ordered = np.array([variances[0], variances[1], lsb[2] ** 2 / 12.0, variances[2], variances[3]])
+        expected = float(np.sqrt(autocovariance(*loop, ordered, lags=1)[0, 0]))
+    return LoopRun(
+        name=r.name,
+        t_s=r.t[part] - r.t[part.start],
+        x_ref_m=x_ref,
+        x_m=r.x[part],
+        i_c_a=r.i_c[part],
+        u_c_v=r.u_c[part],
+        simulated_x_m=out[:-1, 1],
+        simulated_i_c_a=out[:-1, 0],
+        simulated_u_c_v=out[:-1, 2],
+        quiet_x_m=out[-1, 1],
+        expected_std_m=expected,
+    )

@@ -1,0 +1,126 @@
+"""Residual tests as users of `resid` expect them: are the innovations white, of the stated size, and free of u_c?
+
+Rule 1: e(k) is compared with u_c(k - lag) for lags from 1 on only.  In closed loop u_c answers past innovations, so the
+        other side is correlated under a right model, too.
+Rule 2: bounds in the figure are for one lag at 99 %; the verdict is a joint test over all lags (chi-square).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import toeplitz
+from scipy.stats import chi2
+
+from twin.identify.innovations import FLIES, FOLLOWS
+from twin.identify.record import FloatArray
+from twin.identify.whiteness import LAGS, LEVEL, SMALL
+from twin.validate.source import Filtered
+
+BOUND_99 = 2.576
+SETTLE_S = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Channel:
+    """Tests of one measured signal's innovations."""
+
+    name: str  # i_c | x
+    count: int
+    chi2: float  # mean square of the whitened innovations: 1 under a right model
+    chi2_bound: float  # 99 %: |chi2 - 1| beyond it contradicts the stated noise
+    mean: float  # of the whitened innovations
+    autocorrelation: FloatArray  # lags 1 .. LAGS
+    cross_correlation: FloatArray  # with u_c, the same lags
+    bound: float  # 99 % for one lag
+    p_white: float  # Ljung-Box
+    p_input: float
+    white: bool
+    independent: bool
+    size_right: bool
+
+    @property
+    def passed(self) -> bool:
+        """Whether all three tests are."""
+        return self.white and self.independent and self.size_right
+
+
+def residuals(runs: Sequence[Filtered]) -> tuple[Channel, ...]:
+    """Tests of i_c and x over all recordings together; a channel without enough samples is left out."""
+    found = (_channel(runs, column, name) for column, name in ((0, "i_c"), (1, "x")))
+    return tuple(channel for channel in found if channel is not None)
+
+
+def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None:
+    lag_products, lag_pairs = np.zeros(LAGS), np.zeros(LAGS)
+    cross, cross_pairs = np.zeros(LAGS), np.zeros(LAGS)
+    u_products, u_pairs = np.zeros(LAGS), np.zeros(LAGS)
+    power, total, count, u_power, u_count = 0.0, 0.0, 0, 0.0, 0
+    for run in runs:
+        e, u, group = _aligned(run, column)
+        good = np.isfinite(e)
+        if not good.any():
+            continue
+        e0 = np.where(good, e, 0.0)
+        u0 = np.where(good, u - u[good].mean(), 0.0)
+        power += float(e0 @ e0)
+        total += float(e0.sum())
+        count += int(good.sum())
+        u_power += float(u0 @ u0)
+        u_count += int(good.sum())
+        for lag in range(1, LAGS + 1):
+            same = good[lag:] & good[:-lag] & (group[lag:] == group[:-lag])
+            pairs = float(same.sum())
+            lag_products[lag - 1] += float(np.sum(e0[lag:] * e0[:-lag] * same))
+            lag_pairs[lag - 1] += pairs
+            cross[lag - 1] += float(np.sum(e0[lag:] * u0[:-lag] * same))
+            cross_pairs[lag - 1] += pairs
+            u_products[lag - 1] += float(np.sum(u0[lag:] * u0[:-lag] * same))
+            u_pairs[lag - 1] += pairs
+    if count < 10 * LAGS or lag_pairs.min() < 50:
+        return None
+    rho = lag_products / lag_pairs / (power / count)
+    p_white = float(chi2.sf(float(np.sum(lag_pairs * rho**2)), LAGS))
+    p_input, r = 1.0, np.zeros(LAGS)
+    if u_power > 0.0:
+        r = cross / cross_pairs / np.sqrt(power / count * u_power / u_count)
+        # r of neighbouring lags moves together as far as u_c does: their covariance is u_c's autocorrelation / n.
+        of_u = np.concatenate(([1.0], u_products[:-1] / u_pairs[:-1] / (u_power / u_count)))
+        values, vectors = np.linalg.eigh(toeplitz(of_u))
+        kept = values > 1e-3 * values.max()
+        statistic = float(np.mean(cross_pairs)) * float(np.sum((vectors.T @ r)[kept] ** 2 / values[kept]))
+        p_input = float(chi2.sf(statistic, int(kept.sum())))
+    size = power / count
+    # The stated noise comes from a record about as long as this one: both estimates scatter by sqrt(2 / n).
+    bound = BOUND_99 * np.sqrt(4.0 / count)
+    return Channel(
+        name=name,
+        count=count,
+        chi2=size,
+        chi2_bound=float(bound),
+        mean=total / count,
+        autocorrelation=rho,
+        cross_correlation=r,
+        bound=float(BOUND_99 / np.sqrt(np.mean(lag_pairs))),
+        p_white=p_white,
+        p_input=p_input,
+        white=p_white > LEVEL or float(np.max(np.abs(rho))) < SMALL,
+        independent=p_input > LEVEL or float(np.max(np.abs(r))) < SMALL,
+        size_right=abs(size - 1.0) < bound,
+    )
+
+
+def _aligned(run: Filtered, column: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(whitened innovation, u_c, number of the unbroken stretch), without the filter's own start."""
+    s = run.series
+    broken = (s.flags & FOLLOWS) == 0
+    broken |= np.diff((s.flags & FLIES).astype(np.int8), prepend=np.int8(0)) != 0
+    group = np.cumsum(broken)
+    starts = np.flatnonzero(broken)
+    since = np.arange(len(s)) - starts[np.maximum(group - 1, 0)] if len(starts) else np.arange(len(s))
+    settled = since >= round(SETTLE_S / run.source.record.interval_s)
+    flies = (s.flags & FLIES) != 0
+    e = np.where(settled & flies, run.white[:, column], np.nan)
+    return e, s.u, group.astype(float)

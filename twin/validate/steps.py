@@ -1,0 +1,152 @@
+"""Reference steps: rise time, settling time, overshoot, IAE and effort of rig and simulation, and their difference.
+
+Rule 1: rig and simulation are measured by the same code; the simulation's figure is the mean over its realisations.
+Rule 2: the difference is rig - simulation, paired step by step; its interval is Student's over the steps.  One step has
+        no interval.
+Rule 3: x is averaged over 10 ms before thresholds are applied, and the band is at least 4 standard deviations of what
+        noise does to it: noise alone must not undo a settling.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.stats import t as student
+
+from twin.identify.record import FloatArray, runs
+from twin.validate.loop import LoopRun
+
+DWELL_S = 0.15  # a reference that stands still for so long after a change is a step
+SMALLEST_SIGMAS = 20.0
+BAND = 0.05
+SMOOTH_S = 0.01
+
+# name: (title, unit, factor from SI)
+FIGURES: dict[str, tuple[str, str, float]] = {
+    "rise_s": ("rise time 10-90 %", "ms", 1e3),
+    "settling_s": ("settling time 5 %", "ms", 1e3),
+    "overshoot": ("overshoot", "%", 100.0),
+    "iae_m_s": ("IAE", "um s", 1e6),
+    "effort_v2_s": ("control effort", "V^2 s", 1.0),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compared:
+    """One figure over all steps; SI units."""
+
+    name: str
+    rig: float
+    simulation: float
+    difference: float  # rig - simulation
+    ci95: tuple[float, float] | None  # None: fewer than two steps
+    count: int  # steps in which both have it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """Where in a run the reference steps, and by how much."""
+
+    begin: int
+    end: int
+    from_m: float
+    to_m: float
+
+
+def find_steps(run: LoopRun, sigma_x_m: float) -> list[Step]:
+    """Changes of the reference from one level at which it stays to another."""
+    T_s = float(np.median(np.diff(run.t_s)))
+    still = np.concatenate(([True], np.abs(np.diff(run.x_ref_m)) < 1e-9))
+    levels = runs(np.asarray(still), max(round(DWELL_S / T_s) - 1, 2))
+    steps = []
+    for before, after in pairwise(levels):
+        low, high = float(run.x_ref_m[before.stop - 1]), float(run.x_ref_m[after.start])
+        if abs(high - low) >= SMALLEST_SIGMAS * sigma_x_m and after.start - before.stop < 0.5 / T_s:
+            steps.append(Step(begin=before.stop, end=after.stop, from_m=low, to_m=high))
+    return steps
+
+
+def compare_steps(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Compared, ...]:
+    """All figures over all steps of all runs; empty without a step."""
+    rig: list[list[float]] = []
+    simulation: list[list[float]] = []
+    for run in loops:
+        T_s = float(np.median(np.diff(run.t_s)))
+        noise = run.expected_std_m if np.isfinite(run.expected_std_m) else sigma_x_m
+        for step in find_steps(run, sigma_x_m):
+            rig.append(measure(run.x_m, run.u_c_v, run.x_ref_m, step, T_s, noise))
+            several = [
+                measure(x, u, run.x_ref_m, step, T_s, noise)
+                for x, u in zip(run.simulated_x_m, run.simulated_u_c_v, strict=True)
+            ]
+            table = np.array(several)
+            known = np.isfinite(table).all(axis=0)
+            simulation.append(list(np.where(known, np.where(known, table, 0.0).mean(axis=0), np.nan)))
+    if not rig:
+        return ()
+    return tuple(_compared(name, np.array(rig)[:, n], np.array(simulation)[:, n]) for n, name in enumerate(FIGURES))
+
+
+def measure(x: FloatArray, u: FloatArray, x_ref: FloatArray, step: Step, T_s: float, noise_m: float) -> list[float]:
+    """The figures of one step in the order of FIGURES; NaN for what did not happen within the dwell.
+
+    Rise and settling time count from the first change of the reference; overshoot is a share of the step; the effort is
+    the integral of (u_c - its final level)^2.
+    """
+    part = slice(step.begin, step.end)
+    size = step.to_m - step.from_m
+    width = max(round(SMOOTH_S / T_s), 1)
+    known = np.where(np.isfinite(x), x, np.nan)
+    padded = np.concatenate(
+        (np.full(width // 2, known[part][0]), known[part], np.full(width - 1 - width // 2, known[part][-1]))
+    )
+    y = (np.convolve(padded, np.full(width, 1.0 / width), mode="valid") - step.from_m) / size
+    band = max(BAND, 4.0 * noise_m / abs(size))
+    inside = np.abs(y - 1.0) <= band
+    outside = np.flatnonzero(~inside)
+    last = int(outside[-1]) + 1 if len(outside) else 0
+    # The last quarter of the dwell must be inside, or nobody saw it settle.
+    settling = last * T_s if last < 0.75 * len(y) else float("nan")
+    level = float(np.nanmean(u[part][-max(len(y) // 5, 1) :]))
+    return [
+        (_crossing(y, 0.9) - _crossing(y, 0.1)) * T_s,
+        settling,
+        float(np.nanmax(y)) - 1.0,
+        float(np.nansum(np.abs(x_ref[part] - x[part]))) * T_s,
+        float(np.nansum((u[part] - level) ** 2)) * T_s,
+    ]
+
+
+def _crossing(y: FloatArray, level: float) -> float:
+    above = np.flatnonzero(y >= level)
+    if not len(above):
+        return float("nan")
+    k = int(above[0])
+    if k == 0 or not np.isfinite(y[k - 1]):
+        return float(k)
+    return k - 1 + float((level - y[k - 1]) / (y[k] - y[k - 1]))
+
+
+def _compared(name: str, rig: FloatArray, simulation: FloatArray) -> Compared:
+    both = np.isfinite(rig) & np.isfinite(simulation)
+    n = int(both.sum())
+    nan = float("nan")
+    if n == 0:
+        return Compared(name=name, rig=nan, simulation=nan, difference=nan, ci95=None, count=0)
+    difference = rig[both] - simulation[both]
+    mean = float(difference.mean())
+    ci95 = None
+    if n > 1:
+        half = float(student.ppf(0.975, n - 1) * difference.std(ddof=1) / np.sqrt(n))
+        ci95 = (mean - half, mean + half)
+    return Compared(
+        name=name,
+        rig=float(rig[both].mean()),
+        simulation=float(simulation[both].mean()),
+        difference=mean,
+        ci95=ci95,
+        count=n,
+    )

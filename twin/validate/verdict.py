@@ -1,0 +1,204 @@
+"""All parts of a validation, and the answer in one sentence.
+
+Rule: what a campaign cannot test is a sentence that says why, never a pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from protocol.campaign import Campaign
+from protocol.errors import DataError
+from twin.model.parameters import Model
+from twin.validate.amplifier import Amplifier, amplifier, fit_percent
+from twin.validate.ball import Ahead, Windows, multi_step, windows
+from twin.validate.loop import LoopRun, closed_loops
+from twin.validate.residuals import Channel, residuals
+from twin.validate.source import FLYING, Filtered, Source, chosen, filtered, sources_of
+from twin.validate.steps import FIGURES, Compared, compare_steps
+
+LOOP_TOLERANCE = 1.5  # of the closed loop's error over what noise alone leaves: below it, nobody sees it in the figure
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClosedLoop:
+    """Figures 11 and 12 in numbers."""
+
+    runs: tuple[LoopRun, ...]
+    fit_percent: float  # of the noise-free simulation
+    rmse_m: float
+    expected_m: float  # what noise alone leaves under a right model; NaN where the model's loop is unstable
+    steps: tuple[Compared, ...]
+    without: tuple[str, ...]  # recordings that could not be simulated, and why
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Validation:
+    """The whole result; a part that is a string says why it is not testable."""
+
+    model: Model
+    amplifier: Amplifier | str
+    windows: Windows | str
+    ahead: tuple[Ahead, ...]
+    channels: tuple[Channel, ...] | str
+    loop: ClosedLoop | str
+    flown: tuple[str, ...]  # names of the recordings in flight
+    notes: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether every testable part agrees with the model; None where the flight was not testable at all."""
+        if not self.ahead and isinstance(self.channels, str) and isinstance(self.loop, str):
+            return None
+        return not self.failures()
+
+    def failures(self) -> list[str]:
+        """What contradicts the model, worst news first."""
+        said = []
+        if bad := [row for row in self.ahead if not row.at_floor]:
+            row = max(bad, key=lambda r: r.ratio)
+            said.append(
+                f"its error {row.horizon_s * 1e3:.0f} ms ahead is {row.rmse_m * 1e6:.3g} um, "
+                f"{row.ratio:.3g} times what noise alone leaves"
+            )
+        if not isinstance(self.channels, str):
+            for channel in self.channels:
+                faults = [
+                    text
+                    for text, right in (
+                        ("are correlated in time", channel.white),
+                        ("depend on u_c", channel.independent),
+                        (f"are {np.sqrt(channel.chi2):.3g} times the stated size", channel.size_right),
+                    )
+                    if not right
+                ]
+                if faults:
+                    said.append(f"the residuals of {channel.name} {' and '.join(faults)}")
+        if not isinstance(self.loop, str):
+            ratio = self.loop.rmse_m / self.loop.expected_m
+            if not ratio <= LOOP_TOLERANCE:
+                said.append(
+                    "its closed loop is unstable"
+                    if not np.isfinite(ratio)
+                    else f"the closed loop differs by {self.loop.rmse_m * 1e6:.3g} um rms, {ratio:.2g} times the noise"
+                )
+        return said
+
+    def answer(self) -> str:
+        """One sentence, and one more on how long the rig takes."""
+        if self.passed is None:
+            first = "The model of the ball could not be tested on this campaign."
+        elif self.passed:
+            parts = []
+            if self.ahead:
+                row = self.ahead[-1]
+                parts.append(f"{row.horizon_s * 1e3:.0f} ms ahead its error is {row.ratio:.2f} times the noise floor")
+            if not isinstance(self.channels, str):
+                parts.append("its residuals are noise")
+            if not isinstance(self.loop, str):
+                parts.append("the closed loop agrees within noise")
+            first = f"The model explains these recordings: {', '.join(parts)}."
+        else:
+            said = self.failures()
+            more = f" ({len(said) - 1} more below)" if len(said) > 1 else ""
+            first = f"The model does not explain these recordings: {said[0]}{more}."
+        return f"{first} {self.pace()}".strip()
+
+    def pace(self) -> str:
+        """The paper's remark 'the rig takes longer to reach the reference' as a number; '' where nothing steps."""
+        if isinstance(self.loop, str):
+            return ""
+        row = next((row for row in self.loop.steps if row.name == "settling_s" and row.count), None)
+        if row is None:
+            return ""
+        ms = 1e3
+        if row.ci95 is None:
+            return (
+                f"In the one step the rig settles {row.difference * ms:+.1f} ms against the simulation (no interval)."
+            )
+        low, high = row.ci95[0] * ms, row.ci95[1] * ms
+        size = f"{abs(row.difference) * ms:.1f} ms"
+        interval = f"(rig - simulation, 95 % interval {low:+.1f} to {high:+.1f} ms, {row.count} steps)"
+        if low <= 0.0 <= high:
+            return f"The rig does not settle measurably later or sooner than the simulation {interval}."
+        return f"The rig settles {size} {'later' if low > 0 else 'sooner'} than the simulation {interval}."
+
+
+def validate(
+    campaign: Campaign, model: Model, *, data: Path | None = None, say: Callable[[str], None] = lambda _: None
+) -> Validation:
+    """All parts on the recordings of a campaign.
+
+    Raises:
+        DataError: a recording is absent or not readable, or the model is of another rig.
+    """
+    for name in ("mass_kg", "travel_m", "x_max_m"):
+        ours, theirs = getattr(model.plant, name), getattr(campaign.plant, name)
+        if abs(ours - theirs) > 1e-3 * abs(theirs):
+            raise DataError(
+                f"The model has {name} = {ours:g}, the campaign {theirs:g}: they are of different rigs",
+                remedy=f"Give a model of the campaign's rig ({campaign.plant.name}), e.g. of `board51 identify`",
+            )
+    say("reading the recordings")
+    return validate_sources(sources_of(campaign, model, data=data), model, say=say)
+
+
+def validate_sources(
+    sources: Sequence[Source], model: Model, *, say: Callable[[str], None] = lambda _: None
+) -> Validation:
+    """All parts on recordings in memory."""
+    notes = [note for source in sources for note in source.record.notes]
+    judges, fitted = chosen([s for s in sources if s.record.kind in FLYING])
+    if fitted and judges:
+        notes.append("no flight is marked for judging: these recordings may have been fitted, which flatters the model")
+    for source in judges:
+        if source.unknown_late:
+            notes.append(
+                f"{source.record.name}: u_c acts {source.unknown_late} sample(s) later than recorded, by the response "
+                "of i_c; the model knows of no such delay"
+            )
+    say("filtering")
+    runs: list[Filtered] = [run for source in judges if (run := filtered(source, model)) is not None]
+    unflown = "no recording shows the ball in flight with u_c and i_c"
+    say("predicting")
+    shown = windows(runs, model) if runs else None
+    channels = residuals(runs)
+    say("simulating the closed loop")
+    return Validation(
+        model=model,
+        amplifier=amplifier(sources, model),
+        windows=shown or (unflown if not runs else "no flight is long enough for a window of 40 ms"),
+        ahead=multi_step(runs, model),
+        channels=channels or (unflown if not runs else "too few samples in flight"),
+        loop=_closed_loop(runs, model, unflown),
+        flown=tuple(run.source.record.name for run in runs),
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _closed_loop(runs: list[Filtered], model: Model, unflown: str) -> ClosedLoop | str:
+    flown = [run for run in runs if run.source.record.kind == "closed-loop"]
+    if not flown:
+        return "no recording in closed loop" if runs else unflown
+    loops, without = closed_loops(flown, model)
+    if not loops:
+        return "; ".join(dict.fromkeys(without))
+    measured, quiet = (np.concatenate(parts) for parts in ([r.x_m for r in loops], [r.quiet_x_m for r in loops]))
+    known = np.isfinite(measured)
+    expected = [r.expected_std_m**2 * len(r.x_m) for r in loops]
+    sigma = float(runs[0].point.sigma_x_m)
+    return ClosedLoop(
+        runs=tuple(loops),
+        fit_percent=fit_percent(measured[known], quiet[known]),
+        rmse_m=float(np.sqrt(np.mean((measured - quiet)[known] ** 2))),
+        expected_m=float(np.sqrt(sum(expected) / len(measured))),
+        steps=compare_steps(loops, sigma),
+        without=tuple(without),
+    )
+
+
+__all__ = ["FIGURES", "ClosedLoop", "Validation", "validate", "validate_sources"]
