@@ -13,6 +13,8 @@ import math
 import sys
 from pathlib import Path
 
+from protocol.bus.endpoint import DEFAULT_ENDPOINT
+from protocol.bus.topics import DEFAULT_SITE
 from protocol.errors import DataError, UsageError
 
 SAMPLE_TIME_MIN_S, SAMPLE_TIME_MAX_S = 1e-4, 2e-2
@@ -25,7 +27,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 design model.json --out controller.json\n"
         "  board51 design ce152 --operating-point 2e-3 --settling-time 0.1\n"
         "  board51 design model.json --Q 17 3e6 7e3 1.3e9 --R 1.5 --observer\n"
-        "\nexit code 0: done; 1: the board's loop is unstable on the model itself, nothing is written; 2: bad input"
+        "  board51 design model.json --send rig1\n"
+        "\nexit code 0: done; 1: the board's loop is unstable on the model itself, nothing is written or sent,\n"
+        "or the board did not take the gains; 2: bad input"
     )
     parser.add_argument("model", metavar="MODEL", help="model.json, or a shipped model: ce152, inteco")
     parser.add_argument(
@@ -59,6 +63,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, metavar="CONTROLLER.json", help="write law, gains and operating point")
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
+    parser.add_argument("--send", metavar="BOARD", help="load gains and operating point into this board")
+    parser.add_argument("--site", default=DEFAULT_SITE, help="first chunk of the keys (default %(default)s)")
+    parser.add_argument(
+        "--connect",
+        default=DEFAULT_ENDPOINT,
+        metavar="ENDPOINT",
+        help="where its gateway listens (default %(default)s)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -82,6 +94,10 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--seed {args.seed}", remedy="Give a number from 0")
     if args.observer and args.law != "lqi":
         raise UsageError("--observer with --law pid", remedy="An observer needs state feedback: use --law lqi")
+    if args.observer and args.send is not None:
+        raise UsageError(
+            "--observer with --send", remedy="The board cannot run an observer: leave out the one or other"
+        )
     if args.settling_time is not None and args.Q is not None and args.R is not None:
         raise UsageError("--settling-time beside --Q and --R has no effect", remedy="Leave out the one or the other")
     model = nominal(args.model) if args.model in SHIPPED else load_model(args.model)
@@ -110,4 +126,8 @@ def run(args: argparse.Namespace) -> int:
             args.out.write_text(json.dumps(controller(found), indent=2, allow_nan=False) + "\n", encoding="utf-8")
         except OSError as error:
             raise DataError(f"{args.out} cannot be written ({error.strerror})", remedy="Give a writable path") from None
+    if args.send is not None:
+        from twin.design.send import send
+
+        print(send(found, site=args.site, board=args.send, endpoint=args.connect), file=sys.stderr)
     return 0

@@ -63,6 +63,9 @@ def test_an_unstable_loop_is_not_written(tmp_path: Path, capsys: pytest.CaptureF
         (["ce152", "--sample-time", "2"], "--sample-time"),
         (["ce152", "--x-lsb", "0"], "x_lsb_m"),
         (["ce152", "--law", "pid", "--observer"], "--observer"),
+        (["ce152", "--send", "rig1", "--observer"], "cannot run an observer"),
+        (["ce152", "--send", "rig1", "--connect", "7447"], "not a zenoh endpoint"),
+        (["ce152", "--send", "Rig 1"], "is not a name"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
