@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.stats import t as student
 
 from twin.figure import MEASURED, REFERENCE, TWIN
 from twin.identify.record import FloatArray
@@ -15,19 +16,20 @@ from twin.validate.amplifier import Amplifier, AmplifierTrace
 from twin.validate.ball import Ahead, Windows
 from twin.validate.loop import LoopRun
 from twin.validate.residuals import Channel
+from twin.validate.steps import Response
 
 SHOWN_S = 4.0  # of a closed loop
 MOST_TRACES = 3
 
 
-def amplifier_figure(result: Amplifier) -> bytes:
+def amplifier_figure(result: Amplifier, time_constant_s: float) -> bytes:
     """Figure 7."""
     traces = sorted(result.traces, key=lambda t: -float(np.ptp(t.u_c_v)))[:MOST_TRACES]
     figure, axes = _grid(2, len(traces), height=5.0, ratios=[2.2, 1.0])
     for n, trace in enumerate(traces):
-        part = _around_change(trace)
+        part = _around_change(trace, time_constant_s)
         t = (trace.t_s[part] - trace.t_s[part.start]) * 1e3
-        axes[0][n].plot(t, trace.measured_a[part], color=MEASURED, lw=0.8, label="measured")
+        axes[0][n].plot(t, trace.measured_a[part], color=MEASURED, lw=0.8, marker=".", ms=3, label="measured")
         axes[0][n].plot(t, trace.simulated_a[part], color=TWIN, lw=1.4, label="(1)")
         axes[1][n].step(t, trace.u_c_v[part], color=REFERENCE, lw=1.0, where="post")
         axes[0][n].set_title(trace.name, fontsize=9)
@@ -103,7 +105,7 @@ def loop_figure(run: LoopRun) -> bytes:
     x.plot(t, run.x_m[part] * 1e3, color=MEASURED, lw=1.2, label="measured")
     x.plot(t, run.x_ref_m[part] * 1e3, color=REFERENCE, lw=1.0, ls="--", label="reference")
     x.set_ylabel("position x [mm]")
-    x.legend(fontsize=9, loc="best")
+    x.legend(fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
     error.plot(
         t, (run.x_m - run.quiet_x_m)[part] * 1e6, color=MEASURED, lw=0.7, label="measured - noise-free simulation"
     )
@@ -119,7 +121,34 @@ def loop_figure(run: LoopRun) -> bytes:
     u.plot(t, run.u_c_v[part], color=MEASURED, lw=0.6)
     u.set_ylabel("input u_c [V]")
     u.set_xlabel("time [s]")
-    x.set_title(run.name, fontsize=10)
+    x.set_title(run.name, fontsize=10, loc="right")
+    return _png(figure)
+
+
+def step_figure(responses: Sequence[Response]) -> bytes:
+    """All reference steps over one another, each as a share of itself: who is later, and by how much."""
+    figure, axes = _grid(2, 1, height=5.6, width=8.0, ratios=[2.0, 1.0])
+    top, bottom = axes[0][0], axes[1][0]
+    n = min(len(r.t_s) for r in responses)
+    t = responses[0].t_s[:n] * 1e3
+    rig = np.array([r.rig[:n] for r in responses])
+    simulation = np.array([r.simulation[:n] for r in responses])
+    difference = 100.0 * (rig - simulation)
+    top.plot(t, rig.T, color=MEASURED, lw=0.4, alpha=0.25)
+    top.plot(t, simulation.mean(axis=0), color=TWIN, lw=1.6, label="simulated, mean")
+    top.plot(t, rig.mean(axis=0), color=MEASURED, lw=1.6, label="measured, mean (thin: each step)")
+    top.axhline(1.0, color=REFERENCE, lw=0.8, ls="--")
+    top.set_ylabel("share of the step [-]")
+    top.legend(fontsize=9, loc="lower right")
+    bottom.plot(t, difference.mean(axis=0), color=MEASURED, lw=1.2, label="rig - simulation")
+    if len(responses) > 1:
+        half = student.ppf(0.975, len(responses) - 1) * difference.std(axis=0, ddof=1) / np.sqrt(len(responses))
+        middle = difference.mean(axis=0)
+        bottom.fill_between(t, middle - half, middle + half, color=MEASURED, alpha=0.25, lw=0, label="95 % interval")
+    bottom.axhline(0.0, color="black", lw=0.6)
+    bottom.set_ylabel("difference [% of step]")
+    bottom.set_xlabel("time from the change of the reference [ms]")
+    bottom.legend(fontsize=8, loc="best")
     return _png(figure)
 
 
@@ -131,16 +160,13 @@ def _busiest(run: LoopRun) -> slice:
     return slice(best, best + n)
 
 
-def _around_change(trace: AmplifierTrace) -> slice:
-    """The largest step with 30 ms after it; a capture whole."""
-    step = float(np.median(np.diff(trace.t_s)))
-    if len(trace.t_s) * step < 0.1:
-        return slice(0, len(trace.t_s))
-    # Among equal steps the one whose input then stays longest shows the response best.
+def _around_change(trace: AmplifierTrace, time_constant_s: float) -> slice:
+    """The largest step, with as much around it as (1) takes to settle twice."""
+    interval = float(np.median(np.diff(trace.t_s)))
     changes: FloatArray = np.abs(np.diff(trace.u_c_v))
-    k = int(np.argmax(changes))
-    room = max(round(0.2 / step), 10)
-    return slice(max(k - room // 5, 0), min(k + room, len(trace.t_s)))
+    k = int(np.argmax(changes)) if len(changes) else 0
+    room = max(round(12.0 * time_constant_s / interval), 30)
+    return slice(max(k - room // 4, 0), min(k + room, len(trace.t_s)))
 
 
 def _grid(

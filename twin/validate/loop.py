@@ -93,44 +93,46 @@ def simulate_loop(
 def closed_loops(runs_: Sequence[Filtered], model: Model, *, seed: int = 1) -> tuple[list[LoopRun], list[str]]:
     """(every flight that can be simulated, why the others cannot)."""
     found: list[LoopRun] = []
-    why: list[str] = []
+    why: dict[str, list[str]] = {}
     for n, run in enumerate(runs_):
-        record = run.source.record
-        c = run.source.law
-        if c is None:
-            why.append(f"{record.name}: {run.source.without_law}")
+        loops, reason = _flights(run, model, seed=seed + n)
+        found += loops
+        if reason:
+            why.setdefault(reason, []).append(run.source.record.name)
+    return found, [f"{reason} ({', '.join(names)})" for reason, names in why.items()]
+
+
+def _flights(run: Filtered, model: Model, *, seed: int) -> tuple[list[LoopRun], str]:
+    """(the flights of one recording, why some or all are left out)."""
+    record, c = run.source.record, run.source.law
+    if c is None:
+        return [], run.source.without_law
+    if not record.has("x_ref"):
+        return [], "no reference was recorded"
+    if abs(record.interval_s - c.sample_time_s) > 0.05 * c.sample_time_s:
+        return [], (
+            f"sampled every {record.interval_s * 1e3:.3g} ms, the law runs every {c.sample_time_s * 1e3:.3g} ms"
+        )
+    flown = _flown(run, c)
+    if not flown:
+        return [], f"no {SHORTEST_S:g} s of flight at a steady sampling time with the reference known"
+    found, reason = [], ""
+    for piece in flown:
+        begin = _begin(run, c, piece)
+        if begin is None:
+            reason = "u_c stays at its limit, so the law's integral is not known"
             continue
-        if not record.has("x_ref"):
-            why.append(f"{record.name}: no reference was recorded")
-            continue
-        if abs(record.interval_s - c.sample_time_s) > 0.05 * c.sample_time_s:
-            why.append(
-                f"{record.name}: sampled every {record.interval_s * 1e3:.3g} ms, "
-                f"the law runs every {c.sample_time_s * 1e3:.3g} ms"
+        start, integral = begin
+        part = slice(start, piece.stop)
+        left = unexplained(run.source, c, part, integral)
+        if left > UNEXPLAINED:
+            reason = (
+                f"the law does not give the recorded u_c ({100 * left:.0f} % of its changes are left): "
+                "other gains, another filter or another operating point ran"
             )
             continue
-        flown = _flown(run, c)
-        if not flown:
-            why.append(
-                f"{record.name}: no {SHORTEST_S:g} s of flight at a steady sampling time with the reference known"
-            )
-            continue
-        for piece in flown:
-            begin = _begin(run, c, piece)
-            if begin is None:
-                why.append(f"{record.name}: u_c stays at its limit, so the law's integral is not known")
-                continue
-            start, integral = begin
-            part = slice(start, piece.stop)
-            left = unexplained(run.source, c, part, integral)
-            if left > UNEXPLAINED:
-                why.append(
-                    f"{record.name}: the law does not give the recorded u_c ({100 * left:.0f} % of its changes left): "
-                    "other gains, another filter or another operating point ran"
-                )
-                continue
-            found.append(_simulate(run, model, c, part, integral, seed=seed + n))
-    return found, why
+        found.append(_simulate(run, model, c, part, integral, seed=seed))
+    return found, reason
 
 
 def unexplained(source: Source, c: LawNumbers, part: slice, integral: float) -> float:

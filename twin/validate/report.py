@@ -11,7 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from twin.validate.figures import ahead_figure, amplifier_figure, ball_figure, loop_figure, residual_figure
+from twin.validate.figures import (
+    ahead_figure,
+    amplifier_figure,
+    ball_figure,
+    loop_figure,
+    residual_figure,
+    step_figure,
+)
 from twin.validate.residuals import Channel
 from twin.validate.steps import FIGURES, Compared
 from twin.validate.verdict import ClosedLoop, Validation
@@ -97,7 +104,7 @@ def _amplifier(result: Validation) -> str:
         return _untested(a)
     origin = "amplifier steps" if a.from_steps else "no amplifier step: the u_c and i_c of the other recordings"
     fitted = "; not marked for judging, so possibly fitted" if a.fitted else ""
-    return _image(amplifier_figure(a), "measured current against equation (1)") + _p(
+    return _image(amplifier_figure(a, result.model.T_A), "measured current against equation (1)") + _p(
         f"Fit {a.fit_percent:.2f} %, RMSE {a.rmse_a * 1e3:.3g} mA; the sensor's noise is {a.noise_a * 1e3:.3g} mA. "
         f"From {origin}{fitted}. (1) is driven by u_c alone; {len(a.traces)} traces."
     )
@@ -201,6 +208,7 @@ def _steps(loop: ClosedLoop, pace: str) -> str:
     head = ["", "rig", "simulation", "rig - simulation", "95 % interval", "steps", ""]
     return (
         f"<p><b>{html.escape(pace)}</b></p>"
+        + _image(step_figure(loop.responses), "mean step response of rig and simulation")
         + _table(head, rows)
         + _p(
             "Means over the steps; the simulation over 8 realisations of its noise. Interval: Student's t over steps, "

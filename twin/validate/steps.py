@@ -56,6 +56,15 @@ class Step:
     to_m: float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Response:
+    """One step from 0 to 1, time from the change of the reference; the simulation is the mean of its realisations."""
+
+    t_s: FloatArray
+    rig: FloatArray
+    simulation: FloatArray
+
+
 def find_steps(run: LoopRun, sigma_x_m: float) -> list[Step]:
     """Changes of the reference from one level at which it stays to another."""
     T_s = float(np.median(np.diff(run.t_s)))
@@ -67,6 +76,19 @@ def find_steps(run: LoopRun, sigma_x_m: float) -> list[Step]:
         if abs(high - low) >= SMALLEST_SIGMAS * sigma_x_m and after.start - before.stop < 0.5 / T_s:
             steps.append(Step(begin=before.stop, end=after.stop, from_m=low, to_m=high))
     return steps
+
+
+def responses(loops: Sequence[LoopRun], sigma_x_m: float) -> list[Response]:
+    """Every step as a share of itself."""
+    found = []
+    for run in loops:
+        quiet = run.simulated_x_m.mean(axis=0)
+        for step in find_steps(run, sigma_x_m):
+            part = slice(step.begin, step.end)
+            size = step.to_m - step.from_m
+            rig, simulation = ((x[part] - step.from_m) / size for x in (run.x_m, quiet))
+            found.append(Response(t_s=run.t_s[part] - run.t_s[step.begin], rig=rig, simulation=simulation))
+    return found
 
 
 def compare_steps(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Compared, ...]:
@@ -99,10 +121,10 @@ def measure(x: FloatArray, u: FloatArray, x_ref: FloatArray, step: Step, T_s: fl
     part = slice(step.begin, step.end)
     size = step.to_m - step.from_m
     width = max(round(SMOOTH_S / T_s), 1)
-    known = np.where(np.isfinite(x), x, np.nan)
-    padded = np.concatenate(
-        (np.full(width // 2, known[part][0]), known[part], np.full(width - 1 - width // 2, known[part][-1]))
-    )
+    own = x[part]
+    seen = np.isfinite(own)
+    own = np.interp(np.arange(len(own)), np.flatnonzero(seen), own[seen])
+    padded = np.concatenate((np.full(width // 2, own[0]), own, np.full(width - 1 - width // 2, own[-1])))
     y = (np.convolve(padded, np.full(width, 1.0 / width), mode="valid") - step.from_m) / size
     band = max(BAND, 4.0 * noise_m / abs(size))
     inside = np.abs(y - 1.0) <= band

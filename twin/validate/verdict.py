@@ -19,7 +19,7 @@ from twin.validate.ball import Ahead, Windows, multi_step, windows
 from twin.validate.loop import LoopRun, closed_loops
 from twin.validate.residuals import Channel, residuals
 from twin.validate.source import FLYING, Filtered, Source, chosen, filtered, sources_of
-from twin.validate.steps import FIGURES, Compared, compare_steps
+from twin.validate.steps import Compared, Response, compare_steps, responses
 
 LOOP_TOLERANCE = 1.5  # of the closed loop's error over what noise alone leaves: below it, nobody sees it in the figure
 
@@ -33,6 +33,7 @@ class ClosedLoop:
     rmse_m: float
     expected_m: float  # what noise alone leaves under a right model; NaN where the model's loop is unstable
     steps: tuple[Compared, ...]
+    responses: tuple[Response, ...]
     without: tuple[str, ...]  # recordings that could not be simulated, and why
 
 
@@ -197,8 +198,6 @@ def _closed_loop(runs: list[Filtered], model: Model, unflown: str) -> ClosedLoop
         rmse_m=float(np.sqrt(np.mean((measured - quiet)[known] ** 2))),
         expected_m=float(np.sqrt(sum(expected) / len(measured))),
         steps=compare_steps(loops, sigma),
+        responses=tuple(responses(loops, sigma)),
         without=tuple(without),
     )
-
-
-__all__ = ["FIGURES", "ClosedLoop", "Validation", "validate", "validate_sources"]
