@@ -221,14 +221,29 @@ def _steps(loop: ClosedLoop, pace: str) -> str:
 def _step_row(row: Compared) -> list[str]:
     title, unit, factor = FIGURES[row.name]
     if not row.count:
-        return [f"{title} [{unit}]", "-", "-", "-", "reached by neither or only one", "0", ""]
+        return [
+            f"{title} [{unit}]",
+            "-",
+            "-",
+            "-",
+            f"rig in {row.rig_count}, simulation in {row.simulation_count}",
+            f"0 of {row.steps}",
+            "",
+        ]
     interval, verdict = "none: one step", ""
     if row.ci95 is not None:
         low, high = row.ci95[0] * factor, row.ci95[1] * factor
         interval = f"{low:+.3g} .. {high:+.3g}"
         verdict = "no difference" if low <= 0.0 <= high else "<span class=no>different</span>"
     numbers = [f"{value * factor:.4g}" for value in (row.rig, row.simulation)]
-    return [f"{title} [{unit}]", *numbers, f"{row.difference * factor:+.3g}", interval, f"{row.count}", verdict]
+    return [
+        f"{title} [{unit}]",
+        *numbers,
+        f"{row.difference * factor:+.3g}",
+        interval,
+        f"{row.count} of {row.steps}",
+        verdict,
+    ]
 
 
 def _why(reason: str) -> dict[str, str]:

@@ -44,6 +44,9 @@ class Compared:
     difference: float  # rig - simulation
     ci95: tuple[float, float] | None  # None: fewer than two steps
     count: int  # steps in which both have it
+    steps: int  # all steps
+    rig_count: int  # steps in which the rig has it
+    simulation_count: int  # steps in which every realisation has it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,20 +158,20 @@ def _crossing(y: FloatArray, level: float) -> float:
 def _compared(name: str, rig: FloatArray, simulation: FloatArray) -> Compared:
     both = np.isfinite(rig) & np.isfinite(simulation)
     n = int(both.sum())
-    nan = float("nan")
-    if n == 0:
-        return Compared(name=name, rig=nan, simulation=nan, difference=nan, ci95=None, count=0)
     difference = rig[both] - simulation[both]
-    mean = float(difference.mean())
+    mean = float(difference.mean()) if n else float("nan")
     ci95 = None
     if n > 1:
         half = float(student.ppf(0.975, n - 1) * difference.std(ddof=1) / np.sqrt(n))
         ci95 = (mean - half, mean + half)
     return Compared(
         name=name,
-        rig=float(rig[both].mean()),
-        simulation=float(simulation[both].mean()),
+        rig=float(rig[both].mean()) if n else float("nan"),
+        simulation=float(simulation[both].mean()) if n else float("nan"),
         difference=mean,
         ci95=ci95,
         count=n,
+        steps=len(rig),
+        rig_count=int(np.isfinite(rig).sum()),
+        simulation_count=int(np.isfinite(simulation).sum()),
     )

@@ -21,7 +21,7 @@ from twin.validate.residuals import Channel, residuals
 from twin.validate.source import FLYING, Filtered, Source, chosen, filtered, sources_of
 from twin.validate.steps import Compared, Response, compare_steps, responses
 
-LOOP_TOLERANCE = 1.5  # of the closed loop's error over what noise alone leaves: below it, nobody sees it in the figure
+RMSE_TOLERANCE = 1.5  # of a simulation's error over what noise alone leaves: below it, nobody sees it in the figure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,12 +81,16 @@ class Validation:
                     said.append(f"the residuals of {channel.name} {' and '.join(faults)}")
         if not isinstance(self.loop, str):
             ratio = self.loop.rmse_m / self.loop.expected_m
-            if not ratio <= LOOP_TOLERANCE:
+            if not ratio <= RMSE_TOLERANCE:
                 said.append(
                     "its closed loop is unstable"
                     if not np.isfinite(ratio)
                     else f"the closed loop differs by {self.loop.rmse_m * 1e6:.3g} um rms, {ratio:.2g} times the noise"
                 )
+        if not isinstance(self.amplifier, str) and self.amplifier.from_steps:
+            ratio = self.amplifier.rmse_a / self.amplifier.noise_a
+            if not ratio <= RMSE_TOLERANCE:
+                said.append(f"(1) misses the amplifier's current by {ratio:.2g} times the sensor's noise")
         return said
 
     def answer(self) -> str:
@@ -113,20 +117,29 @@ class Validation:
         """The paper's remark 'the rig takes longer to reach the reference' as a number; '' where nothing steps."""
         if isinstance(self.loop, str):
             return ""
-        row = next((row for row in self.loop.steps if row.name == "settling_s" and row.count), None)
+        row = next((row for row in self.loop.steps if row.name == "settling_s"), None)
         if row is None:
             return ""
+        reached = ""
+        if min(row.rig_count, row.simulation_count) < row.steps:
+            reached = (
+                f" Within its dwell the rig settled in {row.rig_count} of {row.steps} steps, the simulation in "
+                f"{row.simulation_count}."
+            )
+        if not row.count:
+            return f"Settling times cannot be compared.{reached}"
         ms = 1e3
         if row.ci95 is None:
-            return (
+            text = (
                 f"In the one step the rig settles {row.difference * ms:+.1f} ms against the simulation (no interval)."
             )
+            return text + reached
         low, high = row.ci95[0] * ms, row.ci95[1] * ms
         size = f"{abs(row.difference) * ms:.1f} ms"
         interval = f"(rig - simulation, 95 % interval {low:+.1f} to {high:+.1f} ms, {row.count} steps)"
         if low <= 0.0 <= high:
-            return f"The rig does not settle measurably later or sooner than the simulation {interval}."
-        return f"The rig settles {size} {'later' if low > 0 else 'sooner'} than the simulation {interval}."
+            return f"The rig does not settle measurably later or sooner than the simulation {interval}.{reached}"
+        return f"The rig settles {size} {'later' if low > 0 else 'sooner'} than the simulation {interval}.{reached}"
 
 
 def validate(

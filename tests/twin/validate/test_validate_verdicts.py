@@ -115,6 +115,19 @@ def test_wrong_amplifier_gain_shows_in_figure_7(records: list[Record]) -> None:
     assert not isinstance(wrong.amplifier, str)
     assert wrong.amplifier.rmse_a > 10.0 * right.amplifier.rmse_a
     assert wrong.passed is False
+    assert any("(1) misses" in text for text in wrong.failures())
+
+
+def test_a_reference_that_moves_on_before_the_ball_settles_is_said() -> None:
+    levels = np.random.default_rng(8).uniform(2.3e-3, 3.7e-3, 20)
+    flight = replace(BALL.closed_loop(lambda k: float(levels[k // 80]), 1600, seed=9), use="judge")
+
+    result = judged([flight], model_of(BALL))
+
+    assert not isinstance(result.loop, str)
+    settling = next(row for row in result.loop.steps if row.name == "settling_s")
+    assert settling.rig_count < settling.steps  # 0.16 s are less than the 0.18 s that settling takes
+    assert f"settled in {settling.rig_count} of {settling.steps} steps" in result.pace()
 
 
 def test_a_delay_the_model_does_not_have_is_refused(records: list[Record]) -> None:
