@@ -28,6 +28,7 @@ SETTLE_S = 0.1  # the filter's own start
 WINDOW_S = 0.04
 FLOOR_TOLERANCE = 1.05  # of the floor's linearisation, half of it seen around 40 ms on an exact model
 POSITIONS = 7
+FEWEST = 20.0  # independent errors: fewer pass any model
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,7 +89,10 @@ def multi_step(runs_: Sequence[Filtered], model: Model) -> tuple[Ahead, ...]:
         mean2 = float(np.nanmean(joined**2))
         floor2 /= count
         # Relative standard error of a mean square of correlated Gaussian samples: sqrt(2 / n_eff).
-        spread = np.sqrt(2.0 / _effective(joined, count))
+        effective = _effective(joined, count)
+        if effective < FEWEST:
+            continue
+        spread = np.sqrt(2.0 / effective)
         ratio = float(np.sqrt(mean2 / floor2))
         low = ratio / np.sqrt(1.0 + 1.96 * spread)
         high = ratio / np.sqrt(max(1.0 - 1.96 * spread, 0.05))
@@ -164,6 +168,7 @@ def windows(runs_: Sequence[Filtered], model: Model, *, shown_s: float = 0.8) ->
     if best is None or not errors:
         return None
     error, spread = np.concatenate(errors), np.concatenate(centred)
+    power = float(np.linalg.norm(spread))
     _, run, part, simulated = best
     return Windows(
         name=run.source.record.name,
@@ -171,7 +176,7 @@ def windows(runs_: Sequence[Filtered], model: Model, *, shown_s: float = 0.8) ->
         u_c_v=run.series.u[part],
         measured_m=run.source.record.x[part],
         simulated_m=simulated[part],
-        fit_percent=100.0 * (1.0 - float(np.linalg.norm(error) / np.linalg.norm(spread))),
+        fit_percent=100.0 * (1.0 - float(np.linalg.norm(error)) / power) if power > 0.0 else float("nan"),
         rmse_m=float(np.sqrt(np.mean(error**2))),
         count=count,
     )

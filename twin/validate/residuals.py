@@ -79,7 +79,7 @@ def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None
             cross_pairs[lag - 1] += pairs
             u_products[lag - 1] += float(np.sum(u0[lag:] * u0[:-lag] * same))
             u_pairs[lag - 1] += pairs
-    if count < 10 * LAGS or lag_pairs.min() < 50:
+    if count < 10 * LAGS or lag_pairs.min() < 50 or power == 0.0:
         return None
     rho = lag_products / lag_pairs / (power / count)
     p_white = float(chi2.sf(float(np.sum(lag_pairs * rho**2)), LAGS))

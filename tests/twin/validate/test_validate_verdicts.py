@@ -164,6 +164,36 @@ def test_a_controller_that_did_not_run_is_said(records: list[Record]) -> None:
     assert result.passed  # the prediction errors do not need the law
 
 
+def test_lost_and_wild_readings_do_not_hide_the_law(records: list[Record]) -> None:
+    flight = records[1]
+    x = flight.x.copy()
+    x[300] = np.nan
+    x[900:903] = np.nan
+    x[1200] += 0.4e-3
+
+    result = judged([replace(flight, x=x)], model_of(BALL))
+
+    assert not isinstance(result.loop, str), result.loop
+
+
+@pytest.mark.parametrize("samples", [1, 40, 100])
+def test_a_short_flight_passes_nothing(records: list[Record], samples: int) -> None:
+    whole = records[1]
+    n = slice(samples)
+    part = replace(whole, t=whole.t[n], u_c=whole.u_c[n], i_c=whole.i_c[n], x=whole.x[n], x_ref=whole.x_ref[n])
+
+    result = judged([part], model_of(BALL))
+
+    assert result.passed is None
+
+
+def test_constant_channels_are_no_error(records: list[Record]) -> None:
+    whole = records[1]
+    still = replace(whole, x=np.full(TICKS, 3e-3), u_c=np.full(TICKS, 2.0), i_c=np.full(TICKS, 0.6))
+
+    assert judged([still], model_of(BALL)).passed is False
+
+
 def test_one_step_has_no_interval() -> None:
     flight = replace(BALL.closed_loop(lambda k: 2.6e-3 if k < 250 else 3.4e-3, 700, seed=6), use="judge")
 
