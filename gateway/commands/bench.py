@@ -17,7 +17,8 @@ FOLDER = ROOT / "tests" / "bench"
 Row = dict[str, Any]  # name, value, unit, baseline, ratio, note
 
 
-def _names() -> list[str]:
+def names() -> list[str]:
+    """The benchmarks that are here."""
     return sorted(path.stem for path in FOLDER.glob("*.py"))
 
 
@@ -25,24 +26,23 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Which benchmarks."""
     parser.epilog = "example:\n  board51 bench decoder twin"
     parser.add_argument(
-        "names", nargs="*", metavar="NAME", help=f"of {', '.join(_names()) or 'none here'} (default: all)"
+        "names", nargs="*", metavar="NAME", help=f"of {', '.join(names()) or 'none here'} (default: all)"
     )
     parser.add_argument("--json", action="store_true", help="print rows as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run and print a table."""
-    if not _names():
+    if not names():
         raise UsageError(f"There are no benchmarks at {FOLDER}", remedy="Run it in a checkout of the source")
-    unknown = set(args.names) - set(_names())
+    unknown = set(args.names) - set(names())
     if unknown:
-        raise UsageError(f"No benchmark is called {sorted(unknown)[0]!r}", remedy=f"There are: {', '.join(_names())}")
+        raise UsageError(f"No benchmark is called {sorted(unknown)[0]!r}", remedy=f"There are: {', '.join(names())}")
     rows: list[Row] = []
-    sys.path.insert(0, str(ROOT))  # benchmarks share plants and loads with the tests
-    for name in args.names or _names():
+    for name in args.names or names():
         if not args.json:
             print(f"{name} ...", flush=True)
-        for row in _load(name)():
+        for row in load(name)():
             rows.append({"bench": name, **row})
             if not args.json:
                 print(_line(row), flush=True)
@@ -51,11 +51,15 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _load(name: str) -> Callable[[], list[Row]]:
+def load(name: str) -> Callable[[], list[Row]]:
+    """The `run` of tests/bench/NAME.py."""
+    if str(ROOT) not in sys.path:
+        sys.path.insert(0, str(ROOT))  # benchmarks share plants and loads with the tests
     spec = importlib.util.spec_from_file_location(f"board51_bench_{name}", FOLDER / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
     spec.loader.exec_module(module)
     loaded: Callable[[], list[Row]] = module.run
     return loaded

@@ -120,7 +120,12 @@ def _result(folder: Path, begin: int, end: int, cpu_s: float) -> Result:
 def _start(*words: object) -> subprocess.Popen[str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
-        [sys.executable, *map(str, words)], stdout=subprocess.PIPE, text=True, env=environment, cwd=ROOT
+        [sys.executable, *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,  # a line per board and change of link
+        text=True,
+        env=environment,
+        cwd=ROOT,
     )
 
 

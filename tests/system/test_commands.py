@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 import board51
+from gateway.commands import bench
 from gateway.emulator.serve import Emulator
 
 ROOT = Path(__file__).parents[2]
@@ -94,6 +95,11 @@ def test_a_mistake_is_one_clear_line_and_exit_code_2(words: list[str], said: str
     assert done.returncode == 2, done.stderr
     assert said in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("name", bench.names())
+def test_every_benchmark_can_be_started(name: str) -> None:
+    assert callable(bench.load(name))
 
 
 def test_without_a_gateway_a_command_says_where_it_looked(tmp_path: Path) -> None:

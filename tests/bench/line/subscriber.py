@@ -5,6 +5,7 @@ python subscriber.py FOLDER ENDPOINT      writes FOLDER/arrived.npy at SIGTERM: 
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 import threading
@@ -20,6 +21,7 @@ from protocol.bus.endpoint import zenoh_config
 
 def main(folder: Path, endpoint: str) -> None:
     """Collect until SIGTERM."""
+    gc.disable()  # its pauses would be counted as the latency of what is measured
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     arrived: list[tuple[int, str, bytes]] = []
