@@ -167,7 +167,7 @@ class TwinLog:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._writer.finish()  # type: ignore[no-untyped-call]  # the library left it untyped
         self._file.close()
 
     def write(self, key: str, message: Message | bytes, *, message_type: type[Message], log_time_ns: int) -> None:

@@ -25,7 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     add_bus_arguments(parser)
     parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="DIR", help="directory for the parts; it exists"
+        "-o", "--out", type=Path, required=True, metavar="DIR", help="directory for the parts; made if absent"
     )
     parser.add_argument("--prefix", default="bus", help="first part of the file names (default bus)")
     parser.add_argument("--board", default="*", help="only this board")
@@ -46,6 +46,12 @@ def run(args: argparse.Namespace) -> int:
     topics.check_name(args.site, what="--site")
     if args.board != "*":
         topics.check_name(args.board, what="--board")
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(
+            f"Directory {args.out} cannot be made: {error.strerror}", remedy="Give --out a folder that can be written"
+        ) from None
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())

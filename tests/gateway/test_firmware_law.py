@@ -125,7 +125,7 @@ def test_u_comes_from_the_sum_before_this_error_is_added() -> None:
 @pytest.mark.parametrize("gains", [GAINS, PID_GAINS], ids=["lqi", "pid"])
 @pytest.mark.parametrize("side", [1, -1], ids=["up", "down"])
 def test_the_integral_stops_where_u_is_limited_and_only_in_that_direction(gains: object, side: int) -> None:
-    law = ControlLaw(gains)  # type: ignore[arg-type]
+    law = ControlLaw(gains)  # type: ignore[arg-type]  # pytest's parameters are objects
     x, x_ref = (38, 3680) if side > 0 else (4030, 248)
 
     for _ in range(300):

@@ -212,7 +212,7 @@ def test_parts_stand_alone(tmp_path: Path) -> None:
         log.put(PARAMETERS, parameters.SerializeToString(), parameters.host_time_ns)
         parts = log.stats().parts
         put_states(log.put, range(number * 2000, (number + 1) * 2000))
-        until(lambda before=parts: log.stats().parts > before)  # type: ignore[misc]
+        until(lambda before=parts: log.stats().parts > before)  # type: ignore[misc]  # mypy cannot infer a default argument
     log.close()
 
     files = sorted(tmp_path.iterdir())

@@ -140,7 +140,7 @@ def test_a_capture_becomes_samples() -> None:
     "what",
     [
         {"set_reference": pb.SetReference(x_ref_m=1.0)},
-        {"set_mode": pb.SetMode(mode=7)},  # type: ignore[arg-type]
+        {"set_mode": pb.SetMode(mode=7)},  # type: ignore[arg-type]  # unknown on purpose
         {"set_gains": pb.SetGains(gains=[1.0, 2.0])},
         {"set_gains": pb.SetGains(gains=[1e12, 0, 0, 0], u_0_v=1.0)},
         {"set_gains": pb.SetGains(gains=[1, 0, 0, 0], u_0_v=1e9)},
@@ -150,7 +150,7 @@ def test_a_capture_becomes_samples() -> None:
         {"excite": pb.Excite(shape=pb.SHAPE_STEP, offset=1.0, amplitude=1e9)},
         {"excite": pb.Excite(shape=pb.SHAPE_STEP, offset=1.0, duration_s=-1.0)},
         {"excite": pb.Excite(shape=pb.SHAPE_STEP, offset=1.0, seed=70_000)},
-        {"excite": pb.Excite(shape=99, offset=1.0)},  # type: ignore[arg-type]
+        {"excite": pb.Excite(shape=99, offset=1.0)},  # type: ignore[arg-type]  # unknown on purpose
         {"capture": pb.Capture(u_from_v=1.0, u_to_v=2.0, duration_s=1.0)},
         {"capture": pb.Capture(u_from_v=1.0, u_to_v=2.0, duration_s=0.01, pre_s=0.02)},
         {"set_stream": pb.SetStream(divider=1001)},

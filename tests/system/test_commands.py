@@ -86,6 +86,10 @@ def test_the_list_of_commands_answers_without_importing_them() -> None:
         (["export", "absent.mcap", "--format", "csv", "-o", "x.csv"], "absent.mcap"),
         (["recover", "absent.mcap", "-o", "x.mcap"], "absent.mcap"),
         (["replay", "absent.mcap"], "absent.mcap"),
+        (["record", "-o", "/proc/no/logs"], "/proc/no/logs cannot be made"),
+        (["identify", "absent.toml"], "absent.toml"),
+        (["validate", "absent.toml", "--model", "ce152", "--out", "v"], "absent.toml"),
+        (["design", "absent.json"], "absent.json"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -137,11 +141,14 @@ def test_send_and_watch_through_a_standalone_router(line: str, tmp_path: Path) -
     while _call("watch", *bus, "--topic", "state", "--count", 1, "--timeout", 2, cwd=tmp_path).returncode:
         assert time.monotonic() < deadline, "no samples"
 
+    recorded = _call("record", "-o", "new/folder", "--seconds", 2, *bus, cwd=tmp_path)
     accepted = _call("send", "rig1", "mode", "closed-loop", "--json", "--who", "me", *bus, cwd=tmp_path)
     refused = _call("send", "rig1", "reference", "0.1", *bus, cwd=tmp_path)
     nobody = _call("send", "rig2", "ping", *bus, "--timeout", 1, cwd=tmp_path)
     states = _call("watch", *bus, "--topic", "state", "--json", "--count", 50, "--timeout", 20, cwd=tmp_path)
 
+    assert recorded.returncode == 0, recorded.stderr
+    assert len(list((tmp_path / "new" / "folder").glob("*.mcap"))) == 1
     assert accepted.returncode == 0
     assert json.loads(accepted.stdout)["accepted"] is True
     assert refused.returncode == 1

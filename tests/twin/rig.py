@@ -101,7 +101,7 @@ class Rig:
             x_m=x_m,
             u_c_v=u,
             x_ref_m=x_ref,
-            mode=self.mode,  # type: ignore[arg-type]
+            mode=self.mode,  # type: ignore[arg-type]  # protobuf takes the number
             t_s=self.tick * T_S,
         )
         self._move(u)

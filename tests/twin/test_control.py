@@ -31,7 +31,7 @@ def board(**changes: object) -> pb.Parameters:
     for name, value in changes.items():
         if name == "gains":
             del p.gains[:]
-            p.gains.extend(value)  # type: ignore[arg-type]
+            p.gains.extend(value)  # type: ignore[arg-type]  # a list here, by its name
         else:
             setattr(p, name, value)
     return p

@@ -87,7 +87,7 @@ def test_autocovariance_agrees_with_a_simulated_difference() -> None:
     parameters = Rig().parameters()
     law = law_numbers(parameters)
     assert law is not None
-    F, G_, H, through = error_dynamics(nominal(), law, HELD)  # noqa: N806
+    F, G_, H, through = error_dynamics(nominal(), law, HELD)  # noqa: N806 - the textbook's letters
     variances = np.array([4e-6, 2.5e-11, 1e-7, 1e-8, 1.6e-9])
     derived = autocovariance(F, G_, H, through, variances, lags=30)
     rng = np.random.default_rng(5)
@@ -166,7 +166,7 @@ def test_the_window_decision_of_correlated_noise_has_the_stated_probability() ->
     )
     at = expected.at(HELD)
     assert at is not None
-    F, G_, H, through = error_dynamics(nominal(), law, HELD)  # noqa: N806
+    F, G_, H, through = error_dynamics(nominal(), law, HELD)  # noqa: N806 - the textbook's letters
     variances = np.array([4e-6 + 4e-4**2 / 12, 2.5e-11 + 1.6e-6**2 / 12, 1.25e-3**2 / 12, 1e-8, (0.02 * T_S) ** 2])
     rng = np.random.default_rng(21)
     d = np.zeros((5, n))  # n independent flights, 300 ticks to become stationary

@@ -115,7 +115,7 @@ class TwinService:
         if self._worker is not None:
             self._worker.join(timeout=2.0)
         if self._session is not None:
-            self._session.close()  # type: ignore[no-untyped-call]
+            self._session.close()  # type: ignore[no-untyped-call]  # the stub has no return type
             self._session = None
 
     def __enter__(self) -> TwinService:

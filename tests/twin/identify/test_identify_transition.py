@@ -77,7 +77,7 @@ def test_compiled_and_plain_filter_agree() -> None:
     compiled, interpreted = np.empty((n, 5)), np.empty((n, 5))
 
     run_filter(*inputs, compiled, np.empty((n, 3)))
-    plain(run_filter)(*inputs, interpreted, np.empty((n, 3)))  # type: ignore[operator]
+    plain(run_filter)(*inputs, interpreted, np.empty((n, 3)))  # type: ignore[operator]  # numba is untyped
 
     np.testing.assert_allclose(compiled, interpreted, rtol=1e-9, atol=1e-15)
     assert np.isnan(compiled[10, 1])
