@@ -64,6 +64,8 @@ def run(args: argparse.Namespace) -> int:
     newest_ns: dict[str, int] = {}
 
     def arrived(sample: zenoh.Sample) -> None:
+        if stop.is_set():
+            return
         key, data = str(sample.key_expr), sample.payload.to_bytes()
         place = topics.split(key)
         if place is None or not topics.BY_NAME[place[2]].logged:
@@ -80,9 +82,12 @@ def run(args: argparse.Namespace) -> int:
     with open_bus(args.connect) as session:
         recorder.start()
         try:
-            session.declare_subscriber(f"{args.site}/{args.board}/**", arrived)
+            subscriber = session.declare_subscriber(f"{args.site}/{args.board}/**", arrived)
             print(f"recording {args.site}/{args.board}/** into {recorder.stats().file}", file=sys.stderr, flush=True)
             stop.wait(args.seconds)
+            # What comes from here on is not part of the recording: a closed recorder would count it as dropped.
+            stop.set()
+            subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
         finally:
             recorder.close()
     stats = recorder.stats()
