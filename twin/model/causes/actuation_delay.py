@@ -1,0 +1,29 @@
+"""actuation-delay: the input acts later than the board says.
+
+u_c(t - delay)
+"""
+
+from __future__ import annotations
+
+from twin.model.causes.cause import Cause, CauseParameter
+
+DELAY = 8
+
+CAUSE = Cause(
+    name="actuation-delay",
+    family="amplifier",
+    title="the input acts later than the board says",
+    acts_on="input of (1)",
+    equation="u_c(t - delay)",
+    source="computing time between sampling and output",
+    parameters=(
+        CauseParameter(
+            name="delay_s", symbol="delay", unit="s", place=DELAY, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
+        ),
+    ),
+    signature="i_c begins to move a fixed time after u_c, at 25 kHz as at 500 Hz",
+    shows_in=("amplifier-steps", "prbs-reference"),
+    confirm="trigger an oscilloscope on the board's output pin and look at i_c",
+    cure="output right after the computation, or a predictor of that time in the law",
+    needs=("u_c", "i_c"),
+)

@@ -1,0 +1,33 @@
+"""air-gap-offset: the coil's plane is higher than x_max.
+
+F_m = K_c i_c^2 / (x_max + d - x)^2
+"""
+
+from __future__ import annotations
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+D = 9
+
+CAUSE = Cause(
+    name="air-gap-offset",
+    family="force",
+    title="the coil's plane is higher than x_max",
+    acts_on="magnetic force (3)",
+    equation="F_m = K_c i_c^2 / (x_max + d - x)^2",
+    source="four published equilibria of a CE 152 ask for d = 2.4 mm",
+    parameters=(
+        CauseParameter(name="d_m", symbol="d", unit="m", place=D, neutral=0.0, low=-0.002, high=0.03, probes=(0.0002,)),
+    ),
+    signature="the current that holds the ball is a straight line in x that does not pass through 0 at x_max",
+    shows_in=("holds", "lift-off", "wide-steps"),
+    confirm="note i_c at six heights and draw the line",
+    cure="use x_max + d in the model, and in the design",
+)
+
+
+@kernel
+def gap_m(c: Vector, gap: float) -> float:
+    """Distance to the effective plane of the coil, m."""
+    return gap + c[D]

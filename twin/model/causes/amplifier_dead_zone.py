@@ -1,0 +1,36 @@
+"""amplifier-dead-zone: the amplifier does nothing below a certain input.
+
+K_A max(u_c - u_0, 0)
+"""
+
+from __future__ import annotations
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+WIDTH = 4
+
+CAUSE = Cause(
+    name="amplifier-dead-zone",
+    family="amplifier",
+    title="the amplifier does nothing below a certain input",
+    acts_on="input of (1)",
+    equation="K_A max(u_c - u_0, 0)",
+    source="threshold of the output stage; the duty table of the INTECO rig shows one of 5 %",
+    parameters=(
+        CauseParameter(
+            name="width_v", symbol="u_0", unit="V", place=WIDTH, neutral=0.0, low=0.0, high=2.0, probes=(0.05, 0.2)
+        ),
+    ),
+    signature="i_c is 0 up to some u_c, then a line that misses the origin",
+    shows_in=("amplifier-steps", "lift-off"),
+    confirm="ramp u_c from 0 and note where i_c begins",
+    cure="add the width to u_c on the board",
+    needs=("u_c", "i_c"),
+)
+
+
+@kernel
+def effective_input(c: Vector, u: float) -> float:
+    """The input behind the dead zone, V."""
+    return max(u - c[WIDTH], 0.0)

@@ -1,0 +1,45 @@
+"""amplifier-gain-drift: the amplifier's gain falls as the coil heats.
+
+K_A (1 - loss w), tau w' + w = i_c^2
+"""
+
+from __future__ import annotations
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+LOSS = 0
+TAU = 1
+
+CAUSE = Cause(
+    name="amplifier-gain-drift",
+    family="amplifier",
+    title="the amplifier's gain falls as the coil heats",
+    acts_on="target current of (1)",
+    equation="K_A (1 - loss w), tau w' + w = i_c^2",
+    source="coil heating, which the paper neglects on purpose",
+    parameters=(
+        CauseParameter(
+            name="loss_1_a2", symbol="loss", unit="1/A^2", place=LOSS, neutral=0.0, low=-0.05, high=0.3, probes=(0.02,)
+        ),
+        CauseParameter(
+            name="tau_s", symbol="tau", unit="s", place=TAU, neutral=30.0, low=5.0, high=600.0, probes=(30.0,)
+        ),
+    ),
+    signature="i_c / u_c falls over minutes of high current and recovers in pauses",
+    shows_in=("warm-run", "steps"),
+    confirm="hold the ball low for a minute and watch i_c at constant u_c",
+    cure="a current loop in the amplifier, or K_A scheduled with the mean square of i_c",
+)
+
+
+@kernel
+def gain(c: Vector, w: float) -> float:
+    """Factor on K_A at warmth w, A^2."""
+    return 1.0 - c[LOSS] * w
+
+
+@kernel
+def warmth_rate(c: Vector, i: float, w: float) -> float:
+    """Time derivative of the warmth, A^2/s."""
+    return (i * i - w) / c[TAU]

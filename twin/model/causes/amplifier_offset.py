@@ -1,0 +1,36 @@
+"""amplifier-offset: the amplifier adds a constant current.
+
+K_A u_c + i_offset, not below 0
+"""
+
+from __future__ import annotations
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+OFFSET = 5
+
+CAUSE = Cause(
+    name="amplifier-offset",
+    family="amplifier",
+    title="the amplifier adds a constant current",
+    acts_on="target current of (1)",
+    equation="K_A u_c + i_offset, not below 0",
+    source="offset of the output stage; an INTECO rig gives 0.043 A at zero input",
+    parameters=(
+        CauseParameter(
+            name="offset_a", symbol="i_offset", unit="A", place=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
+        ),
+    ),
+    signature="i_c is not 0 at u_c = 0, and the coil does pull then",
+    shows_in=("rest", "amplifier-steps"),
+    confirm="measure the coil with a clamp meter at u_c = 0",
+    cure="trim the amplifier, or subtract the offset from u_c",
+    needs=("u_c", "i_c"),
+)
+
+
+@kernel
+def shifted(c: Vector, target: float) -> float:
+    """Target current with the offset, A."""
+    return target + c[OFFSET]

@@ -1,0 +1,77 @@
+"""THE list of causes, in the order of the signal: amplifier, force, motion, sensing, timing.
+
+A cause is added with its file, its line here, and its call in `twin/model/extended.py` where it acts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.model.causes import (
+    actuation_delay,
+    air_gap_offset,
+    amplifier_dead_zone,
+    amplifier_gain_drift,
+    amplifier_offset,
+    constant_force,
+    core_saturation,
+    coulomb_friction,
+    current_limit,
+    current_sensor_gain,
+    current_sensor_offset,
+    eddy_current_lag,
+    force_exponent,
+    lost_samples,
+    motional_emf,
+    periodic_disturbance,
+    position_dependent_inductance,
+    position_sensor_gain,
+    position_sensor_lag,
+    position_sensor_nonlinearity,
+    position_sensor_offset,
+    quadratic_drag,
+    residual_magnetism,
+    sampling_delay,
+    sensor_crosstalk,
+    slew_rate_limit,
+)
+from twin.model.causes.cause import PLACES, Cause, Vector
+
+CATALOGUE: tuple[Cause, ...] = (
+    amplifier_gain_drift.CAUSE,
+    current_limit.CAUSE,
+    slew_rate_limit.CAUSE,
+    amplifier_dead_zone.CAUSE,
+    amplifier_offset.CAUSE,
+    position_dependent_inductance.CAUSE,
+    motional_emf.CAUSE,
+    actuation_delay.CAUSE,
+    air_gap_offset.CAUSE,
+    force_exponent.CAUSE,
+    core_saturation.CAUSE,
+    residual_magnetism.CAUSE,
+    eddy_current_lag.CAUSE,
+    quadratic_drag.CAUSE,
+    coulomb_friction.CAUSE,
+    constant_force.CAUSE,
+    periodic_disturbance.CAUSE,
+    position_sensor_offset.CAUSE,
+    position_sensor_gain.CAUSE,
+    position_sensor_nonlinearity.CAUSE,
+    position_sensor_lag.CAUSE,
+    sensor_crosstalk.CAUSE,
+    current_sensor_offset.CAUSE,
+    current_sensor_gain.CAUSE,
+    sampling_delay.CAUSE,
+    lost_samples.CAUSE,
+)
+BY_NAME = {cause.name: cause for cause in CATALOGUE}
+
+
+def neutral() -> Vector:
+    """The vector c of the paper's model, shape (PLACES,)."""
+    c = np.zeros(PLACES)
+    for cause in CATALOGUE:
+        for parameter in cause.parameters:
+            c[parameter.place] = parameter.neutral
+    return c

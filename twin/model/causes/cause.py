@@ -1,0 +1,67 @@
+"""What a cause is: a physical effect that (1) and (6) do not hold, with its parameters and what one knows about it.
+
+Rule 1: a cause at its neutral value is exactly absent: the extended model is then the paper's, bit by bit.
+Rule 2: every parameter has a place of its own in the vector `c` that the kernels take; a test holds them apart.
+Rule 3: the estimator moves a coordinate that is 0 at neutral: value - neutral, or 1 / value where neutral is infinite.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Family = Literal["amplifier", "force", "motion", "sensing", "timing"]
+Vector: TypeAlias = NDArray[np.float64]  # of all parameters of all causes, shape (PLACES,)
+PLACES = 28
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CauseParameter:
+    """One number of a cause, in the unit that its name ends with."""
+
+    name: str
+    symbol: str
+    unit: str  # empty: a pure number
+    place: int  # in the vector c
+    neutral: float  # absent; inf for limits
+    low: float  # of the physical range
+    high: float
+    probes: tuple[float, ...]  # values at which the screen looks: the effect is small there, but not a rounding error
+
+    def coordinate(self, value: float) -> float:
+        """The number that the estimator moves."""
+        return 1.0 / value if math.isinf(self.neutral) else value - self.neutral
+
+    def value(self, coordinate: float) -> float:
+        """The parameter of a coordinate, within its physical range."""
+        if math.isinf(self.neutral):
+            return math.inf if coordinate <= 0.0 else min(max(1.0 / coordinate, self.low), self.high)
+        return min(max(self.neutral + coordinate, self.low), self.high)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cause:
+    """One entry of the catalogue.  The first parameter is the strength; others (a time constant) shape it."""
+
+    name: str
+    family: Family
+    title: str  # plain words, as in "the coil's plane is {d_m} above where the model has it"
+    acts_on: str
+    equation: str
+    source: str
+    parameters: tuple[CauseParameter, ...]
+    signature: str  # what it leaves in recordings
+    shows_in: tuple[str, ...]  # experiments of `board51 campaign run`, best first
+    confirm: str  # by hand, at the rig
+    cure: str
+    needs: tuple[str, ...] = ("u_c", "i_c", "x")  # channels without which it cannot be tested
+    not_testable: str = ""  # why no recording of this rig can show it
+
+    @property
+    def strength(self) -> CauseParameter:
+        """The parameter that is neutral when the cause is absent."""
+        return self.parameters[0]

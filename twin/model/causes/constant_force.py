@@ -1,0 +1,35 @@
+"""constant-force: a constant force acts on the ball.
+
+m x'' = ... + F_0
+"""
+
+from __future__ import annotations
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+FORCE = 16
+
+CAUSE = Cause(
+    name="constant-force",
+    family="motion",
+    title="a constant force acts on the ball",
+    acts_on="net force of (6)",
+    equation="m x'' = ... + F_0",
+    source="wrong mass, a tilted rig, a draught",
+    parameters=(
+        CauseParameter(
+            name="force_n", symbol="F_0", unit="N", place=FORCE, neutral=0.0, low=-0.05, high=0.05, probes=(0.001,)
+        ),
+    ),
+    signature="free fall is slower or faster than g",
+    shows_in=("prbs-open-loop", "holds"),
+    confirm="weigh the ball; drop it with the coil off",
+    cure="the right mass in [plant]; level the rig",
+)
+
+
+@kernel
+def force_n(c: Vector) -> float:
+    """The force upwards, N."""
+    return float(c[FORCE])

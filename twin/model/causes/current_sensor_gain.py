@@ -1,0 +1,35 @@
+"""current-sensor-gain: i_c reads in the wrong scale.
+
+i_measured = gain i_c
+"""
+
+from __future__ import annotations
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+GAIN = 25
+
+CAUSE = Cause(
+    name="current-sensor-gain",
+    family="sensing",
+    title="i_c reads in the wrong scale",
+    acts_on="current sensor",
+    equation="i_measured = gain i_c",
+    source="tolerance of the shunt",
+    parameters=(
+        CauseParameter(name="gain", symbol="gain", unit="", place=GAIN, neutral=1.0, low=0.5, high=1.5, probes=(0.98,)),
+    ),
+    signature="none: K_A and K_c take it up exactly",
+    shows_in=(),
+    confirm="a clamp meter beside the sensor",
+    cure="calibrate the shunt",
+    not_testable="absorbed by K_A and K_c: a reading gain times too high gives K_A gain times and K_c 1/gain^2 times "
+    "the true one, and the same motion",
+)
+
+
+@kernel
+def scaled(c: Vector, i: float) -> float:
+    """The reading in the sensor's scale, A."""
+    return c[GAIN] * i

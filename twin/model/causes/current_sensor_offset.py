@@ -1,0 +1,35 @@
+"""current-sensor-offset: i_c reads too high by a constant.
+
+i_measured = i_c + offset
+"""
+
+from __future__ import annotations
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+OFFSET = 24
+
+CAUSE = Cause(
+    name="current-sensor-offset",
+    family="sensing",
+    title="i_c reads too high by a constant",
+    acts_on="current sensor",
+    equation="i_measured = i_c + offset",
+    source="an unzeroed shunt amplifier; an INTECO rig drifts by tens of mA",
+    parameters=(
+        CauseParameter(
+            name="offset_a", symbol="offset", unit="A", place=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
+        ),
+    ),
+    signature="i_c is not 0 with the coil off, and the coil does not pull then",
+    shows_in=("rest", "holds"),
+    confirm="read i_c with the coil unplugged",
+    cure="zero the sensor with the coil off",
+)
+
+
+@kernel
+def shifted(c: Vector, reading: float) -> float:
+    """The reading with its offset, A."""
+    return reading + c[OFFSET]

@@ -1,0 +1,40 @@
+"""eddy-current-lag: the force follows the current late.
+
+tau f' + f = i_c, F_m = K_c f^2 / gap^2
+"""
+
+from __future__ import annotations
+
+import math
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+TAU = 13
+
+CAUSE = Cause(
+    name="eddy-current-lag",
+    family="force",
+    title="the force follows the current late",
+    acts_on="magnetic force (3)",
+    equation="tau f' + f = i_c, F_m = K_c f^2 / gap^2",
+    source="eddy currents in a solid core",
+    parameters=(
+        CauseParameter(
+            name="tau_s", symbol="tau", unit="s", place=TAU, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
+        ),
+    ),
+    signature="the acceleration lags the measured current, more at high frequency",
+    shows_in=("prbs-reference", "prbs-open-loop"),
+    confirm="a search coil on the core, beside i_c",
+    cure="a laminated core, or a lead term in the law",
+)
+
+
+@kernel
+def lagged(c: Vector, f: float, i: float, i_next: float, h: float) -> float:
+    """The field current after h s while the current goes from i to i_next, A."""
+    if c[TAU] <= 0.0:
+        return i_next
+    slope = (i_next - i) / h
+    return i_next - slope * c[TAU] + (f - i + slope * c[TAU]) * math.exp(-h / c[TAU])

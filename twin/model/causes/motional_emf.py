@@ -1,0 +1,44 @@
+"""motional-emf: a moving ball induces a voltage that pushes the current.
+
+T_A i_c' + i_c = K_A u_c - coupling i_c x' (gap_mid / gap)^2
+"""
+
+from __future__ import annotations
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+COUPLING = 7
+
+CAUSE = Cause(
+    name="motional-emf",
+    family="amplifier",
+    title="a moving ball induces a voltage that pushes the current",
+    acts_on="rate of the current in (1)",
+    equation="T_A i_c' + i_c = K_A u_c - coupling i_c x' (gap_mid / gap)^2",
+    source="i x' dL/dx over the resistance, with dL/dx = 2 K_c / gap^2; about 0.04 s/m at 10 ohm",
+    parameters=(
+        CauseParameter(
+            name="coupling_s_m",
+            symbol="coupling",
+            unit="s/m",
+            place=COUPLING,
+            neutral=0.0,
+            low=-1.0,
+            high=10.0,
+            probes=(0.05,),
+        ),
+    ),
+    signature="i_c dips while the ball rises and swells while it falls, at constant u_c",
+    shows_in=("prbs-open-loop", "wide-steps"),
+    confirm="lift the ball by hand at constant u_c and watch i_c",
+    cure="a current loop",
+)
+
+
+@kernel
+def pushed(c: Vector, target: float, i: float, v: float, gap: float, gap_mid: float) -> float:
+    """Target current under the induced voltage, A."""
+    if c[COUPLING] == 0.0:
+        return target
+    return target - c[COUPLING] * i * v * (gap_mid / gap) * (gap_mid / gap)

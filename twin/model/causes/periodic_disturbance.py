@@ -1,0 +1,43 @@
+"""periodic-disturbance: a periodic force shakes the ball.
+
+m x'' = ... + F sin(2 pi f t + phase)
+"""
+
+from __future__ import annotations
+
+import math
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+AMPLITUDE = 17
+FREQUENCY = 18
+
+CAUSE = Cause(
+    name="periodic-disturbance",
+    family="motion",
+    title="a periodic force shakes the ball",
+    acts_on="net force of (6)",
+    equation="m x'' = ... + F sin(2 pi f t + phase)",
+    source="floor vibration, a fan",
+    parameters=(
+        CauseParameter(
+            name="amplitude_n", symbol="F", unit="N", place=AMPLITUDE, neutral=0.0, low=0.0, high=0.05, probes=(0.0005,)
+        ),
+        CauseParameter(
+            name="frequency_hz", symbol="f", unit="Hz", place=FREQUENCY, neutral=7.0, low=0.5, high=100.0, probes=(7.0,)
+        ),
+    ),
+    signature="one line in the spectrum of the innovations, in every recording",
+    shows_in=("steps", "multisine", "holds"),
+    confirm="put the rig on another table, switch fans off",
+    cure="a notch in the law, or a quiet table",
+)
+
+
+@kernel
+def force_n(c: Vector, t: float) -> float:
+    """The force upwards at time t, N; the phase of a recording is in its t."""
+    if c[AMPLITUDE] == 0.0:
+        return 0.0
+    return c[AMPLITUDE] * math.sin(2.0 * math.pi * c[FREQUENCY] * t)

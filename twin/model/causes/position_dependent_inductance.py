@@ -1,0 +1,37 @@
+"""position-dependent-inductance: the current follows more slowly the nearer the ball is to the coil.
+
+T_A (1 + growth (1/gap - 1/gap_bottom) / (1/gap_mid - 1/gap_bottom))
+"""
+
+from __future__ import annotations
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+GROWTH = 6
+
+CAUSE = Cause(
+    name="position-dependent-inductance",
+    family="amplifier",
+    title="the current follows more slowly the nearer the ball is to the coil",
+    acts_on="time constant of (1)",
+    equation="T_A (1 + growth (1/gap - 1/gap_bottom) / (1/gap_mid - 1/gap_bottom))",
+    source="L = L_0 + 2 K_c / gap goes with (3) by energy; the paper neglects it on purpose",
+    parameters=(
+        CauseParameter(
+            name="growth", symbol="growth", unit="", place=GROWTH, neutral=0.0, low=0.0, high=10.0, probes=(0.3,)
+        ),
+    ),
+    signature="T_A of i_c is longer with the ball high than with the ball low",
+    shows_in=("blocked-ball", "wide-steps"),
+    confirm="the same u_c step with the ball at the bottom and blocked at the top",
+    cure="a current loop, or T_A scheduled with x",
+)
+
+
+@kernel
+def time_constant(c: Vector, T_A: float, gap: float, gap_bottom: float, gap_mid: float) -> float:
+    """T_A at this gap, s."""
+    if c[GROWTH] == 0.0:
+        return T_A
+    return T_A * (1.0 + c[GROWTH] * (1.0 / gap - 1.0 / gap_bottom) / (1.0 / gap_mid - 1.0 / gap_bottom))

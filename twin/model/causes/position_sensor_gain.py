@@ -1,0 +1,33 @@
+"""position-sensor-gain: x reads in the wrong scale.
+
+x_measured = gain x
+"""
+
+from __future__ import annotations
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+GAIN = 20
+
+CAUSE = Cause(
+    name="position-sensor-gain",
+    family="sensing",
+    title="x reads in the wrong scale",
+    acts_on="position sensor",
+    equation="x_measured = gain x",
+    source="published slopes of the CE 152's sensor differ: 800 .. 870 V/m",
+    parameters=(
+        CauseParameter(name="gain", symbol="gain", unit="", place=GAIN, neutral=1.0, low=0.5, high=1.5, probes=(0.99,)),
+    ),
+    signature="x at the top stop is not the travel, x at the rest is 0",
+    shows_in=("prbs-open-loop", "lift-off"),
+    confirm="read x with a shim of known thickness under the ball",
+    cure="calibrate the sensor at both stops",
+)
+
+
+@kernel
+def scaled(c: Vector, reading: float) -> float:
+    """The reading in the sensor's scale, m."""
+    return c[GAIN] * reading

@@ -1,0 +1,42 @@
+"""position-sensor-offset: x reads too high by a constant.
+
+x_measured = x + offset
+"""
+
+from __future__ import annotations
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+OFFSET = 19
+
+CAUSE = Cause(
+    name="position-sensor-offset",
+    family="sensing",
+    title="x reads too high by a constant",
+    acts_on="position sensor",
+    equation="x_measured = x + offset",
+    source="a sensor that was zeroed with something in between",
+    parameters=(
+        CauseParameter(
+            name="offset_m",
+            symbol="offset",
+            unit="m",
+            place=OFFSET,
+            neutral=0.0,
+            low=-0.002,
+            high=0.002,
+            probes=(0.0001,),
+        ),
+    ),
+    signature="x is not 0 with the ball on its rest, and off by the same at the top stop",
+    shows_in=("rest", "lift-off"),
+    confirm="read x with the ball on the rest",
+    cure="zero the sensor with the ball on the rest",
+)
+
+
+@kernel
+def shifted(c: Vector, reading: float) -> float:
+    """The reading with its offset, m."""
+    return reading + c[OFFSET]

@@ -1,0 +1,35 @@
+"""quadratic-drag: the ball feels a drag that grows with the square of its speed.
+
+F_d = b x' + c |x'| x'
+"""
+
+from __future__ import annotations
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+C = 14
+
+CAUSE = Cause(
+    name="quadratic-drag",
+    family="motion",
+    title="the ball feels a drag that grows with the square of its speed",
+    acts_on="drag (5)",
+    equation="F_d = b x' + c |x'| x'",
+    source="the paper neglects it on purpose; air alone gives 4e-5, a guide tube far more",
+    parameters=(
+        CauseParameter(
+            name="c_n_s2_m2", symbol="c", unit="N s^2/m^2", place=C, neutral=0.0, low=0.0, high=20.0, probes=(0.2,)
+        ),
+    ),
+    signature="fast flights are braked more than slow ones",
+    shows_in=("prbs-open-loop", "wide-steps"),
+    confirm="drop the ball with the coil off and time it",
+    cure="a wider guide",
+)
+
+
+@kernel
+def drag_n(c: Vector, v: float) -> float:
+    """The force against the motion, N."""
+    return c[C] * abs(v) * v

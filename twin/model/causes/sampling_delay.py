@@ -1,0 +1,29 @@
+"""sampling-delay: both sensors show what was some time ago.
+
+i_measured(t) = i_c(t - delay), x_measured(t) = x(t - delay)
+"""
+
+from __future__ import annotations
+
+from twin.model.causes.cause import Cause, CauseParameter
+
+DELAY = 26
+
+CAUSE = Cause(
+    name="sampling-delay",
+    family="timing",
+    title="both sensors show what was some time ago",
+    acts_on="sampling",
+    equation="i_measured(t) = i_c(t - delay), x_measured(t) = x(t - delay)",
+    source="sample-and-hold and multiplexing before conversion",
+    parameters=(
+        CauseParameter(
+            name="delay_s", symbol="delay", unit="s", place=DELAY, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
+        ),
+    ),
+    signature="as actuation-delay",
+    shows_in=("amplifier-steps", "prbs-reference"),
+    confirm="trigger an oscilloscope on the converter's start",
+    cure="convert right before the computation, or predict by that time",
+    needs=("u_c", "i_c"),
+)

@@ -1,0 +1,42 @@
+"""sensor-crosstalk: the coil's current shows in x.
+
+x_measured = x + coupling i_c
+"""
+
+from __future__ import annotations
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+COUPLING = 23
+
+CAUSE = Cause(
+    name="sensor-crosstalk",
+    family="sensing",
+    title="the coil's current shows in x",
+    acts_on="position sensor",
+    equation="x_measured = x + coupling i_c",
+    source="an inductive sensor in the coil's stray field",
+    parameters=(
+        CauseParameter(
+            name="coupling_m_a",
+            symbol="coupling",
+            unit="m/A",
+            place=COUPLING,
+            neutral=0.0,
+            low=-0.002,
+            high=0.002,
+            probes=(2e-05,),
+        ),
+    ),
+    signature="x of the resting ball moves with i_c",
+    shows_in=("rest", "lift-off"),
+    confirm="ramp the current below lift-off and watch x",
+    cure="shield the sensor, or subtract coupling i_c on the board",
+)
+
+
+@kernel
+def disturbed(c: Vector, reading: float, i: float) -> float:
+    """The reading with the coil's field, m."""
+    return reading + c[COUPLING] * i

@@ -1,0 +1,54 @@
+"""slew-rate-limit: the current cannot change faster than a certain rate.
+
+|di_c/dt| <= r
+"""
+
+from __future__ import annotations
+
+import math
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+
+RATE = 3
+
+CAUSE = Cause(
+    name="slew-rate-limit",
+    family="amplifier",
+    title="the current cannot change faster than a certain rate",
+    acts_on="rate of the current in (1)",
+    equation="|di_c/dt| <= r",
+    source="coil voltage is finite: di/dt <= U / L",
+    parameters=(
+        CauseParameter(
+            name="rate_a_s",
+            symbol="r",
+            unit="A/s",
+            place=RATE,
+            neutral=math.inf,
+            low=0.5,
+            high=1000000.0,
+            probes=(3000.0, 1000.0, 300.0, 100.0, 30.0),
+        ),
+    ),
+    signature="large steps of i_c are ramps of one slope, small ones exponentials; T_A seems to grow with the step",
+    shows_in=("amplifier-steps", "prbs-open-loop"),
+    confirm="compare the 25 kHz responses to a small and a large step",
+    cure="a higher supply voltage, or smaller steps of u_c",
+    needs=("u_c", "i_c"),
+)
+
+
+@kernel
+def relaxed(c: Vector, i: float, target: float, T_A: float, h: float) -> float:
+    """The current after h s on its way to a constant target: exponential, but never faster than the rate, A."""
+    away = target - i
+    rate = c[RATE]
+    fast = abs(away) - rate * T_A  # beyond this distance the exponential would be faster than the rate
+    if fast > 0.0:
+        ramp = fast / rate
+        if ramp >= h:
+            return i + math.copysign(rate * h, away)
+        i += math.copysign(fast, away)
+        h -= ramp
+    return target + (i - target) * math.exp(-h / T_A)
