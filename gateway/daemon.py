@@ -195,7 +195,8 @@ def _tell_all(drivers: Sequence[BoardDriver], name: str, severity: str, text: st
 def _log_twin(recorder: Recorder) -> Callable[[zenoh.Sample], None]:
     def log(sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
-        if topics.split(key) is not None:
+        place = topics.split(key)
+        if place is not None and topics.BY_NAME[place[2]].logged:
             recorder.put(key, sample.payload.to_bytes(), time.time_ns())
 
     return log

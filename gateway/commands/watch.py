@@ -16,6 +16,8 @@ from gateway.client import add_bus_arguments, open_bus
 from protocol.bus import topics
 from protocol.bus.encoding import parse
 
+LONGEST = 200  # characters of a text on a line for people
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Which keys, how many, how often."""
@@ -41,7 +43,13 @@ def _line(key: str, message: Message, *, as_json: bool) -> str:
     fields = MessageToDict(message, preserving_proto_field_name=True)
     if as_json:
         return json.dumps({"key": key, **fields})
-    return f"{key}  " + "  ".join(f"{k}={v:.6g}" if isinstance(v, float) else f"{k}={v}" for k, v in fields.items())
+    return f"{key}  " + "  ".join(f"{name}={_shown(value)}" for name, value in fields.items())
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, str) and len(value) > LONGEST:  # a whole model file
+        return f"({len(value)} characters)"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -99,6 +99,7 @@ class BoardSummary:
     events: dict[str, int] = field(default_factory=dict)
     parameters: pb.Parameters | None = None
     modes: set[str] = field(default_factory=set)
+    models: list[pb.TwinModel] = field(default_factory=list)  # of the twin, one entry per change
 
 
 @dataclass(slots=True)
@@ -142,6 +143,9 @@ def summarise(paths: Path | Sequence[Path]) -> LogSummary:
                 board.parameters = parameters
                 if board.gaps is not None:
                     board.gaps.divider = max(parameters.stream_divider, 1)
+            case pb.TwinModel() as model:
+                if not board.models or board.models[-1] != model:
+                    board.models.append(model)
             case pb.Event() as event:
                 board.events[event.name] = board.events.get(event.name, 0) + 1
                 board.resets += event.source == "board" and event.name.startswith("reset")
@@ -205,6 +209,16 @@ def _board_json(board: BoardSummary) -> dict[str, object]:
         "sessions": board.gaps.sessions,
         "resets": board.resets,
         "modes": sorted(board.modes),
+        "twin_models": [
+            {
+                "name": model.name,
+                "sha256": model.sha256,
+                "session": model.session,
+                "since_tick": model.since_tick,
+                "who": model.who,
+            }
+            for model in board.models
+        ],
         "events": board.events,
         "gaps": {
             "count": board.gaps.count,
@@ -239,6 +253,9 @@ def _lines(summary: LogSummary) -> Iterable[str]:
             yield f"  {channel:<16}{span.low:>14.6g} .. {span.high:.6g}, mean {span.total / span.count:.6g}"
         if board.modes:
             yield f"  modes           {', '.join(sorted(board.modes))}"
+        for model in board.models:
+            whose = f", handed over by {model.who}" if model.who else ""
+            yield f"  twin's model    {model.name} ({model.sha256[:12]}) from tick {model.since_tick}{whose}"
         if board.events:
             yield "  events          " + ", ".join(f"{event} x{count}" for event, count in board.events.items())
         yield f"  gaps            {board.gaps.count}, {board.gaps.missing} sample(s) missing"

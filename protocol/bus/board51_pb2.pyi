@@ -464,3 +464,37 @@ class Alarm(_message.Message):
     threshold_off: float
     text: str
     def __init__(self, host_time_ns: _Optional[int] = ..., tick: _Optional[int] = ..., session: _Optional[int] = ..., name: _Optional[str] = ..., active: _Optional[bool] = ..., value: _Optional[float] = ..., threshold_on: _Optional[float] = ..., threshold_off: _Optional[float] = ..., text: _Optional[str] = ...) -> None: ...
+
+class UseModel(_message.Message):
+    __slots__ = ("model_json",)
+    MODEL_JSON_FIELD_NUMBER: _ClassVar[int]
+    model_json: str
+    def __init__(self, model_json: _Optional[str] = ...) -> None: ...
+
+class TwinCommand(_message.Message):
+    __slots__ = ("id", "who", "use_model")
+    ID_FIELD_NUMBER: _ClassVar[int]
+    WHO_FIELD_NUMBER: _ClassVar[int]
+    USE_MODEL_FIELD_NUMBER: _ClassVar[int]
+    id: str
+    who: str
+    use_model: UseModel
+    def __init__(self, id: _Optional[str] = ..., who: _Optional[str] = ..., use_model: _Optional[_Union[UseModel, _Mapping]] = ...) -> None: ...
+
+class TwinModel(_message.Message):
+    __slots__ = ("session", "since_tick", "name", "model_json", "sha256", "who", "command_id")
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    SINCE_TICK_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    MODEL_JSON_FIELD_NUMBER: _ClassVar[int]
+    SHA256_FIELD_NUMBER: _ClassVar[int]
+    WHO_FIELD_NUMBER: _ClassVar[int]
+    COMMAND_ID_FIELD_NUMBER: _ClassVar[int]
+    session: int
+    since_tick: int
+    name: str
+    model_json: str
+    sha256: str
+    who: str
+    command_id: str
+    def __init__(self, session: _Optional[int] = ..., since_tick: _Optional[int] = ..., name: _Optional[str] = ..., model_json: _Optional[str] = ..., sha256: _Optional[str] = ..., who: _Optional[str] = ..., command_id: _Optional[str] = ...) -> None: ...

@@ -58,6 +58,10 @@ TOPICS: tuple[Topic, ...] = (
           about="measured against twin, and one-step innovations"),
     Topic(name="twin/alarm", message=pb.Alarm, by="twin", rate="on change", bus=True, logged=True,
           about="divergence alarms with hysteresis"),
+    Topic(name="twin/model", message=pb.TwinModel, by="twin", rate="on change, and every 5 s", bus=True, logged=True,
+          about="the model the twin runs on, since when, from whom"),
+    Topic(name="twin/command", message=pb.TwinCommand, by="client", rate="query", bus=True, logged=False,
+          about="queryable: one TwinCommand in, one CommandReply per board out"),
 )  # fmt: skip
 BY_NAME = {topic.name: topic for topic in TOPICS}
 

@@ -1,12 +1,14 @@
 """The model in step with a live rig, or over a log: twin state, divergence and alarms.
 
-Live, it joins the bus, follows every board of the site and publishes <site>/<board>/twin/state, twin/divergence and
-twin/alarm until SIGINT or SIGTERM.  With --log it runs over a log instead and prints what it saw.
+Live, it joins the bus, follows every board of the site and publishes <site>/<board>/twin/state, twin/divergence,
+twin/alarm and twin/model until SIGINT or SIGTERM.  With --hand-over it gives a model to the twins that run already,
+which go on with it from the next sample.  With --log it runs over a log instead and prints what it saw.
 """
 
 from __future__ import annotations
 
 import argparse
+import getpass
 import json
 import logging
 import math
@@ -32,8 +34,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n"
         "  board51 twin                                  every board behind the gateway on this machine\n"
         "  board51 twin --board rig1 --model model.json  one board, parameters as identified\n"
+        "  board51 twin --hand-over model.json           the twins that run take this model, without a restart\n"
         "  board51 twin --log run.mcap --out twin.mcap   over a log; twin topics into a new one\n"
-        "\nexit code 0: done; 1: with --fail-on-alarm, a divergence or innovation alarm was raised; 2: bad input"
+        "\nexit code 0: done; 1: with --hand-over, a twin refused or none answered; with --fail-on-alarm, an alarm on\n"
+        "divergence or innovation was raised; 2: bad input"
     )
     add_model_options(parser)
     parser.add_argument("--site", default=DEFAULT_SITE, help="first chunk of the keys (default %(default)s)")
@@ -44,9 +48,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="append",
         help=f"where the gateway or a router listens (default {DEFAULT_ENDPOINT})",
     )
+    parser.add_argument(
+        "--hand-over", metavar="FILE", help="give this model (file, or name of a shipped one) to the twins that run"
+    )
+    parser.add_argument(
+        "--who", default="", help="with --hand-over: who does it, for the log (default: the login name)"
+    )
+    parser.add_argument(
+        "--id", default="", help="with --hand-over: the same id is executed at most once (default: a new one)"
+    )
     parser.add_argument("--log", type=Path, metavar="LOG.mcap", help="run over a log instead of live")
     parser.add_argument("--out", type=Path, metavar="OUT.mcap", help="with --log: samples and twin topics go there")
-    parser.add_argument("--json", action="store_true", help="with --log: print the summary as JSON")
+    parser.add_argument("--json", action="store_true", help="with --log, --hand-over: print the outcome as JSON")
     parser.add_argument("--fail-on-alarm", action="store_true", help="with --log: exit code 1 where the model is wrong")
     parser.add_argument("--duration", type=float, metavar="S", help="live: stop after so many seconds")
 
@@ -73,7 +86,11 @@ def add_model_options(parser: argparse.ArgumentParser) -> None:
 
 def chosen_model(args: argparse.Namespace) -> Model:
     """The model of `--model`."""
-    return nominal(args.model) if args.model in SHIPPED else load_model(args.model)
+    return _model(args.model)
+
+
+def _model(name: str) -> Model:
+    return nominal(name) if name in SHIPPED else load_model(name)
 
 
 def chosen_settings(args: argparse.Namespace) -> Settings:
@@ -87,17 +104,63 @@ def chosen_settings(args: argparse.Namespace) -> Settings:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Live, or over a log."""
-    model, settings = chosen_model(args), chosen_settings(args)
+    """Live, or over a log, or a model to those who run."""
     if args.board:
         check_name(args.board, what="--board")
     check_name(args.site, what="--site")
+    if args.hand_over is None and (args.who or args.id):
+        raise UsageError("--who and --id are for a hand-over", remedy="Add --hand-over MODEL.json")
+    if args.log and args.hand_over is not None:
+        raise UsageError("--log and --hand-over exclude each other", remedy="A twin over a log takes --model")
     if args.log:
-        return _over_log(args, model, settings)
-    if args.out or args.json or args.fail_on_alarm:
+        return _over_log(args, chosen_model(args), chosen_settings(args))
+    if args.out or args.fail_on_alarm or (args.json and args.hand_over is None):
         raise UsageError("--out, --json and --fail-on-alarm are for a log", remedy="Add --log LOG.mcap")
     endpoints = tuple(check_endpoint(one, where="--connect") for one in args.connect or [DEFAULT_ENDPOINT])
-    return _live(args, model, settings, endpoints)
+    if args.hand_over is not None:
+        return _hand_over(args, endpoints)
+    return _live(args, chosen_model(args), chosen_settings(args), endpoints)
+
+
+def _hand_over(args: argparse.Namespace, endpoints: tuple[str, ...]) -> int:
+    from twin.mirror.client import hand_over
+    from twin.mirror.handover import MAX_WORD, believe
+
+    who = args.who or _login()
+    for what, word in (("--who", who), ("--id", args.id)):
+        if len(word) > MAX_WORD or not word.isprintable():
+            raise UsageError(
+                f"{what} {word[:MAX_WORD]!r} is no name", remedy=f"Use up to {MAX_WORD} printable characters"
+            )
+    belief = believe(_model(args.hand_over), who=who)
+    answers = hand_over(belief, site=args.site, board=args.board, endpoints=endpoints, command_id=args.id)
+    if args.json:
+        rows = [
+            {
+                "board": one.board,
+                "accepted": one.reply.accepted,
+                "reason": one.reply.reason,
+                "text": one.reply.text,
+                "from_tick": one.reply.tick if one.reply.accepted else None,
+            }
+            for one in answers
+        ]
+        print(json.dumps({"model": belief.model.plant.name, "sha256": belief.sha256, "twins": rows}, indent=2))
+    else:
+        for one in answers:
+            reply, where = one.reply, f"{args.site}/{one.board}"
+            since = f", from tick {reply.tick}" if reply.tick else ""
+            print(
+                f"{where}: {reply.text}{since}" if reply.accepted else f"{where}: refused: {reply.reason}: {reply.text}"
+            )
+    return 0 if all(one.reply.accepted for one in answers) else 1
+
+
+def _login() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a container's user need not have a name
+        return "unknown"
 
 
 def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints: tuple[str, ...]) -> int:
@@ -117,11 +180,18 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
             if time.monotonic() - told < REPORT_S:
                 continue
             told = time.monotonic()
-            for name, watched in service.boards.items():
+            for name, watched in list(service.boards.items()):
                 new = watched.samples - counted.get(name, 0)
                 counted[name] = watched.samples
                 active = ", ".join(alarm for alarm, on in watched.alarms.items() if on) or "none"
-                log.info("board %s: %s, %.0f samples/s, alarms: %s", name, watched.mirror.sync, new / REPORT_S, active)
+                log.info(
+                    "board %s: model %s, %s, %.0f samples/s, alarms: %s",
+                    name,
+                    watched.belief.title,
+                    watched.mirror.sync,
+                    new / REPORT_S,
+                    active,
+                )
             if not service.boards:
                 log.info("no samples yet on %s/%s/state", args.site, args.board or "*")
     log.info("stopped; %d samples dropped, %d messages malformed", service.dropped, service.malformed)
@@ -129,6 +199,7 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
 
 
 def _over_log(args: argparse.Namespace, model: Model, settings: Settings) -> int:
+    from twin.mirror.handover import believe
     from twin.mirror.offline import run_log
 
     started = time.perf_counter()
@@ -136,11 +207,18 @@ def _over_log(args: argparse.Namespace, model: Model, settings: Settings) -> int
     elapsed = time.perf_counter() - started
     summaries = [run.summary() for run in runs]
     if args.json:
-        result = {"log": str(args.log), "complete": complete, "model": model.plant.name, "boards": summaries}
+        result = {
+            "log": str(args.log),
+            "complete": complete,
+            "model": model.plant.name,
+            "model_sha256": believe(model).sha256,
+            "boards": summaries,
+        }
         print(json.dumps(result, indent=2))
     else:
         if not complete:
             print(f"{args.log} was not closed; read as far as it goes")
+        print(f"model {believe(model).title} throughout")
         for summary in summaries:
             _print(summary)
         samples = sum(run.samples for run in runs)
@@ -163,6 +241,9 @@ def _print(summary: dict[str, Any]) -> None:
     )
     for why, count in summary["why_out_of_step"].items():
         print(f"  lost step {count} x: {why}")
+    for model in summary["models_logged"]:
+        title, whose = f"{model['name']} ({model['sha256'][:12]})", f", handed over by {model['who']}"
+        print(f"  the live twin had {title} from tick {model['since_tick']}" + (whose if model["who"] else ""))
     if not summary["starts"]:
         print("  no free twin: the log does not say which law ran (or no sample could start it); the observer alone")
     rmse, bias = summary["rmse"], summary["bias"]

@@ -90,10 +90,11 @@ def decide(row: NDArray[np.float64], window: int, square: float, on: float, off:
     return change
 
 
-def message(name: str, row: NDArray[np.float64], change: int) -> pb.Alarm:
+def message(name: str, row: NDArray[np.float64], change: int, *, why_ended: str = "") -> pb.Alarm:
     """What is said about a change."""
     if change == ENDED:
-        return pb.Alarm(name=name, active=False, text="ended: twin and rig are not compared any longer")
+        why = why_ended or "twin and rig are not compared any longer"
+        return pb.Alarm(name=name, active=False, text=f"ended: {why}")
     return pb.Alarm(
         name=name,
         active=change == TURNED_ON,

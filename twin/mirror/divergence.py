@@ -173,10 +173,16 @@ class Comparison:
         """The mode has changed: what the free twin did in the mode before is over."""
         return self.messages((UNCHANGED, *(end(alarm) for alarm in self.alarms[1:])))
 
-    def messages(self, changes: tuple[int, ...]) -> list[pb.Alarm]:
+    def forget(self, why: str) -> list[pb.Alarm]:
+        """What was compared was another twin's: alarms end, totals begin at zero; the windows are `start`'s."""
+        self.totals[:] = 0.0
+        self.counts[:] = 0
+        return self.messages(tuple(end(alarm) for alarm in self.alarms), why_ended=why)
+
+    def messages(self, changes: tuple[int, ...], *, why_ended: str = "") -> list[pb.Alarm]:
         """What is said about changes."""
         return [
-            message(name, alarm, change)
+            message(name, alarm, change, why_ended=why_ended)
             for name, alarm, change in zip(ALARMS, self.alarms, changes, strict=True)
             if change != UNCHANGED
         ]

@@ -10,6 +10,7 @@ Rule 2: bridged are at most `bridge_ticks_max` lost samples, where x_ref, mode a
 Rule 3: a change of mode between two consecutive samples is no loss: the twin starts as the board does (rule 6 of
         protocol/README.md) and settles, without an alarm.
 Rule 4: without the board's parameters there is no law, hence no free twin; the observer runs all the same.
+Rule 5: another model is another twin: it starts from the next sample and settles, the alarms of the one before end.
 """
 
 from __future__ import annotations
@@ -120,6 +121,28 @@ class Mirror:
         for alarm in alarms:
             alarm.host_time_ns, alarm.tick, alarm.session = state.host_time_ns, state.tick, state.session
         return Output(now, sync, bridged, flying, answer, tuple(alarms))
+
+    def use(self, model: Model) -> list[pb.Alarm]:
+        """Believe `model` from the next sample on; returns the alarms that end with the model before.
+
+        Whatever fails, fails before anything has changed.
+
+        Raises:
+            ValueError, ArithmeticError, numpy.linalg.LinAlgError: no twin can be made of these numbers.
+        """
+        regime = self._regime
+        if regime is not None:
+            regime = Regime(model, self.settings, sample_time_s=regime.sample_time_s, parameters=regime.parameters)
+        self.model, self._regime = model, regime
+        alarms = self.comparison.forget("another model is used from here on")
+        if regime is not None:
+            self._constants = self._hold(regime)
+        self._stop()
+        self.counters["models"] += 1
+        if self._last is not None:
+            for alarm in alarms:
+                alarm.tick, alarm.session = self._last.tick, self._last.session
+        return alarms
 
     def silence(self, text: str) -> pb.Alarm | None:
         """The caller, who has a clock, misses the board.  Raises the alarm only: the twin's numbers know no clock."""

@@ -1,6 +1,9 @@
 """A twin over a log: every board its own mirror, the outcome counted, and written where that is wanted.
 
 The summary's numbers are of samples in step only; where a figure needs a full window it is the last one's.
+
+Rule: one model from end to end, the one that was asked for.  What a live twin ran on when the log was made is told, not
+      followed: a rerun answers "what would this model have said".
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from typing import Any
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
 from protocol.errors import DataError
+from twin.mirror.handover import believe
 from twin.mirror.mirror import Mirror
 from twin.mirror.output import Output
 from twin.mirror.settings import Settings
@@ -35,6 +39,12 @@ class BoardRun:
     last_t_s: float = math.nan
     alarms: list[pb.Alarm] = field(default_factory=list)
     parameters_seen: int = 0
+    models_logged: list[pb.TwinModel] = field(default_factory=list)  # what a live twin ran on, one entry per change
+
+    def heard_model(self, message: pb.TwinModel) -> None:
+        """A live twin's statement; repetitions change nothing."""
+        if not self.models_logged or self.models_logged[-1] != message:
+            self.models_logged.append(message)
 
     def summary(self) -> dict[str, Any]:
         """For people and for --json; a figure that does not exist is None."""
@@ -72,6 +82,16 @@ class BoardRun:
                 if name.startswith("missing_")
             },
             "parameters_seen": self.parameters_seen,
+            "models_logged": [
+                {
+                    "name": one.name,
+                    "sha256": one.sha256,
+                    "session": one.session,
+                    "since_tick": one.since_tick,
+                    "who": one.who,
+                }
+                for one in self.models_logged
+            ],
             "rmse": {name: root(squares, count) for name, (count, _, squares, _) in errors.items()},
             "bias": {name: ratio(total, count) for name, (count, total, _, _) in errors.items()},
             "innovations": int(innovations),
@@ -117,7 +137,8 @@ def run_log(
         DataError: the log is unreadable or holds no samples (of that board).
     """
     runs: dict[tuple[str, str], BoardRun] = {}
-    reader = LogReader(path, topics=("state", "parameters"), board=board)
+    reader = LogReader(path, topics=("state", "parameters", "twin/model"), board=board)
+    belief = believe(model)
     log = TwinLog(out) if out else None
     try:
         for entry in reader:
@@ -125,6 +146,9 @@ def run_log(
             if run is None:
                 run = BoardRun(site=entry.site, board=entry.board, mirror=Mirror(model, settings))
                 runs[entry.site, entry.board] = run
+            if entry.topic == "twin/model":
+                run.heard_model(parse(pb.TwinModel, entry, path))
+                continue
             if entry.topic == "parameters":
                 run.parameters_seen += 1
                 run.mirror.parameters(parse(pb.Parameters, entry, path))
@@ -141,6 +165,13 @@ def run_log(
             run.last_t_s = state.t_s
             if run.samples == 1:
                 run.first_t_s = state.t_s
+                if log:
+                    log.write(
+                        key(entry.site, entry.board, "twin/model"),
+                        belief.message(session=state.session, since_tick=state.tick),
+                        message_type=pb.TwinModel,
+                        log_time_ns=entry.log_time_ns,
+                    )
             output = run.mirror.handle(state)
             if log:
                 log.write(

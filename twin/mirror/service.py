@@ -1,10 +1,14 @@
-"""Mirrors on the bus: subscribe state and parameters, one mirror per board, publish what it says.
+"""Mirrors on the bus: subscribe state and parameters, one mirror per board, publish what it says; take other models.
 
-Rule 1: the zenoh callback only queues; one worker thread computes and publishes.  The queue is bounded: what does not
+Rule 1: the zenoh callbacks only queue; one worker thread computes and publishes.  The queue is bounded: what does not
         fit is dropped and counted, and the mirror sees the gap by the ticks, as it sees any other.
-Rule 2: this is the only place of the twin with a clock, and it is used for one thing: to notice that a board is silent.
+Rule 2: this is the only place of the twin with a clock, and it is used for two things: to notice that a board is
+        silent, and to repeat which model runs.
 Rule 3: publishing blocks rather than drops (a divergence that vanishes unseen is worse than a late one); behind the
         queue that costs nobody else anything.
+Rule 4: a model is handed over by a query, `<site>/<board>/twin/command`, which takes its place in the same queue: it
+        falls between two samples, and every sample is answered by one model.  A model that is refused changes nothing.
+        A command for `<site>/*` means every board, those to come too.
 """
 
 from __future__ import annotations
@@ -14,55 +18,38 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import zenoh
-from google.protobuf.message import Message
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import encoding, topics
 from protocol.bus.endpoint import zenoh_config
 from protocol.errors import ServiceError
-from twin.mirror.mirror import Mirror
+from twin.mirror.handover import Answered, believe, read_command, read_model, refusal
 from twin.mirror.output import Output
 from twin.mirror.settings import Settings
+from twin.mirror.watched import Watched
 from twin.model.parameters import Model
 
 QUEUE_LENGTH = 5000  # ten seconds of one board
-SILENT_S = 1.0
-POLL_S = 0.1  # of the silence check where nothing arrives
-_MESSAGES: dict[str, type[Message]] = {
-    "twin/state": pb.TwinState,
-    "twin/divergence": pb.Divergence,
-    "twin/alarm": pb.Alarm,
-}
+POLL_S = 0.1  # of the look at the clock where nothing arrives
+_REPLY_ENCODING = encoding.zenoh_encoding(pb.CommandReply)
 log = logging.getLogger(__name__)
-
-
-@dataclass(slots=True, kw_only=True)
-class Watched:
-    """One board on the bus."""
-
-    site: str
-    board: str
-    mirror: Mirror
-    publishers: dict[str, zenoh.Publisher]
-    samples: int = 0
-    last_heard_s: float = 0.0  # monotonic
-    silent: bool = False
-    alarms: dict[str, bool] = field(default_factory=dict)  # name: active
 
 
 class TwinService:
     """Runs between `start` and `stop`.
 
     Args:
-        model: what every twin believes.
+        model: what every twin believes until it is handed another one.
         site: first chunk of the keys.
         board: only this one; None: every board of the site.
         endpoints: where the router listens.
         settings: window, false-alarm rate, longest bridge.
         on_output: called in the worker thread with each board and output, for a display.
+
+    Raises:
+        DataError: the model cannot be written down for those who ask which one runs.
 
     The router may come later, go and come back: the zenoh session reconnects by itself and the twin meets a gap.
     """
@@ -81,13 +68,15 @@ class TwinService:
         self.dropped = 0
         self.malformed = 0
         self.parameters_heard = 0
-        self._model = model
+        self._belief = believe(model)  # of boards to come
+        self._answered = Answered()
         self._site = site
         self._board = board
+        self._commands = zenoh.KeyExpr(topics.key(site, board or "*", "twin/command"))
         self._endpoints = endpoints
         self._settings = settings
         self._on_output = on_output
-        self._queue: queue.Queue[tuple[str, bytes] | None] = queue.Queue(maxsize=QUEUE_LENGTH)
+        self._queue: queue.Queue[tuple[str, bytes] | zenoh.Query] = queue.Queue(maxsize=QUEUE_LENGTH)
         self._worker: threading.Thread | None = None
         self._session: zenoh.Session | None = None
         self._stopping = threading.Event()
@@ -108,6 +97,7 @@ class TwinService:
         # One subscriber for both topics: zenoh keeps the order within a subscriber, not between two, and a sample that
         # overtakes its board's parameters would be compared under the old ones.
         self._session.declare_subscriber(f"{self._site}/{self._board or '*'}/*", self._receive)
+        self._session.declare_queryable(self._commands, self._asked)
 
     def stop(self) -> None:
         """Answer what is queued for at most a second, then close.  Idempotent."""
@@ -130,6 +120,8 @@ class TwinService:
         """False once the worker has ended, by `stop` or by a failure (then in `failure`)."""
         return self._worker is not None and self._worker.is_alive()
 
+    # ---- in zenoh's threads
+
     def _receive(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
         if not key.endswith(("/state", "/parameters")):
@@ -138,6 +130,15 @@ class TwinService:
             self._queue.put_nowait((key, sample.payload.to_bytes()))
         except queue.Full:
             self.dropped += 1
+
+    def _asked(self, query: zenoh.Query) -> None:
+        try:
+            self._queue.put_nowait(query)
+        except queue.Full:
+            text = "More samples wait than this twin can answer; try again."
+            _reply(query, [(str(query.key_expr), refusal("queue-full", text))])
+
+    # ---- in the worker's thread
 
     def _work(self) -> None:
         try:
@@ -148,13 +149,16 @@ class TwinService:
                 except queue.Empty:
                     item = None
                 now = time.monotonic()
-                if item is not None:
+                if isinstance(item, tuple):
                     self._take(*item, now)
+                elif item is not None:
+                    _reply(item, self._command(item, now))
                 elif self._stopping.is_set():
                     return
                 if now - checked > POLL_S:
                     checked = now
-                    self._look_for_silence(now)
+                    for watched in self.boards.values():
+                        watched.look_at_the_clock(now)
                     if self._stopping.is_set() and self._queue.empty():
                         return
         except Exception as error:  # a worker that dies silently would leave a service that looks alive
@@ -171,64 +175,59 @@ class TwinService:
             if parameters is None:
                 self.malformed += 1
                 return
-            self._watched(site, board, now).mirror.parameters(parameters)
+            self._watched(site, board).mirror.parameters(parameters)
             self.parameters_heard += 1
             return
         state = encoding.parse(pb.State, data)
         if state is None:
             self.malformed += 1
             return
-        watched = self._watched(site, board, now)
-        watched.samples += 1
-        watched.last_heard_s = now
-        watched.silent = False
-        output = watched.mirror.handle(state)
-        if output is None:
-            return
-        if output.state is not None:
-            self._publish(watched, "twin/state", output.state)
-        self._publish(watched, "twin/divergence", output.divergence)
-        for alarm in output.alarms:
-            self._alarm(watched, alarm)
-        if self._on_output:
+        watched = self._watched(site, board)
+        output = watched.take(state, now)
+        if output is not None and self._on_output:
             self._on_output(watched, output)
 
-    def _watched(self, site: str, board: str, now: float) -> Watched:
+    def _watched(self, site: str, board: str) -> Watched:
         watched = self.boards.get(board)
         if watched is None:
             assert self._session is not None
-            watched = Watched(
-                site=site,
-                board=board,
-                mirror=Mirror(self._model, self._settings),
-                publishers={
-                    topic: self._session.declare_publisher(
-                        topics.key(site, board, topic),
-                        encoding=encoding.zenoh_encoding(message),
-                        congestion_control=zenoh.CongestionControl.BLOCK,
-                    )
-                    for topic, message in _MESSAGES.items()
-                },
-                last_heard_s=now,
-            )
+            watched = Watched(self._session, site, board, self._belief, self._settings)
             self.boards[board] = watched
-            log.info("board %s: twin of model %s", board, self._model.plant.name)
+            log.info("board %s: twin of model %s", board, watched.belief.title)
         return watched
 
-    def _look_for_silence(self, now: float) -> None:
-        for watched in self.boards.values():
-            if watched.samples and not watched.silent and now - watched.last_heard_s > SILENT_S:
-                watched.silent = True
-                alarm = watched.mirror.silence(f"no sample for {SILENT_S:g} s")
-                if alarm is not None:
-                    self._alarm(watched, alarm)
+    def _command(self, query: zenoh.Query, now: float) -> list[tuple[str, pb.CommandReply]]:
+        """(key, reply) for each board that the query means; for none, one under the key that was asked."""
+        asked = str(query.key_expr)
+        command = read_command(query.payload.to_bytes() if query.payload is not None else b"")
+        if isinstance(command, pb.CommandReply):
+            return [(asked, command)]
+        if (before := self._answered.again(asked, command)) is not None:
+            return before
+        own = {topics.key(one.site, one.board, "twin/command"): one for one in self.boards.values()}
+        meant = {key: one for key, one in own.items() if query.key_expr.intersects(zenoh.KeyExpr(key))}
+        everybody = query.key_expr.includes(self._commands)
+        if not meant and not everybody:
+            text = f"Not a board of this twin; it has {', '.join(sorted(self.boards)) or 'heard of none yet'}."
+            return [(asked, refusal("unknown-board", text, command_id=command.id))]
+        belief = read_model(command)
+        if isinstance(belief, pb.CommandReply):
+            log.warning("model refused, from %r: %s", command.who, belief.text)
+            replies = [(asked, belief)]
+        else:
+            replies = [(key, one.use(belief, now)) for key, one in meant.items()]
+            if everybody and all(reply.accepted for _, reply in replies):
+                self._belief = belief
+                text = f"will run on {belief.title}; no board was heard of yet"
+                replies = replies or [(asked, pb.CommandReply(id=command.id, accepted=True, text=text, attempts=1))]
+        self._answered.keep(asked, command, replies)
+        return replies
 
-    def _alarm(self, watched: Watched, alarm: pb.Alarm) -> None:
-        watched.alarms[alarm.name] = alarm.active
-        log.warning(
-            "board %s: alarm %s %s (%s)", watched.board, alarm.name, "on" if alarm.active else "off", alarm.text
-        )
-        self._publish(watched, "twin/alarm", alarm)
 
-    def _publish(self, watched: Watched, topic: str, message: Message) -> None:
-        watched.publishers[topic].put(message.SerializeToString())
+def _reply(query: zenoh.Query, replies: list[tuple[str, pb.CommandReply]]) -> None:
+    try:
+        with query:  # its end: without it the sender would wait for more until the time-out
+            for key, reply in replies:
+                query.reply(key, reply.SerializeToString(), encoding=_REPLY_ENCODING)
+    except zenoh.ZError as error:  # whoever asked is gone; what was done stays done
+        log.warning("a reply was not delivered: %s", error)

@@ -1,0 +1,154 @@
+"""A model on its way into a running twin: what a twin command says, and what became of it.  Pure.
+
+Rule 1: nothing that comes over the bus raises: bytes that are no command, text that is no model, a model that is not
+        physical are refusals with a stable reason and a sentence.  Reasons: malformed, oversize, bad-id, bad-who,
+        empty-command, bad-model, not-runnable, unknown-board, id-reused, queue-full.
+Rule 2: an id is executed at most once on a key; the same command again gets the replies it got.  The same id with
+        another model is refused: "accepted" would be a lie.
+Rule 3: equal models have equal text and an equal hash, however their files were laid out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import OrderedDict
+from dataclasses import dataclass
+
+from protocol.bus import board51_pb2 as pb
+from protocol.bus.encoding import parse
+from protocol.errors import DataError
+from twin.model.parameters import Model, model_from_dict, model_to_dict
+
+MAX_PAYLOAD = 1_000_000  # bytes; an identified model has some 10 000
+MAX_WORD = 128  # characters of id and who, as for the gateway's commands
+MAX_NAME = 64  # characters of a plant's name: it goes into logs and onto terminals
+KEPT_IDS = 256
+SHORT = 12  # digits of a hash for people
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Belief:
+    """A model that a twin runs on, and where it has it from."""
+
+    model: Model
+    text: str  # JSON
+    sha256: str  # of the text
+    who: str = ""  # empty: the twin was started with it
+    command_id: str = ""
+
+    @property
+    def title(self) -> str:
+        """For people: name and first digits of the hash."""
+        return f"{self.model.plant.name} ({self.sha256[:SHORT]})"
+
+    def message(self, *, session: int, since_tick: int) -> pb.TwinModel:
+        """As it is published."""
+        return pb.TwinModel(
+            session=session,
+            since_tick=since_tick,
+            name=self.model.plant.name,
+            model_json=self.text,
+            sha256=self.sha256,
+            who=self.who,
+            command_id=self.command_id,
+        )
+
+
+def believe(model: Model, *, who: str = "", command_id: str = "") -> Belief:
+    """Write `model` down.  Raises DataError where it cannot be written as JSON that everybody reads."""
+    try:
+        text = json.dumps(model_to_dict(model), indent=2, allow_nan=False)
+        digest = hashlib.sha256(text.encode()).hexdigest()
+    except (ValueError, RecursionError) as error:
+        raise DataError(
+            f"the model {model.plant.name[:MAX_NAME]!r} is not plain JSON ({error})",
+            remedy="Remove NaN, Infinity and broken characters from its provenance",
+        ) from None
+    name = model.plant.name
+    if len(name) > MAX_NAME or not name.isprintable():
+        raise DataError(
+            f"plant.name is {name[:MAX_NAME]!r}, {len(name)} characters",
+            remedy=f"Use at most {MAX_NAME}, all of them printable",
+        )
+    return Belief(model=model, text=text, sha256=digest, who=who, command_id=command_id)
+
+
+def refusal(reason: str, text: str, *, command_id: str = "") -> pb.CommandReply:
+    """A reply that says no."""
+    return pb.CommandReply(id=command_id, refused_by="twin", reason=reason, text=text)
+
+
+def read_command(payload: bytes) -> pb.TwinCommand | pb.CommandReply:
+    """The command in a query, or the refusal; its form, not yet its model."""
+    if len(payload) > MAX_PAYLOAD:
+        return refusal("oversize", f"The payload has {len(payload)} bytes; at most {MAX_PAYLOAD}.")
+    command = parse(pb.TwinCommand, payload)
+    if command is None:
+        return refusal("malformed", "The payload is not a board51.v1.TwinCommand in protobuf.")
+    if not 0 < len(command.id) <= MAX_WORD:
+        return refusal(
+            "bad-id", f"The id has {len(command.id)} characters; choose 1 to {MAX_WORD}, new for each command."
+        )
+    if not (len(command.who) <= MAX_WORD and command.who.isprintable()):
+        return refusal(
+            "bad-who", f"The who is not printable, or longer than {MAX_WORD} characters.", command_id=command.id
+        )
+    if command.WhichOneof("what") is None:
+        return refusal(
+            "empty-command",
+            "The command says not what to do, or something this twin does not know.",
+            command_id=command.id,
+        )
+    return command
+
+
+def read_model(command: pb.TwinCommand) -> Belief | pb.CommandReply:
+    """The model of a `use_model`, checked as a model file is, or the refusal that names what is wrong with it."""
+    try:
+        # Apart from JSON's own errors: an integer too long to convert, a number too large for a float, a nesting
+        # deeper than the parser's stack.
+        data = json.loads(command.use_model.model_json)
+        model = model_from_dict(data, where="the model handed over")
+        return believe(model, who=command.who, command_id=command.id)
+    except DataError as error:
+        return refusal("bad-model", str(error), command_id=command.id)
+    except (ValueError, OverflowError, RecursionError) as error:
+        return refusal("bad-model", f"The model handed over is not JSON of a model ({error}).", command_id=command.id)
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    content: bytes
+    replies: list[tuple[str, pb.CommandReply]]
+
+
+class Answered:
+    """The replies of the last commands, by key and id."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[tuple[str, str], _Kept] = OrderedDict()
+
+    def again(self, key: str, command: pb.TwinCommand) -> list[tuple[str, pb.CommandReply]] | None:
+        """(key, reply) of a command that was answered before; None for a new one."""
+        kept = self._kept.get((key, command.id))
+        if kept is None:
+            return None
+        if kept.content != _content(command):
+            text = "This id was used for another command; choose a new one."
+            return [(key, refusal("id-reused", text, command_id=command.id))]
+        return kept.replies
+
+    def keep(self, key: str, command: pb.TwinCommand, replies: list[tuple[str, pb.CommandReply]]) -> None:
+        """Remember what was answered."""
+        self._kept[key, command.id] = _Kept(_content(command), replies)
+        if len(self._kept) > KEPT_IDS:
+            self._kept.popitem(last=False)
+
+
+def _content(command: pb.TwinCommand) -> bytes:
+    """What the command does, not who asks for it; a hash, because the text may be long."""
+    bare = pb.TwinCommand()
+    bare.CopyFrom(command)
+    bare.who = ""
+    return hashlib.sha256(bare.SerializeToString(deterministic=True)).digest()
