@@ -18,6 +18,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "emulate": ("gateway.commands.emulate", "an emulated board on a pty or TCP port"),
     "gateway": ("gateway.commands.gateway", "the daemon: boards <-> zenoh, MCAP"),
     "twin": ("twin.commands.twin", "the model in step with a live rig or a log"),
+    "campaign": ("gateway.commands.campaign", "perform the paper's experiments on a live board, into a campaign"),
     "identify": ("twin.commands.identify", "a model from the recordings of a campaign"),
     "design": ("twin.commands.design", "a controller for the board from a model"),
     "validate": ("twin.commands.validate", "does a model explain the recordings? figures, numbers, a report"),

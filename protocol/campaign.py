@@ -164,16 +164,19 @@ def load(path: Path) -> Campaign:
         DataError: it is absent or not text.
         ConfigError: a key or a value is wrong.
     """
-    file = path / "campaign.toml" if path.is_dir() else path
-    try:
-        text = file.read_text(encoding="utf-8")
-    except OSError as error:
-        raise DataError(
-            f"Campaign {file} cannot be read: {error.strerror}", remedy="Name a campaign.toml or its folder"
-        ) from None
-    except UnicodeDecodeError:
-        raise DataError(f"Campaign {file} is not UTF-8 text", remedy="Name a campaign.toml or its folder") from None
+    text, file = _read(path)
     return parse(text, where=str(file), folder=file.parent)
+
+
+def load_plant(path: Path) -> Plant:
+    """Only the `[plant]` of a campaign or of a file that has nothing else.
+
+    Raises:
+        DataError: it is absent or not text.
+        ConfigError: it has no `[plant]`, or a key or a value of it is wrong.
+    """
+    text, file = _read(path)
+    return _plant(_top(text, where=str(file)).table("plant"))
 
 
 def parse(text: str, *, where: str, folder: Path = Path()) -> Campaign:
@@ -187,10 +190,7 @@ def parse(text: str, *, where: str, folder: Path = Path()) -> Campaign:
     Raises:
         ConfigError: a key or a value is wrong.
     """
-    try:
-        top = TomlTable(where, "", tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{where} is not TOML: {error}", remedy="Correct that line") from None
+    top = _top(text, where=where)
     plant = _plant(top.table("plant"))
     controller = _controller(top.table("controller")) if "controller" in top.values else None
     recordings = tuple(_recording(table) for table in top.tables("recording"))
@@ -203,6 +203,25 @@ def parse(text: str, *, where: str, folder: Path = Path()) -> Campaign:
                 remedy="Keep one of the two: what was fitted cannot judge the fit",
             )
     return Campaign(where=where, folder=folder, plant=plant, controller=controller, recordings=recordings)
+
+
+def _read(path: Path) -> tuple[str, Path]:
+    file = path / "campaign.toml" if path.is_dir() else path
+    try:
+        return file.read_text(encoding="utf-8"), file
+    except OSError as error:
+        raise DataError(
+            f"Campaign {file} cannot be read: {error.strerror}", remedy="Name a campaign.toml or its folder"
+        ) from None
+    except UnicodeDecodeError:
+        raise DataError(f"Campaign {file} is not UTF-8 text", remedy="Name a campaign.toml or its folder") from None
+
+
+def _top(text: str, *, where: str) -> TomlTable:
+    try:
+        return TomlTable(where, "", tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{where} is not TOML: {error}", remedy="Correct that line") from None
 
 
 def parse_column(spec: object, *, where: str, key: str) -> Column:

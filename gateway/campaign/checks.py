@@ -1,0 +1,321 @@
+"""Is a recording usable?  Samples in, problems out.  Pure.
+
+Rule 1: a check looks for what spoils a recording, not for what makes a rig interesting: effects that a diagnosis wants
+        to see (a wrong force law, a coloured noise, single lost samples) pass.
+Rule 2: levels are relative to where this ball rests and to the travel, never to zero: a sensor may be off.
+Rule 3: every problem says what was seen, and whether a repetition may go better, and how (`Cure`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.campaign.menu import Burst, Experiment, Wave
+from gateway.campaign.plan import Limits
+from protocol.bus import board51_pb2 as pb
+from protocol.wire.messages import Flag
+
+FloatArray = NDArray[np.float64]
+Cure = Literal["again", "raise", "lower", "none"]
+
+MOST_LOST_SHARE = 0.05  # of the samples; the filter of the identification starts anew behind each gap
+LONGEST_GAP_S = 0.05  # four e-folds of the unstable pole: nothing connects the two sides
+CLIPPED_SHARE = 0.01  # of the samples at a converter's end
+SATURATED_SHARE = 0.25  # of the samples with u_c at a limit: the law no longer controls
+LIFTED_SHARE = 0.1  # of the travel: farther from the rest than that, the ball has left it
+STOP_SHARE = 0.03  # of the travel: nearer to a stop than that is at it
+AT_STOP_S = 0.1  # in closed loop: longer at a stop is no flight (an overshoot touches it for some 10 ms)
+OFF_SHARE = 0.06  # of the travel: median distance of x from x_ref, where the loop follows
+FOLLOWED_SHARE = 0.2  # of the reference's range: a ball that moves less does not follow it
+STILL_SHARE = 0.02  # of the travel: less is no movement
+FEWEST_CROSSINGS_PER_S = 1.0  # of the middle of the travel, in open-loop flight
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Problem:
+    """Why a recording is not usable."""
+
+    code: str  # kebab-case, stable
+    text: str
+    cure: Cure = "again"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rig:
+    """What the checks know of the rig."""
+
+    limits: Limits
+    travel_m: float
+    rest_m: float  # what x reads at the ball's rest
+    sample_time_s: float
+    lift_off_v: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Samples:
+    """The states of one recording; all arrays of shape (n,), absent values NaN."""
+
+    tick: NDArray[np.int64]
+    session: NDArray[np.int64]
+    u_v: FloatArray
+    i_a: FloatArray
+    x_m: FloatArray
+    x_ref_m: FloatArray
+    mode: NDArray[np.int64]
+    flags: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.tick)
+
+
+def samples_of(states: Sequence[pb.State]) -> Samples:
+    """As arrays."""
+
+    def channel(name: str) -> FloatArray:
+        return np.array([getattr(s, name) if s.HasField(name) else np.nan for s in states], dtype=float)
+
+    return Samples(
+        tick=np.array([s.tick for s in states], dtype=np.int64),
+        session=np.array([s.session for s in states], dtype=np.int64),
+        u_v=channel("u_c_v"),
+        i_a=channel("i_c_a"),
+        x_m=channel("x_m"),
+        x_ref_m=channel("x_ref_m"),
+        mode=np.array([int(s.mode) for s in states], dtype=np.int64),
+        flags=np.array([s.flags for s in states], dtype=np.int64),
+    )
+
+
+def check(
+    experiment: Experiment,
+    samples: Samples,
+    captures: Sequence[pb.CaptureRecord],
+    events: Iterable[pb.Event],
+    rig: Rig,
+) -> tuple[Problem, ...]:
+    """Everything that makes the recording unusable; empty: it is good."""
+    broken = _continuity(samples, events, rig)
+    if broken:
+        return broken
+    problems = _converters(experiment, samples, rig)
+    problems += _captures(experiment, captures)
+    if problems:
+        return problems
+    match experiment.expects:
+        case "rests" | "is-clamped":
+            return _at_rest(experiment, samples, rig)
+        case "lifts-off":
+            return _lifts(experiment, samples, rig)
+        case "bounces":
+            return _bounces(samples, rig)
+        case "flies":
+            return _flies(experiment, samples, rig)
+
+
+def rest_level_m(x_m: Sequence[float]) -> float:
+    """What x reads at rest: the median of samples taken there; NaN without any."""
+    return float(np.median(x_m)) if len(x_m) else float("nan")
+
+
+def departures_v(samples: Samples, rig: Rig) -> list[float]:
+    """The inputs at which the ball left its rest, one for each time it did.
+
+    Read where x has visibly moved, some 10 ms after the departure: on a ramp of 1 V/s that is 0.01 V too much, which
+    does not matter for choosing amplitudes (identification goes back to the instant itself).
+    """
+    away = samples.x_m - rig.rest_m > STOP_SHARE * rig.travel_m
+    settled = round(0.1 / rig.sample_time_s)
+    found = []
+    for k in np.flatnonzero(away[1:] & ~away[:-1]) + 1:
+        if k >= settled and not away[k - settled : k].any():
+            found.append(float(samples.u_v[k]))
+    return found
+
+
+def lift_off_v(samples: Samples, rig: Rig) -> float | None:
+    """The lift-off input: median of the departures; None without one."""
+    found = departures_v(samples, rig)
+    return float(np.median(found)) if found else None
+
+
+def _continuity(s: Samples, events: Iterable[pb.Event], rig: Rig) -> tuple[Problem, ...]:
+    if len(s) < 2:
+        return (Problem(code="no-samples", text=f"{len(s)} samples came"),)
+    if len(np.unique(s.session)) > 1:
+        why = next((e.text for e in events if e.source == "board" and e.name.startswith("reset")), "")
+        return (Problem(code="board-reset", text=f"the board began a new session in between. {why}".rstrip(" .")),)
+    faults = [event for event in events if event.severity == "fault"]
+    if (s.flags & Flag.FAULT).any() or faults:
+        named = "; ".join(f"{event.name}: {event.text}".rstrip(".") for event in faults) or "the board reports a fault"
+        return (Problem(code="fault", text=named),)
+    steps = np.diff(s.tick)
+    lost = int(np.sum(steps - 1))
+    gap_s = float(np.max(steps) - 1) * rig.sample_time_s
+    share = lost / (len(s) + lost)
+    if share > MOST_LOST_SHARE or gap_s > LONGEST_GAP_S:
+        return (
+            Problem(
+                code="samples-lost",
+                text=f"{lost} samples are missing ({100 * share:.2g} %), {gap_s * 1e3:.3g} ms in one place"
+                f" (allowed: {100 * MOST_LOST_SHARE:g} %, {LONGEST_GAP_S * 1e3:g} ms)",
+            ),
+        )
+    return ()
+
+
+def _converters(experiment: Experiment, s: Samples, rig: Rig) -> tuple[Problem, ...]:
+    problems = []
+    current = float(np.mean((s.flags & Flag.CURRENT_RANGE) != 0))
+    if current > CLIPPED_SHARE:
+        problems.append(
+            Problem(
+                code="clipped-i_c", cure="lower", text=f"i_c is at its converter's end in {100 * current:.0f} % of it"
+            )
+        )
+    position = float(np.mean((s.flags & Flag.POSITION_RANGE) != 0))
+    if position > CLIPPED_SHARE and experiment.expects in ("flies", "bounces"):
+        problems.append(
+            Problem(code="clipped-x", cure="none", text=f"x is at its converter's end in {100 * position:.0f} % of it")
+        )
+    for name, values in (("u_c", s.u_v), ("i_c", s.i_a), ("x", s.x_m)):
+        known = values[np.isfinite(values)]
+        if not len(known):
+            problems.append(Problem(code=f"no-{name}", cure="none", text=f"{name} was not measured"))
+        elif np.ptp(known) == 0.0 and not (name == "x" and experiment.expects in ("rests", "is-clamped")):
+            problems.append(
+                Problem(
+                    code="nothing-moves", cure="none", text=f"{name} reads {known[0]:.6g} throughout: not connected?"
+                )
+            )
+    if not problems and experiment.expects != "flies" and _correlation(s.u_v, s.i_a) < 0.1:
+        problems.append(
+            Problem(code="no-response", cure="none", text="i_c does not follow u_c: amplifier off, or not connected")
+        )
+    return tuple(problems)
+
+
+def _correlation(a: FloatArray, b: FloatArray) -> float:
+    both = np.isfinite(a) & np.isfinite(b)
+    return float(np.corrcoef(a[both], b[both])[0, 1])
+
+
+def _captures(experiment: Experiment, captures: Sequence[pb.CaptureRecord]) -> tuple[Problem, ...]:
+    wanted = sum(isinstance(step, Burst) for step in experiment.steps)
+    if len(captures) < wanted:
+        return (Problem(code="captures-missing", text=f"{len(captures)} of {wanted} captures came"),)
+    for capture in captures:
+        i = np.array(capture.i_c_a)
+        if not 0 < capture.step_index < len(i) - 20:
+            return (Problem(code="capture-short", text=f"a capture has {len(i)} samples"),)
+        before, after = i[: capture.step_index], i[-len(i) // 4 :]
+        noise = max(float(np.std(before)), float(np.std(after)), 1e-9)
+        step = abs(capture.u_to_v - capture.u_from_v)
+        if step > 0 and abs(float(np.mean(after) - np.mean(before))) < 0.5 * noise:
+            return (
+                Problem(
+                    code="no-response",
+                    cure="none",
+                    text=f"i_c does not answer the step from {capture.u_from_v:.3g} to {capture.u_to_v:.3g} V",
+                ),
+            )
+    return ()
+
+
+def _at_rest(experiment: Experiment, s: Samples, rig: Rig) -> tuple[Problem, ...]:
+    far = float(np.max(np.abs(s.x_m - rig.rest_m))) / rig.travel_m
+    if experiment.expects == "is-clamped":
+        far = float(np.ptp(s.x_m)) / rig.travel_m
+        if far > STILL_SHARE:
+            return (Problem(code="ball-moves", cure="none", text=f"the ball moves by {100 * far:.0f} % of its travel"),)
+    elif far > LIFTED_SHARE:
+        return (Problem(code="ball-moves", cure="lower", text="the ball left its rest, where it should lie still"),)
+    return ()
+
+
+def _lifts(experiment: Experiment, s: Samples, rig: Rig) -> tuple[Problem, ...]:
+    ramps = sum(int(step.duration_s / step.period_s + 1e-6) for step in experiment.steps if isinstance(step, Wave))
+    found = departures_v(s, rig)
+    highest = float(np.max(s.x_m)) - rig.rest_m
+    if highest < LIFTED_SHARE * rig.travel_m:
+        top = float(np.max(s.u_v))
+        at_limit = top > rig.limits.u_max_v - 3 * rig.limits.u_lsb_v - 1e-9
+        hint = "; that is the limit: raise --u-max, or look whether the ball is stuck" if at_limit else ""
+        return (
+            Problem(
+                code="never-lifted",
+                cure="none" if at_limit else "raise",
+                text=f"the ball never left its rest (u_c went up to {top:.3g} V{hint})",
+            ),
+        )
+    if len(found) < max(ramps - 1, 1):
+        return (Problem(code="few-lift-offs", text=f"the ball left a steady rest {len(found)} times in {ramps} ramps"),)
+    spread = float(np.ptp(found)) / float(np.median(found))
+    if spread > 0.1:
+        return (
+            Problem(
+                code="unsteady-lift-off",
+                text=f"it leaves its rest between {min(found):.3g} and {max(found):.3g} V: it sticks or is pushed",
+            ),
+        )
+    return ()
+
+
+def _bounces(s: Samples, rig: Rig) -> tuple[Problem, ...]:
+    x = s.x_m - rig.rest_m
+    if float(np.max(x)) < LIFTED_SHARE * rig.travel_m:
+        return (Problem(code="never-lifted", cure="raise", text="the ball never left its rest"),)
+    above = x > 0.5 * rig.travel_m
+    crossings = int(np.count_nonzero(above[1:] != above[:-1]))
+    seconds = float(s.tick[-1] - s.tick[0]) * rig.sample_time_s
+    if crossings < FEWEST_CROSSINGS_PER_S * seconds:
+        stays = "on top" if above.mean() > 0.5 else "below"
+        return (
+            Problem(
+                code="hardly-flies",
+                cure="lower" if above.mean() > 0.5 else "raise",
+                text=f"the ball crosses the middle {crossings} times in {seconds:.1f} s and mostly stays {stays}",
+            ),
+        )
+    return ()
+
+
+def _flies(experiment: Experiment, s: Samples, rig: Rig) -> tuple[Problem, ...]:
+    if (s.mode != pb.MODE_CLOSED_LOOP).any():
+        return (Problem(code="mode-changed", text="the board left closed loop in between"),)
+    x = s.x_m - rig.rest_m
+    if float(np.ptp(x)) < FOLLOWED_SHARE * float(np.ptp(s.x_ref_m)):
+        return (Problem(code="nothing-moves", text="x_ref moves, the ball does not"),)
+    at_stop = (x < STOP_SHARE * rig.travel_m) | (x > (1 - STOP_SHARE) * rig.travel_m)
+    longest_s = _longest(at_stop) * rig.sample_time_s
+    if longest_s > AT_STOP_S:
+        return (Problem(code="ball-fell", cure="lower", text=f"the ball lay at a stop for {longest_s:.2g} s"),)
+    ends = (s.u_v >= rig.limits.u_max_v - rig.limits.u_lsb_v) | (s.u_v <= rig.limits.u_min_v + rig.limits.u_lsb_v)
+    share = float(np.mean(ends | ((s.flags & Flag.INPUT_SATURATED) != 0)))
+    if share > SATURATED_SHARE:
+        return (
+            Problem(code="clipped-u_c", cure="lower", text=f"u_c is at a limit in {100 * share:.0f} % of the samples"),
+        )
+    # A fast reference is not followed point by point, so only the mean is looked at.
+    fast = any(isinstance(step, Wave) and step.shape in ("prbs", "multisine", "chirp") for step in experiment.steps)
+    error = s.x_m - s.x_ref_m
+    off = abs(float(np.nanmean(error) if fast else np.nanmedian(np.abs(error)))) / rig.travel_m
+    if off > OFF_SHARE:
+        return (
+            Problem(
+                code="reference-not-reached",
+                cure="lower",
+                text=f"x is {100 * off:.0f} % of the travel off its reference",
+            ),
+        )
+    return ()
+
+
+def _longest(mask: NDArray[np.bool_]) -> int:
+    """Length of the longest stretch of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return int(np.max(edges[1::2] - edges[::2], initial=0))

@@ -1,0 +1,228 @@
+"""The folder of a campaign: one MCAP per experiment, `campaign.toml` for the tools, `run.json` to go on where it ended.
+
+Rule 1: each file is whole or absent.  Recordings and both lists are written beside their place, synced, and renamed.
+Rule 2: a recording is listed after it is there.  What is not in `campaign.toml` is not part of the campaign.
+Rule 3: one folder, one rig, one plan.  Another board, plant, law or plan is refused, and said which.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gateway.campaign.menu import BY_NAME, MENU, Experiment
+from gateway.campaign.plan import Limits
+from gateway.campaign.tap import Recorded
+from gateway.record.writer import LogWriter
+from protocol.bus import board51_pb2 as pb
+from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recording
+from protocol.campaign_text import emit
+from protocol.errors import DataError, ServiceError, UsageError
+
+RUN_FILE = "run.json"
+FORMAT = 1
+# A CE 152 as published; the same numbers as the twin's nominal model, which this package may not import.
+CE152 = Plant(name="ce152", mass_kg=8.28e-3, travel_m=5.7e-3, x_max_m=5.7e-3, gravity_m_s2=9.81)
+
+
+@dataclass(slots=True, kw_only=True)
+class Kept:
+    """One recording of the folder."""
+
+    bytes: int
+    seconds: float
+    attempts: int
+    plan: dict[str, Any]  # what it was made with
+    said: list[str] = field(default_factory=list)  # of the attempts before
+
+
+def identity_of(board: str, parameters: pb.Parameters, plant: Plant) -> dict[str, Any]:
+    """What must be the same for all recordings of a folder."""
+    return {
+        "board": {"name": board, "board_id": parameters.board_id, "sample_time_s": parameters.sample_time_s},
+        "plant": asdict(plant),
+        "law": {
+            "law": pb.Law.Name(parameters.law),
+            "gains": list(parameters.gains),
+            "operating_point": [parameters.i_0_a, parameters.x_0_m, parameters.u_0_v],
+        },
+    }
+
+
+def plan_of(experiment: Experiment, limits: Limits, seed: int) -> dict[str, Any]:
+    """What makes two recordings of one name the same experiment."""
+    steps = [{"step": type(step).__name__, **asdict(step)} for step in experiment.steps]
+    return {"steps": steps, "seed": seed, "limits": asdict(limits)}
+
+
+def controller_of(parameters: pb.Parameters) -> Controller:
+    """`[controller]` as the board says it."""
+    k1, k2, k3, k4 = parameters.gains
+    return Controller(
+        kind="lqi" if parameters.law == pb.LAW_LQI else "pid",
+        gains=(k1, k2, k3, k4),
+        operating_point=OperatingPoint(i_c_a=parameters.i_0_a, x_m=parameters.x_0_m, u_c_v=parameters.u_0_v),
+    )
+
+
+class Folder:
+    """A campaign's folder, new or to be continued.
+
+    Args:
+        path: made if absent.
+
+    Raises:
+        UsageError: it holds a campaign that was not made here, or cannot be made.
+        DataError: its run.json is damaged.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.lift_off_v: float | None = None
+        self.kept: dict[str, Kept] = {}
+        self._identity: dict[str, Any] | None = None
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UsageError(
+                f"Folder {path} cannot be made: {error.strerror}", remedy="Give a folder that can be written"
+            ) from None
+        if (path / RUN_FILE).exists():
+            self._load()
+        elif (path / "campaign.toml").exists():
+            raise UsageError(
+                f"{path} holds a campaign that `campaign run` did not make", remedy="Give a new folder for this one"
+            )
+
+    def _load(self) -> None:
+        file = self.path / RUN_FILE
+        try:
+            table = json.loads(file.read_text(encoding="utf-8"))
+            if table["format"] != FORMAT:
+                raise DataError(f"{file} has format {table['format']}, this is {FORMAT}", remedy="Give a new folder")
+            self.lift_off_v = table["lift_off_v"]
+            self._identity = table["identity"]
+            self.kept = {name: Kept(**values) for name, values in table["recordings"].items() if name in BY_NAME}
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise DataError(
+                f"{file} cannot be read ({error})", remedy="Give a new folder; the recordings here stay readable"
+            ) from None
+
+    def claim(self, identity: Mapping[str, Any]) -> None:
+        """This rig, and no other.
+
+        Raises:
+            UsageError: the folder belongs to another one.
+        """
+        if self._identity is not None and self.kept:
+            for part, known in self._identity.items():
+                differing = [key for key in known if known[key] != identity[part].get(key)]
+                if differing:
+                    key = differing[0]
+                    raise UsageError(
+                        f"{self.path} is of another {part}: {key} was {known[key]}, is {identity[part].get(key)}",
+                        remedy="Give a new folder, or the same board, plant and gains as before",
+                    )
+        self._identity = dict(identity)
+
+    def has(self, name: str, plan: Mapping[str, Any]) -> bool:
+        """Whether the recording is there, whole.
+
+        Raises:
+            UsageError: it is there, but made by another plan.
+        """
+        kept = self.kept.get(name)
+        file = self.file_of(name)
+        if kept is None or not file.is_file() or file.stat().st_size != kept.bytes:
+            return False
+        known = json.loads(json.dumps(plan))  # as run.json would give it back
+        if kept.plan != known:
+            raise UsageError(
+                f"{file} was made by another plan: {_difference(kept.plan, known)}",
+                remedy="Repeat the options of then, give a new folder, or delete that file to record it anew",
+            )
+        return True
+
+    def file_of(self, name: str) -> Path:
+        """Where a recording lies."""
+        return self.path / f"{name}.mcap"
+
+    def keep(self, experiment: Experiment, recorded: Recorded, kept: Kept, campaign: Controller | None) -> None:
+        """Write a recording and list it.
+
+        Raises:
+            ServiceError: the disk refuses.
+        """
+        file, beside = self.file_of(experiment.name), self.path / f".{experiment.name}.part"
+        beside.unlink(missing_ok=True)
+        about = {"experiment": experiment.name, "kind": experiment.kind, "use": experiment.use}
+        writer = LogWriter(beside, metadata={"campaign": about}, compression="zstd")
+        try:
+            for message in recorded.messages:
+                writer.write(*message)
+            writer.close()
+        except ServiceError:
+            writer.abandon()
+            beside.unlink(missing_ok=True)
+            raise
+        kept.bytes = beside.stat().st_size
+        beside.replace(file)
+        self.kept[experiment.name] = kept
+        self.save(campaign)
+
+    def drop(self, name: str) -> None:
+        """A recording that is to be made anew, or is not usable after all."""
+        self.kept.pop(name, None)
+
+    def save(self, controller: Controller | None) -> None:
+        """Bring both lists up to date."""
+        assert self._identity is not None
+        table = {
+            "format": FORMAT,
+            "identity": self._identity,
+            "lift_off_v": self.lift_off_v,
+            "recordings": {name: asdict(kept) for name, kept in self.kept.items()},
+        }
+        self._write(RUN_FILE, json.dumps(table, indent=1) + "\n")
+        if self.kept:
+            self._write("campaign.toml", self._campaign(Plant(**self._identity["plant"]), controller))
+
+    def _campaign(self, plant: Plant, controller: Controller | None) -> str:
+        recordings = tuple(
+            Recording(file=f"{e.name}.mcap", kind=e.kind, use=e.use) for e in MENU if e.name in self.kept
+        )
+        comments = ["Made by `board51 campaign run`.  run.json beside it says how."]
+        if plant == CE152:
+            comments += [
+                "[plant]: the published constants of a CE 152; nobody measured this rig.  x_max = travel puts the",
+                "coil's plane at the top stop; correct x_max_m if you know better.",
+            ]
+        whole = Campaign(where="", folder=self.path, plant=plant, controller=controller, recordings=recordings)
+        return emit(whole, comments=comments)
+
+    def _write(self, name: str, text: str) -> None:
+        beside = self.path / f".{name}.part"
+        try:
+            with beside.open("w", encoding="utf-8") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+            beside.replace(self.path / name)
+        except OSError as error:
+            raise ServiceError(
+                f"{self.path / name} cannot be written: {error.strerror}",
+                remedy="Make room or give write permission; the same command goes on",
+            ) from None
+
+
+def _difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+    if old.get("seed") != new["seed"]:
+        return f"--seed was {old.get('seed')}, is {new['seed']}"
+    for key, value in new["limits"].items():
+        if old.get("limits", {}).get(key) != value:
+            return f"the limit {key} was {old.get('limits', {}).get(key)}, is {value}"
+    return "its steps differ (with and without --quick, or another version of the menu)"

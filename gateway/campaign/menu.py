@@ -1,0 +1,257 @@
+"""The menu of experiments: a table of data.  What is played, for how long, and what it is for.
+
+Rule 1: no volts and no metres.  Inputs are shares of the lift-off input (the u_c that just lifts the ball from its
+        rest), positions shares of the travel above the rest: so one table serves every rig.
+Rule 2: what judges is another experiment than what is fitted: another seed, another amplitude, another file.
+Rule 3: durations are those of the default run; `shortened` gives those of `--quick`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from protocol.campaign import Kind, Use
+
+Shape = Literal["step", "rectangle", "sawtooth", "prbs", "multisine", "chirp"]
+Expectation = Literal["rests", "lifts-off", "bounces", "flies", "is-clamped"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CoilOff:
+    """Mode idle."""
+
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Constant:
+    """Open loop, one input."""
+
+    u: float  # share of the lift-off input
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Burst:
+    """A 25 kHz capture of one step of u_c."""
+
+    u_from: float  # shares of the lift-off input
+    u_to: float
+    lead_s: float = 0.15  # u_from is held so long before it: a slow coil must be steady when the step comes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wave:
+    """A test signal of the board between two values, on u_c (open loop) or on x_ref (closed loop)."""
+
+    shape: Shape
+    low: float  # share of the lift-off input, or of the travel
+    high: float
+    period_s: float  # of a prbs: of its clock; of a chirp: at its start
+    duration_s: float
+    on_reference: bool = False
+    salt: int = 0  # added to the campaign's seed
+    period_end_s: float = 0.0  # chirp
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hover:
+    """Closed loop, one reference."""
+
+    x: float  # share of the travel
+    duration_s: float
+
+
+Step = CoilOff | Constant | Burst | Wave | Hover
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Experiment:
+    """One recording of a campaign."""
+
+    name: str  # and of its file
+    kind: Kind
+    use: Use
+    about: str  # what it is for, one sentence
+    expects: Expectation
+    steps: tuple[Step, ...]
+    standard: bool = True  # part of the default run
+    quick: float = 0.4  # share of the durations that `--quick` keeps; 0: not part of it
+    person: str = ""  # what somebody has to do by hand first
+
+    @property
+    def closed_loop(self) -> bool:
+        """Whether the board's law flies the ball."""
+        return self.expects == "flies"
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the recording, about."""
+        return sum(BURST_S + step.lead_s if isinstance(step, Burst) else step.duration_s for step in self.steps)
+
+
+BURST_S = 0.7  # until 1000 samples have come over the free third of the line
+LIFT_OFF = "lift-off"
+
+
+def _fly(x: float, *steps: Step) -> tuple[Step, ...]:
+    return (Hover(x=x, duration_s=0.3), *steps)
+
+
+def _reference(
+    shape: Shape, low: float, high: float, period_s: float, duration_s: float, salt: int = 0
+) -> tuple[Step, ...]:
+    """Hover in the middle, then the signal."""
+    wave = Wave(shape=shape, low=low, high=high, period_s=period_s, duration_s=duration_s, on_reference=True, salt=salt)
+    return _fly((low + high) / 2, wave)
+
+
+def _bursts(*levels: tuple[float, float]) -> tuple[Step, ...]:
+    return tuple(Burst(u_from=a, u_to=b) for a, b in levels)
+
+
+def _levels(*levels: float, each_s: float) -> tuple[Step, ...]:
+    return tuple(Constant(u=u, duration_s=each_s) for u in levels)
+
+
+def _bouncing(duration_s: float, salt: int) -> tuple[Step, ...]:
+    # The ball leaves the top stop only below about a third of the lift-off input, and needs 0.03 to 0.06 s from stop to
+    # stop: hence 0.1 .. 1.2 and a clock of 0.04 s.
+    return (Wave(shape="prbs", low=0.1, high=1.2, period_s=0.04, duration_s=duration_s, salt=salt),)
+
+
+_SAME_STEPS = Wave(shape="rectangle", low=0.42, high=0.58, period_s=1.0, duration_s=4.0, on_reference=True)
+
+MENU: tuple[Experiment, ...] = (
+    Experiment(
+        name=LIFT_OFF, kind="sawtooth", use="fit", expects="lifts-off", quick=0.45,
+        about="the current that just lifts the ball: K_c by eq. (8); measures the lift-off input for all that follows",
+        steps=(Wave(shape="sawtooth", low=0.0, high=1.1, period_s=3.0, duration_s=10.0),),
+    ),
+    Experiment(
+        name="rest", kind="amplifier-step", use="fit", expects="rests",
+        about="noise of both sensors with the coil off and under constant currents, the ball at rest",
+        steps=(CoilOff(duration_s=1.5), *_levels(0.3, 0.6, each_s=1.5)),
+    ),
+    Experiment(
+        name="amplifier-steps", kind="amplifier-step", use="fit", expects="rests", quick=1.0,
+        about="25 kHz steps up and down below lift-off: K_A from the levels, T_A from the way there, eq. (1)",
+        steps=_bursts((0.0, 0.1), (0.1, 0.35), (0.35, 0.6), (0.6, 0.85), (0.85, 0.35), (0.6, 0.35), (0.1, 0.85),
+                      (0.35, 0.1)),
+    ),
+    Experiment(
+        name="amplifier-steps-judge", kind="amplifier-step", use="judge", expects="rests", quick=0.0,
+        about="other 25 kHz steps, to judge the amplifier",
+        steps=_bursts((0.2, 0.75), (0.75, 0.45), (0.45, 0.2)),
+    ),
+    Experiment(
+        name="prbs-open-loop", kind="prbs", use="fit", expects="bounces",
+        about="the ball flies between the stops: K_c and b by eq. (7) without a controller",
+        steps=_bouncing(8.0, salt=1),
+    ),
+    Experiment(
+        name="prbs-open-loop-judge", kind="prbs", use="judge", expects="bounces", quick=0.0,
+        about="the same with another sequence, to judge",
+        steps=_bouncing(4.0, salt=2),
+    ),
+    Experiment(
+        name="steps", kind="closed-loop", use="fit", expects="flies",
+        about="small reference steps around the middle: fig. 12 of the paper, the loop near its operating point",
+        steps=_reference("rectangle", 0.42, 0.58, 1.0, 8.0),
+    ),
+    Experiment(
+        name="steps-judge", kind="closed-loop", use="judge", expects="flies", quick=0.0,
+        about="small steps of another size and period, to judge",
+        steps=_reference("rectangle", 0.44, 0.6, 1.4, 7.0),
+    ),
+    Experiment(
+        name="wide-steps", kind="closed-loop", use="fit", expects="flies",
+        about="reference steps over half the travel: the force law over the gap",
+        steps=_reference("rectangle", 0.27, 0.73, 1.4, 8.4),
+    ),
+    Experiment(
+        name="wide-steps-judge", kind="closed-loop", use="judge", expects="flies", quick=0.5,
+        about="wide steps of another size and period, to judge",
+        steps=_reference("rectangle", 0.3, 0.7, 1.2, 6.0),
+    ),
+    Experiment(
+        name="multisine", kind="closed-loop", use="fit", expects="flies",
+        about="eight frequencies at once on the reference: K_c and b without a favoured frequency",
+        steps=_reference("multisine", 0.35, 0.65, 2.0, 10.0, salt=3),
+    ),
+    Experiment(
+        name="multisine-judge", kind="closed-loop", use="judge", expects="flies", quick=0.0,
+        about="other signs, shift and amplitude, to judge",
+        steps=_reference("multisine", 0.38, 0.62, 2.0, 6.0, salt=40),
+    ),
+    Experiment(
+        name="prbs-reference", kind="closed-loop", use="fit", expects="flies",
+        about="a random reference: fast motion, where the drag shows",
+        steps=_reference("prbs", 0.42, 0.58, 0.08, 8.0, salt=5),
+    ),
+    Experiment(
+        name="prbs-reference-judge", kind="closed-loop", use="judge", expects="flies", quick=0.0,
+        about="another sequence and amplitude, to judge",
+        steps=_reference("prbs", 0.43, 0.57, 0.1, 6.0, salt=6),
+    ),
+    Experiment(
+        name="chirp", kind="closed-loop", use="fit", expects="flies", standard=False, quick=1.0,
+        about="a sine from 0.5 to 10 Hz on the reference: lags and resonances by frequency",
+        steps=_fly(0.5, Wave(shape="chirp", low=0.47, high=0.53, period_s=2.0, period_end_s=0.1, duration_s=15.0,
+                             on_reference=True)),
+    ),
+    Experiment(
+        name="holds", kind="closed-loop", use="fit", expects="flies", standard=False, quick=1.0,
+        about="seven positions over the travel, each held: force law and sensor against position, at rest",
+        steps=tuple(Hover(x=x, duration_s=2.5) for x in (0.1, 0.22, 0.35, 0.48, 0.61, 0.74, 0.87)),
+    ),
+    Experiment(
+        name="slow-ramp", kind="closed-loop", use="fit", expects="flies", standard=False, quick=1.0,
+        about="the reference rises slowly and falls back: every position passed, almost at rest",
+        steps=_reference("sawtooth", 0.28, 0.72, 10.0, 20.0),
+    ),
+    Experiment(
+        name="warm-run", kind="closed-loop", use="fit", expects="flies", standard=False, quick=1.0,
+        about="steps, 60 s held low under a high current, the same steps again: what warming up changes",
+        steps=_fly(0.5, _SAME_STEPS, Hover(x=0.1, duration_s=60.0), Hover(x=0.5, duration_s=0.5), _SAME_STEPS),
+    ),
+    Experiment(
+        name="blocked-ball", kind="amplifier-step", use="fit", expects="is-clamped", standard=False, quick=1.0,
+        person="Clamp the ball so that it cannot move (a shim between ball and coil housing).",
+        about="steps of u_c with the ball clamped: the amplifier alone, up to inputs at which a free ball would fly",
+        steps=(*_levels(0.2, 0.6, 1.1, 0.8, 0.4, each_s=1.0), *_bursts((0.1, 1.1), (1.1, 0.5), (0.5, 0.1))),
+    ),
+)  # fmt: skip
+BY_NAME = {experiment.name: experiment for experiment in MENU}
+
+
+def shortened(experiment: Experiment) -> Experiment:
+    """As `--quick` does it: fewer seconds of everything, of amplifier steps every other one."""
+    keep = experiment.quick
+    if not 0.0 < keep < 1.0:
+        return replace(experiment, steps=experiment.steps[::2]) if experiment.name == "amplifier-steps" else experiment
+    return replace(experiment, steps=tuple(_shortened(step, keep, experiment.expects) for step in experiment.steps))
+
+
+def _shortened(step: Step, keep: float, expects: Expectation) -> Step:
+    match step:
+        case Burst():
+            return step
+        case Wave() if expects == "lifts-off":  # as many ramps, each shorter
+            return replace(step, period_s=step.period_s * keep, duration_s=step.duration_s * keep)
+        case Hover(duration_s=duration_s) if duration_s < 1.0:
+            return step
+        case _:
+            return replace(step, duration_s=step.duration_s * keep)
+
+
+def chosen(names: tuple[str, ...] = (), *, quick: bool = False) -> tuple[Experiment, ...]:
+    """The experiments of a run, in the order of the menu.
+
+    Args:
+        names: These and no others; empty: the default run.
+        quick: The shorter form.
+    """
+    listed = [e for e in MENU if (e.name in names if names else e.standard and (e.quick > 0.0 or not quick))]
+    return tuple(shortened(e) if quick else e for e in listed)

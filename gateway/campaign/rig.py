@@ -1,0 +1,308 @@
+"""The board's controls, one call each, on the clock of the board.  Thin: decides only how to wait.
+
+Rule 1: time is ticks.  A hold of 2 s is 1000 ticks of the stream, however late they come.
+Rule 2: every wait ends: at its tick, at `Stopped` (Ctrl-C), at `Cut` (this attempt is spoilt: reset, fault, ball at a
+        stop), or at a ServiceError when nothing comes any more.
+Rule 3: `park` never raises: it is what happens when everything else went wrong.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+import uuid
+from collections.abc import Callable
+
+import zenoh
+
+from gateway.campaign.checks import AT_STOP_S, STOP_SHARE, Problem, rest_level_m
+from gateway.campaign.plan import CAPTURE_PRE_S, CAPTURE_S, Action, GoTo, Send, Shoot
+from gateway.campaign.tap import Tap
+from gateway.client import send
+from protocol.bus import board51_pb2 as pb
+from protocol.errors import Board51Error, ServiceError
+from protocol.wire.messages import Flag
+
+SILENCE_S = 3.0  # without a state: the gateway reconnects a port and re-reads a board within it
+SETTLE_S = 4.0  # longest time from the command to the ball resting at its reference
+STEADY_S = 0.25
+LANDING_S = 0.3  # a fall through the travel takes 0.03 s, its bounces ten times that
+CAPTURE_LIMIT_S = 5.0
+_AGAIN = ("flood", "queue-full", "slew", "busy", "no-session", "not-available")
+_AGAIN_LIMIT_S = 5.0
+ID_PREFIX = "campaign-"
+
+
+class Stopped(Exception):  # noqa: N818  # not an error: somebody wanted it
+    """Ctrl-C or SIGTERM."""
+
+
+class Cut(Exception):  # noqa: N818  # an expected outcome of an attempt
+    """This attempt gives no usable recording."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem.text)
+        self.problem = problem
+
+
+class Rig:
+    """One board, through its gateway.
+
+    Args:
+        session: of the bus.
+        tap: listening to the same board.
+        stop: set when the user wants the end.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        site: str,
+        board: str,
+        tap: Tap,
+        stop: threading.Event,
+        *,
+        who: str,
+        travel_m: float,
+    ) -> None:
+        self._session, self._site, self._board, self._tap, self._stop = session, site, board, tap, stop
+        self._who, self._travel_m = who, travel_m
+        self.rest_m = float("nan")
+
+    # --- waiting
+
+    def wait(self, ready: Callable[[], bool], *, timeout_s: float | None = None) -> bool:
+        """Until `ready()` (asked after each message, with the tap locked) or the time-out.
+
+        Raises:
+            Stopped: the user wants the end.
+            ServiceError: the board, its link or the gateway is gone.
+        """
+        end_s = None if timeout_s is None else time.monotonic() + timeout_s
+        with self._tap.changed:
+            while not ready():
+                if self._stop.is_set():
+                    raise Stopped
+                if self._tap.silence_s() > SILENCE_S:
+                    raise self._lost("No samples")
+                if end_s is not None and time.monotonic() > end_s:
+                    return False
+                self._tap.changed.wait(0.05)
+        if self._stop.is_set():
+            raise Stopped
+        return True
+
+    def _lost(self, what: str) -> ServiceError:
+        return ServiceError(
+            f"{what} from {self._site}/{self._board} for {SILENCE_S:g} s: gateway, link or board is gone",
+            remedy="Look at `board51 watch --topic status`; when it is back, the same command goes on where this ended",
+        )
+
+    def await_board(self) -> tuple[pb.State, pb.Parameters]:
+        """The first state and the parameters (they come every 5 s).
+
+        Raises:
+            ServiceError: the board is not there.
+        """
+        self.wait(lambda: self._tap.state is not None)
+        if not self.wait(lambda: self._tap.parameters is not None, timeout_s=8.0):
+            raise ServiceError(
+                f"{self._site}/{self._board} streams but does not say its parameters", remedy="Restart its gateway"
+            )
+        assert self._tap.state is not None
+        assert self._tap.parameters is not None
+        return self._tap.state, self._tap.parameters
+
+    def hold(self, duration_s: float, *, from_tick: int | None = None) -> None:
+        """Let that much of the board's time pass.
+
+        Raises:
+            Cut: the board was reset, reports a fault, left the mode, or the ball lies at a stop in closed loop.
+        """
+        first, period_s = self._newest(), self._sample_time_s()
+        start = first.tick if from_tick is None else from_tick
+        due = start + round(duration_s / period_s)
+        at_stop_since = -1
+
+        def over() -> bool:
+            nonlocal at_stop_since
+            state = self._newest()
+            self._watch(state, first.session)
+            if state.mode == pb.MODE_CLOSED_LOOP and self._at_stop(state):
+                at_stop_since = state.tick if at_stop_since < 0 else at_stop_since
+                if (state.tick - at_stop_since) * period_s > 2 * AT_STOP_S + STEADY_S:
+                    raise Cut(Problem(code="ball-fell", cure="lower", text="the ball fell out of the loop"))
+            else:
+                at_stop_since = -1
+            return state.tick >= due
+
+        self.wait(over)
+
+    def _watch(self, state: pb.State, session: int) -> None:
+        if state.session != session:
+            raise Cut(Problem(code="board-reset", text="the board began a new session in between"))
+        if state.flags & Flag.FAULT:
+            raise Cut(Problem(code="fault", text="the board reports a fault and has switched the coil off"))
+        if state.flags & Flag.HOST_LOST:
+            raise Cut(Problem(code="host-lost", text="the board missed its host and has acted on its own"))
+
+    def _at_stop(self, state: pb.State) -> bool:
+        height = (state.x_m - self.rest_m) / self._travel_m
+        return state.HasField("x_m") and not STOP_SHARE < height < 1.0 - STOP_SHARE
+
+    def _newest(self) -> pb.State:
+        assert self._tap.state is not None
+        return self._tap.state
+
+    def _sample_time_s(self) -> float:
+        assert self._tap.parameters is not None
+        return self._tap.parameters.sample_time_s
+
+    # --- commands
+
+    def command(self, command: pb.Command) -> int:
+        """Send; repeat what only came too early; the tick from which it is in force.
+
+        Raises:
+            Cut: refused for good.
+            ServiceError: not delivered.
+        """
+        end_s = time.monotonic() + _AGAIN_LIMIT_S
+        while True:
+            if self._stop.is_set():
+                raise Stopped
+            reply = self._send(command)
+            if reply.accepted:
+                return reply.tick
+            if reply.reason == "not-delivered":
+                raise self._lost("No answer to a command")
+            if reply.reason not in _AGAIN or time.monotonic() > end_s:
+                what = str(command.WhichOneof("what")).replace("_", " ")
+                cure = "none" if reply.reason == "out-of-range" else "again"
+                text = f"{what} was refused by the {reply.refused_by}: {reply.reason}: {reply.text}".rstrip(".")
+                raise Cut(Problem(code="refused", text=text, cure="none" if cure == "none" else "again"))
+            self._stop.wait(0.1)
+
+    def _send(self, command: pb.Command, *, timeout_s: float = 5.0) -> pb.CommandReply:
+        own = pb.Command()
+        own.CopyFrom(command)
+        own.id, own.who = f"{ID_PREFIX}{uuid.uuid4().hex}", self._who
+        return send(self._session, self._site, self._board, own, timeout_s=timeout_s)
+
+    def mode(self, mode: pb.Mode) -> None:
+        """Enter a mode."""
+        self.command(pb.Command(set_mode=pb.SetMode(mode=mode)))
+
+    def act(self, action: Action) -> None:
+        """Do one step of a plan, recorded."""
+        match action:
+            case Send():
+                tick = self.command(action.command)
+                self.hold(action.hold_s, from_tick=tick)
+            case GoTo():
+                self.go_to(action.x_ref_m)
+                self.hold(action.hold_s)
+            case Shoot():
+                self._shoot(action)
+
+    def _shoot(self, shot: Shoot) -> None:
+        level = pb.Excite(shape=pb.SHAPE_NONE, offset=shot.u_from_v)
+        tick = self.command(pb.Command(excite=level))
+        self.hold(shot.lead_s, from_tick=tick)
+        with self._tap.changed:
+            before, session = self._tap.captures, self._newest().session
+        capture = pb.Capture(u_from_v=shot.u_from_v, u_to_v=shot.u_to_v, duration_s=CAPTURE_S, pre_s=CAPTURE_PRE_S)
+        self.command(pb.Command(capture=capture))
+
+        def arrived() -> bool:
+            self._watch(self._newest(), session)
+            return self._tap.captures > before
+
+        if not self.wait(arrived, timeout_s=CAPTURE_LIMIT_S):
+            raise Cut(Problem(code="captures-missing", text="the samples of a capture did not come"))
+
+    def go_to(self, x_ref_m: float) -> None:
+        """Move the reference, in steps that the board's allowance takes."""
+        parameters = self._tap.parameters
+        assert parameters is not None
+        step_m, count_m = 0.95 * parameters.x_ref_step_max_m, abs(parameters.x_lsb_m)
+        while True:
+            at_m = self._newest().x_ref_m
+            left_m = x_ref_m - at_m
+            if abs(left_m) <= count_m:
+                return
+            there = x_ref_m if abs(left_m) <= step_m else at_m + (step_m if left_m > 0 else -step_m)
+            tick = self.command(pb.Command(set_reference=pb.SetReference(x_ref_m=there)))
+            session = self._newest().session
+
+            def seen(tick: int = tick, session: int = session) -> bool:
+                self._watch(self._newest(), session)
+                return self._newest().tick >= tick
+
+            self.wait(seen)
+
+    def lift(self, x_ref_m: float) -> None:
+        """Close the loop and wait until the ball rests at the reference.
+
+        Raises:
+            Cut: it does not get there.
+        """
+        self.go_to(x_ref_m)
+        self.mode(pb.MODE_CLOSED_LOOP)
+        period_s, session = self._sample_time_s(), self._newest().session
+        first, since = self._newest().tick, -1
+
+        def steady() -> bool:
+            nonlocal since
+            state = self._newest()
+            self._watch(state, session)
+            near = abs(state.x_m - state.x_ref_m) < STOP_SHARE * self._travel_m and not self._at_stop(state)
+            since = (state.tick if since < 0 else since) if near else -1
+            if (state.tick - first) * period_s > SETTLE_S:
+                height = (state.x_m - self.rest_m) * 1e3
+                raise Cut(
+                    Problem(
+                        code="reference-not-reached",
+                        text=f"{SETTLE_S:g} s after closing the loop the ball is at {height:.2f} mm above its rest, the"
+                        f" reference at {(state.x_ref_m - self.rest_m) * 1e3:.2f} mm",
+                    )
+                )
+            return since >= 0 and (state.tick - since) * period_s >= STEADY_S
+
+        self.wait(steady)
+
+    def measure_rest(self) -> None:
+        """Learn what x reads at rest; the coil is off."""
+        with self._tap.changed:
+            self._tap.recent.clear()
+        self.wait(lambda: len(self._tap.recent) >= 50)
+        self.rest_m = rest_level_m([state.x_m for state in self._tap.recent if state.HasField("x_m")])
+
+    def land(self) -> None:
+        """End an experiment: excitation ended, ball down, coil off, still."""
+        self.command(pb.Command(stop=pb.Stop()))
+        self.hold(LANDING_S)
+
+    def park(self) -> str:
+        """STOP, whatever happened before; "" or why it could not be delivered."""
+        why = "no answer"
+        for _ in range(3):
+            with contextlib.suppress(Board51Error, zenoh.ZError):
+                reply = self._send(pb.Command(stop=pb.Stop()), timeout_s=2.0)
+                if reply.accepted:
+                    return ""
+                why = f"{reply.reason}: {reply.text}".rstrip(".")
+            time.sleep(0.1)
+        return why
+
+    def put_back(self, x_ref_m: float, *, stream_divider: int) -> str:
+        """Reference and stream as they were found; "" or why not."""
+        self._stop = threading.Event()  # the wish to end has been heard
+        try:
+            self.go_to(x_ref_m)
+            if stream_divider != 1:
+                self.command(pb.Command(set_stream=pb.SetStream(divider=stream_divider)))
+        except (Cut, Board51Error) as error:
+            return f"the reference could not be put back to {x_ref_m * 1e3:.3f} mm: {error}"
+        return ""

@@ -1,0 +1,331 @@
+"""A campaign from its first command to its last: which experiment next, how often, and how it ends.
+
+Rule 1: each experiment begins and ends parked: mode idle, coil off, ball at rest.
+Rule 2: whatever ends the run (done, Ctrl-C, a lost board, a full disk) goes through `_leave`: STOP, then reference and
+        stream as they were found.
+Rule 3: a recording that is not usable is repeated at most twice, changed where that helps, then given up: the rest of
+        the campaign does not depend on it, but for the lift-off input.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from gateway.campaign import checks
+from gateway.campaign.folder import Folder, Kept, controller_of, identity_of, plan_of
+from gateway.campaign.menu import BY_NAME, LIFT_OFF, Experiment
+from gateway.campaign.plan import (
+    Action,
+    GoTo,
+    Impossible,
+    Limits,
+    Scale,
+    Send,
+    actions_of,
+    guessed_lift_off_v,
+    limits_of,
+    needs_lift_off,
+    raised,
+)
+from gateway.campaign.rig import ID_PREFIX, Cut, Rig, Stopped
+from gateway.campaign.tap import Recorded, Tap
+from protocol.bus import board51_pb2 as pb
+from protocol.campaign import Plant
+from protocol.errors import Board51Error, ServiceError
+
+ATTEMPTS = 3
+LOWERED = 0.7  # amplitudes of a repetition after the ball fell or something was clipped
+OVERHEAD_S = {True: 2.0, False: 0.8}  # around a recording, in closed and open loop: lifting, landing, writing
+Standing = Literal["recorded", "already-there", "given-up", "impossible", "skipped", "interrupted", "not-reached"]
+
+
+@dataclass(slots=True, kw_only=True)
+class Outcome:
+    """What became of one experiment."""
+
+    experiment: Experiment
+    standing: Standing = "not-reached"
+    attempts: int = 0
+    seconds: float = 0.0
+    said: list[str] = field(default_factory=list)
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the folder holds it."""
+        return self.standing in ("recorded", "already-there")
+
+
+@dataclass(slots=True, kw_only=True)
+class Summary:
+    """The whole run."""
+
+    outcomes: list[Outcome]
+    lift_off_v: float | None = None
+    interrupted: bool = False
+    failure: str = ""  # the error that ended it
+    parked: str = ""  # "" or why STOP could not be delivered
+    restored: list[str] = field(default_factory=list)
+
+    @property
+    def complete(self) -> bool:
+        """Everything that was asked for is in the folder."""
+        settled = all(o.is_there or o.standing == "skipped" for o in self.outcomes)
+        return settled and not (self.interrupted or self.failure or self.parked)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wishes:
+    """What the user asked for."""
+
+    experiments: tuple[Experiment, ...]
+    plant: Plant
+    seed: int = 1
+    u_max_v: float | None = None
+    x_min_m: float | None = None
+    x_max_m: float | None = None
+    # Asked before an experiment that needs a person; "" goes ahead, else why not.
+    ask: Callable[[Experiment], str] = lambda experiment: "it needs a person"
+
+
+class Runner:
+    """Runs the experiments of `wishes` on `rig` into `folder`.
+
+    Args:
+        say: takes lines of progress.
+    """
+
+    def __init__(
+        self, rig: Rig, tap: Tap, folder: Folder, board: str, wishes: Wishes, say: Callable[[str], None]
+    ) -> None:
+        self._rig, self._tap, self._folder, self._board = rig, tap, folder, board
+        self._wishes, self._say = wishes, say
+        self._limits: Limits
+        self._parameters: pb.Parameters
+        self._x_ref_m: float | None = None
+
+    def run(self) -> Summary:
+        """Everything; ends parked.
+
+        Raises:
+            UsageError: before anything moved: limits, folder or plan do not allow it.
+            ServiceError: before anything moved: no board, or somebody else uses it.
+        """
+        state, self._parameters = self._rig.await_board()
+        if state.mode != pb.MODE_IDLE:
+            raise ServiceError(
+                f"{self._board} is in {pb.Mode.Name(state.mode).removeprefix('MODE_').lower().replace('_', ' ')}:"
+                " somebody uses it",
+                remedy=f"When it is free: `board51 send {self._board} stop`",
+            )
+        w = self._wishes
+        self._limits = limits_of(self._parameters, u_max_v=w.u_max_v, x_min_m=w.x_min_m, x_max_m=w.x_max_m)
+        self._folder.claim(identity_of(self._board, self._parameters, w.plant))
+        outcomes = [Outcome(experiment=experiment) for experiment in self._with_lift_off(w.experiments)]
+        summary = Summary(outcomes=outcomes, lift_off_v=self._folder.lift_off_v)
+        self._look_ahead(summary)
+        if all(o.standing != "not-reached" for o in outcomes):
+            return summary
+        self._x_ref_m = state.x_ref_m if state.HasField("x_ref_m") else None
+        try:
+            self._begin()
+            self._all(summary)
+        except Stopped:
+            summary.interrupted = True
+        except Cut as cut:
+            summary.failure = cut.problem.text
+        except Board51Error as error:
+            summary.failure = str(error)
+        finally:
+            self._leave(summary)
+        return summary
+
+    # --- before anything moves
+
+    def _with_lift_off(self, experiments: Sequence[Experiment]) -> list[Experiment]:
+        """The lift-off input has to be known before it scales anything."""
+        if any(map(needs_lift_off, experiments)) and self._folder.lift_off_v is None:
+            if not any(e.name == LIFT_OFF for e in experiments):
+                self._say("the lift-off input is not known yet: lift-off is recorded first")
+                return [BY_NAME[LIFT_OFF], *experiments]
+        return list(experiments)
+
+    def _look_ahead(self, summary: Summary) -> None:
+        """What is there already, and what the limits make impossible."""
+        for outcome in summary.outcomes:
+            e = outcome.experiment
+            if self._folder.has(e.name, plan_of(e, self._limits, self._wishes.seed)):
+                kept = self._folder.kept[e.name]
+                outcome.standing, outcome.attempts, outcome.seconds = "already-there", kept.attempts, kept.seconds
+                continue
+            self._folder.drop(e.name)
+            plan = actions_of(e, self._scale(e))
+            if isinstance(plan, Impossible):
+                outcome.standing = "impossible"
+                outcome.said.append(plan.why)
+                self._say(f"impossible within the limits: {plan.why}")
+
+    def _scale(self, experiment: Experiment) -> Scale:
+        known = None if experiment.name == LIFT_OFF else self._folder.lift_off_v
+        guess = guessed_lift_off_v(self._parameters, self._wishes.plant, self._limits)
+        return Scale(
+            limits=self._limits,
+            travel_m=self._wishes.plant.travel_m,
+            lift_off_v=known or guess,
+            seed=self._wishes.seed,
+        )
+
+    # --- the run
+
+    def _begin(self) -> None:
+        if self._parameters.stream_divider != 1:
+            self._rig.command(pb.Command(set_stream=pb.SetStream(divider=1)))
+        self._rig.land()
+        self._rig.measure_rest()
+
+    def _all(self, summary: Summary) -> None:
+        total = len(summary.outcomes)
+        for number, outcome in enumerate(summary.outcomes, 1):
+            e = outcome.experiment
+            if outcome.standing != "not-reached":
+                self._say(f"[{number}/{total}] {e.name}: {outcome.standing.replace('-', ' ')}")
+                continue
+            if e.person and (why := self._refused(e)):
+                outcome.standing = "skipped"
+                outcome.said.append(why)
+                self._say(f"[{number}/{total}] {e.name}: skipped, {why}")
+                continue
+            if needs_lift_off(e) and self._folder.lift_off_v is None:
+                outcome.standing = "given-up"
+                outcome.said.append("the lift-off input is not known")
+                self._say(f"[{number}/{total}] {e.name}: given up, the lift-off input is not known")
+                continue
+            left = sum(_about_s(o.experiment) for o in summary.outcomes[number - 1 :] if o.standing == "not-reached")
+            self._say(f"[{number}/{total}] {e.name}, {e.duration_s:.0f} s: {e.about} (about {left:.0f} s left)")
+            outcome.standing = "interrupted"
+            self._repeat(outcome)
+            summary.lift_off_v = self._folder.lift_off_v
+
+    def _refused(self, experiment: Experiment) -> str:
+        if "emulated" in self._parameters.firmware:
+            return "the board is emulated: there is no ball to clamp"
+        return self._wishes.ask(experiment)
+
+    def _repeat(self, outcome: Outcome) -> None:
+        """Up to three attempts."""
+        e, scale = outcome.experiment, self._scale(outcome.experiment)
+        for attempt in range(1, ATTEMPTS + 1):
+            outcome.attempts = attempt
+            plan = actions_of(e, scale)
+            if isinstance(plan, Impossible):
+                outcome.said.append(plan.why)
+                break
+            problems, recorded = self._attempt(e, plan)
+            if not problems:
+                self._keep(outcome, recorded)
+                return
+            text = "; ".join(problem.text for problem in problems)
+            outcome.said.append(text)
+            cures = {problem.cure for problem in problems}
+            if "none" in cures or attempt == ATTEMPTS:
+                break
+            if "raise" in cures:
+                scale = raised(scale, attempt=attempt)
+                how = "with more input"
+            elif "lower" in cures:
+                scale = replace(scale, u_factor=scale.u_factor * LOWERED, x_factor=scale.x_factor * LOWERED)
+                how = "with less amplitude"
+            else:
+                how = "as it was"
+            self._say(f"    not usable: {text}; again, {how} ({attempt + 1} of {ATTEMPTS})")
+        outcome.standing = "given-up"
+        self._say(f"    given up: {outcome.said[-1]}")
+        if e.name == LIFT_OFF:
+            self._folder.lift_off_v = None
+
+    def _attempt(self, e: Experiment, plan: tuple[Action, ...]) -> tuple[tuple[checks.Problem, ...], Recorded]:
+        """Play it once; what is wrong with the recording, and the recording."""
+        cut: tuple[checks.Problem, ...] = ()
+        try:
+            if e.closed_loop:
+                self._rig.lift(_start_m(plan))
+            self._tap.begin()
+            for action in plan:
+                if not e.closed_loop and not _is_idle(action):
+                    self._rig.mode(pb.MODE_OPEN_LOOP)
+                self._rig.act(action)
+        except Cut as problem:
+            cut = (problem.problem,)
+        recorded = self._tap.end()
+        with contextlib.suppress(Cut):  # a reset while landing: the next experiment meets it again, or it is over
+            self._rig.land()
+        if cut:
+            return cut, recorded
+        if intruder := _intruder(recorded):
+            return (intruder,), recorded
+        samples = checks.samples_of(recorded.states)
+        known = self._known()
+        problems = checks.check(e, samples, recorded.captures, recorded.events, known)
+        if not problems and e.name == LIFT_OFF:
+            self._folder.lift_off_v = checks.lift_off_v(samples, known)
+        return problems, recorded
+
+    def _known(self) -> checks.Rig:
+        return checks.Rig(
+            limits=self._limits,
+            travel_m=self._wishes.plant.travel_m,
+            rest_m=self._rig.rest_m,
+            sample_time_s=self._parameters.sample_time_s,
+        )
+
+    def _keep(self, outcome: Outcome, recorded: Recorded) -> None:
+        e, first, last = outcome.experiment, recorded.states[0], recorded.states[-1]
+        outcome.seconds = (last.tick - first.tick) * self._parameters.sample_time_s
+        kept = Kept(
+            bytes=0,
+            seconds=outcome.seconds,
+            attempts=outcome.attempts,
+            plan=plan_of(e, self._limits, self._wishes.seed),
+            said=list(outcome.said),
+        )
+        self._folder.keep(e, recorded, kept, controller_of(self._parameters))
+        outcome.standing = "recorded"
+        if e.name == LIFT_OFF and self._folder.lift_off_v is not None:
+            self._say(f"    the ball lifts off at u_c = {self._folder.lift_off_v:.3f} V")
+
+    # --- the end
+
+    def _leave(self, summary: Summary) -> None:
+        self._tap.end()
+        summary.parked = self._rig.park()
+        if summary.parked:
+            return
+        if self._x_ref_m is not None:
+            why = self._rig.put_back(self._x_ref_m, stream_divider=self._parameters.stream_divider)
+            summary.restored += [why] if why else []
+
+
+def _about_s(experiment: Experiment) -> float:
+    return experiment.duration_s + OVERHEAD_S[experiment.closed_loop]
+
+
+def _start_m(plan: tuple[Action, ...]) -> float:
+    """Where a closed-loop experiment begins."""
+    return next(action.x_ref_m for action in plan if isinstance(action, GoTo))
+
+
+def _is_idle(action: Action) -> bool:
+    return isinstance(action, Send) and action.command.WhichOneof("what") == "set_mode"
+
+
+def _intruder(recorded: Recorded) -> checks.Problem | None:
+    """Somebody else's command in the middle of a recording."""
+    for record in recorded.commands:
+        what = record.command.WhichOneof("what")
+        if record.reply.accepted and what != "ping" and not record.command.id.startswith(ID_PREFIX):
+            return checks.Problem(
+                code="intruder", text=f"{record.command.who or 'somebody'} sent {what} to the board in between"
+            )
+    return None

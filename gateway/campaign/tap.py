@@ -1,0 +1,104 @@
+"""What the bus says of one board: the newest of everything, and the messages of a recording.
+
+zenoh calls back in a thread of its own; everybody else waits on `changed`.  A recording is kept in memory (a minute of
+state is 4 MB) and written when it is known to be good: a file in the folder is always a whole one.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from typing import NamedTuple
+
+import zenoh
+
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.bus.encoding import parse
+
+RECENT = 100  # states kept for the level at rest
+_RECORDED = ("state", "parameters", "capture", "event", "command/record", "status")
+
+
+class Logged(NamedTuple):
+    """One message as it goes into the file."""
+
+    key: str
+    data: bytes
+    time_ns: int
+
+
+class Recorded(NamedTuple):
+    """A recording in memory."""
+
+    messages: list[Logged]
+    states: list[pb.State]
+    captures: list[pb.CaptureRecord]
+    events: list[pb.Event]
+    commands: list[pb.CommandRecord]
+
+
+class Tap:
+    """Listens to one board until the session closes."""
+
+    def __init__(self, session: zenoh.Session, site: str, board: str) -> None:
+        self.changed = threading.Condition()  # guards everything below
+        self.state: pb.State | None = None
+        self.parameters: pb.Parameters | None = None
+        self.captures = 0  # since the start
+        self.recent: deque[pb.State] = deque(maxlen=RECENT)
+        self._parameters_message: Logged | None = None
+        self._recorded: Recorded | None = None
+        self._heard_s = time.monotonic()
+        self._subscriber = session.declare_subscriber(f"{site}/{board}/**", self._arrived)
+
+    def silence_s(self) -> float:
+        """Time since the last state; before the first, since the start."""
+        return time.monotonic() - self._heard_s
+
+    def begin(self) -> None:
+        """A new recording, with the newest parameters at its head."""
+        with self.changed:
+            self._recorded = Recorded([], [], [], [], [])
+            if self._parameters_message is not None:
+                self._recorded.messages.append(self._parameters_message)
+
+    def end(self) -> Recorded:
+        """What came since `begin`."""
+        with self.changed:
+            recorded, self._recorded = self._recorded, None
+        return recorded or Recorded([], [], [], [], [])
+
+    def _arrived(self, sample: zenoh.Sample) -> None:
+        key, data = str(sample.key_expr), sample.payload.to_bytes()
+        place = topics.split(key)
+        if place is None or place[2] not in _RECORDED:
+            return
+        message = parse(topics.BY_NAME[place[2]].message, data)
+        if message is None:
+            return
+        with self.changed:
+            time_ns = int(getattr(message, "host_time_ns", 0) or getattr(message, "received_ns", 0) or time.time_ns())
+            logged = Logged(key, data, time_ns)
+            recorded = self._recorded
+            if recorded is not None:
+                recorded.messages.append(logged)
+            match message:
+                case pb.State():
+                    self.state = message
+                    self.recent.append(message)
+                    self._heard_s = time.monotonic()
+                    if recorded is not None:
+                        recorded.states.append(message)
+                case pb.Parameters():
+                    self.parameters, self._parameters_message = message, logged
+                case pb.CaptureRecord():
+                    self.captures += 1
+                    if recorded is not None:
+                        recorded.captures.append(message)
+                case pb.Event() if recorded is not None:
+                    recorded.events.append(message)
+                case pb.CommandRecord() if recorded is not None:
+                    recorded.commands.append(message)
+            self.changed.notify_all()

@@ -1,0 +1,183 @@
+"""The paper's experiments on a live board: a folder of recordings that `identify`, `validate` and `diagnose` read.
+
+Drives the board through its gateway, within the board's limits, and writes one MCAP per experiment and campaign.toml.
+Ctrl-C parks the ball and keeps what was recorded; the same command goes on where it ended.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import shlex
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gateway.client import add_bus_arguments, open_bus
+from protocol.bus.topics import check_name
+from protocol.errors import UsageError
+
+if TYPE_CHECKING:
+    from gateway.campaign.menu import Experiment
+    from gateway.campaign.runner import Summary
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """`run` and its options."""
+    example = (
+        "examples:\n  board51 campaign run --list\n  board51 campaign run campaign-1 --board rig1 --plant my-rig.toml\n"
+        "  board51 campaign run campaign-1 --board rig1 --experiment chirp --experiment holds"
+    )
+    parser.epilog = example
+    what = parser.add_subparsers(dest="what", required=True, metavar="run")
+    run_ = what.add_parser(
+        "run", help="perform the experiments", description=__doc__, epilog=example,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    run_.add_argument("folder", type=Path, nargs="?", metavar="FOLDER", help="made if absent, continued if begun")
+    run_.add_argument("--board", default="", help="name of the board")
+    add_bus_arguments(run_)
+    run_.add_argument(
+        "--plant", type=Path, metavar="FILE", help="TOML with the [plant] of this rig (default: the published CE 152)"
+    )
+    run_.add_argument("--quick", action="store_true", help="about 25 s of data instead of 90 s")
+    run_.add_argument(
+        "--experiment", action="append", default=[], metavar="NAME", help="only this one, added to FOLDER; repeatable"
+    )
+    run_.add_argument("--list", action="store_true", help="print the menu of experiments and end")
+    run_.add_argument("--seed", type=int, default=1, help="of the random signals (default 1)")
+    run_.add_argument("--u-max", type=_positive, metavar="V", help="highest u_c (default: the board's limit)")
+    run_.add_argument("--x-min", type=_positive, metavar="MM", help="lowest reference (default: the board's limit)")
+    run_.add_argument("--x-max", type=_positive, metavar="MM", help="highest reference (default: the board's limit)")
+    run_.add_argument("--yes", action="store_true", help="what needs a person (blocked-ball) has been done")
+    run_.add_argument("--json", action="store_true", help="print the summary as JSON")
+    run_.add_argument("--who", default="campaign", help="who sends the commands, for the log (default campaign)")
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and value >= 0.0):
+        raise argparse.ArgumentTypeError(f"{text} is not a number of at least 0")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when everything asked for is in the folder, 1 when not."""
+    from gateway.campaign.menu import BY_NAME, chosen
+
+    if args.list:
+        _print_menu(as_json=args.json)
+        return 0
+    if args.folder is None or not args.board:
+        raise UsageError("FOLDER and --board are needed", remedy="board51 campaign run FOLDER --board NAME")
+    check_name(args.board, what="--board")
+    check_name(args.site, what="--site")
+    unknown = next((name for name in args.experiment if name not in BY_NAME), None)
+    if unknown is not None:
+        raise UsageError(f"There is no experiment {unknown!r}", remedy=f"Choose from {', '.join(BY_NAME)}")
+    if not 0 <= args.seed <= 600:
+        raise UsageError(f"--seed {args.seed} is out of range", remedy="Give a number from 0 to 600")
+    return _perform(args, chosen(tuple(args.experiment), quick=args.quick))
+
+
+def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> int:
+    from gateway.campaign.folder import CE152, Folder
+    from gateway.campaign.rig import Rig
+    from gateway.campaign.runner import Runner, Wishes
+    from gateway.campaign.tap import Tap
+    from protocol.campaign import load_plant
+
+    plant = load_plant(args.plant) if args.plant is not None else CE152
+    if args.plant is None:
+        _say("no --plant: the published constants of a CE 152 are taken (8.28 g, 5.7 mm)")
+    stop = threading.Event()
+    with open_bus(args.connect) as session:
+        tap = Tap(session, args.site, args.board)
+        rig = Rig(session, args.site, args.board, tap, stop, who=args.who, travel_m=plant.travel_m)
+        wishes = Wishes(
+            experiments=experiments, plant=plant, seed=args.seed, u_max_v=args.u_max,
+            x_min_m=None if args.x_min is None else args.x_min * 1e-3,
+            x_max_m=None if args.x_max is None else args.x_max * 1e-3,
+            ask=lambda experiment: "" if args.yes else _ask(experiment, stop),
+        )  # fmt: skip
+        handlers = {n: signal.signal(n, lambda *_: stop.set()) for n in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            summary = Runner(rig, tap, Folder(args.folder), args.board, wishes, _say).run()
+        finally:
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+    _report(args, summary)
+    return 0 if summary.complete else 1
+
+
+def _ask(experiment: Experiment, stop: threading.Event) -> str:
+    if not sys.stdin.isatty():
+        return f"{experiment.person.rstrip('.')}, then say so with --yes"
+    _say(f"    {experiment.person}")
+    try:
+        answer = input("    Done? y goes on, anything else skips: ")
+    except EOFError:
+        answer = ""
+    return "" if answer.strip().lower() in ("y", "yes") and not stop.is_set() else "not confirmed"
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _print_menu(*, as_json: bool) -> None:
+    from gateway.campaign.menu import MENU
+
+    if as_json:
+        rows = [
+            {"name": e.name, "kind": e.kind, "use": e.use, "about": e.about, "duration_s": e.duration_s,
+             "default": e.standard, "quick": e.standard and e.quick > 0.0, "person": e.person}
+            for e in MENU
+        ]  # fmt: skip
+        print(json.dumps(rows))
+        return
+    print(f"{'name':<22}{'kind':<16}{'use':<7}{'s':>4}  what for")
+    for e in MENU:
+        mark = "" if e.standard else "  (only by --experiment)"
+        print(f"{e.name:<22}{e.kind:<16}{e.use:<7}{e.duration_s:>4.0f}  {e.about}{mark}")
+    seconds = sum(e.duration_s for e in MENU if e.standard)
+    print(f"\nThe default run has {seconds:.0f} s of data.")
+
+
+def _report(args: argparse.Namespace, summary: Summary) -> None:
+    again = "board51 " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["campaign"] else "the same command"
+    if args.json:
+        rows = [
+            {"name": o.experiment.name, "use": o.experiment.use, "standing": o.standing, "seconds": o.seconds,
+             "attempts": o.attempts, "said": o.said}
+            for o in summary.outcomes
+        ]  # fmt: skip
+        print(
+            json.dumps(
+                {"folder": str(args.folder), "complete": summary.complete, "interrupted": summary.interrupted,
+                 "failure": summary.failure, "parked": not summary.parked, "lift_off_v": summary.lift_off_v,
+                 "experiments": rows, "again": again}
+            )
+        )  # fmt: skip
+    else:
+        print(f"{'recording':<24}{'use':<8}{'s':>6}  {'tries':>5}  standing")
+        for o in summary.outcomes:
+            why = f": {o.said[-1]}" if o.said and not o.is_there else ""
+            standing = o.standing.replace("-", " ")
+            print(f"{o.experiment.name:<24}{o.experiment.use:<8}{o.seconds:>6.1f}  {o.attempts:>5}  {standing}{why}")
+    for text in summary.restored:
+        _say(text)
+    if summary.parked:
+        _say(f"THE COIL MAY BE ON: STOP was not delivered ({summary.parked}). Switch the rig off by hand")
+    if summary.failure:
+        _say(summary.failure)
+    if summary.complete:
+        print(f"board51 identify {args.folder} --out model.json", file=sys.stderr if args.json else sys.stdout)
+        return
+    there = sum(o.is_there for o in summary.outcomes)
+    why = "interrupted" if summary.interrupted else "not complete"
+    parked = "" if summary.parked else "ball parked, coil off; "
+    _say(f"{why}: {parked}{there} of {len(summary.outcomes)} recordings are in {args.folder}. To go on: {again}")
