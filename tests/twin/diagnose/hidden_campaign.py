@@ -5,6 +5,7 @@
 Rule 1: what is drawn (rig, noise, excitation) follows from the seed; folder, file names and contents carry neither the
         seed nor the effect.  Who wants to compare keeps them.
 Rule 2: one board clock runs through the whole campaign, transitions included, so that heating has a history.
+        As on the board, the converter of i_c ends at 0 A: with the coil off it shows the positive half of the noise.
 Rule 3: the operator looks before he records: ramp and random input are scaled to the input at which this ball leaves.
 
 `PLAN` is the campaign; a `Bench` is a board with a rig that plays it.  The emulator's is here, the second plant's in
