@@ -55,6 +55,7 @@ class Traces:
                 judged.x_m.rolling_rmse if in_step and judged else nan,
                 std,
                 divergence.nis_mean if divergence is not None and divergence.innovation_valid else nan,
+                divergence.innovation_x_m if divergence is not None and divergence.innovation_valid else nan,
             )
         )
 
@@ -74,9 +75,18 @@ class Traces:
         inside = [alarm for alarm in self.alarms if from_s <= alarm[0] <= to_s]
         self.alarms = [(from_s, name, True) for name, active in before.items() if active] + inside
 
+    def part(self, from_s: float, to_s: float) -> Traces:
+        """A copy of a span of board time."""
+        copy = Traces(self.board, rows=self.rows, alarms=self.alarms)
+        copy.crop(from_s, to_s)
+        return copy
+
     def columns(self) -> NDArray[np.float64]:
-        """Shape (12, samples): t, x, x_ref, i, u, twin x, i, u, |error of x|, rolling RMSE, std, NIS; NaN over gaps."""
-        table = np.array(self.rows, dtype=np.float64).reshape(-1, 12)
+        """Over the samples, shape (13, samples), NaN over gaps.
+
+        t, x, x_ref, i, u, twin x, i, u, |error of x|, its rolling RMSE, its std, mean NIS, innovation of x.
+        """
+        table = np.array(self.rows, dtype=np.float64).reshape(-1, 13)
         steps = np.diff(table[:, 0])
         if len(steps) == 0:
             return table.T
@@ -94,7 +104,7 @@ def draw(traces: Traces, out: Path, *, nis_on: float, error_on: float, title: st
         error_on: threshold of the alarm on the mean squared normalised error of x; NaN where unknown.
         title: what is compared with what.
     """
-    t, x, x_ref, i, u, twin_x, twin_i, twin_u, error, rmse, std, nis = traces.columns()
+    t, x, x_ref, i, u, twin_x, twin_i, twin_u, error, rmse, std, nis, _ = traces.columns()
     t = _continuous(t)
     figure = Figure(figsize=(12, 11), dpi=110, layout="constrained")
     axes = figure.subplots(5, 1, sharex=True, height_ratios=[2.4, 1.3, 1.3, 1.5, 1.2])
@@ -119,11 +129,11 @@ def draw(traces: Traces, out: Path, *, nis_on: float, error_on: float, title: st
     axes[4].set_xlabel("time on the board's clock [s]")
 
     end = float(np.nanmax(t))
-    _shade(axes[1], traces.alarms, "divergence-i_c", end)
-    _shade(axes[3], traces.alarms, "divergence-x", end)
-    _shade(axes[4], traces.alarms, "innovation", end)
+    shade(axes[1], traces.alarms, "divergence-i_c", end)
+    shade(axes[3], traces.alarms, "divergence-x", end)
+    shade(axes[4], traces.alarms, "innovation", end)
     for axis in axes:
-        _shade(axis, traces.alarms, OUT_OF_STEP, end)
+        shade(axis, traces.alarms, OUT_OF_STEP, end)
         axis.grid(visible=True, color="#e4e4e4", lw=0.6)
         axis.margins(x=0.005)
         axis.legend(loc="upper left", bbox_to_anchor=(1.005, 1.0), fontsize=9, frameon=False)
@@ -151,8 +161,8 @@ def _continuous(t: NDArray[np.float64]) -> NDArray[np.float64]:
     return result
 
 
-def _shade(axis: Axes, alarms: Sequence[tuple[float, str, bool]], name: str, end: float) -> None:
-    """Mark where an alarm was on."""
+def shade(axis: Axes, alarms: Sequence[tuple[float, str, bool]], name: str, end: float) -> None:
+    """Mark where an alarm, or being out of step, was on; alarms are (t, name, active)."""
     color = "#777777" if name == OUT_OF_STEP else ALARM
     label: str | None = f"alarm {name}" if name != OUT_OF_STEP else OUT_OF_STEP
     since: float | None = None

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,22 +34,41 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n"
         "  board51 plot run.mcap --out run.png\n"
         "  board51 plot run.mcap --out run.png --board rig1 --from 2 --to 8\n"
-        "  board51 plot run.mcap --out run.png --model identified.json"
+        "  board51 plot run.mcap --out run.png --model identified.json\n"
+        "  board51 plot run.mcap --out run.png --span 2:12=before --span 60:70=after    side by side"
     )
     parser.add_argument("log", type=Path, metavar="LOG", help="MCAP log")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the picture; is overwritten")
     parser.add_argument("--board", help="which board (default: the only one)")
     parser.add_argument("--from", dest="from_s", type=float, metavar="S", help="board time, s (default: coil on)")
     parser.add_argument("--to", dest="to_s", type=float, metavar="S", help="board time, s (default: coil off)")
+    parser.add_argument(
+        "--span",
+        action="append",
+        type=_span,
+        metavar="FROM:TO[=LABEL]",
+        help="board time, s; repeat it to see spans side by side (label: the model that ran)",
+    )
     parser.add_argument("--json", action="store_true", help="print what was drawn as JSON")
     add_model_options(parser)
     parser.set_defaults(model=None)
 
 
+def _span(text: str) -> tuple[float, float, str]:
+    times, _, label = text.partition("=")
+    try:
+        begin, end = map(float, times.split(":"))
+    except ValueError:
+        begin = end = math.nan
+    if not (math.isfinite(begin + end) and begin < end):
+        raise argparse.ArgumentTypeError(f"{text!r} is not FROM:TO[=LABEL] in seconds, FROM before TO")
+    return begin, end, label
+
+
 def run(args: argparse.Namespace) -> int:
     """Draw."""
-    from twin.figure import draw
-
+    if args.span and (args.from_s is not None or args.to_s is not None):
+        raise UsageError("--span and --from, --to exclude each other", remedy="Use --span alone")
     if args.out.suffix.lower() not in SUFFIXES:
         raise UsageError(f"--out {args.out}: unknown kind of picture", remedy=f"End it in {', '.join(SUFFIXES)}")
     if args.board:
@@ -64,13 +84,12 @@ def run(args: argparse.Namespace) -> int:
     if len(traces) > 1:
         raise UsageError(f"{args.log} holds the boards {', '.join(sorted(traces))}", remedy="Choose one with --board")
     board, trace = next(iter(traces.items()))
-    trace.crop(args.from_s, args.to_s)
-    if not trace.rows:
-        raise DataError(f"{args.log}: no samples between --from and --to", remedy="Look at `board51 info`")
-    nis_on, error_on = _thresholds(args.log, board, trace, model, settings)
     title = f"{board}, {args.log.name}: measured against {source}"
     try:
-        draw(trace, args.out, nis_on=nis_on, error_on=error_on, title=title)
+        if args.span:
+            _draw_spans(args, board, trace, title, given=args.model if given else "")
+        else:
+            _draw(args, board, trace, title, model, settings)
     except OSError as error:
         raise DataError(f"{args.out}: cannot be written ({error.strerror})", remedy="Choose another --out") from error
     result = {
@@ -83,6 +102,45 @@ def run(args: argparse.Namespace) -> int:
     }
     print(json.dumps(result, indent=2) if args.json else f"{args.out}: {len(trace.rows)} samples of {board}, {source}")
     return 0
+
+
+def _draw(args: argparse.Namespace, board: str, trace: Traces, title: str, model: Model, settings: Settings) -> None:
+    from twin.figure import draw
+
+    trace.crop(args.from_s, args.to_s)
+    if not trace.rows:
+        raise DataError(f"{args.log}: no samples between --from and --to", remedy="Look at `board51 info`")
+    nis_on, error_on = _thresholds(args.log, board, trace, model, settings)
+    draw(trace, args.out, nis_on=nis_on, error_on=error_on, title=title)
+
+
+def _draw_spans(args: argparse.Namespace, board: str, trace: Traces, title: str, *, given: str) -> None:
+    from twin.figure_spans import Column, draw_spans
+
+    columns = []
+    for begin, end, label in args.span:
+        part = trace.part(begin, end)
+        if len(part.rows) < 2:
+            raise DataError(f"{args.log}: no samples in --span {begin:g}:{end:g}", remedy="Look at `board51 info`")
+        if not label:
+            ran = given or _model_at(args.log, board, end)
+            label = f"twin of {ran}" if ran else f"from {begin:g} s"
+        columns.append(Column(traces=part, label=label))
+    draw_spans(columns, args.out, title=title)
+
+
+def _model_at(path: Path, board: str, t_s: float) -> str:
+    """What the log says the twin ran on at the end of a span; empty where it does not say."""
+    from twin.recordings import LogReader, parse
+
+    ran, now_s = "", -math.inf
+    for entry in LogReader(path, topics=("state", "twin/model"), board=board):
+        if entry.topic == "state":
+            now_s = parse(pb.State, entry, path).t_s
+        elif now_s <= t_s:
+            model = parse(pb.TwinModel, entry, path)
+            ran = f"{model.name} ({model.sha256[:12]})"
+    return ran
 
 
 def _thresholds(path: Path, board: str, trace: Traces, model: Model, settings: Settings) -> tuple[float, float]:

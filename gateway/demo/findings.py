@@ -1,0 +1,135 @@
+"""Two flights of one log, each with its own model in the twin: what the second model improved, and what is left over.
+
+Rule: measured is said, causes are not named.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+from gateway.record.reader import read
+from protocol.bus import board51_pb2 as pb
+
+REST_SAMPLES = 250  # the last half second at a reference: at rest, so that only the balance of forces is compared
+NOTABLE_A = 5e-3  # the noise of i_c is 2 mA a sample, 0.1 mA in a mean over REST_SAMPLES
+
+
+@dataclass(slots=True)
+class Flight:
+    """One span of the log and the name of the model that the twin had."""
+
+    name: str
+    from_t_s: float
+    to_t_s: float
+    rest: dict[float, list[tuple[float, float]]] = field(default_factory=dict)  # x_ref, mm: i_c of rig and twin, A
+    innovations: list[tuple[float, float, float]] = field(default_factory=list)  # of x, i_c; NIS
+    alarms: list[str] = field(default_factory=list)
+    allowed_m_s2: float = math.nan  # acceleration that the model in force calls noise; alarms count from there
+
+    def currents(self) -> dict[float, tuple[float, float]]:
+        """By reference in mm: i_c of rig and twin at rest, A."""
+        result = {}
+        for x_ref, pairs in sorted(self.rest.items()):
+            rest = pairs[-REST_SAMPLES:]
+            result[x_ref] = sum(i for i, _ in rest) / len(rest), sum(i for _, i in rest) / len(rest)
+        return result
+
+    def innovation(self) -> tuple[float, float, float]:
+        """Rms of the one-step innovation of x (m) and of i_c (A), mean NIS; NaN where there is none."""
+        n = len(self.innovations)
+        if not n:
+            return math.nan, math.nan, math.nan
+        x, i, nis = (
+            sum(column) / n for column in zip(*((a * a, b * b, c) for a, b, c in self.innovations), strict=True)
+        )
+        return math.sqrt(x), math.sqrt(i), nis
+
+
+def gather(log: Path, flights: list[Flight]) -> None:
+    """Fill the flights from the log.  Raises DataError where it cannot be read."""
+    allowed_m_s2 = math.nan
+    states: dict[tuple[int, int], pb.State] = {}
+    for record in read(log, topics=["state", "twin/state", "twin/divergence", "twin/alarm", "twin/model"]):
+        message = record.message
+        if isinstance(message, pb.TwinModel):
+            allowed_m_s2 = float(json.loads(message.model_json)["noise"]["process_a_m_s2"])
+            continue
+        if isinstance(message, pb.State):
+            if message.mode == pb.MODE_CLOSED_LOOP:
+                states[message.session, message.tick] = message
+            continue
+        if not isinstance(message, pb.TwinState | pb.Divergence | pb.Alarm):
+            continue
+        state = states.get((message.session, message.tick))
+        flight = next((f for f in flights if state and f.from_t_s <= state.t_s <= f.to_t_s), None)
+        if state is None or flight is None:
+            continue
+        flight.allowed_m_s2 = allowed_m_s2
+        if isinstance(message, pb.TwinState) and message.sync == "in-step":
+            pairs = flight.rest.setdefault(round(state.x_ref_m * 1e3, 2), [])
+            pairs.append((state.i_c_a, message.i_c_a))
+        elif isinstance(message, pb.Divergence) and message.innovation_valid:
+            flight.innovations.append((message.innovation_x_m, message.innovation_i_c_a, message.nis))
+        elif isinstance(message, pb.Alarm) and message.active:
+            flight.alarms.append(message.name)
+
+
+def table(before: Flight, after: Flight) -> str:
+    """Both twins against the rig, for people."""
+    one, two = before.currents(), after.currents()
+    lines = [
+        f"  {'held at':>10}{'rig':>9}   {'twin, ' + before.name:^22}   {'twin, ' + after.name:^22}",
+        f"  {'x_ref [mm]':>10}{'i_c [A]':>9}   {'i_c [A]':>10}{'error [A]':>12}   {'i_c [A]':>10}{'error [A]':>12}",
+    ]
+    for x_ref in sorted(one.keys() & two.keys()):
+        (rig, twin), (rig_2, twin_2) = one[x_ref], two[x_ref]
+        lines.append(
+            f"  {x_ref:>10.2f}{rig:>9.3f}   {twin:>10.3f}{rig - twin:>+12.3f}   {twin_2:>10.3f}{rig_2 - twin_2:>+12.3f}"
+        )
+
+    def row(what: str, first: str, second: str) -> None:
+        lines.append(f"  {what:<19}   {first:>22}   {second:>22}")
+
+    (x, i, nis), (x_2, i_2, nis_2) = before.innovation(), after.innovation()
+    row("innovation of x", f"{x * 1e6:.1f} um", f"{x_2 * 1e6:.1f} um")
+    row("innovation of i_c", f"{i * 1e3:.2f} mA", f"{i_2 * 1e3:.2f} mA")
+    row("called noise, x''", f"{before.allowed_m_s2:.2g} m/s^2", f"{after.allowed_m_s2:.2g} m/s^2")
+    row("mean NIS (right: 2)", f"{nis:.3g}", f"{nis_2:.3g}")
+    row("alarms raised", str(len(before.alarms)), str(len(after.alarms)))
+    return "\n".join(lines)
+
+
+def sentence(before: Flight, after: Flight) -> str:
+    """What identification fixed, and what is left over."""
+    errors = [[rig - twin for rig, twin in flight.currents().values()] for flight in (before, after)]
+    if not all(errors):
+        return "A flight without a twin in step: nothing can be compared."
+    was, now = (math.sqrt(sum(e * e for e in some) / len(some)) for some in errors)
+    verb = "cut" if now < 0.9 * was else "raised" if now > 1.1 * was else "left"
+    said = (
+        f"Identification {verb} the error of the twin's current at rest from {was * 1e3:.0f} to {now * 1e3:.0f} mA rms"
+    )
+    left = errors[1]
+    if max(map(abs, left)) < NOTABLE_A:
+        over = f"What is left there is below {NOTABLE_A * 1e3:.0f} mA"
+    else:
+        over = f"Left over: {min(left) * 1e3:+.0f} to {max(left) * 1e3:+.0f} mA{_trend(left)}"
+    names = ", ".join(dict.fromkeys(after.alarms))
+    alarms = f"the {after.name} twin still raises {names}" if names else f"the {after.name} twin raises no alarm"
+    if after.allowed_m_s2 > 10.0 * before.allowed_m_s2:
+        # Without this, "no alarm" would read as "right".
+        alarms += f", counting {after.allowed_m_s2:.2g} m/s^2 of acceleration as noise"
+    return f"{said}. {over}; {alarms}."
+
+
+def _trend(errors: list[float]) -> str:
+    """How the error goes with the height; `errors` from the lowest reference to the highest."""
+    rising = all(b > a for a, b in pairwise(errors))
+    falling = all(b < a for a, b in pairwise(errors))
+    if len(errors) < 3 or not (rising or falling):
+        return ""
+    return f", {'rising' if rising else 'falling'} with the height of the ball"

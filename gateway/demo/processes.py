@@ -1,0 +1,119 @@
+"""board51 commands as processes of their own: started, watched, and stopped whatever happens.
+
+Rule: each runs in a session of its own, so Ctrl-C reaches the demo alone, which then stops them in the right order: the
+      campaign parks the ball while gateway and board are still there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from protocol.errors import ServiceError
+
+START_LIMIT_S = 90.0  # compiling the kernels for the first time takes a while on a slow machine
+STOP_LIMIT_S = 15.0
+
+
+def board51() -> list[str]:
+    """The command of this interpreter."""
+    return [sys.executable, "-m", "board51"]
+
+
+@contextlib.contextmanager
+def running(out: Path, name: str, *words: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A service that talks into OUT/NAME.log; terminated, and after 15 s killed, on the way out."""
+    with (out / f"{name}.log").open("wb") as log:
+        process = subprocess.Popen([*board51(), name, *words], stdout=log, stderr=log, start_new_session=True)
+    try:
+        yield process
+    finally:
+        _stop(process, signal.SIGTERM)
+
+
+def call(
+    out: Path, name: str, *words: str, good: tuple[int, ...] = (0,), tell: Callable[[str], None] = lambda _: None
+) -> list[str]:
+    """A command to its end; its lines go to OUT/NAME.log, and to `tell` as they come.
+
+    Returns:
+        The lines.
+
+    Raises:
+        ServiceError: it ended with an exit code that is not `good`; says its last line.
+    """
+    process = subprocess.Popen(
+        [*board51(), name, *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    lines: list[str] = []
+    assert process.stdout is not None
+    try:
+        with (out / f"{name}.log").open("w", encoding="utf-8") as log:
+            for raw in process.stdout:
+                log.write(raw)
+                lines.append(line := raw.rstrip())
+                tell(line)
+        code = process.wait()
+    finally:
+        # SIGINT, as a person would: a campaign parks the ball.
+        _stop(process, signal.SIGINT)
+        process.stdout.close()
+    if code not in good:
+        raise ServiceError(
+            f"board51 {name} ended with exit code {code}: {lines[-1] if lines else 'it said nothing'}".rstrip("."),
+            remedy=f"All it said is in {out / f'{name}.log'}",
+        )
+    return lines
+
+
+def _stop(process: subprocess.Popen[bytes] | subprocess.Popen[str], with_signal: signal.Signals) -> None:
+    if process.poll() is None:
+        process.send_signal(with_signal)
+    try:
+        process.wait(timeout=STOP_LIMIT_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    except BaseException:  # somebody is in a hurry: a second Ctrl-C must not leave it behind
+        process.kill()
+        raise
+
+
+def wait(ready: Callable[[], bool], process: subprocess.Popen[bytes], what: str) -> None:
+    """Until `ready`.  Raises ServiceError where the process ends first, or does not get there in time."""
+    end = time.monotonic() + START_LIMIT_S
+    while not ready():
+        if process.poll() is not None:
+            raise ServiceError(
+                f"{what} ended with exit code {process.returncode}",
+                remedy="Its messages are in the .log files of --out",
+            )
+        if time.monotonic() > end:
+            raise ServiceError(
+                f"{what} did not appear within {START_LIMIT_S:.0f} s",
+                remedy="Its messages are in the .log files of --out",
+            )
+        time.sleep(0.05)
+
+
+def free_port() -> int:
+    """A TCP port that nobody has now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def listens(port: int) -> bool:
+    """Whether somebody does."""
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
