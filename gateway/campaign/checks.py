@@ -277,7 +277,7 @@ def _bounces(s: Samples, rig: Rig) -> tuple[Problem, ...]:
         return (
             Problem(
                 code="hardly-flies",
-                cure="lower" if above.mean() > 0.5 else "raise",
+                cure="again" if above.mean() > 0.5 else "raise",
                 text=f"the ball crosses the middle {crossings} times in {seconds:.1f} s and mostly stays {stays}",
             ),
         )
