@@ -17,7 +17,7 @@ from __future__ import annotations
 import gzip
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -34,10 +34,11 @@ ShapeName = Literal["none", "rectangle", "sawtooth", "prbs", "multisine"]
 PlantName = Literal["emulator", "independent"]
 
 MIDDLE_M = 2.85e-3
+CONTACT_MOST = 0.05  # of the closed loop
 INPUT_MOST_V = 4.8  # K_A u stays below the 1.5 A that every rig of this kind gives
 CAPTURE_S = 40e-6
 CAPTURE_PRE, CAPTURE_COUNT = 250, 1000  # 10 ms before the step, 30 ms after it
-_RIG, _NOISE, _PLAY = 11, 12, 13  # keep the draws of a seed apart
+_RIG, _NOISE, _PLAY, _BELIEF = 11, 12, 13, 14  # keep the draws of a seed apart
 _HEADER = "t,u_c,i_c,x,x_ref"
 
 
@@ -50,6 +51,10 @@ class Signal:
     amplitude: float = 0.0
     period: int = 1  # ticks; prbs: of one chip
     seed: int = 1
+
+
+class Grounded(Exception):  # noqa: N818  an outcome of a draw, not a fault
+    """The effects together are more than the loop can hold."""
 
 
 class Bench(Protocol):
@@ -88,9 +93,31 @@ def designed_gains(rig: Rig) -> tuple[float, float, float, float]:
     return (0.49, 1700.0 / gain, 17.7 / gain, -17600.0 / gain)
 
 
-def draw_rig(seed: int) -> Rig:
-    """The rig of this seed."""
-    return random_rig(np.random.default_rng([_RIG, seed]))
+def draw_rig(seed: int, plant: PlantName = "emulator") -> Rig:
+    """The rig of this seed: a CE 152 of another day, and for the second plant one of another make."""
+    rng = np.random.default_rng([_RIG, seed])
+    rig = replace(
+        random_rig(rng),
+        position_noise_m=float(2.5e-6 * 4.8 ** rng.random()),
+        current_noise_a=float(0.8e-3 * 5.0 ** rng.random()),
+    )
+    if plant == "emulator":
+        return rig
+    return replace(
+        rig,
+        mass_kg=float(np.round(rng.uniform(7.6e-3, 9.2e-3), 5)),
+        coil_plane_above_stop_m=float(np.round(rng.uniform(1.9e-3, 3.1e-3), 6)),
+    )
+
+
+def believed_rig(rig: Rig, seed: int) -> Rig:
+    """What the designer of the loop took the rig for: a few percent off, so that his gains do not tell the truth."""
+    rng = np.random.default_rng([_BELIEF, seed])
+    return replace(
+        rig,
+        amplifier_gain_a_v=rig.amplifier_gain_a_v * float(rng.uniform(0.97, 1.03)),
+        force_constant_n_m2_a2=rig.force_constant_n_m2_a2 * float(rng.uniform(0.95, 1.05)),
+    )
 
 
 def make_campaign(
@@ -101,6 +128,7 @@ def make_campaign(
     plant: PlantName,
     quick: bool = False,
     x_max: Literal["true", "travel"] = "true",
+    outside: Mapping[str, float] | None = None,
 ) -> None:
     """Write campaign.toml and its recordings.
 
@@ -111,17 +139,27 @@ def make_campaign(
         plant: Whose equations.
         quick: A third of the time in each recording.
         x_max: `true`: x_max of (3) as the rig has it without effects; `travel`: the coil's plane taken at the top stop.
+        outside: Strength by name, as `outside.OUTSIDE`; the second plant only.
+
+    Raises:
+        Grounded: with these effects the loop does not keep the ball off its stops.
     """
-    rig = draw_rig(seed)
+    rig = draw_rig(seed, plant)
+    believed = believed_rig(rig, seed)
     noise = int(np.random.default_rng([_NOISE, seed]).integers(2**31))
     bench: Bench
     if plant == "emulator":
-        bench = EmulatedBench(rig, effects, seed=noise)
+        assert not outside, "only the second plant has them"
+        bench = EmulatedBench(rig, effects, seed=noise, believed=believed)
     else:
         from tests.twin.diagnose.second_plant import SecondBench
 
-        bench = SecondBench(rig, effects, seed=noise)
-    write_campaign(folder, rig, play(bench, seed=seed, quick=quick), x_max=x_max)
+        bench = SecondBench(rig, effects, seed=noise, believed=believed, outside=outside)
+    recorded = play(bench, seed=seed, quick=quick)
+    share = contact_share(recorded, rig)
+    if share > CONTACT_MOST:
+        raise Grounded(f"The ball is at a stop for {100 * share:.0f} % of the closed loop")
+    write_campaign(folder, rig, believed, recorded, x_max=x_max)
 
 
 def play(bench: Bench, *, seed: int, quick: bool = False) -> list[Recorded]:
@@ -170,14 +208,20 @@ def play(bench: Bench, *, seed: int, quick: bool = False) -> list[Recorded]:
     return recorded
 
 
+def contact_share(recorded: list[Recorded], rig: Rig) -> float:
+    """Share of the closed-loop samples that are at a stop, 0 to 1."""
+    x = np.concatenate([one.rows[:, 3] for one in recorded if one.kind == "closed-loop"])
+    return float(np.mean((x < 0.03 * rig.travel_m) | (x > 0.97 * rig.travel_m)))
+
+
 def write_campaign(
-    folder: Path, rig: Rig, recorded: list[Recorded], *, x_max: Literal["true", "travel"] = "true"
+    folder: Path, rig: Rig, believed: Rig, recorded: list[Recorded], *, x_max: Literal["true", "travel"] = "true"
 ) -> None:
     """The folder: campaign.toml with what a user knows of the rig, and one CSV.gz per recording."""
     folder.mkdir(parents=True, exist_ok=True)
     x_max_m = rig.travel_m + (rig.coil_plane_above_stop_m if x_max == "true" else 0.0)
-    gains = ", ".join(f"{gain:.6g}" for gain in designed_gains(rig))
-    i_0, u_0 = rig.equilibrium_current_a(MIDDLE_M), rig.equilibrium_input_v(MIDDLE_M)
+    gains = ", ".join(f"{gain:.6g}" for gain in designed_gains(believed))
+    i_0, u_0 = believed.equilibrium_current_a(MIDDLE_M), believed.equilibrium_input_v(MIDDLE_M)
     lines = [
         "[plant]",
         'name = "ce152"',
@@ -200,8 +244,9 @@ def write_campaign(
 class EmulatedBench:
     """The emulated board in process: its own firmware, converters and commands."""
 
-    def __init__(self, rig: Rig, effects: Mapping[str, float], *, seed: int) -> None:
+    def __init__(self, rig: Rig, effects: Mapping[str, float], *, seed: int, believed: Rig) -> None:
         self._lab = Lab(rig, effects=dict(effects), seed=seed)
+        self._lab.rig = believed  # whose gains `fly` loads
         self._next = 0  # first tick of the next recording
         self._forget()
 

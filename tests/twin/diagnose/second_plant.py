@@ -334,14 +334,21 @@ class SecondBench:
     Args:
         rig: Its numbers.
         effects: Strength by name of the catalogue's effects.
-        seed: Of noise, excitation, and what of an effect is the rig's own.
+        seed: Of noise and of what in an effect is the rig's own.
+        believed: The rig that the law was designed for.
         outside: Strength by name of `outside.OUTSIDE`.
     """
 
     def __init__(
-        self, rig: Rig, effects: Mapping[str, float], *, seed: int, outside: Mapping[str, float] | None = None
+        self,
+        rig: Rig,
+        effects: Mapping[str, float],
+        *,
+        seed: int,
+        believed: Rig,
+        outside: Mapping[str, float] | None = None,
     ) -> None:
-        self._rig = rig
+        self._rig, self._believed = rig, believed
         own, noise, chance = (np.random.default_rng(s) for s in np.random.SeedSequence([22, seed]).spawn(3))
         self._noise, self._chance = noise, chance
         strange = dict(outside or {})
@@ -354,10 +361,10 @@ class SecondBench:
         self._rings = (np.zeros(RING), np.zeros(RING), np.zeros(RING))
         self._law = np.array(
             [
-                *designed_gains(rig),
-                rig.equilibrium_current_a(MIDDLE_M),
+                *designed_gains(believed),
+                believed.equilibrium_current_a(MIDDLE_M),
                 MIDDLE_M,
-                rig.equilibrium_input_v(MIDDLE_M),
+                believed.equilibrium_input_v(MIDDLE_M),
             ]
         )
         self._memory = np.zeros(3)
@@ -370,8 +377,8 @@ class SecondBench:
         return self._run(np.clip(on_grid(wave(signal, ticks), INPUT_DAC), 0.0, 5.0), closed=False)
 
     def fly(self, x_m: float) -> None:
-        self._place(x_m, self._rig.equilibrium_current_a(x_m))
-        self._u = self._rig.equilibrium_input_v(x_m)
+        self._place(x_m, self._believed.equilibrium_current_a(x_m))
+        self._u = self._believed.equilibrium_input_v(x_m)
         self._memory[:] = 0.0
 
     def closed_loop(self, signal: Signal, ticks: int) -> FloatArray:

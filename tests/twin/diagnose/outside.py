@@ -1,0 +1,65 @@
+"""Effects that the catalogue of causes does not know: the honest answer to each is `unknown-cause`.
+
+Each is physically plausible, clearly above the noise at its strength, and leaves the ball flying
+(`test_hidden_campaigns.py`).  The equations are in `second_plant.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outside:
+    """One effect: its strength and what it does."""
+
+    strength: float
+    unit: str
+    about: str
+    may_be_adequate: bool = False  # a diagnosis that leaves the damaged samples out finds a right model
+
+
+OUTSIDE: Mapping[str, Outside] = MappingProxyType(
+    {
+        "force-hysteresis": Outside(
+            strength=0.03,
+            unit="A",
+            about="the field follows the current with a play of this half width: a loop of remanence, not an offset",
+        ),
+        "sensor-sticks": Outside(
+            strength=40e-6, unit="m", about="the reading moves only when x has moved by this much (a worn guide)"
+        ),
+        "sensor-warm-up": Outside(
+            strength=250e-6, unit="m", about="x reads too high by this much after a warm-up of 40 s, 0 at the start"
+        ),
+        "wire-spring": Outside(
+            strength=1.5e6,
+            unit="N/m^3",
+            about="a wire on the ball: slack below 2.5 mm, then a force down with the cube of the way",
+        ),
+        "lateral-resonance": Outside(
+            strength=0.05,
+            unit="",
+            about="the ball swings sideways at 35 Hz, driven by its acceleration, and the sensor takes it for height",
+        ),
+        "supply-ripple": Outside(
+            strength=0.04, unit="", about="the amplifier's gain swings by this share at 100 Hz, twice the mains"
+        ),
+        "friction-patch": Outside(
+            strength=0.006, unit="N", about="dry friction between 2.25 and 2.55 mm only: a scratch in the guide"
+        ),
+        "loose-contact": Outside(
+            strength=0.04,
+            unit="",
+            about="the gain of the amplifier falls by this share and comes back, at random times",
+        ),
+        "bit-errors": Outside(
+            strength=0.01,
+            unit="",
+            about="with this probability per sample one of bits 4 to 8 of x is wrong, for the law too",
+            may_be_adequate=True,
+        ),
+    }
+)
