@@ -1,0 +1,233 @@
+"""A campaign as one series of flagged samples, with what the ball says while it lies at a stop.
+
+Rule 1: contact is told by the data, not by the number 0: a sensor with an offset or a wrong scale shows the stops at
+        other places, and that is evidence.  In open loop an unstable ball that stays within its noise for 50 ms is held.
+Rule 2: places where it was held are stops only if all recordings agree on them; a ball that rested on a platform at
+        another height each time gives lift-off currents (8) and nothing else.
+Rule 3: a judge recording never enters the series of the fit, and the other way round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
+
+from protocol.campaign import Plant
+from twin.diagnose.filter import RESTS_HIGH, RESTS_LOW
+from twin.identify.innovations import FLIES, FOLLOWS, USE_I, USE_X, Series
+from twin.identify.liftoff import LiftOff, equilibria, lift_offs
+from twin.identify.prepare import Usage, prepare
+from twin.identify.record import BoolArray, FloatArray, Record, runs
+
+HELD_SAMPLES = 25  # 50 ms: four times the time constant of the unstable pole
+HELD_SCALES = 10.0  # of the sensor noise, largest spread while held
+NEAR_SHARE = 0.25  # of the travel: as far as a stop may seem displaced
+AGREE_SHARE = 0.06  # of the travel: by this much the same stop may differ between recordings (crosstalk, drift)
+EDGE_SAMPLES = 4  # left out at both ends of a rest: the ball rocks
+END_SHARE = 0.15  # of readings within 50 ms at the converter's end: the noise is cut off there, and its mean is not 0
+_LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
+_OPEN_LOOP = ("sawtooth", "prbs", "free")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """What one use (fit or judge) of a campaign says."""
+
+    records: tuple[Record, ...]
+    series: Series
+    t: FloatArray  # s, of each sample of the series, shape (n,)
+    usages: tuple[Usage, ...]
+    statics: tuple[LiftOff, ...]  # points of force balance that are not in the series
+    low_m: float | None  # reading at the lower stop; None: not seen
+    high_m: float | None
+    notes: tuple[str, ...]
+
+    def names(self) -> list[str]:
+        """Of the recordings."""
+        return [record.name for record in self.records]
+
+
+def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, float | None] | None = None) -> Evidence:
+    """The series of these recordings.
+
+    Args:
+        records: of one use.
+        plant: mass, travel, x_max.
+        stops: readings at the stops where other recordings have shown them already.
+    """
+    records = tuple(records)
+    held = [held_samples(record, plant) for record in records]
+    notes: list[str] = []
+    low, high = _stops(records, held, plant, notes) if stops is None else stops
+    parts: list[Series] = []
+    times: list[FloatArray] = []
+    usages: list[Usage] = []
+    platform: list[Record] = []
+    for number, (record, still) in enumerate(zip(records, held, strict=True)):
+        if record.kind == "equilibria":
+            continue
+        on_stop = _on(record, still, low, high, plant)
+        lifts = record.kind == "sawtooth"
+        if lifts and not (on_stop[0] | on_stop[1]).any():
+            platform.append(record)
+        scale, shift = _rescaling(low, high, plant)
+        told = replace(record, x=(record.x - shift) * scale, kind="prbs" if lifts and record not in platform else record.kind)
+        series, (usage,) = prepare([told], plant)
+        usage.kind = record.kind
+        usages.append(usage)
+        if not len(series):
+            continue
+        flags, x, t = series.flags.copy(), series.x.copy(), np.zeros(len(series))
+        n = len(record.t) if record.has("u_c", "i_c") and len(record.t) > 1 else 0
+        x[:n] = np.where(np.isfinite(record.x), record.x, 0.0)
+        t[:n] = np.where(np.isfinite(record.t), record.t, 0.0)
+        if n:
+            own = flags[:n]
+            own[at_converter_end(record.i_c)] &= np.uint8(~USE_I & 0xFF)
+            own[still & (own & FLIES != 0)] &= np.uint8(~(FLIES | USE_X) & 0xFF)
+            for mask, bit in zip(on_stop, (RESTS_LOW, RESTS_HIGH), strict=True):
+                free = own & FLIES == 0
+                own[mask & free & np.isfinite(record.x)] |= np.uint8(bit | USE_X)
+        parts.append(
+            replace(series, flags=flags, x=x, recording=np.full(len(series), number, np.int32))
+        )
+        times.append(t)
+    statics = [*equilibria(list(records), plant), *lift_offs(platform, plant)]
+    return Evidence(
+        records=records,
+        series=_join(parts),
+        t=np.concatenate(times) if times else np.empty(0),
+        usages=tuple(usages),
+        statics=tuple(statics),
+        low_m=low,
+        high_m=high,
+        notes=tuple(notes),
+    )
+
+
+def held_samples(record: Record, plant: Plant) -> BoolArray:
+    """Where the ball is held by something, shape (n,): open loop, and x within its noise for 50 ms."""
+    n = len(record.t)
+    if record.kind not in _OPEN_LOOP or n < 2 * HELD_SAMPLES or not record.has("x"):
+        return np.zeros(n, np.bool_)
+    x = record.x
+    known = np.isfinite(x)
+    x = np.interp(np.arange(n), np.flatnonzero(known), x[known])
+    spread = maximum_filter1d(x, HELD_SAMPLES) - minimum_filter1d(x, HELD_SAMPLES)
+    least = max(noise_of(x), 1e-4 * plant.travel_m)
+    core = spread <= HELD_SCALES * least
+    held = maximum_filter1d(core.astype(np.uint8), HELD_SAMPLES) > 0  # a window that is still is still at its ends
+    follows_reference = np.abs(x - record.x_ref) < 0.03 * plant.travel_m  # NaN compares False
+    if record.kind == "free" and record.has("x_ref") and np.mean(follows_reference) > 0.5:
+        held[:] = False
+    return np.asarray(held & known)
+
+
+def at_converter_end(values: FloatArray) -> BoolArray:
+    """Where readings stand at the lowest or highest value of the record so often that noise must be cut off there."""
+    cut = np.zeros(len(values), np.bool_)
+    if len(values) < HELD_SAMPLES or not np.isfinite(values).any():
+        return cut
+    for end in (np.nanmin(values), np.nanmax(values)):
+        at_end = (values == end).astype(float)
+        cut |= uniform_filter1d(at_end, HELD_SAMPLES) > END_SHARE
+    return cut
+
+
+def noise_of(x: FloatArray) -> float:
+    """Standard deviation of white noise on a smooth signal, from its third difference."""
+    if len(x) < 8:
+        return 0.0
+    third = np.diff(x, 3)
+    return float(1.4826 * np.median(np.abs(third - np.median(third))) / np.sqrt(20.0))
+
+
+def _stops(
+    records: Sequence[Record], held: Sequence[BoolArray], plant: Plant, notes: list[str]
+) -> tuple[float | None, float | None]:
+    """Readings at the lower and the upper stop, where the recordings agree on them."""
+    found: tuple[list[float], list[float]] = ([], [])
+    for record, still in zip(records, held, strict=True):
+        levels = [float(np.median(record.x[piece])) for piece in runs(still, HELD_SAMPLES)]
+        for side, stop in enumerate((0.0, plant.travel_m)):
+            near = [level for level in levels if abs(level - stop) < NEAR_SHARE * plant.travel_m]
+            if near:
+                found[side].append(float(np.median(near)))
+    places: list[float | None] = []
+    for side, what in enumerate(("lower", "upper")):
+        levels = found[side]
+        if levels and max(levels) - min(levels) > AGREE_SHARE * plant.travel_m:
+            notes.append(f"the ball rested at different heights near the {what} stop: not used as a stop")
+            levels = []
+        places.append(float(np.median(levels)) if levels else None)
+    return places[0], places[1]
+
+
+def _on(
+    record: Record, still: BoolArray, low: float | None, high: float | None, plant: Plant
+) -> tuple[BoolArray, BoolArray]:
+    masks = []
+    for stop in (low, high):
+        mask = np.zeros(len(record.t), np.bool_)
+        if stop is not None:
+            for piece in runs(still, HELD_SAMPLES):
+                if abs(float(np.median(record.x[piece])) - stop) < AGREE_SHARE * plant.travel_m:
+                    mask[piece.start + EDGE_SAMPLES : piece.stop - EDGE_SAMPLES] = True
+        masks.append(mask)
+    return masks[0], masks[1]
+
+
+def _rescaling(low: float | None, high: float | None, plant: Plant) -> tuple[float, float]:
+    """(scale, shift) that put the readings at the stops to 0 and the travel: contact is looked for there."""
+    if low is not None and high is not None:
+        return plant.travel_m / (high - low), low
+    if low is not None:
+        return 1.0, low
+    return 1.0, 0.0 if high is None else high - plant.travel_m
+
+
+def _join(parts: list[Series]) -> Series:
+    if not parts:
+        nothing = np.empty(0)
+        return Series(
+            step=nothing,
+            u=nothing,
+            i=nothing,
+            x=nothing,
+            flags=np.empty(0, np.uint8),
+            recording=np.empty(0, np.int32),
+        )
+    return Series(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in Series.__slots__})
+
+
+def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
+    """Standard deviations (i_c in A, x in m) at rest, where no model is needed; None where nothing rested long enough."""
+    series = evidence.series
+    rest = series.flags & (RESTS_LOW | RESTS_HIGH) != 0
+    squares = [[0.0, 0], [0.0, 0]]
+    for piece in runs(rest, 2 * HELD_SAMPLES):
+        for start in range(piece.start, piece.stop - HELD_SAMPLES + 1, HELD_SAMPLES):
+            window = slice(start, start + HELD_SAMPLES)
+            usable = (series.flags[window] & USE_I != 0).all() and np.ptp(series.u[window]) == 0.0
+            for place, values in ((0, series.i[window]), (1, series.x[window])):
+                if place == 0 and not usable:
+                    continue
+                line = np.polynomial.polynomial.polyfit(_LINE, values, 1)
+                residual = values - np.polynomial.polynomial.polyval(_LINE, line)
+                squares[place][0] += float(residual @ residual)
+                squares[place][1] += HELD_SAMPLES - 2
+    result = [float(np.sqrt(total / count)) if count > 300 and total > 0 else None for total, count in squares]
+    return result[0], result[1]
+
+
+def flying_share(series: Series) -> float:
+    """Samples in flight over all."""
+    return float(np.mean(series.flags & FLIES != 0)) if len(series) else 0.0
+
+
+def chains(series: Series) -> FloatArray:
+    """The number of the unbroken chain that each sample belongs to, shape (n,)."""
+    return np.cumsum(series.flags & FOLLOWS == 0)

@@ -1,0 +1,338 @@
+"""Prediction errors of the extended model along a whole campaign: the criterion of the diagnosis.
+
+The filter of `twin/identify/innovations.py`, for the state of `twin/model/extended.py`: what is predicted comes from the
+extended model alone, the sensitivities are its differences.
+
+Rule 1: the flags are those of `innovations.py`, and RESTS_LOW, RESTS_HIGH: the ball lies at a stop, whose place is known.
+        There the position sensor is tested alone: its offset, scale and crosstalk show without any force.
+Rule 2: only the states that the causes at hand give a life of their own are in the covariance: with the paper's model
+        three, so that a candidate costs what it needs.
+Rule 3: warmth at the start of a recording is unknown, and the filter finds it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.compiled import Packed, kernel
+from twin.identify.innovations import FLIES, FOLLOWS, SPEED_STD_M_S, USE_I, USE_X
+from twin.model.causes import (
+    actuation_delay,
+    amplifier_gain_drift,
+    current_sensor_gain,
+    eddy_current_lag,
+    position_sensor_lag,
+    sampling_delay,
+)
+from twin.model.extended import (
+    FIELD,
+    I_C,
+    SENSOR,
+    STATES,
+    WARMTH,
+    Base,
+    V,
+    X,
+    advance,
+    current_of_reading,
+    current_reading,
+    position_of_reading,
+    position_reading,
+)
+
+RESTS_LOW, RESTS_HIGH = 16, 32
+OUT_COLUMNS = 5  # nu_i, nu_x, S_ii, S_ix, S_xx; NaN where nothing was predicted
+_WARMTH = (0.25, 0.3)  # A^2: of a recording's start, mean and standard deviation
+_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4])  # of the states, for differences
+
+
+@kernel
+def drive_over(
+    base: Packed,
+    c: NDArray[np.float64],
+    y: NDArray[np.float64],
+    u: NDArray[np.float64],
+    n: int,
+    first: int,
+    t: float,
+    T_s: float,
+    stops: bool,
+) -> None:
+    """From sample n - 1 to n: the inputs in force, delays applied, one after the other.
+
+    Args:
+        base: tuple(Base).
+        c: the causes' parameters.
+        y: the state at n - 1, updated in place.
+        u: u_c of each sample, V, shape (n_samples,).
+        n: the sample that is reached.
+        first: no earlier input is known than that of this sample.
+        t: of n - 1, s.
+        T_s: from n - 1 to n, s.
+        stops: as in `advance`.
+    """
+    delay = c[actuation_delay.DELAY] + c[sampling_delay.DELAY]
+    if delay <= 0.0:
+        advance(base, c, y, u[n - 1], t, T_s, stops)
+        return
+    whole = int(delay / T_s)
+    part = delay - whole * T_s
+    advance(base, c, y, u[max(n - 2 - whole, first)], t, part, stops)
+    advance(base, c, y, u[max(n - 1 - whole, first)], t + part, T_s - part, stops)
+
+
+@kernel
+def _clear(P: NDArray[np.float64], row: int) -> None:
+    for k in range(P.shape[0]):
+        P[row, k] = 0.0
+        P[k, row] = 0.0
+
+
+@kernel
+def _gain(P: NDArray[np.float64], h: NDArray[np.float64], r: float, m: int, K: NDArray[np.float64]) -> float:
+    """K = P h / s over the first m states; returns s = h' P h + r."""
+    s = r
+    for a in range(m):
+        K[a] = 0.0
+        for b in range(m):
+            K[a] += P[a, b] * h[b]
+    for a in range(m):
+        s += h[a] * K[a]
+    for a in range(m):
+        K[a] /= s
+    return s
+
+
+@kernel
+def _correct(P: NDArray[np.float64], K: NDArray[np.float64], s: float, m: int) -> None:
+    for a in range(m):
+        for b in range(a, m):
+            P[a, b] -= K[a] * K[b] * s
+            P[b, a] = P[a, b]
+
+
+@kernel
+def run_extended(
+    base: Packed,
+    c: NDArray[np.float64],
+    noise: tuple[float, float, float, float, float],
+    stops_m: tuple[float, float],
+    t: NDArray[np.float64],
+    step: NDArray[np.float64],
+    u: NDArray[np.float64],
+    y_i: NDArray[np.float64],
+    y_x: NDArray[np.float64],
+    flags: NDArray[np.uint8],
+    out: NDArray[np.float64],
+    state: NDArray[np.float64],
+) -> None:
+    """Fill out, shape (n, 5), with innovations and their covariance, and `state` with the corrected estimates.
+
+    Args:
+        base: tuple(Base).
+        c: the causes' parameters, shape (PLACES,).
+        noise: standard deviations (i_c in A, x in m, disturbance of i_c in A per tick, acceleration in m/s^2), and the
+            length of that tick in s.
+        stops_m: where the ball lies at the lower and at the upper stop, m.
+        t: s, with the phase of periodic causes, shape (n,).
+        step: time to the sample before, s, shape (n,).
+        u: u_c from each sample on, V, shape (n,).
+        y_i: measured i_c, A, shape (n,).
+        y_x: measured x, m, shape (n,).
+        flags: of each sample, shape (n,).
+        out: receives nu_i, nu_x, S_ii, S_ix, S_xx.
+        state: receives the state after the correction, shape (n, 6), NaN where the ball does not fly; shape (0, 6)
+            where nobody wants it.
+    """
+    p = Base(*base)
+    r_i, r_x, q_per_s, a2 = noise[0] ** 2, noise[1] ** 2, noise[2] ** 2 / noise[4], noise[3] ** 2
+    heats, eddies, lags = (
+        c[amplifier_gain_drift.LOSS] != 0.0,
+        c[eddy_current_lag.TAU] > 0.0,
+        c[position_sensor_lag.TAU] > 0.0,
+    )
+    # active states: I_C, X, V first, as they are numbered
+    active = np.zeros(STATES, np.int64)
+    active[0], active[1], active[2] = I_C, X, V
+    m = 3
+    k_field, k_sensor, k_warm = -1, -1, -1
+    if eddies:
+        k_field, active[m] = m, FIELD
+        m += 1
+    if lags:
+        k_sensor, active[m] = m, SENSOR
+        m += 1
+    if heats:
+        k_warm, active[m] = m, WARMTH
+        m += 1
+    y, moved = np.zeros(STATES), np.zeros(STATES)
+    P, F, G = np.zeros((m, m)), np.zeros((m, m)), np.zeros((m, m))
+    h_i, h_x, K = np.zeros(m), np.zeros(m), np.zeros(m)
+    gain_i = c[current_sensor_gain.GAIN]
+    h_i[0] = gain_i
+    in_flight = False
+    first = 0
+    for n in range(len(u)):
+        flag = flags[n]
+        for column in range(5):
+            out[n, column] = np.nan
+        follows = flag & FOLLOWS != 0 and n > 0
+        flies = flag & FLIES != 0
+        use_i, use_x = flag & USE_I != 0, flag & USE_X != 0
+        rests = flag & (RESTS_LOW | RESTS_HIGH) != 0
+        if not follows:
+            first = n
+        if follows:
+            T_s = step[n]
+            q_i = q_per_s * T_s
+            if in_flight and flies:
+                for column in range(m):
+                    for k in range(STATES):
+                        moved[k] = y[k]
+                    a = active[column]
+                    delta = _DELTA[a]
+                    moved[a] += delta
+                    if a == I_C and not eddies:
+                        moved[FIELD] = moved[I_C]
+                    drive_over(base, c, moved, u, n, first, t[n - 1], T_s, False)
+                    for row in range(m):
+                        F[row, column] = moved[active[row]]
+                drive_over(base, c, y, u, n, first, t[n - 1], T_s, False)
+                for row in range(m):
+                    for column in range(m):
+                        F[row, column] = (F[row, column] - y[active[row]]) / _DELTA[active[column]]
+                for row in range(m):
+                    for column in range(m):
+                        total = 0.0
+                        for k in range(m):
+                            total += F[row, k] * P[k, column]
+                        G[row, column] = total
+                for row in range(m):
+                    for column in range(row, m):
+                        total = 0.0
+                        for k in range(m):
+                            total += G[row, k] * F[column, k]
+                        P[row, column] = total
+                        P[column, row] = total
+                P[0, 0] += q_i
+                P[1, 1] += 0.25 * a2 * T_s**4
+                P[1, 2] += 0.5 * a2 * T_s**3
+                P[2, 1] = P[1, 2]
+                P[2, 2] += a2 * T_s**2
+            else:
+                # The ball is held: the current (and the warmth) alone.
+                held = min(max(y_x[n - 1], 0.0), p.travel_m)
+                for k in range(STATES):
+                    moved[k] = y[k]
+                y[X], y[V], moved[X], moved[V] = held, 0.0, held, 0.0
+                moved[I_C] += _DELTA[I_C]
+                drive_over(base, c, moved, u, n, first, t[n - 1], T_s, False)
+                drive_over(base, c, y, u, n, first, t[n - 1], T_s, False)
+                f_ii = (moved[I_C] - y[I_C]) / _DELTA[I_C]
+                if heats:
+                    f_iw = -p.K_A * c[amplifier_gain_drift.LOSS] * u[n - 1] * (1.0 - f_ii)
+                    P[0, 0] = f_ii * f_ii * P[0, 0] + f_iw * f_iw * P[k_warm, k_warm]
+                    P[0, 0] += 2.0 * f_ii * f_iw * P[0, k_warm]
+                    P[0, k_warm] = f_ii * P[0, k_warm] + f_iw * P[k_warm, k_warm]
+                    P[k_warm, 0] = P[0, k_warm]
+                else:
+                    P[0, 0] = f_ii * f_ii * P[0, 0]
+                P[0, 0] += q_i
+                in_flight = False
+        else:
+            in_flight = False
+
+        if not follows:
+            _clear(P, 0)
+            if use_i:
+                y[I_C], P[0, 0] = current_of_reading(c, y_i[n]), r_i / (gain_i * gain_i)
+            else:
+                y[I_C], P[0, 0] = p.K_A * u[n], 1e2
+            y[FIELD] = y[I_C]
+            use_i = False
+            if heats:
+                _clear(P, k_warm)
+                y[WARMTH], P[k_warm, k_warm] = _WARMTH[0], _WARMTH[1] ** 2
+        if flies and not in_flight:
+            if use_x:
+                for k in range(m):
+                    if k != 0 and k != k_warm:
+                        _clear(P, k)
+                y[X], y[V], in_flight = position_of_reading(p, c, y_x[n], y[I_C]), 0.0, True
+                y[SENSOR] = y_x[n]
+                P[1, 1], P[2, 2] = r_x, SPEED_STD_M_S**2
+                if eddies:
+                    P[k_field, k_field] = P[0, 0]
+                    P[0, k_field] = P[0, 0]
+                    P[k_field, 0] = P[0, 0]
+                if lags:
+                    # The sensor lags a ball of unknown speed: where x is depends on it.
+                    tau = c[position_sensor_lag.TAU]
+                    P[1, 1] += (tau * SPEED_STD_M_S) ** 2
+                    P[1, 2] = tau * SPEED_STD_M_S**2
+                    P[2, 1] = P[1, 2]
+                    P[k_sensor, k_sensor] = r_x
+            use_x = False
+
+        n_i = y_i[n] - current_reading(c, y[I_C])
+        if use_x and rests and not in_flight:
+            stop = stops_m[0] if flag & RESTS_LOW != 0 else p.travel_m + stops_m[1]
+            out[n, 1], out[n, 4] = y_x[n] - position_reading(p, c, stop, y[I_C]), r_x
+            if use_i:
+                out[n, 3] = 0.0
+            use_x = False
+        use_x = use_x and in_flight
+        if use_x:
+            for k in range(m):
+                h_x[k] = 0.0
+            if lags:
+                h_x[k_sensor] = 1.0
+                n_x = y_x[n] - y[SENSOR]
+            else:
+                now = position_reading(p, c, y[X], y[I_C])
+                h_x[0] = (position_reading(p, c, y[X], y[I_C] + 1e-3) - now) / 1e-3
+                h_x[1] = (position_reading(p, c, y[X] + 1e-6, y[I_C]) - now) / 1e-6
+                n_x = y_x[n] - now
+            s_ix = 0.0
+            if use_i:
+                for a in range(m):
+                    s_ix += gain_i * P[0, a] * h_x[a]
+                out[n, 3] = s_ix
+            out[n, 1] = n_x
+            s_xx = r_x
+            for a in range(m):
+                for b in range(m):
+                    s_xx += h_x[a] * P[a, b] * h_x[b]
+            out[n, 4] = s_xx
+        if use_i:
+            s = _gain(P, h_i, r_i, m, K)
+            out[n, 0], out[n, 2] = n_i, s
+            if use_x:
+                for a in range(m):
+                    n_x -= h_x[a] * K[a] * n_i
+            for a in range(m):
+                if a == 0 or in_flight or a == k_warm:
+                    y[active[a]] += K[a] * n_i
+            _correct(P, K, s, m)
+        if use_x:
+            s = _gain(P, h_x, r_x, m, K)
+            for a in range(m):
+                y[active[a]] += K[a] * n_x
+            _correct(P, K, s, m)
+        if not eddies:
+            y[FIELD] = y[I_C]
+        if not lags:
+            y[SENSOR] = position_reading(p, c, y[X], y[I_C])
+        if state.shape[0] > 0:
+            for k in range(STATES):
+                state[n, k] = y[k] if in_flight else np.nan
+        if not math.isfinite(y[X] + y[I_C] + y[V]):
+            # The parameters are impossible: nothing sensible follows in this chain.
+            in_flight = False
+            for k in range(STATES):
+                y[k] = 0.0
+            for a in range(m):
+                _clear(P, a)

@@ -1,0 +1,68 @@
+"""What a right model would leave: sensor noise, and nothing else.
+
+The excess of a model is the log-likelihood that it lacks against a model whose innovations were white with the
+covariance that the sensor noise alone gives.  The noise is taken from the ball at rest, where no model is involved.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.diagnose.estimate import FLOORS, Criterion, Theta
+from twin.diagnose.evidence import sensor_noise
+from twin.identify.record import FloatArray
+
+MATERIAL = 0.02  # of log-likelihood per reading: what a 2 % error of the noise level makes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Floor:
+    """Sensor noise and what it leaves."""
+
+    sigma_i_c_a: float
+    sigma_x_m: float
+    measured: bool  # at rest; else the smallest that any fit has asked for
+    loglik: float  # of a right model
+    readings: int
+
+    def excess(self, loglik: float) -> float:
+        """Log-likelihood that a model lacks."""
+        return self.loglik - loglik
+
+    def material(self, loglik: float) -> bool:
+        """Whether that is more than the noise level's own error."""
+        return self.excess(loglik) > MATERIAL * self.readings
+
+
+def floor_of(criterion: Criterion, theta: Theta) -> Floor:
+    """The floor, at the covariances of the filter of `theta`."""
+    sigma_i, sigma_x = sensor_noise(criterion.evidence)
+    measured = sigma_i is not None and sigma_x is not None
+    quiet = replace(
+        theta,
+        sigma_i_c_a=sigma_i or theta.sigma_i_c_a,
+        sigma_x_m=sigma_x or theta.sigma_x_m,
+        process_i_c_a=FLOORS["process_i_c_a"],
+        process_a_m_s2=FLOORS["process_a_m_s2"],
+    )
+    out = criterion.outputs(quiet)
+    loglik, readings = expected(out)
+    return Floor(
+        sigma_i_c_a=quiet.sigma_i_c_a,
+        sigma_x_m=quiet.sigma_x_m,
+        measured=measured,
+        loglik=loglik,
+        readings=readings,
+    )
+
+
+def expected(out: FloatArray) -> tuple[float, int]:
+    """(log-likelihood of innovations that are as large as the filter says, number of readings)."""
+    has_i, has_x = np.isfinite(out[:, 2]), np.isfinite(out[:, 4])
+    both = has_i & has_x
+    total = float(np.sum(np.log(out[both, 2] * out[both, 4] - out[both, 3] ** 2)))
+    total += float(np.sum(np.log(out[has_i & ~has_x, 2]))) + float(np.sum(np.log(out[has_x & ~has_i, 4])))
+    readings = int(has_i.sum() + has_x.sum())
+    return -0.5 * (total + readings), readings

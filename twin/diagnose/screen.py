@@ -1,0 +1,122 @@
+"""Every cause of the catalogue against what is left of the data: how much would it gain, and can it be seen at all?
+
+The score test of each candidate on the innovations, all recordings together, with what the parameters already in the
+model can take up projected out.  Two passes of the filter a candidate instead of a fit.
+
+Rule 1: the signature of a candidate is a secant to a small value of it, not a derivative: a limit has no derivative
+        where it is not reached.
+Rule 2: a candidate of whose signature less than VISIBLE is its own is not testable here, and said to be so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.diagnose.estimate import Criterion, Theta, coordinates_of, derivative_step, inverse, moved, unit_of
+from twin.identify.innovations import information
+from twin.identify.record import FloatArray
+from twin.model.causes.catalogue import CATALOGUE
+from twin.model.causes.cause import Cause
+
+VISIBLE = 1e-3  # of the square of a signature: what must be left of it beside the parameters
+LEAST_INFORMATION = 1.0  # a signature of less than one standard error at its probe cannot be seen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Score:
+    """One candidate."""
+
+    cause: str
+    probe: float  # value of the strength at which the signature was taken
+    gain: float  # estimated increase of the log-likelihood
+    step: float  # of the coordinate towards the maximum, in units of the probe
+    z: float  # how far from absent, in standard errors, signed
+    detectable: float  # standard errors by which the probe itself would show
+    visible: float  # share of the signature that nothing in the model takes up
+
+    @property
+    def testable(self) -> bool:
+        """Whether these data can show it."""
+        return self.visible >= VISIBLE and self.detectable >= LEAST_INFORMATION
+
+
+def screen(criterion: Criterion, theta: Theta, free: Sequence[str], candidates: Sequence[Cause] = CATALOGUE) -> list[Score]:
+    """The candidates' scores at a maximum, best first; those already in the model are left out."""
+    plant = criterion.plant
+    present = {name.partition(".")[0] for name, _ in theta.causes}
+    trials = [
+        (cause, probe)
+        for cause in candidates
+        if cause.name not in present and not cause.not_testable and cause.name not in ("lost-samples", "periodic-disturbance")
+        for probe in cause.strength.probes
+    ]
+    steps = [derivative_step(theta, name, plant) for name in free]
+    thetas = [theta, *(moved(theta, name, by, plant) for name, by in zip(free, steps, strict=True))]
+    thetas += [_probed(theta, cause, probe) for cause, probe in trials]
+    base, *outs = criterion.several(thetas)
+    scales = [*steps, *(1.0 for _ in trials)]
+    change = np.empty((len(outs), *base.shape))
+    for place, (out, by) in enumerate(zip(outs, scales, strict=True)):
+        np.subtract(out, base, out=change[place])
+        change[place] /= by
+    del outs
+    count = len(scales)
+    fisher, each = np.zeros((count, count)), np.empty((len(base), count))
+    information(base, change, each, fisher)
+    score = each.sum(axis=0)
+    k = len(free)
+    inner = inverse(fisher[:k, :k])
+    best: dict[str, Score] = {}
+    for place, (cause, probe) in enumerate(trials, k):
+        cross = fisher[:k, place]
+        own = float(fisher[place, place])
+        left = own - float(cross @ inner @ cross)
+        slope = float(score[place] - cross @ inner @ score[:k])
+        if not (own > 0.0 and math.isfinite(own)):
+            continue
+        left = max(left, 1e-12 * own)
+        step = slope / left
+        if step < 0.0 and not _two_sided(cause):
+            gain, step = 0.0, 0.0
+        else:
+            gain = 0.5 * slope * slope / left
+        found = Score(
+            cause=cause.name,
+            probe=probe,
+            gain=gain,
+            step=step,
+            z=slope / math.sqrt(left),
+            detectable=math.sqrt(left),
+            visible=left / own,
+        )
+        if cause.name not in best or found.gain > best[cause.name].gain:
+            best[cause.name] = found
+    return sorted(best.values(), key=lambda found: -found.gain)
+
+
+def started(theta: Theta, score: Score) -> Theta:
+    """Where the fit with that candidate begins."""
+    from twin.model.causes.catalogue import BY_NAME
+
+    cause = BY_NAME[score.cause]
+    strength = cause.strength
+    reach = min(max(score.step, -20.0), 20.0)
+    coordinate = strength.coordinate(score.probe) * (reach if abs(reach) > 0.05 else 0.3)
+    theta = _probed(theta, cause, strength.value(coordinate))
+    return theta
+
+
+def _probed(theta: Theta, cause: Cause, value: float) -> Theta:
+    strength, *others = coordinates_of(cause.name)
+    for name, parameter in zip(others, cause.parameters[1:], strict=True):
+        theta = theta.having(name, parameter.neutral)
+    return theta.having(strength, value)
+
+
+def _two_sided(cause: Cause) -> bool:
+    strength = cause.strength
+    return math.isfinite(strength.neutral) and strength.low < strength.neutral < strength.high

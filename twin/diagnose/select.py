@@ -1,0 +1,195 @@
+"""Which causes belong into the model: forward by the likelihood of all recordings, backward, and who could stand in.
+
+    screen all -> fit the best few -> take the best if it earns it -> again, until nothing earns it
+    then for each cause that was taken: out with it, and who else explains as much?  Those are its class.
+
+Rule 1: a cause earns its place by log-likelihood over THRESHOLD, by a strength inside its physical range, and where the
+        model lacks more than noise, by a fair share of what it lacks.  A significant trifle beside a large unexplained
+        rest is how a false name looks.
+Rule 2: causes whose best fits differ by less than MARGIN of log-likelihood are one class: z = sqrt(2 MARGIN) = 3.
+Rule 3: the judge recordings are never looked at here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from twin.diagnose.estimate import PASSES, Criterion, Fit, climb, coordinates_of, parameter_of
+from twin.diagnose.floor import Floor
+from twin.diagnose.screen import Score, screen, started
+from twin.model.causes.catalogue import CATALOGUE
+from twin.model.causes.cause import Cause
+
+THRESHOLD = 10.0  # of log-likelihood: z = 4.5, and more than the most of 30 candidates reaches by chance
+SHARE = 0.2  # of the excess that is left
+MARGIN = 4.5
+MOST_CAUSES = 4
+FEW = 5  # candidates that are fitted in a round
+_SHORT = 10  # passes of a first fit
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """One candidate, fitted."""
+
+    cause: str
+    fit: Fit
+    gain: float  # of log-likelihood, against the model without it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Round:
+    """One step forward."""
+
+    scores: tuple[Score, ...]
+    trials: tuple[Trial, ...]  # best first
+    taken: str  # "" where none was
+    why: str
+
+
+@dataclass(slots=True, kw_only=True)
+class Selection:
+    """The causes in the order in which they were taken, and everything that was tried."""
+
+    base: Fit
+    fit: Fit
+    causes: list[str] = field(default_factory=list)
+    gains: dict[str, float] = field(default_factory=dict)
+    classes: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # rivals within MARGIN
+    runner_up: dict[str, float] = field(default_factory=dict)  # lead over the best rival outside the class
+    rounds: list[Round] = field(default_factory=list)
+
+
+def select(
+    criterion: Criterion,
+    base: Fit,
+    floor: Floor,
+    *,
+    candidates: Sequence[Cause] = CATALOGUE,
+    few: int = FEW,
+    say: Say = lambda line: None,
+) -> Selection:
+    """Forward, backward, classes."""
+    found = Selection(base=base, fit=base)
+    while len(found.causes) < MOST_CAUSES:
+        step = _forward(criterion, found.fit, floor, candidates, few, say)
+        found.rounds.append(step)
+        if not step.taken:
+            break
+        found.causes.append(step.taken)
+        found.fit = step.trials[0].fit
+        found.gains[step.taken] = step.trials[0].gain
+        say(f"taken: {step.taken} ({step.why})")
+        if len(found.causes) > 1:
+            _backward(criterion, found, say)
+    for cause in list(found.causes):
+        _rivals(criterion, found, cause, candidates, few, say)
+    return found
+
+
+def _forward(
+    criterion: Criterion, at: Fit, floor: Floor, candidates: Sequence[Cause], few: int, say: Say
+) -> Round:
+    scores = screen(criterion, at.theta, at.free, candidates)
+    worth = [score for score in scores if score.testable and score.gain > 0.5 * THRESHOLD][:few]
+    say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
+    trials = _fitted(criterion, at, worth)
+    if not trials:
+        return Round(scores=tuple(scores), trials=(), taken="", why="nothing in the catalogue gains anything")
+    best = trials[0]
+    excess = floor.excess(at.loglik)
+    share = best.gain / excess if excess > 0.0 else 1.0
+    why = f"log-likelihood +{best.gain:.0f}"
+    taken = ""
+    if best.gain < THRESHOLD:
+        why = f"{best.cause} would be best, with a gain of {best.gain:.1f}: chance does that"
+    elif not inside(best):
+        why = f"{best.cause} would be best, but outside its physical range"
+    elif floor.material(at.loglik) and share < SHARE:
+        why = f"{best.cause} would be best, but explains {100 * share:.0f} % of what is left"
+    else:
+        taken = best.cause
+    return Round(scores=tuple(scores), trials=tuple(trials), taken=taken, why=why)
+
+
+def _fitted(criterion: Criterion, at: Fit, scores: Sequence[Score]) -> list[Trial]:
+    """Each candidate fitted, the leading ones to the end; best first."""
+    trials = []
+    for score in scores:
+        fit = climb(criterion, started(at.theta, score), at.free + coordinates_of(score.cause), passes=_SHORT)
+        trials.append(Trial(cause=score.cause, fit=fit, gain=fit.loglik - at.loglik))
+    trials.sort(key=lambda trial: -trial.gain)
+    for place, trial in enumerate(trials[:3]):
+        if trial.fit.converged or trial.gain < 0.2 * trials[0].gain:
+            continue
+        fit = climb(criterion, trial.fit.theta, trial.fit.free, passes=PASSES)
+        trials[place] = Trial(cause=trial.cause, fit=fit, gain=fit.loglik - at.loglik)
+    return sorted(trials, key=lambda trial: -trial.gain)
+
+
+def inside(trial: Trial) -> bool:
+    """Whether every parameter of the cause is within its physical range, not at its end."""
+    for name in coordinates_of(trial.cause):
+        parameter = parameter_of(name)
+        value = trial.fit.theta.value(name)
+        if math.isinf(value):
+            return False
+        span = parameter.high - parameter.low
+        ends = [end for end in (parameter.low, parameter.high) if end != parameter.neutral]
+        if any(abs(value - end) < 1e-6 * span for end in ends) and name == coordinates_of(trial.cause)[0]:
+            return False
+    return True
+
+
+def _without(criterion: Criterion, fit: Fit, cause: str, passes: int = PASSES) -> Fit:
+    free = tuple(name for name in fit.free if not name.startswith(cause + "."))
+    return climb(criterion, fit.theta.without(cause), free, passes=passes)
+
+
+def _backward(criterion: Criterion, found: Selection, say: Say) -> None:
+    """Out with whatever the later ones have made superfluous."""
+    for cause in found.causes[:-1]:
+        smaller = _without(criterion, found.fit, cause)
+        loss = found.fit.loglik - smaller.loglik
+        if loss < THRESHOLD:
+            found.causes.remove(cause)
+            found.gains.pop(cause, None)
+            found.fit = smaller
+            say(f"dropped: {cause} (the others explain it)")
+        else:
+            found.gains[cause] = loss
+
+
+def _rivals(
+    criterion: Criterion, found: Selection, cause: str, candidates: Sequence[Cause], few: int, say: Say
+) -> None:
+    """Who could stand in for `cause`, the others staying; a rival that explains more takes its place."""
+    if len(found.causes) == 1:
+        at, known = found.base, {trial.cause: trial for trial in found.rounds[0].trials}
+    else:
+        at, known = _without(criterion, found.fit, cause), {}
+    own = Trial(cause=cause, fit=found.fit, gain=found.fit.loglik - at.loglik)
+    others = [entry for entry in candidates if entry.name not in found.causes]
+    scores = [
+        score
+        for score in screen(criterion, at.theta, at.free, others)
+        if score.cause not in known and score.testable and score.gain > 0.3 * THRESHOLD
+    ][: max(few - len(known), 2)]
+    trials = [trial for trial in known.values() if trial.cause != cause] + _fitted(criterion, at, scores)
+    trials = sorted((trial for trial in trials if inside(trial)), key=lambda trial: -trial.gain)
+    if trials and trials[0].gain > own.gain + MARGIN:
+        say(f"{trials[0].cause} explains more than {cause} beside the others: it takes its place")
+        best = trials[0]
+        found.causes[found.causes.index(cause)] = best.cause
+        found.fit, found.gains[best.cause] = best.fit, best.gain
+        found.gains.pop(cause, None)
+        trials = [own, *trials[1:]]
+        own, cause = best, best.cause
+    near = tuple(trial for trial in trials if own.gain - trial.gain < MARGIN)
+    far = [trial.gain for trial in trials if own.gain - trial.gain >= MARGIN]
+    found.classes[cause] = near
+    found.runner_up[cause] = own.gain - max(far, default=0.0)
+    found.gains[cause] = own.gain
