@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import inspect
 import json
 import sys
 from collections.abc import Callable
@@ -24,11 +25,22 @@ def names() -> list[str]:
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Which benchmarks."""
-    parser.epilog = "example:\n  board51 bench decoder twin"
+    parser.epilog = (
+        "examples:\n"
+        "  board51 bench decoder twin\n"
+        "  board51 bench diagnosis --part nulls --runs 60 --results nulls.jsonl\n"
+        "  board51 bench diagnosis --runs 0 --results matrix.jsonl     # the whole matrix; hours"
+    )
     parser.add_argument(
         "names", nargs="*", metavar="NAME", help=f"of {', '.join(names()) or 'none here'} (default: all)"
     )
     parser.add_argument("--json", action="store_true", help="print rows as JSON")
+    some = parser.add_argument_group("options of benchmarks that draw trials (diagnosis)")
+    some.add_argument("--runs", type=int, metavar="N", help="trials per part; 0: all of them (default: a few)")
+    some.add_argument("--seed", type=int, metavar="S", help="of the first trial (default: 0)")
+    some.add_argument("--part", metavar="PART", help="causes, nulls, composites or outside (default: each)")
+    some.add_argument("--results", type=Path, metavar="FILE", help="lines of JSON; what is there is not run again")
+    some.add_argument("--quick", action="store_true", default=None, help="short trials, uncalibrated")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -42,7 +54,8 @@ def run(args: argparse.Namespace) -> int:
     for name in args.names or names():
         if not args.json:
             print(f"{name} ...", flush=True)
-        for row in load(name)():
+        benchmark = load(name)
+        for row in benchmark(**_options(name, benchmark, args)):
             rows.append({"bench": name, **row})
             if not args.json:
                 print(_line(row), flush=True)
@@ -51,7 +64,22 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def load(name: str) -> Callable[[], list[Row]]:
+def _options(name: str, benchmark: Callable[..., list[Row]], args: argparse.Namespace) -> dict[str, Any]:
+    """The options that were given, as the benchmark takes them; `show` is how it prints more than rows."""
+    taken = inspect.signature(benchmark).parameters
+    given = {key: getattr(args, key) for key in ("runs", "seed", "part", "results", "quick")}
+    given = {key: value for key, value in given.items() if value is not None}
+    superfluous = [f"--{key}" for key in given if key not in taken]
+    if superfluous:
+        raise UsageError(
+            f"Benchmark {name} takes no {superfluous[0]}", remedy="Name only benchmarks that do, or drop it"
+        )
+    if "show" in taken and not args.json:
+        given["show"] = print
+    return given
+
+
+def load(name: str) -> Callable[..., list[Row]]:
     """The `run` of tests/bench/NAME.py."""
     if str(ROOT) not in sys.path:
         sys.path.insert(0, str(ROOT))  # benchmarks share plants and loads with the tests
@@ -61,7 +89,7 @@ def load(name: str) -> Callable[[], list[Row]]:
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look their module up
     spec.loader.exec_module(module)
-    loaded: Callable[[], list[Row]] = module.run
+    loaded: Callable[..., list[Row]] = module.run
     return loaded
 
 

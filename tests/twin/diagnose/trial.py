@@ -1,0 +1,110 @@
+"""One trial: hide an effect in a folder, give `board51 diagnose` that folder and nothing else, judge the answer."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from tests.twin.diagnose.draws import Hidden, record_hidden
+from tests.twin.diagnose.hidden_campaign import Grounded
+from tests.twin.diagnose.outside import OUTSIDE
+from tests.twin.diagnose.scoring import Outcome, judge, read_answer
+
+ROOT = Path(__file__).parents[3]
+TIMEOUT_S = 900.0
+
+
+def program_digest() -> str:
+    """Of the code that answers; results of different programs are never counted together."""
+    digest = hashlib.sha256()
+    for folder in ("protocol", "twin"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def diagnose_command(campaign: Path, out: Path, *, quick: bool = False) -> list[str]:
+    """What a user would type."""
+    return [
+        *(sys.executable, "-m", "board51", "diagnose", str(campaign), "--out", str(out)),
+        *(["--quick"] if quick else []),
+    ]
+
+
+def clean_environment() -> dict[str, str]:
+    """Without the variables that point at other data; one thread, because trials run side by side."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("BOARD51_")}
+    return kept | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
+
+
+def run_trial(hidden: Hidden, *, program: str, quick: bool = False, keep: Path | None = None) -> Outcome:
+    """Record, diagnose, judge.
+
+    Args:
+        hidden: What to hide.
+        program: Digest of the code that answers, for the results.
+        quick: A short campaign and `diagnose --quick`.
+        keep: Folder in which campaign and answer stay; default: deleted.
+    """
+    with tempfile.TemporaryDirectory(prefix="trial-") as scratch:
+        folder = keep or Path(scratch)
+        return _run(hidden, folder, program=program, quick=quick)
+
+
+def _run(hidden: Hidden, folder: Path, *, program: str, quick: bool) -> Outcome:
+    effects = {**hidden.effects, **hidden.outside}
+
+    def outcome(status: str, **more: object) -> Outcome:
+        fields: dict[str, object] = {
+            "part": hidden.part,
+            "seed": hidden.seed,
+            "program": program,
+            "quick": quick,
+            "plant": hidden.plant,
+            "grade": hidden.grade,
+            "truths": tuple(effects),
+            "strengths": tuple(effects.values()),
+            "status": status,
+        }
+        return Outcome(**(fields | more))  # type: ignore[arg-type]  # one list of fields for four endings
+
+    began = time.monotonic()
+    campaign, out = folder / "campaign", folder / "out"
+    try:
+        record_hidden(campaign, hidden, quick=quick)
+    except Grounded as reason:
+        return outcome("grounded", message=str(reason))
+    recorded = time.monotonic()
+    try:
+        done = subprocess.run(
+            diagnose_command(campaign, out, quick=quick),
+            cwd=ROOT,
+            env=clean_environment(),
+            capture_output=True,
+            text=True,
+            timeout=TIMEOUT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return outcome("failed", record_s=recorded - began, message=f"no answer within {TIMEOUT_S:g} s")
+    took = {"record_s": recorded - began, "diagnose_s": time.monotonic() - recorded}
+    try:
+        answer = read_answer(json.loads((out / "diagnosis.json").read_text(encoding="utf-8")))
+    except (OSError, ValueError, KeyError, TypeError) as problem:
+        last = done.stderr.strip().splitlines()[-1:] or [""]
+        return outcome("failed", **took, message=f"exit {done.returncode}: {last[0]} ({type(problem).__name__})")
+    lenient = any(OUTSIDE[name].may_be_adequate for name in hidden.outside)
+    return outcome(
+        "answered",
+        **took,
+        verdict=answer.verdict,
+        named=tuple(cause.name for cause in answer.causes),
+        not_testable=answer.not_testable,
+        judgement=judge(hidden.part, tuple(effects), answer, may_be_adequate=lenient),
+    )
