@@ -11,14 +11,19 @@ import numpy as np
 
 from protocol.campaign import Controller, Plant
 from protocol.errors import DataError
+from twin.identify.dead import FLYING, at_rest
+from twin.identify.lawcheck import law_gap, numbers_of
 from twin.identify.liftoff import lift_offs
+from twin.identify.mixed import downwards, swapped
 from twin.identify.prepare import flights
-from twin.identify.record import FloatArray, Record
-from twin.identify.start import amplifier_start, ball_start
+from twin.identify.record import Record
 
-_BALL = ("prbs", "closed-loop", "free", "sawtooth")
 CURRENT_MOST_A = 30.0  # no laboratory coil of this size takes it; 30 mA would not lift a ball either
+INPUT_MOST_V = 400.0  # more than any amplifier of such a coil
 INTERVAL_MOST_S = 0.2  # slower than this no ball is controlled, so t is not in seconds
+REPEATED_MOST = 0.2  # of the samples: so many times that do not rise are a mistake of the table, not of a clock
+REGULAR = 0.02  # relative spread of the interval that nobody needs to hear of
+_LENGTHS = (("millimetres", 1e3), ("centimetres", 1e2), ("micrometres", 1e6))
 
 
 def inspect(records: list[Record], plant: Plant, controller: Controller | None) -> list[str]:
@@ -27,22 +32,30 @@ def inspect(records: list[Record], plant: Plant, controller: Controller | None) 
     Raises:
         DataError: a channel is not what its column says: unit, sign, or mixed up with another.
     """
+    if plant.x_max_m < plant.travel_m:
+        raise DataError(
+            f"x_max_m = {plant.x_max_m:g} m lies within the travel of {plant.travel_m:g} m, where the force (3) is "
+            "infinite",
+            remedy="Correct travel_m or x_max_m in [plant]",
+        )
     warnings: list[str] = []
     for record in records:
-        _time(record)
+        warnings += _time(record)
+        swapped(record, plant)
+        warnings += _input(record)
         _current(record)
         _position(record, plant)
-        _swapped(record, plant)
-        warnings += _idle(record, plant)
-        if controller is not None and record.kind == "closed-loop":
+        reference = _reference(record, plant)
+        warnings += reference + _idle(record, plant)
+        if controller is not None and record.kind == "closed-loop" and not reference:
             warnings += _law(record, plant, controller)
-    _downwards(records, plant)
+    downwards(records, plant)
     return warnings
 
 
-def _time(record: Record) -> None:
+def _time(record: Record) -> list[str]:
     if record.kind == "equilibria" or not len(record.t) or (record.captures and len(record.t) < 3):
-        return
+        return []
     step = record.interval_s
     if not np.isfinite(step):
         raise DataError(f"{record.name}: t never rises", remedy="Map t to the column with the time in seconds")
@@ -53,19 +66,48 @@ def _time(record: Record) -> None:
             f"{record.name}: samples are {step:g} s apart; t looks like {unit}",
             remedy=f"Write t = {{ column = ..., scale = {scale} }}",
         )
+    steps = np.diff(record.t)
+    steps = steps[np.isfinite(steps)]
+    stuck = int(np.count_nonzero(steps <= 0.0))
+    if stuck > REPEATED_MOST * len(steps):
+        raise DataError(
+            f"{record.name}: t does not rise at {stuck} of {len(steps)} samples",
+            remedy="Remove doubled rows, or give t more digits",
+        )
+    said = []
+    if stuck:
+        said.append(f"{record.name}: t does not rise at {stuck} samples; each begins a new piece")
+    regular = steps[(steps > 0.0) & (steps < 10.0 * step)]
+    low, high = np.percentile(regular, (5, 95))
+    if high - low > REGULAR * step:
+        said.append(
+            f"{record.name}: the sampling interval varies, {low * 1e3:.4g} to {high * 1e3:.4g} ms for nine in ten; "
+            "each sample is predicted over its own"
+        )
+    return said
+
+
+def _input(record: Record) -> list[str]:
+    if not record.has("u_c"):
+        return []
+    low, high = (float(v) for v in np.nanpercentile(record.u_c, (1, 99)))
+    if max(abs(low), abs(high)) > INPUT_MOST_V:
+        raise DataError(
+            f"{record.name}: u_c reaches {max(abs(low), abs(high)):.4g} V; it looks like millivolts or counts",
+            remedy="Write u_c = { column = ..., scale = 1e-3 }, or the volts of a count",
+        )
+    if high < 0.0 and record.has("i_c") and float(np.nanpercentile(record.i_c, 99)) < 0.0:
+        return [
+            f"{record.name}: u_c and i_c are negative throughout: their polarity is reversed. The force does not care, "
+            "lift-off (8) and [controller] do: give both scale = -1.0"
+        ]
+    return []
 
 
 def _current(record: Record) -> None:
     if not record.has("i_c"):
         return
     top = float(np.nanpercentile(np.abs(record.i_c), 99))
-    if record.has("x") and record.kind != "amplifier-step":
-        reach = float(np.nanpercentile(np.abs(record.x), 99))
-        if top < 0.05 < reach < CURRENT_MOST_A:
-            raise DataError(
-                f"{record.name}: i_c stays below {top:.3g} A while x reaches {reach:.3g} m; they look swapped",
-                remedy="Exchange the columns of i_c and x",
-            )
     if top > CURRENT_MOST_A:
         raise DataError(
             f"{record.name}: i_c reaches {top:.4g} A; it looks like milliamperes",
@@ -84,7 +126,7 @@ def _position(record: Record, plant: Plant) -> None:
     low, high = (float(v) for v in np.nanpercentile(record.x, (1, 99)))
     reach = max(abs(low), abs(high))
     travel = plant.travel_m
-    for unit, scale in (("millimetres", 1e3), ("centimetres", 1e2), ("micrometres", 1e6)):
+    for unit, scale in _LENGTHS:
         if 0.15 * scale < reach / travel < 1.5 * scale:
             raise DataError(
                 f"{record.name}: x reaches {reach:.4g} m in a travel of {travel:g} m; it looks like {unit}",
@@ -102,53 +144,32 @@ def _position(record: Record, plant: Plant) -> None:
         )
 
 
-def _swapped(record: Record, plant: Plant) -> None:
-    if record.has("x", "x_ref") and record.kind == "closed-loop":
-        still = [float(np.mean(np.diff(values) == 0.0)) for values in (record.x, record.x_ref)]
-        if 0.9 < still[0] < 1.0 and still[1] < 0.5:
-            raise DataError(
-                f"{record.name}: x stands still for {100 * still[0]:.0f} % of the samples while x_ref moves; swapped",
-                remedy="Exchange the columns of x and x_ref",
-            )
-    if not record.has("u_c", "i_c") or record.kind == "equilibria" or len(record.t) < 200:
-        return
-    lag, peak = _lag(record.u_c, record.i_c)
-    if lag < 0 and peak > 0.4:
-        raise DataError(
-            f"{record.name}: i_c changes {-lag} sample(s) before u_c does (correlation {peak:.2f}); they look swapped",
-            remedy="Exchange the columns of u_c and i_c, or shift u_c: it is the input from its sample on",
-        )
-
-
-def _lag(u: FloatArray, i: FloatArray, most: int = 3) -> tuple[int, float]:
-    """(by how many samples i follows u, correlation of their changes there)."""
-    du, di = np.diff(u), np.diff(i)
-    good = np.isfinite(du) & np.isfinite(di)
-    du, di = np.where(good, du, 0.0), np.where(good, di, 0.0)
-    norm = float(np.linalg.norm(du) * np.linalg.norm(di))
-    if norm == 0.0:
-        return 0, 0.0
-    n = len(du)
-    values = {
-        lag: float(du[max(0, -lag) : n - max(0, lag)] @ di[max(0, lag) : n - max(0, -lag)]) / norm
-        for lag in range(-most, most + 1)
-    }
-    best = max(values, key=lambda lag: values[lag])
-    return best, values[best]
+def _reference(record: Record, plant: Plant) -> list[str]:
+    """x_ref is not fitted: a wrong one costs the closed loop only."""
+    if record.kind != "closed-loop" or not record.has("x", "x_ref"):
+        return []
+    travel = plant.travel_m
+    reach = float(np.nanpercentile(np.abs(record.x_ref), 99))
+    for unit, scale in _LENGTHS:
+        if 0.15 * scale < reach / travel < 1.5 * scale:
+            return [
+                f"{record.name}: x_ref reaches {reach:.4g} m in a travel of {travel:g} m; it looks like {unit}. "
+                f"Write x_ref = {{ column = ..., scale = {1 / scale:g} }}"
+            ]
+    away = float(np.nanmedian(np.abs(record.x - record.x_ref)))
+    turned = float(np.nanmedian(np.abs(record.x - (travel - record.x_ref))))
+    moves = float(np.nanstd(record.x)), float(np.nanstd(record.x_ref))
+    if min(moves) > 0.02 * travel and turned < 0.3 * away:
+        return [
+            f"{record.name}: x follows travel - x_ref: x_ref looks measured downwards. "
+            f"Write x_ref = {{ column = ..., scale = -1.0, offset = {travel:g} }}"
+        ]
+    return []
 
 
 def _idle(record: Record, plant: Plant) -> list[str]:
     said = []
-    for channel, what in (("u_c", "V"), ("i_c", "A"), ("x", "m")):
-        values = getattr(record, channel)
-        known = values[np.isfinite(values)]
-        wanted = channel != "x" or record.kind in _BALL
-        if record.kind != "equilibria" and wanted and known.size > 10 and np.ptp(known) == 0.0:
-            said.append(
-                f"{record.name}: {channel} is {known[0]:g} {what} throughout; a constant channel tells nothing. "
-                "Check its column"
-            )
-    if record.kind in ("prbs", "closed-loop", "free") and record.has("x") and not flights(record, plant):
+    if record.kind in FLYING and not at_rest(record) and record.has("x") and not flights(record, plant):
         said.append(
             f"{record.name}: the ball never leaves its stops, so it says nothing of K_c and b. Raise the amplitude"
         )
@@ -160,84 +181,15 @@ def _idle(record: Record, plant: Plant) -> list[str]:
     return said
 
 
-def _downwards(records: list[Record], plant: Plant) -> None:
-    chosen = [r for r in records if r.kind in ("prbs", "closed-loop", "free") and r.has("x", "i_c")]
-    amplifier = amplifier_start(records)
-    if amplifier is not None and amplifier.K_A <= 0:
-        raise DataError(
-            f"{records[0].name}: i_c falls where u_c rises (K_A = {amplifier.K_A:.3g} A/V)",
-            remedy="Give the reversed column scale = -1.0, or exchange columns",
-        )
-    for record in chosen:
-        up = ball_start([record], plant, amplifier)
-        down = ball_start([record], plant, amplifier, downwards=True)
-        if up is None or down is None or up.windows < 10:
-            continue
-        if down.k > 0 and down.misfit < 0.33 * up.misfit:
-            raise DataError(
-                f"{record.name}: the force fits {up.misfit / down.misfit:.0f} times better with x downwards",
-                remedy=f"Write x = {{ column = ..., scale = -1.0, offset = {plant.travel_m:g} }}, and so for x_ref",
-            )
-    rising = [point for record in records if record.kind == "sawtooth" for point in lift_offs([record], plant)]
-    falling = [
-        point
-        for record in records
-        if record.kind == "sawtooth" and record.has("x", "i_c")
-        for point in lift_offs([_upside_down(record, plant)], plant)
-    ]
-    if falling and not rising:
-        raise DataError(
-            f"{falling[0].recording}: x falls where the rising current pulls the ball up; it is measured downwards",
-            remedy=f"Write x = {{ column = ..., scale = -1.0, offset = {plant.travel_m:g} }}",
-        )
-
-
-def _upside_down(record: Record, plant: Plant) -> Record:
-    return Record(
-        name=record.name,
-        kind=record.kind,
-        use=record.use,
-        t=record.t,
-        u_c=record.u_c,
-        i_c=record.i_c,
-        x=plant.travel_m - record.x,
-        x_ref=record.x_ref,
-    )
-
-
 def _law(record: Record, plant: Plant, controller: Controller) -> list[str]:
     """Whether u_c is what the controller section says, given the measured i_c, x, x_ref."""
-    if not record.has("u_c", "i_c", "x", "x_ref"):
+    if not np.isfinite(record.interval_s) or not record.has("u_c"):
         return []
-    longest = max(flights(record, plant), key=lambda s: s.stop - s.start, default=None)
-    if longest is None or longest.stop - longest.start < 200:
+    numbers = numbers_of(controller, record.interval_s)
+    gap = law_gap(record, plant, numbers) if numbers is not None else None
+    if gap is None or not gap.contradicted:
         return []
-    u, i, x, x_ref = (getattr(record, name)[longest] for name in ("u_c", "i_c", "x", "x_ref"))
-    step = record.interval_s
-    speed = np.append(np.nan, np.diff(x)) / step
-    error = np.where(np.isfinite(x_ref - x), x_ref - x, 0.0)
-    integral = np.append(0.0, np.cumsum(error)[:-1]) * step
-    point, gains = controller.operating_point, np.array(controller.gains)
-    if controller.kind == "lqi":
-        columns = np.column_stack((-(i - point.i_c_a), -(x - point.x_m), -speed, -integral))
-    else:
-        columns = np.column_stack((x_ref - x, integral, -speed, np.zeros(len(x))))
-    inside = (u > np.nanmin(record.u_c)) & (u < np.nanmax(record.u_c)) & np.isfinite(columns).all(axis=1)
-    columns, u = columns[inside][5:], u[inside][5:]
-    if len(u) < 100:
-        return []
-    off = u - columns @ gains
-    off = off - np.mean(off)  # the integral began before the recording
-    spread = float(np.std(u))
-    table = np.column_stack((columns, np.ones(len(u))))
-    scale = np.maximum(np.linalg.norm(table, axis=0), 1e-12)
-    found = np.linalg.lstsq(table / scale, u, rcond=None)[0] / scale
-    rest = float(np.std(u - table @ found))
-    if float(np.std(off)) > max(3.0 * rest, 0.2 * spread):
-        fitted = ", ".join(f"{value:.4g}" for value in found[:4])
-        share = 100.0 * (1.0 - (rest / spread) ** 2) if spread > 0 else 0.0
-        return [
-            f"{record.name}: u_c is not what [controller] gives (off by {np.std(off):.3g} V rms); it follows "
-            f"gains of about [{fitted}] (they explain {share:.0f} % of it). Correct it; the fit does not use it"
-        ]
-    return []
+    return [
+        f"{record.name}: u_c is not what [controller] gives (off by {gap.off_v:.3g} V, {100 * gap.share:.0f} % of its "
+        f"movement); {gap.text()}. Correct it; the fit does not use it"
+    ]

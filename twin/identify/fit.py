@@ -321,5 +321,7 @@ def _move(point: Point, free: Sequence[str], step: FloatArray, mass_kg: float) -
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
+    if not np.isfinite(matrix).all():
+        return np.full(matrix.shape, np.inf)
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     return np.asarray(np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-13) / np.outer(scale, scale))

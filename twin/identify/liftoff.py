@@ -113,6 +113,7 @@ def _constant(plant: Plant, gap: float, i: float) -> float:
 
 def _departures(record: Record, plant: Plant) -> list[LiftOff]:
     good = np.isfinite(record.x) & np.isfinite(record.i_c) & np.isfinite(record.t)
+    good[1:] &= np.diff(record.t) > 0.0
     t, x, i = record.t[good], record.x[good], record.i_c[good]
     if len(t) < 20:
         return []

@@ -20,6 +20,7 @@ from protocol.campaign import Campaign
 from protocol.errors import DataError
 from twin.identify import verdicts
 from twin.identify.checks import inspect
+from twin.identify.dead import without_dead
 from twin.identify.delay import delayed, input_delay
 from twin.identify.fit import FLOORS, NAMES, NOISES, PARAMETERS, Fit, Likelihood, Point, fit, gate, most_drag, sandwich
 from twin.identify.innovations import FLIES, USE_I, USE_X
@@ -90,7 +91,9 @@ def identify_records(
     """As `identify`, on recordings in memory."""
     plant = campaign.plant
     warnings = [note for record in records for note in record.notes]
-    warnings += inspect(records, plant, campaign.controller)
+    said = inspect(records, plant, campaign.controller)
+    records, left_out = without_dead(records, plant)
+    warnings += grouped(said + left_out, [record.name for record in records])
 
     delays = [input_delay(record, plant) for record in records]
     records = [delayed(record, samples) for record, samples in zip(records, delays, strict=True)]
@@ -129,12 +132,14 @@ def identify_records(
         found = _parsimonious(likelihood, found)
         if flying and found.point.b >= 0.999 * most_drag(plant) * plant.mass_kg:
             free = tuple(name for name in found.free if name != "b")
-            steady = min(max(ball.d, 0.0), most_drag(plant)) * plant.mass_kg if ball else 0.0
+            possible = ball is not None and 0.0 <= ball.d <= most_drag(plant)
+            steady = ball.d * plant.mass_kg if ball is not None and possible else 0.0
             found = fit(likelihood, replace(found.point, b=steady), free)
             warnings.append(
                 f"the likelihood asks for more drag than b/m = {most_drag(plant):.0f} 1/s, the unstable pole: no ball "
-                "in air has that, it stands for what (6) lacks. b is from a regression over 60 ms windows instead; "
-                "board51 diagnose looks for the reason"
+                "in air has that, it stands for what (6) lacks. "
+                + ("b is from a regression over 60 ms windows instead" if possible else "b is left at 0, a placeholder")
+                + "; board51 diagnose looks for the reason"
             )
         white = whiteness(likelihood.series, likelihood.white(found.point))
         found = sandwich(likelihood, found, max(round(HAC_S / tick_s), 1))
@@ -175,6 +180,19 @@ def identify_records(
         whiteness=white,
         tick_s=tick_s,
     )
+
+
+def grouped(said: list[str], names: list[str]) -> list[str]:
+    """Lines "recording: text" of one text joined into one line; others as they are."""
+    lines: dict[str, list[str]] = {}
+    for line in said:
+        name = next((name for name in names if line.startswith(f"{name}: ")), "")
+        lines.setdefault(line.removeprefix(f"{name}: ") if name else line, []).append(name)
+    result = []
+    for text, owners in lines.items():
+        more = f" and {len(owners) - 1} more" if len(owners) > 1 else ""
+        result.append(f"{owners[0]}{more}: {text}" if owners[0] else text)
+    return result
 
 
 def _left_out(usages: list[Usage]) -> list[str]:

@@ -25,6 +25,8 @@ REACH = 1.3  # times the last or next change of x: what acceleration may add wit
 FLIGHT_SAMPLES = 8  # shorter ones only tell their own initial state
 SPIKE_SCALES = 12.0  # of the robust spread about the neighbours; a flight does not do that, a bit error does
 CLIPPED_RUN = 6  # equal extreme readings in a row: the converter's end, not chance
+CUT_SHARE, CUT_FEWEST = 0.01, 25  # of the samples at the lowest i_c, which then is the converter's end
+CUT_INPUT_SHARE = 0.02  # of the largest u_c: with less, no current is asked for
 BLOCK_SAMPLES = 20_000  # chains are cut here, so that an hour of data needs no more memory than a minute
 _CAPTURE_LEAD = 20  # samples of a capture before the step
 
@@ -41,6 +43,7 @@ class Usage:
     flight_samples: int = 0
     contact_samples: int = 0
     clipped: int = 0
+    cut: int = 0  # readings of i_c beside zero, where the converter cuts the noise in half
     outliers: int = 0
     gaps: int = 0
     captures: int = 0
@@ -93,7 +96,7 @@ def in_flight(x: FloatArray, plant: Plant) -> BoolArray:
         return np.zeros(len(x), np.bool_)
     held = x[np.maximum.accumulate(np.where(known, np.arange(len(x)), np.argmax(known)))]
     low, high = 0.0, plant.travel_m
-    margin = max(CONTACT_SHARE * plant.travel_m, 8.0 * _scatter(held))
+    margin = max(CONTACT_SHARE * plant.travel_m, 8.0 * scatter(held))
     for side, stop in ((0, 0.0), (1, plant.travel_m)):
         near = held[np.abs(held - stop) < REST_SHARE * plant.travel_m]
         if near.size >= REST_SAMPLES:
@@ -120,7 +123,7 @@ def _split(follows: BoolArray, at_least: int) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(starts) if b - a >= at_least]
 
 
-def _scatter(values: FloatArray) -> float:
+def scatter(values: FloatArray) -> float:
     """Noise of a smooth signal: robust scale of its third difference, which passes white noise with gain sqrt(20)."""
     if len(values) < 8:
         return 0.0
@@ -135,7 +138,9 @@ def _series(record: Record, plant: Plant, usage: Usage, number: int) -> Series:
     use_i, use_x = np.isfinite(record.i_c), np.isfinite(record.x)
     clipped = _clipped(record.i_c)
     usage.clipped = int(clipped.sum())
-    use_i &= ~clipped
+    cut = _cut(record) & ~clipped
+    usage.cut = int(np.count_nonzero(cut & use_i))
+    use_i &= ~clipped & ~cut
     broken = clipped | ~u_known  # the coil current after this sample is unknown
     follows = follows.copy()
     follows[1:] &= ~broken[:-1]
@@ -145,7 +150,7 @@ def _series(record: Record, plant: Plant, usage: Usage, number: int) -> Series:
     usage.pieces = int(np.count_nonzero(~follows))
     flies = np.zeros(n, np.bool_)
     if record.has("x") and record.kind not in ("sawtooth", "amplifier-step"):
-        wild = _spikes(record.x, plant)
+        wild = spikes(record.x, plant)
         use_x &= ~wild
         free = in_flight(np.where(wild, np.nan, record.x), plant)
         usage.contact_samples = int(np.count_nonzero(~free))
@@ -181,7 +186,24 @@ def _clipped(values: FloatArray) -> BoolArray:
     return clipped
 
 
-def _spikes(x: FloatArray, plant: Plant) -> BoolArray:
+def _cut(record: Record) -> BoolArray:
+    """Readings of i_c near its lowest value, where that value piles up under an input of zero.
+
+    A converter from 0 V reads noise about 0 A as half a Gaussian: its mean is not zero, and the fit would explain that.
+    """
+    known = np.isfinite(record.i_c) & np.isfinite(record.u_c)
+    if not known.any():
+        return np.zeros(len(record.t), np.bool_)
+    lowest = np.min(record.i_c[known])
+    pile = known & (record.i_c == lowest)
+    idle = np.median(record.u_c[pile]) <= CUT_INPUT_SHARE * max(float(np.max(record.u_c[known])), 0.0)
+    if not idle or np.count_nonzero(pile) < max(CUT_FEWEST, CUT_SHARE * len(record.t)):
+        return np.zeros(len(record.t), np.bool_)
+    reach = 6.0 * scatter(record.i_c[known])
+    return np.asarray(known & (record.i_c <= lowest + reach) & (record.u_c <= np.max(record.u_c[pile])))
+
+
+def spikes(x: FloatArray, plant: Plant) -> BoolArray:
     """Single readings far off the cubic through their four neighbours, and further off than these neighbours are.
 
     Not where the ball may be hitting a stop: an impact has a corner, too.

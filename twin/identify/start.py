@@ -122,7 +122,7 @@ def ball_start(
         downwards: as if x were measured down from the top stop (to recognise that it was).
     """
     for window_s in (WINDOW_S, 0.5 * WINDOW_S):
-        rows = _rows(records, plant, amplifier, window_s, downwards=downwards)
+        rows = force_rows(records, plant, amplifier, window_s, downwards=downwards)
         if sum(len(row) for row in rows) >= _ENOUGH:
             break
     if not rows:
@@ -130,9 +130,10 @@ def ball_start(
     return _regress(np.concatenate(rows))
 
 
-def _rows(
-    records: list[Record], plant: Plant, amplifier: AmplifierStart | None, window_s: float, *, downwards: bool
+def force_rows(
+    records: list[Record], plant: Plant, amplifier: AmplifierStart | None, window_s: float, *, downwards: bool = False
 ) -> list[FloatArray]:
+    """The integrals of the regression, one array of shape (n, 3) a flight: left side, force over k, drag over d."""
     rows: list[FloatArray] = []
     for record in records:
         if record.kind in ("equilibria", "sawtooth", "amplifier-step") or not record.has("i_c", "x"):

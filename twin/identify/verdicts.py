@@ -15,6 +15,7 @@ from twin.model.parameters import PARAMETERS, Parameter
 
 IDENTIFIED, WEAK = 0.25, 1.0  # half width of the 95 % interval over the value
 AGREE = 4.0  # standard errors between two estimates of the same number
+DIFFERENT = 0.02  # relative: two values of K_c so far apart are two
 OFFSET_SHARE = 2e-3  # of the largest level: a smaller offset is not worth a word
 _INPUT_HELP = "record steps of u_c with two or more steady levels (kind amplifier-step)"
 _TIME_HELP = "capture a step of u_c at 25 kHz (board51 send capture; kind amplifier-step)"
@@ -148,12 +149,13 @@ def force_constant(
                 f"x_max_m = {plant.x_max_m + force.shift_m:.5g}, or not at all"
             )
     if flying and found is not None and joint is not None:
-        if force is not None and abs(force.K_c - found.point.K_c) > AGREE * math.hypot(force.std, joint.std):
+        differ = force is not None and abs(force.K_c - found.point.K_c) > AGREE * math.hypot(force.std, joint.std)
+        if force is not None and differ:
             warnings.append(
                 f"K_c is {force.K_c:.4g} by (8) and {found.point.K_c:.4g} N m^2/A^2 in flight: no single K_c explains "
                 "both. (3) does not hold over the whole travel; board51 diagnose looks for the reason"
             )
-        return _parameter(
+        parameter = _parameter(
             "K_c",
             found.point.K_c,
             joint.std,
@@ -163,6 +165,13 @@ def force_constant(
             "(6), (7)",
             _FORCE_HELP,
         )
+        if force is None or not differ or abs(force.K_c / found.point.K_c - 1.0) < DIFFERENT:
+            return parameter
+        # Each of the two is precise, and yet they are two: an interval of either is not one of K_c.
+        method = f"{parameter.method}; lift-off (8) says {force.K_c:.4g}"
+        if parameter.verdict == "identified":
+            return replace(parameter, verdict="weak", method=method)
+        return replace(parameter, method=method)
     if force is not None:
         kind = "lift-offs" if force.points[0].t_s != 0 and len(force.points) else "equilibria"
         return _parameter(
@@ -200,15 +209,19 @@ def drag(
     """
     joint = intervals.get("b")
     if flying and found is not None and joint is None and ball is not None:
+        why = "because the likelihood asks for an impossible drag: the model lacks something that acts faster"
+        if found.point.b == 0.0:
+            return replace(
+                _absent("b", 0.0, _DRAG_HELP, []), method=f"placeholder, {why}; board51 diagnose looks for it"
+            )
         std = ball.d_std * plant.mass_kg
         return Parameter(
             value=found.point.b,
             unit=PARAMETERS["b"][0],
             std=std,
-            ci95=(max(ball.d * plant.mass_kg - 1.96 * std, 0.0), max(ball.d * plant.mass_kg + 1.96 * std, 0.0)),
+            ci95=(max(found.point.b - 1.96 * std, 0.0), found.point.b + 1.96 * std),
             verdict="not-identifiable",
-            method="regression over 60 ms windows, because the likelihood asks for an impossible drag: the model lacks "
-            "something that acts faster; board51 diagnose looks for it",
+            method=f"regression over 60 ms windows, {why}; board51 diagnose looks for it",
             equation="(5), (6)",
         )
     if not flying or found is None or joint is None:

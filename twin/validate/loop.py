@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, integral_behind, law
+from twin.identify.lawcheck import law_gap
 from twin.identify.record import FloatArray, runs
 from twin.mirror.expected import STABLE, autocovariance, error_dynamics
 from twin.model.parameters import Model
 from twin.simulate import PlantNumbers, plant_numbers, tick
 from twin.validate.ball import SETTLE_S
-from twin.validate.source import Filtered, Source
+from twin.validate.source import Filtered, Source, plant_of
 
 SHORTEST_S = 0.5
 UNEXPLAINED = 0.25  # of the changes of u_c that the law may leave open: rounding, not another law
@@ -112,6 +113,11 @@ def _flights(run: Filtered, model: Model, *, seed: int) -> tuple[list[LoopRun], 
     if abs(record.interval_s - c.sample_time_s) > 0.05 * c.sample_time_s:
         return [], (
             f"sampled every {record.interval_s * 1e3:.3g} ms, the law runs every {c.sample_time_s * 1e3:.3g} ms"
+        )
+    gap = law_gap(record, plant_of(model), c)
+    if gap is not None and gap.contradicted:
+        return [], (
+            f"the law does not give the recorded u_c ({100 * gap.share:.0f} % of its movement are left): {gap.text()}"
         )
     flown = _flown(run, c)
     if not flown:

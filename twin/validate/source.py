@@ -17,9 +17,13 @@ import numpy as np
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Campaign, Controller, Plant
 from twin.control import LawNumbers, law_numbers
+from twin.identify.checks import inspect
+from twin.identify.dead import without_dead
 from twin.identify.delay import delayed, input_delay
-from twin.identify.fit import Likelihood, Point
-from twin.identify.innovations import Series
+from twin.identify.fit import Likelihood, Point, gate
+from twin.identify.innovations import FLIES, USE_I, USE_X, Series
+from twin.identify.lawcheck import WIDE_V, numbers_of
+from twin.identify.pipeline import grouped
 from twin.identify.prepare import flights, prepare
 from twin.identify.reading import read_recording
 from twin.identify.record import FloatArray, Record, runs
@@ -27,7 +31,7 @@ from twin.model.parameters import Model
 from twin.recordings import LogReader, parse
 
 FLYING = ("closed-loop", "prbs", "free")
-WIDE_V = 1e6  # an input limit that nobody reaches, where none is known
+WILD_MOST = 0.01  # of the readings: more are no accidents of reading but the model's, or the sensor's, everyday
 LIMIT_SAMPLES = 5  # equal extreme inputs in a row: the limit of the input
 
 
@@ -57,6 +61,7 @@ class Filtered:
     white: FloatArray  # whitened innovations (i_c, x), shape (n, 2)
     state: FloatArray  # corrected i_c, x, x', shape (n, 3)
     point: Point
+    wild: int  # readings left out
 
 
 def plant_of(model: Model) -> Plant:
@@ -65,23 +70,31 @@ def plant_of(model: Model) -> Plant:
     return Plant(name=p.name, mass_kg=p.mass_kg, travel_m=p.travel_m, x_max_m=p.x_max_m, gravity_m_s2=p.gravity_m_s2)
 
 
-def sources_of(campaign: Campaign, model: Model, *, data: Path | None = None) -> list[Source]:
-    """All recordings of the campaign that could judge, in its order.
+def sources_of(campaign: Campaign, model: Model, *, data: Path | None = None) -> tuple[list[Source], list[str]]:
+    """(all recordings of the campaign that could judge, in its order; what is to be said of them).
 
     Raises:
-        DataError: a recording is absent or not readable.
+        DataError: a recording is absent or not readable, or not what it says it is.
     """
-    sources = []
+    records: list[Record] = []
+    told: list[list[pb.Parameters]] = []
     judged = {r.kind in FLYING for r in campaign.recordings if r.use == "judge"}
     for recording in campaign.recordings:
         spare = recording.use == "fit" and (recording.kind in FLYING) in judged  # others of its sort judge
         if recording.kind in ("equilibria", "sawtooth") or spare:
             continue
         path = campaign.path_of(recording, data=data)
-        record = read_recording(path, recording)
-        announced = _announced(path, recording.board) if record.kind in FLYING else []
-        sources.append(source_of(record, model, controller=campaign.controller, announced=announced))
-    return sources
+        records.append(read_recording(path, recording))
+        told.append(_announced(path, recording.board) if recording.kind in FLYING else [])
+    plant = plant_of(model)
+    # The same checks as before a fit: a model must not be blamed for millimetres.
+    said = inspect(records, plant, None)
+    records, left_out = without_dead(records, plant)
+    sources = [
+        source_of(record, model, controller=campaign.controller, announced=announced)
+        for record, announced in zip(records, told, strict=True)
+    ]
+    return sources, grouped(said + left_out, [record.name for record in records])
 
 
 def source_of(
@@ -124,9 +137,28 @@ def filtered(source: Source, model: Model) -> Filtered | None:
     series, _ = prepare([record], plant)
     point = point_of(model, record)
     likelihood = Likelihood(series, plant, record.interval_s)
+    gated, dropped = gate(series, likelihood.white(point), 1)
+    if 0 < dropped[0] <= WILD_MOST * len(series):
+        likelihood = Likelihood(gated, plant, record.interval_s)
+    source, wild = _without_wild(source, likelihood.series)
     return Filtered(
-        source=source, series=series, white=likelihood.white(point), state=likelihood.states(point), point=point
+        source=source,
+        series=likelihood.series,
+        white=likelihood.white(point),
+        state=likelihood.states(point),
+        point=point,
+        wild=wild,
     )
+
+
+def _without_wild(source: Source, series: Series) -> tuple[Source, int]:
+    """The recording without the readings that the filter was not given, and how many in flight these are."""
+    r = source.record
+    flies = (series.flags & FLIES) != 0
+    i = flies & ((series.flags & USE_I) == 0) & np.isfinite(r.i_c)
+    x = flies & ((series.flags & USE_X) == 0) & np.isfinite(r.x)
+    record = replace(r, i_c=np.where(i, np.nan, r.i_c), x=np.where(x, np.nan, r.x))
+    return replace(source, record=record), int(i.sum() + x.sum())
 
 
 def point_of(model: Model, record: Record) -> Point:
@@ -157,7 +189,6 @@ def _announced(path: Path, board: str) -> list[pb.Parameters]:
 
 
 def _written(controller: Controller, record: Record) -> LawNumbers | None:
-    point = controller.operating_point
     low, high = -WIDE_V, WIDE_V
     u = record.u_c[np.isfinite(record.u_c)]
     if len(u):
@@ -166,15 +197,4 @@ def _written(controller: Controller, record: Record) -> LawNumbers | None:
             high = top
         if top > bottom and runs(np.asarray(u <= bottom), LIMIT_SAMPLES):
             low = bottom
-    return law_numbers(
-        pb.Parameters(
-            sample_time_s=record.interval_s,
-            law=pb.LAW_LQI if controller.kind == "lqi" else pb.LAW_PID,
-            gains=controller.gains,
-            i_0_a=point.i_c_a,
-            x_0_m=point.x_m,
-            u_0_v=point.u_c_v,
-            u_min_v=low,
-            u_max_v=high,
-        )
-    )
+    return numbers_of(controller, record.interval_s, u_low=low, u_high=high)

@@ -111,7 +111,10 @@ class Validation:
             said = self.failures()
             more = f" ({len(said) - 1} more below)" if len(said) > 1 else ""
             first = f"The model does not explain these recordings: {said[0]}{more}."
-        return f"{first} {self.pace()}".strip()
+        untested = f"The closed loop could not be compared: {self.loop}." if isinstance(self.loop, str) else ""
+        if self.passed is None:
+            untested = ""
+        return " ".join(part for part in (first, self.pace(), untested) if part)
 
     def pace(self) -> str:
         """The paper's remark 'the rig takes longer to reach the reference' as a number; '' where nothing steps."""
@@ -148,7 +151,7 @@ def validate(
     """All parts on the recordings of a campaign.
 
     Raises:
-        DataError: a recording is absent or not readable, or the model is of another rig.
+        DataError: a recording is absent, not readable or not what it says it is, or the model is of another rig.
     """
     for name in ("mass_kg", "travel_m", "x_max_m"):
         ours, theirs = getattr(model.plant, name), getattr(campaign.plant, name)
@@ -158,14 +161,24 @@ def validate(
                 remedy=f"Give a model of the campaign's rig ({campaign.plant.name}), e.g. of `board51 identify`",
             )
     say("reading the recordings")
-    return validate_sources(sources_of(campaign, model, data=data), model, say=say)
+    sources, said = sources_of(campaign, model, data=data)
+    return validate_sources(sources, model, said=said, say=say)
 
 
 def validate_sources(
-    sources: Sequence[Source], model: Model, *, say: Callable[[str], None] = lambda _: None
+    sources: Sequence[Source],
+    model: Model,
+    *,
+    said: Sequence[str] = (),
+    say: Callable[[str], None] = lambda _: None,
 ) -> Validation:
-    """All parts on recordings in memory."""
-    notes = [note for source in sources for note in source.record.notes]
+    """All parts on recordings in memory; `said` heads the notes."""
+    notes = [*said, *(note for source in sources for note in source.record.notes)]
+    notes += [
+        f"{name} = {p.value:.4g} {p.unit} is not identified: {p.method or 'the model gives no interval'}"
+        for name, p in model.parameters.items()
+        if p.verdict == "not-identifiable"
+    ]
     judges, fitted = chosen([s for s in sources if s.record.kind in FLYING])
     if fitted and judges:
         notes.append("no flight is marked for judging: these recordings may have been fitted, which flatters the model")
@@ -177,6 +190,9 @@ def validate_sources(
             )
     say("filtering")
     runs: list[Filtered] = [run for source in judges if (run := filtered(source, model)) is not None]
+    if sum(run.wild for run in runs):
+        where = ", ".join(f"{run.source.record.name} {run.wild}" for run in runs if run.wild)
+        notes.append(f"{sum(run.wild for run in runs)} wild readings were left out ({where})")
     unflown = "no recording shows the ball in flight with u_c and i_c"
     say("predicting")
     shown = windows(runs, model) if runs else None

@@ -8,9 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gateway.emulator.flash import POSITION
+from gateway.emulator.rig import CE152
 from protocol.campaign import Campaign, parse
 from protocol.errors import DataError
-from tests.twin.identify.emulated_campaign import campaign_of, random_rig, run_campaign
+from protocol.wire.messages import Shape
+from tests.twin.identify.emulated_campaign import Lab, campaign_of, random_rig, run_campaign
 from twin.identify.pipeline import identify_records
 from twin.identify.record import Record
 
@@ -149,3 +152,112 @@ def test_an_empty_campaign_is_refused() -> None:
 
     with pytest.raises(DataError, match="use"):
         identify(campaign)
+
+
+def test_a_second_pair_of_channels_mixed_up_is_recognised(records: list[Record], campaign: Campaign) -> None:
+    flight = records[2]
+    wrong = {
+        "u_c stays below": replace(flight, x=flight.u_c, u_c=flight.x),
+        "x changes": replace(flight, x=flight.x_ref, x_ref=flight.x),
+        "millivolts": replace(flight, u_c=flight.u_c * 1e3),
+        "does not rise": replace(flight, t=np.repeat(flight.t[::2], 2)[: len(flight.t)]),
+    }
+    for problem, record in wrong.items():
+        with pytest.raises(DataError, match=problem):
+            identify_records(campaign, [record])
+
+
+def test_a_constant_channel_does_not_move_the_others(records: list[Record], campaign: Campaign) -> None:
+    n = len(records[2].t)
+    whole = identify_records(campaign, records[:2] + records[3:])
+    for dead in (
+        replace(records[2], x=np.full(n, 3e-3)),
+        replace(records[2], i_c=np.full(n, 0.6)),
+        replace(records[2], u_c=np.full(n, 2.0)),
+    ):
+        found = identify_records(campaign, [*records[:2], dead, *records[3:]])
+
+        assert any("a constant channel tells nothing" in warning for warning in found.warnings)
+        for name, parameter in found.model.parameters.items():
+            other = whole.model.parameters[name]
+            assert other.std is not None
+            # The same recordings, but for the good channels of the dead one.
+            assert abs(parameter.value - other.value) < 4.0 * other.std
+            assert parameter.verdict == "identified"
+
+
+def test_a_ball_that_is_held_off_its_stops_is_not_fitted(records: list[Record], campaign: Campaign) -> None:
+    held = replace(records[2], x=3e-3 + np.random.default_rng(1).normal(0.0, 5e-6, len(records[2].x)))
+
+    found = identify_records(campaign, [records[0], held])
+
+    assert any("x is noise alone" in warning for warning in found.warnings)
+    assert found.model.parameters["K_c"].verdict == "not-identifiable"
+    assert not found.usable
+
+
+def test_a_ball_at_rest_under_control_is_used(campaign: Campaign) -> None:
+    lab = Lab(RIG, seed=31)
+    lab.fly()
+    lab.run(200)
+    hover = lab.record("hover", "closed-loop", 3000)
+
+    found = identify_records(campaign, [hover])
+
+    assert not any("noise alone" in warning for warning in found.warnings)
+    K_c = found.model.parameters["K_c"]
+    assert K_c.std is not None
+    assert abs(K_c.value - RIG.force_constant_n_m2_a2) < 4.0 * K_c.std
+
+
+def test_a_record_of_the_noise_warns_of_nothing(records: list[Record], campaign: Campaign) -> None:
+    lab = Lab(RIG, seed=32)
+    rest = lab.record("rest", "free", 1000)
+
+    assert not identify_records(campaign, [*records, rest]).warnings
+
+
+@pytest.mark.parametrize(("gain", "share"), [("1700.0", 0), ("2040.0", 1), ("1870.0", 1)])
+def test_a_single_wrong_gain_is_seen(gain: str, share: int) -> None:
+    rig = replace(RIG, force_constant_n_m2_a2=CE152.force_constant_n_m2_a2, amplifier_gain_a_v=0.297)
+    lab = Lab(rig, seed=33)
+    lab.fly()
+    lab.run(200)
+    lab.excite(Shape.PRBS, on_reference=True, amplitude=300, offset=POSITION.to_count(2.85e-3), period=40, seed=3)
+    flight = lab.record("prbs", "closed-loop", 3000)
+    text = (
+        f'[controller]\nkind = "lqi"\ngains = [0.49, {gain}, 17.7, -17600.0]\n'
+        "operating_point = { i_c_a = 0.6, x_m = 2.85e-3, u_c_v = 2.1 }\n"
+    )
+
+    found = identify_records(campaign_of(rig, text), [flight])
+
+    assert sum("[controller]" in warning for warning in found.warnings) == share
+
+
+def test_a_travel_beyond_x_max_is_refused(records: list[Record], campaign: Campaign) -> None:
+    wide = replace(campaign, plant=replace(campaign.plant, travel_m=1.1 * campaign.plant.x_max_m))
+
+    with pytest.raises(DataError, match="within the travel"):
+        identify_records(wide, records[:1])
+
+
+def test_lift_off_and_flight_that_disagree_leave_no_identified_force_constant(records: list[Record]) -> None:
+    campaign = campaign_of(replace(RIG, coil_plane_above_stop_m=1e-4))
+
+    found = identify_records(campaign, records)
+
+    assert found.model.parameters["K_c"].verdict == "weak"
+    assert any("no single K_c explains both" in warning for warning in found.warnings)
+
+
+def test_a_sampling_time_that_varies_is_said_and_used(records: list[Record], campaign: Campaign) -> None:
+    """Time stamps that are off by up to 50 us of 2 ms: of a speed of 20 mm/s that is 1 um, less than the sensor's noise."""
+    rng = np.random.default_rng(2)
+    jittered = replace(records[2], t=records[2].t + rng.uniform(-5e-5, 5e-5, len(records[2].t)))
+
+    found = identify_records(campaign, [*records[:2], jittered])
+
+    assert any("the sampling interval varies" in warning for warning in found.warnings)
+    K_c = found.model.parameters["K_c"]
+    assert abs(K_c.value / RIG.force_constant_n_m2_a2 - 1.0) < 2e-3
