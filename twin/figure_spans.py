@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from twin.figure import MEASURED, REFERENCE, TWIN, Traces, shade
 
-INNOVATION_WINDOW_S = 0.1  # of the drawn rms: a few samples more than the eye averages
+CUT_SHARE = 0.005  # of the samples at either end may lie outside the axes of the errors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,10 +31,15 @@ def draw_spans(columns: list[Column], out: Path, *, title: str) -> None:
     figure = Figure(figsize=(6.6 * len(columns), 9.2), dpi=110, layout="constrained")
     axes = figure.subplots(4, len(columns), sharey="row", sharex="col", squeeze=False, height_ratios=[1.6, 1.4, 1.2, 1])
     figure.suptitle(title, fontsize=13)
+    errors, innovations = [], []
     for k, column in enumerate(columns):
-        _column(axes[:, k], column, first=k == 0)
+        error, innovation = _column(axes[:, k], column, first=k == 0)
+        errors.append(error)
+        innovations.append(innovation)
+    _scale(axes[2, 0], np.concatenate(errors))
+    _scale(axes[3, 0], np.concatenate(innovations))
     handles, labels = [], []
-    for axis in axes[:, 0]:
+    for axis in axes.flat:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             if label not in labels:
                 handles.append(handle)
@@ -43,7 +48,20 @@ def draw_spans(columns: list[Column], out: Path, *, title: str) -> None:
     figure.savefig(out)
 
 
-def _column(axes: NDArray[np.object_], column: Column, *, first: bool) -> None:
+def _scale(axis: Axes, values: NDArray[np.float64]) -> None:
+    """Show nearly all: the instant at which a ball is lifted would make a line of everything else."""
+    known = values[np.isfinite(values)]
+    if len(known):
+        low, high = np.percentile(known, [100.0 * CUT_SHARE, 100.0 * (1.0 - CUT_SHARE)])
+        low, high = min(low, 0.0), max(high, 0.0)
+        room = 0.25 * max(high - low, 1e-6)
+        axis.set_ylim(low - room, high + room)
+
+
+def _column(
+    axes: NDArray[np.object_], column: Column, *, first: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Draw one; returns the error of i_c in mA and the innovation of x in um."""
     rows = column.traces.columns()
     begin = float(np.nanmin(rows[0]))
     t, x, x_ref, i, twin_x, twin_i, innovation = (rows[0] - begin, *rows[[1, 2, 3, 5, 6, 12]])
@@ -59,9 +77,8 @@ def _column(axes: NDArray[np.object_], column: Column, *, first: bool) -> None:
     difference.plot(t, error * 1e3, color=TWIN, lw=0.7)
     _say(difference, error * 1e3, "mA")
     shade(difference, alarms, "divergence-i_c", end)
-    surprise.plot(t, innovation * 1e6, color="#bbbbbb", lw=0.5)
-    step = float(np.nanmedian(np.diff(t)))
-    surprise.plot(t, _rms(innovation, max(1, round(INNOVATION_WINDOW_S / step))) * 1e6, color=TWIN, lw=1.4)
+    surprise.axhline(0.0, color=REFERENCE, lw=0.8)
+    surprise.plot(t, innovation * 1e6, color=TWIN, lw=0.7)
     _say(surprise, innovation * 1e6, "um")
     shade(surprise, alarms, "innovation", end)
     surprise.set_xlabel("time [s]")
@@ -72,7 +89,8 @@ def _column(axes: NDArray[np.object_], column: Column, *, first: bool) -> None:
         position.set_ylabel("position x [mm]")
         current.set_ylabel("current i_c [A]")
         difference.set_ylabel("i_c: measured - twin\n[mA]")
-        surprise.set_ylabel("x: one-step innovation\nand its rms [um]")
+        surprise.set_ylabel("x: one-step\ninnovation [um]")
+    return error * 1e3, innovation * 1e6
 
 
 def _measured(axis: Axes, t: NDArray[np.float64], measured: NDArray[np.float64], twin: NDArray[np.float64]) -> None:
@@ -87,12 +105,3 @@ def _say(axis: Axes, values: NDArray[np.float64], unit: str) -> None:
         text = f"rms {rms:.3g} {unit}"
         box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 2.0}
         axis.text(0.99, 0.94, text, transform=axis.transAxes, ha="right", va="top", fontsize=10, bbox=box)
-
-
-def _rms(values: NDArray[np.float64], window: int) -> NDArray[np.float64]:
-    """Running rms over `window` samples, NaN where fewer than half of them are known."""
-    known = np.isfinite(values)
-    ones = np.ones(window)
-    count = np.convolve(known, ones, mode="same")
-    squares = np.convolve(np.where(known, values, 0.0) ** 2, ones, mode="same")
-    return np.where(count > window / 2, np.sqrt(squares / np.maximum(count, 1.0)), np.nan)

@@ -90,7 +90,7 @@ def _demo(out: Path, effects: list[str]) -> int:
         before = _fly(bus, "nominal")
 
         _say("3/8 measure: a quick campaign of the paper's experiments")
-        shown = call(
+        _, shown = call(
             out, "campaign", "run", str(campaign), "--board", BOARD, "--connect", endpoint, "--quick",
             good=NOT_ALL, tell=_tell_experiment,
         )  # fmt: skip
@@ -98,18 +98,25 @@ def _demo(out: Path, effects: list[str]) -> int:
             raise ServiceError(f"The campaign recorded nothing: {shown[-1].rstrip('.')}", remedy="Try another --effect")
 
         _say("4/8 identify")
-        call(out, "identify", str(campaign), "--out", str(model), good=NOT_ALL)
+        refused, lines = call(out, "identify", str(campaign), "--out", str(model), good=NOT_ALL)
         _show_model(model)
+        if refused:
+            _say("      identify itself calls this model not usable; the twin shows what it is worth:")
+            for line in lines:
+                if line.startswith("! "):
+                    _wrap(line)
 
         _say("5/8 validate: what the model leaves unexplained")
-        answer = call(out, "validate", str(campaign), "--model", str(model), "--out", str(report), good=NOT_ALL)
-        print(textwrap.fill(answer[0], 100, initial_indent=" " * 6, subsequent_indent=" " * 6), flush=True)
+        _, answer = call(out, "validate", str(campaign), "--model", str(model), "--out", str(report), good=NOT_ALL)
+        _wrap(answer[0])
 
         _say("6/8 hand the identified model to the running twin")
-        for line in call(
-            out, "twin", "--hand-over", str(model), "--board", BOARD, "--connect", endpoint, "--who", "demo"
-        ):
-            _say("      " + line)
+        _, lines = call(
+            out, "twin", "--hand-over", str(model), "--board", BOARD, "--connect", endpoint, "--who", "demo",
+            log="hand-over",
+        )  # fmt: skip
+        for line in lines:
+            _wrap(line)
 
         _say("7/8 the same reference again")
         after = _fly(bus, "identified")
@@ -162,6 +169,10 @@ def _show_model(path: Path) -> None:
     for name, found in parameters.items():
         low, high = found["ci95"] or (float("nan"), float("nan"))
         _say(f"      {name:<4}{found['value']:>12.6g} {found['unit']:<11} {low:.5g} .. {high:.5g}  {found['verdict']}")
+
+
+def _wrap(text: str) -> None:
+    _say(textwrap.fill(text, 100, initial_indent=" " * 6, subsequent_indent=" " * 6))
 
 
 def _tell_experiment(line: str) -> None:

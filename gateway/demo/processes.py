@@ -38,12 +38,17 @@ def running(out: Path, name: str, *words: str) -> Iterator[subprocess.Popen[byte
 
 
 def call(
-    out: Path, name: str, *words: str, good: tuple[int, ...] = (0,), tell: Callable[[str], None] = lambda _: None
-) -> list[str]:
-    """A command to its end; its lines go to OUT/NAME.log, and to `tell` as they come.
+    out: Path,
+    name: str,
+    *words: str,
+    good: tuple[int, ...] = (0,),
+    tell: Callable[[str], None] = lambda _: None,
+    log: str = "",
+) -> tuple[int, list[str]]:
+    """A command to its end; its lines go to OUT/LOG.log (default NAME), and to `tell` as they come.
 
     Returns:
-        The lines.
+        Exit code and lines.
 
     Raises:
         ServiceError: it ended with an exit code that is not `good`; says its last line.
@@ -56,24 +61,24 @@ def call(
         start_new_session=True,
     )
     lines: list[str] = []
+    path = out / f"{log or name}.log"
     assert process.stdout is not None
-    try:
-        with (out / f"{name}.log").open("w", encoding="utf-8") as log:
+    with process.stdout, path.open("w", encoding="utf-8") as file:
+        try:
             for raw in process.stdout:
-                log.write(raw)
+                file.write(raw)
                 lines.append(line := raw.rstrip())
                 tell(line)
-        code = process.wait()
-    finally:
-        # SIGINT, as a person would: a campaign parks the ball.
-        _stop(process, signal.SIGINT)
-        process.stdout.close()
+            code = process.wait()
+        finally:
+            _stop(process, signal.SIGINT)  # as a person would: a campaign parks the ball, and says so
+            file.write(process.stdout.read())
     if code not in good:
         raise ServiceError(
             f"board51 {name} ended with exit code {code}: {lines[-1] if lines else 'it said nothing'}".rstrip("."),
-            remedy=f"All it said is in {out / f'{name}.log'}",
+            remedy=f"All it said is in {path}",
         )
-    return lines
+    return code, lines
 
 
 def _stop(process: subprocess.Popen[bytes] | subprocess.Popen[str], with_signal: signal.Signals) -> None:

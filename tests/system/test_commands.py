@@ -35,9 +35,9 @@ def _start(*words: object, cwd: Path) -> subprocess.Popen[str]:
     )
 
 
-def _call(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+def _call(*words: object, cwd: Path, limit_s: float = LIMIT_S) -> subprocess.CompletedProcess[str]:
     process = _start(*words, cwd=cwd)
-    out, err = process.communicate(timeout=LIMIT_S)
+    out, err = process.communicate(timeout=limit_s)
     return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 
@@ -79,6 +79,9 @@ def test_the_list_of_commands_answers_without_importing_them() -> None:
         (["router", "--listen", "x"], "is not a zenoh endpoint"),
         (["info", "absent.mcap"], "absent.mcap"),
         (["twin", "--model", "absent.json"], "absent.json"),
+        (["twin", "--hand-over", "absent.json"], "absent.json"),
+        (["plot", "absent.mcap", "--out", "p.png", "--span", "5:2"], "is not FROM:TO"),
+        (["demo", "--out", "/proc/no/folder"], "/proc/no/folder is no folder"),
         (["plot", "absent.mcap", "--out", "p.png"], "absent.mcap"),
         (["bench", "nothing"], "nothing"),
         (["emulate", "--effect", "magic=1"], "magic"),
@@ -162,31 +165,52 @@ def test_send_and_watch_through_a_standalone_router(line: str, tmp_path: Path) -
     assert ticks == list(range(ticks[0], ticks[0] + 50))
 
 
-def test_the_demo_lifts_the_ball_and_leaves_log_and_picture(tmp_path: Path) -> None:
-    before = _board51_processes()
-
-    done = _call("demo", "--out", "out", cwd=tmp_path)
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_the_demo_flies_on_both_models_and_leaves_everything(tmp_path: Path) -> None:
+    done = _call("demo", "--out", "out", cwd=tmp_path, limit_s=380.0)
 
     assert done.returncode == 0, done.stderr
-    assert re.search(r"reference 4\.50 mm: ball at 4\.(4[5-9]|5[0-5]) mm", done.stdout)
-    assert "Alarms raised" in done.stdout
-    assert "always more, the more the higher the ball" in done.stdout
-    picture = next((tmp_path / "out").glob("*.png"))
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    info = _call("info", "--json", next((tmp_path / "out").glob("*.mcap")), cwd=tmp_path)
+    assert len(re.findall(r"reference 4\.50 mm: ball at 4\.(?:4[5-9]|5[0-5]) mm", done.stdout)) == 2
+    was, now = map(float, re.findall(r"at rest from (\d+) to (\d+) mA rms", done.stdout)[0])
+    # The nominal model was fitted at x = 0 alone, the identified one over the whole travel.
+    assert now < 0.9 * was
+    assert "Left over" in done.stdout
+    (log,) = (tmp_path / "out").glob("*.mcap")
+    assert (tmp_path / "out" / "measured-vs-twin.png").read_bytes().startswith(b"\x89PNG")
+    assert "<html" in (tmp_path / "out" / "report" / "report.html").read_text()
+    info = _call("info", "--json", log, cwd=tmp_path)
     assert info.returncode == 0
-    assert "without its end" not in info.stdout
-    assert _board51_processes() <= before
+    board = json.loads(info.stdout)["boards"]["board51/demo"]
+    assert [one["who"] for one in board["twin_models"]] == ["", "demo"]
+    assert board["gaps"]["samples_missing"] == 0
+    assert _processes_in(tmp_path) == []
 
 
-def _board51_processes() -> set[str]:
-    """Command lines of the demo's own processes, which carry its board's name."""
-    found = set()
-    for path in Path("/proc").glob("[0-9]*/cmdline"):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_demo_parks_the_ball_and_stops_everything(number: signal.Signals, tmp_path: Path) -> None:
+    demo = _start("demo", "--out", "out", cwd=tmp_path)
+    assert demo.stdout is not None
+
+    seen = any("[1/" in line for line in demo.stdout)  # in the middle of the campaign
+    demo.send_signal(number)
+    _, errors = demo.communicate(timeout=LIMIT_S)
+
+    assert seen
+    assert demo.returncode == 130
+    assert "everything stopped" in errors
+    assert "Traceback" not in errors
+    assert "ball parked, coil off" in (tmp_path / "out" / "campaign.log").read_text()
+    assert _processes_in(tmp_path) == []
+
+
+def _processes_in(folder: Path) -> list[str]:
+    """Command lines of the processes that work in `folder`: the demo's all do."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
         try:
-            words = path.read_bytes().split(b"\0")
-        except OSError:  # ended meanwhile
+            if (process / "cwd").resolve() == folder.resolve():
+                found.append((process / "cmdline").read_text().replace("\0", " "))
+        except OSError:  # ended meanwhile, or not ours
             continue
-        if b"board51" in words and any(word.startswith(b"demo=") for word in words):
-            found.add(str(path))
     return found
