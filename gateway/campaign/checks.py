@@ -33,6 +33,7 @@ AT_STOP_S = 0.1  # in closed loop: longer at a stop is no flight (an overshoot t
 OFF_SHARE = 0.06  # of the travel: median distance of x from x_ref, where the loop follows
 FOLLOWED_SHARE = 0.2  # of the reference's range: a ball that moves less does not follow it
 STILL_SHARE = 0.02  # of the travel: less is no movement
+AT_LIMIT_SHARE = 0.98
 FEWEST_CROSSINGS_PER_S = 1.0  # of the middle of the travel, in open-loop flight
 
 
@@ -243,7 +244,7 @@ def _lifts(experiment: Experiment, s: Samples, rig: Rig) -> tuple[Problem, ...]:
     highest = float(np.max(s.x_m)) - rig.rest_m
     if highest < LIFTED_SHARE * rig.travel_m:
         top = float(np.max(s.u_v))
-        at_limit = top > rig.limits.u_max_v - 3 * rig.limits.u_lsb_v - 1e-9
+        at_limit = top > AT_LIMIT_SHARE * rig.limits.u_max_v  # a ramp ends one step short of its top
         hint = "; that is the limit: raise --u-max, or look whether the ball is stuck" if at_limit else ""
         return (
             Problem(

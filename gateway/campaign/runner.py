@@ -82,6 +82,7 @@ class Wishes:
 
     experiments: tuple[Experiment, ...]
     plant: Plant
+    lift_off: Experiment = BY_NAME[LIFT_OFF]  # recorded first where its result is needed and not known
     seed: int = 1
     u_max_v: float | None = None
     x_min_m: float | None = None
@@ -149,7 +150,7 @@ class Runner:
         if any(map(needs_lift_off, experiments)) and self._folder.lift_off_v is None:
             if not any(e.name == LIFT_OFF for e in experiments):
                 self._say("the lift-off input is not known yet: lift-off is recorded first")
-                return [BY_NAME[LIFT_OFF], *experiments]
+                return [self._wishes.lift_off, *experiments]
         return list(experiments)
 
     def _look_ahead(self, summary: Summary) -> None:

@@ -32,24 +32,13 @@ class Line:
     bus: Bus
     plant: Path
 
-    def words(self, folder: Path, *more: str) -> list[str]:
-        run = ["campaign", "run", str(folder), "--board", "rig", "--connect", self.endpoint]
-        return [*run, "--plant", str(self.plant), *more]
-
     def run(self, folder: Path, *more: str) -> int:
         """In this process; the exit code."""
-        return board51.main(self.words(folder, *more))
+        return board51.main(words(self.endpoint, folder, "--plant", str(self.plant), *more))
 
     def start(self, folder: Path, *more: str) -> subprocess.Popen[str]:
         """In a process of its own."""
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
-        return subprocess.Popen(
-            [sys.executable, "-m", "board51", *self.words(folder, *more)],
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        return start(self.endpoint, folder, "--plant", str(self.plant), *more)
 
     def assert_parked(self, x_ref_m: float = 2.85e-3) -> None:
         """Coil off, ball down, and the reference where it was before."""
@@ -60,6 +49,20 @@ class Line:
             return bool(state.mode == pb.MODE_IDLE and state.u_c_v == 0.0 and near)
 
         wait_for(parked, "parked ball")
+
+
+def words(endpoint: str, folder: Path, *more: str) -> list[str]:
+    return ["campaign", "run", str(folder), "--board", "rig", "--connect", endpoint, *more]
+
+
+def start(endpoint: str, folder: Path, *more: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "board51", *words(endpoint, folder, *more)],
+        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 @contextmanager
@@ -74,7 +77,8 @@ def emulated_line(
     plant = tmp_path / "plant.toml"
     plant.write_text(PLANT)
     with Emulator(tcp=False, speed=speed, effects=effects or {}, faults=faults, seed=5) as emulator:
-        config = gateway_config(emulator.urls[0], **board)
+        # The board's second is a third of ours: a busy machine must not look like a lost host.
+        config = gateway_config(emulator.urls[0], **{"host_loss_timeout_s": 6.0, **board})
         with running(config), client(config.zenoh.listen[0]) as bus:
             wait_for(bus.states, "first sample")
             yield Line(emulator=emulator, endpoint=config.zenoh.listen[0], bus=bus, plant=plant)
