@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     """Design, print, write."""
     # Imported here: --help must not wait for numba and scipy.
     from twin.design.board import Converters
-    from twin.design.design import design
+    from twin.design.design import design, require_known
     from twin.design.gains import Weights, bryson, operating_point
     from twin.design.report import controller, everything, table
     from twin.model.nominal import SHIPPED, nominal
@@ -101,6 +101,7 @@ def run(args: argparse.Namespace) -> int:
     if args.settling_time is not None and args.Q is not None and args.R is not None:
         raise UsageError("--settling-time beside --Q and --R has no effect", remedy="Leave out the one or the other")
     model = nominal(args.model) if args.model in SHIPPED else load_model(args.model)
+    require_known(model)
     lsb = {"i_lsb_a": args.i_lsb, "x_lsb_m": args.x_lsb, "u_lsb_v": args.u_lsb}
     point = operating_point(model, args.operating_point, u_max_v=args.u_max)
     chosen = bryson(model, point, settling_time_s=args.settling_time)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.errors import DataError
 from twin.control import linearise
 from twin.design.board import Converters, QuantisedGain, from_order_of, quantise
 from twin.design.gains import Law, OperatingPoint, Weights, bryson, design_gains, in_order_of, operating_point
@@ -86,8 +87,10 @@ def design(
     """Design and judge; see `twin/design/README.md` for what each number is.
 
     Raises:
+        DataError: K_A or K_c of the model is a placeholder.
         UsageError: no such operating point, weights without a solution, gains beyond the board's format.
     """
+    require_known(model)
     converters = Converters() if converters is None else converters
     point = operating_point(model, x_m, u_max_v=u_max_v)
     weights = bryson(model, point, settling_time_s=settling_time_s) if weights is None else weights
@@ -125,8 +128,23 @@ def design(
         robustness=box,
         observer_robustness=None if filter_gain is None else robustness(candidates[-1][1]),
         stable_range_m=stable_range_m(model, on_board, point.x_m, sample_time_s),
-        warnings=_warnings(loops[2], box, point, u_max_v),
+        warnings=_unsure(model) + _warnings(loops[2], box, point, u_max_v),
     )
+
+
+def require_known(model: Model) -> None:
+    """Refuse a model whose gain or force constant is a placeholder.
+
+    Raises:
+        DataError: names the parameter and why it is not known.
+    """
+    for name in ("K_A", "K_c"):
+        parameter = model.parameters[name]
+        if parameter.verdict == "not-identifiable":
+            raise DataError(
+                f"{name} = {parameter.value:.4g} {parameter.unit} is not identifiable ({parameter.method})",
+                remedy="Record what is missing and identify again: gains for a guessed plant would drop the ball",
+            )
 
 
 def _noise(model: Model, sample_time_s: float, converters: Converters | None) -> Noise:
@@ -159,6 +177,25 @@ def _judge(
         x_rms_analog_m=x_analog,
         u_rms_analog_v=u_analog,
     )
+
+
+def _unsure(model: Model) -> tuple[str, ...]:
+    said = [
+        f"{name} = {p.value:.4g} {p.unit} is {p.verdict}: {p.method}"
+        for name, p in model.parameters.items()
+        if p.verdict in ("weak", "not-identifiable")
+    ]
+    delays = [
+        int(usage.get("input_delay", 0))
+        for usage in model.provenance.get("recordings", [])
+        if isinstance(usage, dict) and usage.get("input_delay")
+    ]
+    if delays:
+        said.append(
+            f"in {len(delays)} recordings u_c acted {max(delays)} sample(s) late; the design has no delay: "
+            "compare it with the delay margin"
+        )
+    return tuple(said)
 
 
 def _warnings(board: Judged, box: Robustness, point: OperatingPoint, u_max_v: float) -> tuple[str, ...]:

@@ -109,7 +109,11 @@ def _costs(design: Design) -> list[str]:
 def _said(box: Robustness) -> str:
     if not box.varied:
         return "not checked, the model has none"
-    return f"{100 * box.unstable_share:.1f} % of {box.loops} loops unstable, worst |pole| {box.worst_pole:.4f}"
+    names = ", ".join(box.varied)
+    return (
+        f"{names} varied, x_max and mass held: {100 * box.unstable_share:.1f} % of {box.loops} loops unstable, "
+        f"worst |pole| {box.worst_pole:.4f}"
+    )
 
 
 def _margin(loop: Judged, cell: Callable[[Margins], str]) -> str:

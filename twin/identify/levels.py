@@ -20,6 +20,7 @@ PLATEAU_SAMPLES = 12  # shorter ones have no steady half worth a median
 FLAT_SHARE = 2e-3  # of the range of u_c: smaller changes are the same level
 SHAPE_Z = 5.0  # standard deviations of a chi-square
 SHAPE_RATIO = 1.3  # rms of the residual in the transient over the noise, below which a shape is first order enough
+BEND_Z = 5.0  # standard errors of a level off the line
 _HUBER = 1.5
 
 
@@ -42,6 +43,8 @@ class Levels:
     offset_std_a: float
     scatter_a: float  # of the plateaus about the line
     levels: tuple[Level, ...]
+    bend_a: float = 0.0  # how far the level furthest off the line is from it, where that is more than chance
+    bend_at_v: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,14 +102,43 @@ def find_levels(records: list[Record]) -> Levels | None:
     covariance = np.linalg.inv((columns / total[:, None] ** 2).T @ columns)
     # Few levels: the scatter itself is uncertain; widen by Student's factor.
     widen = float(student_t.ppf(0.975, max(len(u) - 2, 1)) / 1.96) if distinct > 2 else 1.0
+    bend, at, systematic = _bend(u, i - columns @ solution, error)
     return Levels(
         K_A=float(solution[0]),
-        K_A_std=float(np.sqrt(covariance[0, 0])) * min(widen, 6.5),
+        K_A_std=float(np.hypot(np.sqrt(covariance[0, 0]) * min(widen, 6.5), systematic)),
         offset_a=float(solution[1]),
         offset_std_a=float(np.sqrt(covariance[1, 1])) * min(widen, 6.5),
         scatter_a=extra,
         levels=tuple(levels),
+        bend_a=bend,
+        bend_at_v=at,
     )
+
+
+def _bend(u: FloatArray, residual: FloatArray, error: FloatArray) -> tuple[float, float, float]:
+    """(residual of the level furthest off, its u_c, what the bend does to the slope as a standard error).
+
+    Zeros where the levels lie on a line within their errors.  A limit, a dead zone or a coil that heats bends the line:
+    plateaus of one u_c then err together, and their number does not make the slope any surer.
+    """
+    same = np.round(u / max(FLAT_SHARE * float(np.ptp(u)), 1e-12)).astype(int)
+    values = np.unique(same)
+    if len(values) < 3:
+        return 0.0, 0.0, 0.0
+    groups = [same == value for value in values]
+    mean = np.array([residual[g].mean() for g in groups])
+    own = [
+        max(float(np.sqrt(np.mean(error[g] ** 2))), float(residual[g].std()) if g.sum() > 2 else 0.0)
+        / float(np.sqrt(g.sum()))
+        for g in groups
+    ]
+    z = np.abs(mean) / np.maximum(own, 1e-12)
+    if float(np.max(z)) < BEND_Z:
+        return 0.0, 0.0, 0.0
+    k = int(np.argmax(np.abs(mean)))
+    at = np.array([float(u[g].mean()) for g in groups])
+    slope_error = float(np.sqrt(np.sum(mean**2) / (len(mean) - 2) / np.sum((at - at.mean()) ** 2)))
+    return float(mean[k]), float(at[k]), slope_error * float(student_t.ppf(0.975, len(mean) - 2) / 1.96)
 
 
 def _plateaus(record: Record) -> list[Level]:

@@ -72,6 +72,7 @@ def provenance_of(
             "K_A_std": levels.K_A_std,
             "offset_a": levels.offset_a,
             "offset_std_a": levels.offset_std_a,
+            "bend_a": levels.bend_a,
             "count": len(levels.levels),
         }
     if shape is not None:

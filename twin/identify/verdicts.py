@@ -41,6 +41,12 @@ def gain(
                 f"i_c is {levels.offset_a * 1e3:+.3g} mA at u_c = 0 by the line through the steady levels: an offset "
                 f"of sensor or amplifier that (1) lacks. Give i_c offset = {-levels.offset_a:.4g} if it is the sensor's"
             )
+        bent = abs(levels.bend_a) > OFFSET_SHARE * top
+        if bent:
+            warnings.append(
+                f"the steady levels do not lie on a line: {levels.bend_a * 1e3:+.3g} mA at {levels.bend_at_v:.3g} V. "
+                "A limit, a dead zone or a coil that heats does that; the interval of K_A covers it"
+            )
         if shape is not None and not shape.first_order:
             warnings.append(
                 f"the amplifier's step response is not first order: its residual is {shape.ratio:.1f} times the noise "
@@ -51,8 +57,8 @@ def gain(
             and found is not None
             and abs(found.point.K_A - levels.K_A) > AGREE * math.hypot(joint.std, levels.K_A_std)
         )
-        if joint is None or found is None or offset or differ or (shape is not None and not shape.first_order):
-            if differ and found is not None and not offset:
+        if joint is None or found is None or offset or bent or differ or (shape is not None and not shape.first_order):
+            if differ and found is not None and not offset and not bent:
                 warnings.append(
                     f"K_A is {levels.K_A:.5g} A/V by steady levels and {found.point.K_A:.5g} A/V by the joint fit"
                 )

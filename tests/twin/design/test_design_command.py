@@ -75,3 +75,32 @@ def test_bad_input_is_one_line_and_exit_code_2(words: list[str], said: str, caps
     assert code == 2
     assert said in err
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["K_A", "K_c"])
+def test_a_placeholder_is_not_designed_for(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = json.loads((Path(board51.__file__).parent / "twin/model/ce152.json").read_text())
+    model["parameters"][name] |= {"verdict": "not-identifiable", "method": "placeholder, no recording shows it"}
+    (tmp_path / "m.json").write_text(json.dumps(model))
+
+    code = board51.main(["design", str(tmp_path / "m.json")])
+
+    error = capsys.readouterr().err
+    assert code == 2
+    assert f"{name} = " in error
+    assert "not identifiable" in error
+    assert error.count("\n") == 1
+
+
+def test_what_is_not_known_for_sure_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = json.loads((Path(board51.__file__).parent / "twin/model/ce152.json").read_text())
+    model["parameters"]["b"] |= {"verdict": "not-identifiable", "method": "placeholder"}
+    model["provenance"] = {"recordings": [{"name": "flight", "input_delay": 1}]}
+    (tmp_path / "m.json").write_text(json.dumps(model))
+
+    code = board51.main(["design", str(tmp_path / "m.json")])
+
+    said = capsys.readouterr().out
+    assert code == 0
+    assert "b = 0.02 N s/m is not-identifiable" in said
+    assert "1 sample(s) late" in said

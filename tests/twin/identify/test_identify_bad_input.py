@@ -252,7 +252,7 @@ def test_lift_off_and_flight_that_disagree_leave_no_identified_force_constant(re
 
 
 def test_a_sampling_time_that_varies_is_said_and_used(records: list[Record], campaign: Campaign) -> None:
-    """Time stamps that are off by up to 50 us of 2 ms: of a speed of 20 mm/s that is 1 um, less than the sensor's noise."""
+    """Time stamps off by up to 50 us: at 20 mm/s that is 1 um, less than the noise of the sensor."""
     rng = np.random.default_rng(2)
     jittered = replace(records[2], t=records[2].t + rng.uniform(-5e-5, 5e-5, len(records[2].t)))
 

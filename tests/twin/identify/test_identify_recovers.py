@@ -174,3 +174,16 @@ def test_what_the_model_lacks_is_said_and_drag_is_not_called_identified() -> Non
     assert not found.whiteness.white
     assert any("not white" in warning for warning in found.warnings)
     assert found.model.parameters["b"].verdict != "identified"
+
+
+def test_levels_off_a_line_widen_the_gain_and_are_said() -> None:
+    rig = random_rig(np.random.default_rng(44))
+    limited = run_campaign(rig, seed=44, flight_s=4.0, effects={"current-limit": 0.65})[:1]
+
+    found = identify_records(campaign_of(rig), limited)
+
+    K_A = found.model.parameters["K_A"]
+    assert any("do not lie on a line" in warning for warning in found.warnings)
+    assert K_A.verdict != "identified"
+    assert K_A.ci95 is not None
+    assert K_A.ci95[0] < rig.amplifier_gain_a_v < K_A.ci95[1]
