@@ -65,7 +65,7 @@ def gather(log: Path, flights: list[Flight]) -> None:
         if not isinstance(message, pb.TwinState | pb.Divergence | pb.Alarm):
             continue
         state = states.get((message.session, message.tick))
-        flight = next((f for f in flights if state and f.from_t_s <= state.t_s <= f.to_t_s), None)
+        flight = next((f for f in flights if state and f.from_t_s <= state.t_s < f.to_t_s), None)
         if state is None or flight is None:
             continue
         flight.allowed_m_s2 = allowed_m_s2
