@@ -52,7 +52,7 @@ def put(path: str, value: object) -> Callable[[dict[str, Any]], None]:
         (put("parameters.K_A.ci95", [1.0]), "parameters.K_A.ci95"),
         (put("parameters.K_A.verdict", "sure"), "parameters.K_A.verdict is 'sure'"),
         (put("noise.sigma_x_m", 0.0), "noise.sigma_x_m = 0 is outside"),
-        (put("causes", [{"name": "air-gap-offset"}]), "the cause 'air-gap-offset'"),
+        (put("causes", [{"name": "air-gap-offset"}]), "causes[0] lacks 'parameters'"),
         (put("causes", {}), "causes is not a list"),
     ],
 )

@@ -3,6 +3,7 @@
 Rule 1: strict.  A missing key, another unit, a number that is not finite or not physical is refused by name: a twin
         that runs on a guessed parameter accuses the rig of its own mistake.
 Rule 2: units are the ones below, always; there is no conversion.
+Rule 3: `causes` are of the catalogue, each with all its parameters (`extension.py`); [] is the paper's model.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from protocol.errors import DataError
+from twin.model.checks import finite, number, refuse, table
 
 VERDICTS = ("identified", "weak", "not-identifiable", "assumed")  # assumed: taken from a source, not from a record
 
@@ -77,13 +79,21 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ModelCause:
+    """One effect of the catalogue that the model includes, with its size."""
+
+    name: str  # of twin/model/causes/catalogue.py
+    parameters: Mapping[str, Parameter]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Model:
-    """Plant, parameters of (1) and (6), noise, provenance."""
+    """Plant, parameters of (1) and (6), the causes that extend them, noise, provenance."""
 
     plant: Plant
     parameters: Mapping[str, Parameter]
     noise: Noise
-    causes: tuple[Mapping[str, Any], ...] = ()
+    causes: tuple[ModelCause, ...] = ()  # in the order of their importance
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -129,30 +139,33 @@ def load_model(path: str | Path) -> Model:
 
 def model_from_dict(data: object, *, where: str) -> Model:
     """Check `data` (the parsed JSON) key by key; `where` names its source in errors.  Raises DataError."""
-    top = _table(data, where, "the model", ("plant", "parameters", "causes", "noise", "provenance"))
-    plant = _table(top["plant"], where, "plant", ("name", *PLANT))
+    top = table(data, where, "the model", ("plant", "parameters", "causes", "noise", "provenance"))
+    plant = table(top["plant"], where, "plant", ("name", *PLANT))
     if not isinstance(plant["name"], str) or not plant["name"]:
-        _refuse(where, f"plant.name is {plant['name']!r}", "Write the rig's name as text")
-    constants = {key: _number(plant[key], where, f"plant.{key}", *bounds) for key, bounds in PLANT.items()}
+        refuse(where, f"plant.name is {plant['name']!r}", "Write the rig's name as text")
+    constants = {key: number(plant[key], where, f"plant.{key}", *bounds) for key, bounds in PLANT.items()}
     if constants["x_max_m"] < constants["travel_m"]:
-        _refuse(
+        refuse(
             where,
             f"plant.x_max_m = {constants['x_max_m']:g} is below plant.travel_m = {constants['travel_m']:g}",
             "The force (3) is infinite at x_max: it must not lie within the travel",
         )
-    entries = _table(top["parameters"], where, "parameters", tuple(PARAMETERS))
-    noise = _table(top["noise"], where, "noise", tuple(NOISE))
-    causes = top["causes"]
-    if not isinstance(causes, list):
-        _refuse(where, "causes is not a list", "Write [] for the paper's model")
-    if causes:
-        first = causes[0].get("name", "?") if isinstance(causes[0], dict) else causes[0]
-        _refuse(where, f"the cause {first!r} is not one this twin can simulate", "Use the model without causes")
+    entries = table(top["parameters"], where, "parameters", tuple(PARAMETERS))
+    noise = table(top["noise"], where, "noise", tuple(NOISE))
+    causes: tuple[ModelCause, ...] = ()
+    if top["causes"] != []:
+        # Only here: the catalogue is made of kernels, and most models need none of them.
+        from twin.model.extension import causes_from
+
+        causes = causes_from(top["causes"], where=where)
     return Model(
         plant=Plant(name=plant["name"], **constants),
-        parameters={key: _parameter(entries[key], where, key) for key in PARAMETERS},
-        noise=Noise(**{key: _number(noise[key], where, f"noise.{key}", *bounds) for key, bounds in NOISE.items()}),
-        provenance=_table(top["provenance"], where, "provenance", ()),
+        parameters={
+            key: parameter_from(entries[key], where, f"parameters.{key}", *PARAMETERS[key]) for key in PARAMETERS
+        },
+        causes=causes,
+        noise=Noise(**{key: number(noise[key], where, f"noise.{key}", *bounds) for key, bounds in NOISE.items()}),
+        provenance=table(top["provenance"], where, "provenance", ()),
     )
 
 
@@ -160,70 +173,45 @@ def model_to_dict(model: Model) -> dict[str, Any]:
     """The JSON form; `model_from_dict` of it gives the model back."""
     return {
         "plant": {"name": model.plant.name} | {key: getattr(model.plant, key) for key in PLANT},
-        "parameters": {
-            key: {
-                "value": p.value,
-                "unit": p.unit,
-                "std": p.std,
-                "ci95": list(p.ci95) if p.ci95 else None,
-                "verdict": p.verdict,
-                "method": p.method,
-                "equation": p.equation,
-            }
-            for key, p in model.parameters.items()
-        },
-        "causes": [dict(cause) for cause in model.causes],
+        "parameters": _entries(model.parameters),
+        "causes": [{"name": cause.name, "parameters": _entries(cause.parameters)} for cause in model.causes],
         "noise": {key: getattr(model.noise, key) for key in NOISE},
         "provenance": dict(model.provenance),
     }
 
 
-def _parameter(data: object, where: str, name: str) -> Parameter:
-    unit, lowest, highest = PARAMETERS[name]
-    key = f"parameters.{name}"
-    entry = _table(data, where, key, ("value", "unit", "verdict", "method", "equation"))
+def parameter_from(data: object, where: str, key: str, unit: str, lowest: float, highest: float) -> Parameter:
+    """Check one parameter, in its unit and within its bounds; `key` names it in errors.  Raises DataError."""
+    entry = table(data, where, key, ("value", "unit", "verdict", "method", "equation"))
     if entry["unit"] != unit:
-        _refuse(where, f"{key}.unit is {entry['unit']!r}", f"The unit of {name} is {unit!r}; convert the value to it")
+        refuse(where, f"{key}.unit is {entry['unit']!r}", f"The unit is {unit!r}; convert the value to it")
     if entry["verdict"] not in VERDICTS:
-        _refuse(where, f"{key}.verdict is {entry['verdict']!r}", f"Use one of {', '.join(VERDICTS)}")
+        refuse(where, f"{key}.verdict is {entry['verdict']!r}", f"Use one of {', '.join(VERDICTS)}")
     std = entry.get("std")
     ci95 = entry.get("ci95")
     if ci95 is not None and (not isinstance(ci95, list) or len(ci95) != 2):
-        _refuse(where, f"{key}.ci95 is {ci95!r}", "Write [low, high], or null where nobody measured it")
+        refuse(where, f"{key}.ci95 is {ci95!r}", "Write [low, high], or null where nobody measured it")
     return Parameter(
-        value=_number(entry["value"], where, f"{key}.value", lowest, highest),
+        value=number(entry["value"], where, f"{key}.value", lowest, highest),
         unit=unit,
-        std=None if std is None else _number(std, where, f"{key}.std", 0.0, math.inf),
-        ci95=None if ci95 is None else (_finite(ci95[0], where, f"{key}.ci95"), _finite(ci95[1], where, f"{key}.ci95")),
+        std=None if std is None else number(std, where, f"{key}.std", 0.0, math.inf),
+        ci95=None if ci95 is None else (finite(ci95[0], where, f"{key}.ci95"), finite(ci95[1], where, f"{key}.ci95")),
         verdict=entry["verdict"],
         method=str(entry["method"]),
         equation=str(entry["equation"]),
     )
 
 
-def _table(data: object, where: str, name: str, keys: tuple[str, ...]) -> dict[str, Any]:
-    if not isinstance(data, dict):
-        _refuse(where, f"{name} is {type(data).__name__}, not an object", "Compare with twin/model/ce152.json")
-    for key in keys:
-        if key not in data:
-            _refuse(where, f"{name} lacks {key!r}", "Add it, or start from a copy of twin/model/ce152.json")
-    return data
-
-
-def _finite(value: object, where: str, key: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        _refuse(where, f"{key} is {value!r}", "Give a finite number")
-    return float(value)
-
-
-def _number(value: object, where: str, key: str, lowest: float, highest: float) -> float:
-    number = _finite(value, where, key)
-    if not lowest <= number <= highest:
-        _refuse(
-            where, f"{key} = {number:g} is outside {lowest:g} .. {highest:g}", "Check the unit and the power of ten"
-        )
-    return number
-
-
-def _refuse(where: str, problem: str, remedy: str) -> NoReturn:
-    raise DataError(f"{where}: {problem}", remedy=remedy)
+def _entries(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+    return {
+        key: {
+            "value": p.value,
+            "unit": p.unit,
+            "std": p.std,
+            "ci95": list(p.ci95) if p.ci95 else None,
+            "verdict": p.verdict,
+            "method": p.method,
+            "equation": p.equation,
+        }
+        for key, p in parameters.items()
+    }
