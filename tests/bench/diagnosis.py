@@ -71,7 +71,7 @@ def play(
     wanted: list[tuple[Part, int]], *, program: str, quick: bool = False, results: Path | None = None
 ) -> list[Outcome]:
     """The outcomes of these (part, seed), in this order; those in `results` are not run again."""
-    known = {(o.part, o.seed): o for o in _read(results) if o.program == program and o.quick == quick}
+    known = {(o.part, o.seed): o for o in _read(results) if o.program == program and o.quick == quick and o.status != "failed"}
     missing = [key for key in wanted if key not in known]
     began = time.monotonic()
     with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool:
@@ -116,17 +116,17 @@ def _rows(outcomes: list[Outcome]) -> list[dict[str, Any]]:
         ("excess removed on judge data, median", share, "1", 0.9, f"{count} campaigns named rightly"),
         ("time of a diagnosis, median", middle, "s", 60.0, f"longest {longest:.1f} s; two at a time"),
     ):
-        real = value == value
-        rows.append(
-            {
-                "name": f"diagnosis: {name}",
-                "value": value if real else None,
-                "unit": unit,
-                "baseline": target,
-                "ratio": value / target if real else None,
-                "note": note,
-            }
-        )
+        if value == value:  # there was something to take the median of
+            rows.append(
+                {
+                    "name": f"diagnosis: {name}",
+                    "value": value,
+                    "unit": unit,
+                    "baseline": target,
+                    "ratio": value / target,
+                    "note": note,
+                }
+            )
     return rows
 
 

@@ -40,7 +40,7 @@ OUTSIDE: Mapping[str, Outside] = MappingProxyType(
             about="a wire on the ball: slack below 2.5 mm, then a force down with the cube of the way",
         ),
         "lateral-resonance": Outside(
-            strength=0.05,
+            strength=1.1,
             unit="",
             about="the ball swings sideways at 35 Hz, driven by its acceleration, and the sensor takes it for height",
         ),

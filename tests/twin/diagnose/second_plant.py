@@ -209,7 +209,7 @@ def pass_time(
 
         if c.resonance != 0.0:
             # symplectic Euler: the mode is driven by the ball's acceleration
-            y[QV] += h * (-mode * mode * y[Q] - 2.0 * MODE_DAMPING * mode * y[QV] - c.resonance * (v_new - v) / h)
+            y[QV] += h * (-mode * mode * y[Q] - 2.0 * MODE_DAMPING * mode * y[QV] + c.resonance * (v_new - v) / h)
             y[Q] += h * y[QV]
 
         y[S] += (reading(x_new, i_new, t, c) + y[Q] - y[S]) * sensor_share

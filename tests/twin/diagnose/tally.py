@@ -183,13 +183,18 @@ def page(outcomes: Sequence[Outcome]) -> str:
         )
     share, count = removed_median(outcomes)
     middle, longest, recording = seconds(outcomes)
-    lines += [
-        "",
-        f"Error above the noise floor removed on judge data when right: median {100 * share:.0f} % "
-        f"of {count} campaigns (target 90 %).",
-        f"Time of a diagnosis: median {middle:.1f} s, longest {longest:.1f} s; "
-        f"a campaign is recorded in {recording:.1f} s.",
-    ]
+    if count:
+        lines += [
+            "",
+            f"Error above the noise floor removed on judge data when right: median {100 * share:.0f} % "
+            f"of {count} campaigns (target 90 %).",
+        ]
+    if middle == middle:
+        lines += [
+            "",
+            f"Time of a diagnosis: median {middle:.1f} s, longest {longest:.1f} s, two at a time; "
+            f"a campaign is recorded in {recording:.1f} s.",
+        ]
     table = reliability(outcomes)
     if table:
         lines += ["", "| stated confidence | mean | right | 95 % interval |", "|---|---|---|---|"]
