@@ -4,14 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from twin.identify.record import FloatArray, intervals, runs
 from twin.model.parameters import Model
 from twin.validate.source import Source, chosen
+from twin.validate.steps import FIGURES, SMALLEST_SIGMAS, Compared, Step, compared, measure
 
-ROOM_S = 2.0  # of a recording that is drawn
+FEWEST = 20  # samples of a level
+REALISATIONS = 8  # of the sensor's noise on (1)
+FLAT_SHARE = 2e-3  # of the range of u_c: smaller changes are the same level
+# name: (title, unit, factor from SI)
+CURRENT_FIGURES: dict[str, tuple[str, str, float]] = {
+    "rise_s": ("rise time 10-90 %", "ms", 1e3),
+    "settling_s": ("settling time 5 %", "ms", 1e3),
+    "overshoot": ("overshoot", "%", 100.0),
+    "iae_m_s": ("IAE to the final level", "mA s", 1e3),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,6 +46,7 @@ class Amplifier:
     noise_a: float  # sigma of the current sensor, which a right model leaves
     from_steps: bool  # amplifier steps; else any recording with u_c and i_c
     fitted: bool  # the data had been used for fitting
+    steps: tuple[Compared, ...]  # measured against (1), step by step; empty where u_c never dwells
 
 
 def fit_percent(measured: FloatArray, simulated: FloatArray) -> float:
@@ -65,6 +77,42 @@ def amplifier(sources: Sequence[Source], model: Model) -> Amplifier | str:
         noise_a=float(np.hypot(model.noise.sigma_i_c_a, lsb / np.sqrt(12.0))),
         from_steps=bool(stepped),
         fitted=fitted,
+        steps=_steps(traces, float(np.hypot(model.noise.sigma_i_c_a, lsb / np.sqrt(12.0)))),
+    )
+
+
+def _steps(traces: Sequence[AmplifierTrace], noise_a: float) -> tuple[Compared, ...]:
+    """Rise, settling, overshoot and IAE of every step of u_c between two levels that it holds.
+
+    (1) is given the sensor's noise, too: overshoot and IAE of a noisy trace are larger, whatever the amplifier does.
+    """
+    rng = np.random.default_rng(1)
+    measured: list[list[float]] = []
+    simulated: list[list[float]] = []
+    for trace in traces:
+        T_s = float(np.median(np.diff(trace.t_s)))
+        still = np.concatenate(([True], np.abs(np.diff(trace.u_c_v)) <= FLAT_SHARE * max(np.ptp(trace.u_c_v), 1e-12)))
+        levels = runs(np.asarray(still), FEWEST)
+        for before, after in pairwise(levels):
+            if after.start - before.stop > 1:
+                continue
+            noisy = trace.simulated_a + noise_a * rng.standard_normal((REALISATIONS, len(trace.simulated_a)))
+            several = []
+            for i in (trace.measured_a, *noisy):
+                last = i[after.start : after.stop]
+                low, high = float(np.mean(i[before][-FEWEST:])), float(np.mean(last[-max(len(last) // 4, 4) :]))
+                step = Step(begin=before.stop, end=after.stop, from_m=low, to_m=high)
+                if abs(high - low) > SMALLEST_SIGMAS * noise_a:
+                    several.append(measure(i, trace.u_c_v, np.full(len(i), high), step, T_s, noise_a, smooth_s=T_s))
+            if len(several) > REALISATIONS:
+                measured.append(several[0])
+                simulated.append(np.mean(several[1:], axis=0).tolist())
+    if not measured:
+        return ()
+    return tuple(
+        compared(name, np.array(measured)[:, n], np.array(simulated)[:, n])
+        for n, name in enumerate(FIGURES)
+        if name in CURRENT_FIGURES
     )
 
 

@@ -51,7 +51,7 @@ def ball_figure(result: Windows) -> bytes:
     error = (result.measured_m - result.simulated_m) * 1e6
     bottom.plot(result.t_s, error, color=TWIN, lw=0.9)
     bottom.axhline(0.0, color="black", lw=0.6)
-    bottom.set_ylabel("error [um]")
+    bottom.set_ylabel("error [µm]")
     bottom.set_xlabel("time [s]")
     return _png(figure)
 
@@ -66,8 +66,11 @@ def ahead_figure(rows: Sequence[Ahead]) -> bytes:
     ax.loglog(h, [row.floor_m * 1e6 for row in rows], color="black", ls="--", marker="_", label="noise floor")
     ax.set_xticks(h, [f"{value:g}" for value in h])
     ax.minorticks_off()
+    low, high = (float(value) for value in ax.get_ylim())
+    ticks = [m * 10.0**k for k in range(-2, 6) for m in (1, 2, 5) if low <= m * 10.0**k <= high]
+    ax.set_yticks(ticks, [f"{value:g}" for value in ticks])
     ax.set_xlabel("prediction horizon [ms]")
-    ax.set_ylabel("rms error of x [um]")
+    ax.set_ylabel("rms error of x [µm]")
     ax.legend(fontsize=9)
     return _png(figure)
 
@@ -101,18 +104,19 @@ def loop_figure(run: LoopRun) -> bytes:
     t = run.t_s[part]
     figure, axes = _grid(4, 1, height=8.4, ratios=[2.4, 1.2, 1.2, 1.0])
     x, error, i, u = (axes[n][0] for n in range(4))
-    x.plot(t, run.simulated_x_m[0][part] * 1e3, color=TWIN, lw=1.2, label="simulated with noise")
+    simulated = bool(np.isfinite(run.quiet_x_m).any())
+    if simulated:
+        x.plot(t, run.simulated_x_m[0][part] * 1e3, color=TWIN, lw=1.2, label="simulated with noise")
     x.plot(t, run.x_m[part] * 1e3, color=MEASURED, lw=1.2, label="measured")
     x.plot(t, run.x_ref_m[part] * 1e3, color=REFERENCE, lw=1.0, ls="--", label="reference")
     x.set_ylabel("position x [mm]")
     x.legend(fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
-    error.plot(
-        t, (run.x_m - run.quiet_x_m)[part] * 1e6, color=MEASURED, lw=0.7, label="measured - noise-free simulation"
-    )
+    against, label = (run.quiet_x_m, "measured - noise-free simulation") if simulated else (run.x_ref_m, "x - x_ref")
+    error.plot(t, (run.x_m - against)[part] * 1e6, color=MEASURED, lw=0.7, label=label)
     if np.isfinite(run.expected_std_m):
         band = 2.0 * run.expected_std_m * 1e6
         error.axhspan(-band, band, color=REFERENCE, alpha=0.2, lw=0, label="2 standard deviations of noise alone")
-    error.set_ylabel("error [um]")
+    error.set_ylabel("error [µm]")
     error.legend(fontsize=8, loc="upper right")
     i.plot(t, run.simulated_i_c_a[0][part], color=TWIN, lw=0.7)
     i.plot(t, run.i_c_a[part], color=MEASURED, lw=0.7)

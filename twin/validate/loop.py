@@ -141,6 +141,34 @@ def _flights(run: Filtered, model: Model, *, seed: int) -> tuple[list[LoopRun], 
     return found, reason
 
 
+def measured_only(run: Filtered) -> list[LoopRun]:
+    """The flights of a recording without a simulation beside them, for a law that is not known; longest first."""
+    r = run.source.record
+    if not r.has("x_ref"):
+        return []
+    free = np.isfinite(run.state[:, 0]) & np.isfinite(r.x_ref) & np.isfinite(r.u_c)
+    found = []
+    for piece in runs(np.asarray(free), max(round(SHORTEST_S / r.interval_s), 2)):
+        n = piece.stop - piece.start
+        none = np.full((1, n), np.nan)
+        found.append(
+            LoopRun(
+                name=r.name,
+                t_s=r.t[piece] - r.t[piece.start],
+                x_ref_m=r.x_ref[piece],
+                x_m=r.x[piece],
+                i_c_a=r.i_c[piece],
+                u_c_v=r.u_c[piece],
+                simulated_x_m=none,
+                simulated_i_c_a=none,
+                simulated_u_c_v=none,
+                quiet_x_m=none[0],
+                expected_std_m=float("nan"),
+            )
+        )
+    return sorted(found, key=lambda loop: -len(loop.t_s))
+
+
 def unexplained(source: Source, c: LawNumbers, part: slice, integral: float) -> float:
     """Share of the changes of u_c (nine in ten) that the law, given the recorded samples, does not explain."""
     r = source.record

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from twin.validate.amplifier import CURRENT_FIGURES
 from twin.validate.figures import (
     ahead_figure,
     amplifier_figure,
@@ -19,19 +19,12 @@ from twin.validate.figures import (
     residual_figure,
     step_figure,
 )
+from twin.validate.page import CSS, bullets, image, mark, paragraph, table, untested
 from twin.validate.residuals import Channel
 from twin.validate.steps import FIGURES, Compared
 from twin.validate.verdict import ClosedLoop, Validation
 
 MOST_LOOPS = 3
-_CSS = (
-    "body{font:15px/1.5 system-ui,sans-serif;max-width:1120px;margin:24px auto;padding:0 16px;color:#222}"
-    ".answer{font-size:19px;border-left:6px solid #888;padding:8px 14px;background:#f5f5f5}"
-    ".pass{border-color:#2a7f3f}.fail{border-color:#c0392b}"
-    "table{border-collapse:collapse;margin:10px 0}td,th{padding:3px 12px;border-bottom:1px solid #ddd;text-align:right}"
-    "td:first-child,th:first-child{text-align:left}img{max-width:100%}"
-    ".no{color:#c0392b;font-weight:600}.yes{color:#2a7f3f}.untested{color:#777;font-style:italic}"
-)
 
 
 def to_dict(result: Validation) -> dict[str, Any]:
@@ -48,7 +41,8 @@ def to_dict(result: Validation) -> dict[str, Any]:
         "notes": list(result.notes),
         "amplifier": _why(amplifier)
         if isinstance(amplifier, str)
-        else {name: getattr(amplifier, name) for name in ("fit_percent", "rmse_a", "noise_a", "from_steps", "fitted")},
+        else {name: getattr(amplifier, name) for name in ("fit_percent", "rmse_a", "noise_a", "from_steps", "fitted")}
+        | {"steps": [asdict(row) for row in amplifier.steps]},
         "ball_open_loop": _why(windows)
         if isinstance(windows, str)
         else {name: getattr(windows, name) for name in ("fit_percent", "rmse_m", "count")},
@@ -56,7 +50,7 @@ def to_dict(result: Validation) -> dict[str, Any]:
         "residuals": _why(result.channels)
         if isinstance(result.channels, str)
         else [asdict(channel) | {"passed": channel.passed} for channel in result.channels],
-        "closed_loop": _why(loop)
+        "closed_loop": _why(loop) | {"rig_alone": [asdict(row) for row in result.alone]}
         if isinstance(loop, str)
         else {
             "fit_percent": loop.fit_percent,
@@ -74,19 +68,19 @@ def to_dict(result: Validation) -> dict[str, Any]:
 
 def to_html(result: Validation, *, title: str) -> str:
     """The page."""
-    mark = {True: "pass", False: "fail", None: ""}[result.passed]
+    colour = {True: "pass", False: "fail", None: ""}[result.passed]
     p = result.model.parameters
     values = ", ".join(f"{name} = {p[name].value:.5g} {p[name].unit}" for name in p)
     body = [
         f"<h1>{html.escape(title)}</h1>",
-        f'<p class="answer {mark}">{html.escape(result.answer())}</p>',
+        f'<p class="answer {colour}">{html.escape(result.answer())}</p>',
         f"<p>{html.escape(values)}.<br>Judged on: {html.escape(', '.join(result.flown) or 'no flight')}.</p>",
     ]
     failures = result.failures()
     if len(failures) > 1:
-        body.append(_list(failures))
+        body.append(bullets(failures))
     if result.notes:
-        body.append("<h3>Notes</h3>" + _list(result.notes))
+        body.append("<h3>Notes</h3>" + bullets(result.notes))
     body += ["<h2>1 Amplifier, open loop (the paper's figure 7)</h2>", _amplifier(result)]
     body += ["<h2>2 Ball, open loop (figure 8)</h2>", _ball(result)]
     body += ["<h2>3 Prediction error against the noise floor</h2>", _ahead(result)]
@@ -94,28 +88,39 @@ def to_html(result: Validation, *, title: str) -> str:
     body += ["<h2>5 Closed loop, simulated and measured (figures 11 and 12)</h2>", _loop(result)]
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        f"<style>{_CSS}</style></head><body>{''.join(body)}</body></html>\n"
+        f"<style>{CSS}</style></head><body>{''.join(body)}</body></html>\n"
     )
 
 
 def _amplifier(result: Validation) -> str:
     a = result.amplifier
     if isinstance(a, str):
-        return _untested(a)
+        return untested(a)
     origin = "amplifier steps" if a.from_steps else "no amplifier step: the u_c and i_c of the other recordings"
     fitted = "; not marked for judging, so possibly fitted" if a.fitted else ""
-    return _image(amplifier_figure(a, result.model.T_A), "measured current against equation (1)") + _p(
-        f"Fit {a.fit_percent:.2f} %, RMSE {a.rmse_a * 1e3:.3g} mA; the sensor's noise is {a.noise_a * 1e3:.3g} mA. "
-        f"From {origin}{fitted}. (1) is driven by u_c alone; {len(a.traces)} traces."
+    return (
+        image(amplifier_figure(a, result.model.T_A), "measured current against equation (1)")
+        + paragraph(
+            f"Fit {a.fit_percent:.2f} %, RMSE {a.rmse_a * 1e3:.3g} mA; the sensor's noise is {a.noise_a * 1e3:.3g} mA. "
+            f"From {origin}{fitted}. (1) is driven by u_c alone; {len(a.traces)} traces."
+        )
+        + _amplifier_steps(a.steps)
     )
+
+
+def _amplifier_steps(steps: Sequence[Compared]) -> str:
+    if not any(row.count for row in steps):
+        return ""
+    head = ["", "measured", "(1)", "measured - (1)", "95 % interval", "steps", ""]
+    return table(head, [_step_row(row, CURRENT_FIGURES) for row in steps])
 
 
 def _ball(result: Validation) -> str:
     w = result.windows
     if isinstance(w, str):
-        return _untested(w)
-    return _image(ball_figure(w), "measured position and short predictions") + _p(
-        f"{w.name}, the liveliest stretch. Fit {w.fit_percent:.2f} %, RMSE {w.rmse_m * 1e6:.3g} um over {w.count} "
+        return untested(w)
+    return image(ball_figure(w), "measured position and short predictions") + paragraph(
+        f"{w.name}, the liveliest stretch. Fit {w.fit_percent:.2f} %, RMSE {w.rmse_m * 1e6:.3g} µm over {w.count} "
         "windows of 40 ms. The ball is unstable: an error of the start grows by e every few samples, so a longer free "
         "run shows the instability and not the model. Each window starts from the filter's estimate and is driven by "
         "the recorded u_c alone."
@@ -124,7 +129,7 @@ def _ball(result: Validation) -> str:
 
 def _ahead(result: Validation) -> str:
     if not result.ahead:
-        return _untested("no flight is long enough")
+        return untested("no flight is long enough")
     rows = [
         [
             f"{row.horizon_s * 1e3:.0f} ms",
@@ -134,83 +139,125 @@ def _ahead(result: Validation) -> str:
             f"{row.ratio_ci95[0]:.3f} .. {row.ratio_ci95[1]:.3f}",
             f"{row.still_m * 1e6:.4g}",
             f"{row.count}",
-            _mark(row.at_floor),
+            mark(row.at_floor),
         ]
         for row in result.ahead
     ]
     head = [
         "ahead",
-        "rms error [um]",
-        "noise floor [um]",
+        "rms error [µm]",
+        "noise floor [µm]",
         "ratio",
         "95 % interval",
-        "x stays [um]",
+        "x stays [µm]",
         "count",
         "at the floor",
     ]
     return (
-        _image(ahead_figure(result.ahead), "error over the horizon")
-        + _table(head, rows)
-        + _p("The floor is what a right model with the stated noise leaves. At the floor: the interval reaches 1.05.")
+        image(ahead_figure(result.ahead), "error over the horizon")
+        + table(head, rows)
+        + paragraph(
+            "The floor is what a right model with the stated noise leaves. At the floor: the interval reaches 1.05."
+        )
     )
 
 
 def _residuals(channels: Sequence[Channel] | str) -> str:
     if isinstance(channels, str):
-        return _untested(channels)
+        return untested(channels)
     rows = [
         [
             c.name,
             f"{c.count}",
             f"{c.chi2:.4f} (1 ± {c.chi2_bound:.3f})",
-            _mark(c.size_right),
-            f"{float(np.max(np.abs(c.autocorrelation))):.3f}, p = {c.p_white:.2g}",
-            _mark(c.white),
-            f"{float(np.max(np.abs(c.cross_correlation))):.3f}, p = {c.p_input:.2g}",
-            _mark(c.independent),
+            mark(c.size_right),
+            f"{float(np.max(np.abs(c.autocorrelation))):.3f}, {_chance(c.p_white)}",
+            mark(c.white),
+            f"{float(np.max(np.abs(c.cross_correlation))):.3f}, {_chance(c.p_input)}",
+            mark(c.independent),
             f"{c.mean:+.3f}",
         ]
         for c in channels
     ]
-    head = ["residual", "samples", "chi2", "", "largest autocorrelation", "", "largest with u_c", "", "mean [sigma]"]
+    head = [
+        "residual of",
+        "samples",
+        "mean square (99 %)",
+        "as stated",
+        "autocorrelation",
+        "white",
+        "with past u_c",
+        "free of u_c",
+        "mean",
+    ]
     return (
-        _image(residual_figure(channels), "residual correlations")
-        + _table(head, rows)
-        + _p(
-            "Whitened one-step prediction errors. p: chi-square over 25 lags, refused below 0.001 unless every "
-            "correlation is under 0.015. Only u_c of the past is compared: in closed loop later u_c answers it."
+        image(residual_figure(channels), "residual correlations")
+        + table(head, rows)
+        + paragraph(
+            "Prediction errors one step ahead in units of their stated standard deviation: a right model leaves a mean "
+            "square of 1 and no correlation. Largest of 25 lags; p: chi-square over all of them, refused below 0.001 "
+            "unless every correlation is under 0.015. Only past u_c is compared: in closed loop later u_c answers e."
         )
     )
+
+
+def _chance(p: float) -> str:
+    return f"p = {p:.2g}" if p >= 1e-6 else "p &lt; 1e-6"
 
 
 def _loop(result: Validation) -> str:
     loop = result.loop
     if isinstance(loop, str):
-        return _untested(loop)
-    images = "".join(_image(loop_figure(run), f"closed loop of {run.name}") for run in loop.runs[:MOST_LOOPS])
+        return untested(loop) + _measured(result)
+    images = "".join(image(loop_figure(run), f"closed loop of {run.name}") for run in loop.runs[:MOST_LOOPS])
     expected = (
-        f"{loop.expected_m * 1e6:.3g} um"
+        f"{loop.expected_m * 1e6:.3g} µm"
         if math.isfinite(loop.expected_m)
         else "unknown (the model's loop is unstable)"
     )
-    text = _p(
-        f"Fit {loop.fit_percent:.2f} %, RMSE {loop.rmse_m * 1e6:.3g} um against the noise-free simulation; noise alone "
+    text = paragraph(
+        f"Fit {loop.fit_percent:.2f} %, RMSE {loop.rmse_m * 1e6:.3g} µm against the noise-free simulation; noise alone "
         f"leaves {expected}. The simulation gets the recorded reference, and the rig's state at its first instant."
     )
-    without = "<p>Not simulated:</p>" + _list(loop.without) if loop.without else ""
+    without = "<p>Not simulated:</p>" + bullets(loop.without) if loop.without else ""
     return images + text + _steps(loop, result.pace()) + without
+
+
+def _measured(result: Validation) -> str:
+    """The rig alone, where no law is known to simulate it under."""
+    shown: dict[str, str] = {}
+    for run in result.measured:
+        if run.name not in shown and len(shown) < MOST_LOOPS:
+            shown[run.name] = image(loop_figure(run), f"measured closed loop of {run.name}")
+    if not shown:
+        return ""
+    text = paragraph(f"The rig alone, {len(shown)} of {len({run.name for run in result.measured})} recordings.")
+    if not result.alone:
+        return text + "".join(shown.values())
+    rows = []
+    for row in result.alone:
+        title, unit, factor = FIGURES[row.name]
+        ends = f"{row.ends[0] * factor:.4g} .. {row.ends[1] * factor:.4g}" if row.count else "-"
+        value = f"{row.rig * factor:.4g}" if row.count else "-"
+        rows.append([f"{title} [{unit}]", value, ends, f"{row.count} of {row.steps}"])
+    return (
+        text
+        + "".join(shown.values())
+        + table(["", "rig, mean", "from .. to", "steps"], rows)
+        + paragraph("Where fewer than all steps have a figure, it did not happen before the reference moved on.")
+    )
 
 
 def _steps(loop: ClosedLoop, pace: str) -> str:
     if not loop.steps:
-        return _untested("steps: the reference has no step after which it stays for 0.15 s")
-    rows = [_step_row(row) for row in loop.steps]
+        return untested("steps: the reference has no step after which it stays for 0.15 s")
+    rows = [_step_row(row, FIGURES) for row in loop.steps]
     head = ["", "rig", "simulation", "rig - simulation", "95 % interval", "steps", ""]
     return (
         f"<p><b>{html.escape(pace)}</b></p>"
-        + _image(step_figure(loop.responses), "mean step response of rig and simulation")
-        + _table(head, rows)
-        + _p(
+        + image(step_figure(loop.responses), "mean step response of rig and simulation")
+        + table(head, rows)
+        + paragraph(
             "Means over the steps; the simulation over 8 realisations of its noise. Interval: Student's t over steps, "
             "paired. Times count from the first change of the reference; control effort is the integral of "
             "(u_c - its final level)^2."
@@ -218,15 +265,15 @@ def _steps(loop: ClosedLoop, pace: str) -> str:
     )
 
 
-def _step_row(row: Compared) -> list[str]:
-    title, unit, factor = FIGURES[row.name]
+def _step_row(row: Compared, figures: Mapping[str, tuple[str, str, float]]) -> list[str]:
+    title, unit, factor = figures[row.name]
     if not row.count:
         return [
             f"{title} [{unit}]",
             "-",
             "-",
             "-",
-            f"rig in {row.rig_count}, simulation in {row.simulation_count}",
+            f"measured in {row.rig_count}, simulated in {row.simulation_count}",
             f"0 of {row.steps}",
             "",
         ]
@@ -246,34 +293,8 @@ def _step_row(row: Compared) -> list[str]:
     ]
 
 
-def _why(reason: str) -> dict[str, str]:
+def _why(reason: str) -> dict[str, Any]:
     return {"not_testable": reason}
-
-
-def _untested(reason: str) -> str:
-    return f'<p class="untested">Not testable: {html.escape(reason)}.</p>'
-
-
-def _mark(good: bool) -> str:
-    return "<span class=yes>yes</span>" if good else "<span class=no>no</span>"
-
-
-def _p(text: str) -> str:
-    return f"<p>{html.escape(text)}</p>"
-
-
-def _list(lines: Sequence[str]) -> str:
-    return "<ul>" + "".join(f"<li>{html.escape(line)}</li>" for line in lines) + "</ul>"
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    cells = "".join(f"<th>{html.escape(name)}</th>" for name in head)
-    lines = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table><tr>{cells}</tr>{lines}</table>"
-
-
-def _image(data: bytes, about: str) -> str:
-    return f'<img alt="{html.escape(about)}" src="data:image/png;base64,{base64.b64encode(data).decode()}">'
 
 
 def _clean(value: object) -> object:

@@ -29,8 +29,8 @@ FIGURES: dict[str, tuple[str, str, float]] = {
     "rise_s": ("rise time 10-90 %", "ms", 1e3),
     "settling_s": ("settling time 5 %", "ms", 1e3),
     "overshoot": ("overshoot", "%", 100.0),
-    "iae_m_s": ("IAE", "um s", 1e6),
-    "effort_v2_s": ("control effort", "V^2 s", 1.0),
+    "iae_m_s": ("IAE", "µm s", 1e6),
+    "effort_v2_s": ("control effort", "V² s", 1.0),
 }
 
 
@@ -47,6 +47,17 @@ class Compared:
     steps: int  # all steps
     rig_count: int  # steps in which the rig has it
     simulation_count: int  # steps in which every realisation has it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alone:
+    """One figure of the rig over all its steps, where no simulation can stand beside it; SI units."""
+
+    name: str
+    rig: float
+    ends: tuple[float, float]  # smallest and largest: steps of other sizes at other heights, no interval of one mean
+    count: int
+    steps: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,10 +123,42 @@ def compare_steps(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Compared,
             simulation.append(list(np.where(known, np.where(known, table, 0.0).mean(axis=0), np.nan)))
     if not rig:
         return ()
-    return tuple(_compared(name, np.array(rig)[:, n], np.array(simulation)[:, n]) for n, name in enumerate(FIGURES))
+    return tuple(compared(name, np.array(rig)[:, n], np.array(simulation)[:, n]) for n, name in enumerate(FIGURES))
 
 
-def measure(x: FloatArray, u: FloatArray, x_ref: FloatArray, step: Step, T_s: float, noise_m: float) -> list[float]:
+def rig_alone(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Alone, ...]:
+    """The figures of the rig; empty without a step."""
+    rows = []
+    for run in loops:
+        T_s = float(np.median(np.diff(run.t_s)))
+        for step in find_steps(run, sigma_x_m):
+            rows.append(measure(run.x_m, run.u_c_v, run.x_ref_m, step, T_s, sigma_x_m))
+    return tuple(_alone(name, np.array(rows)[:, n]) for n, name in enumerate(FIGURES)) if rows else ()
+
+
+def _alone(name: str, values: FloatArray) -> Alone:
+    known = values[np.isfinite(values)]
+    n = len(known)
+    none = float("nan")
+    return Alone(
+        name=name,
+        rig=float(known.mean()) if n else none,
+        ends=(float(known.min()), float(known.max())) if n else (none, none),
+        count=n,
+        steps=len(values),
+    )
+
+
+def measure(
+    x: FloatArray,
+    u: FloatArray,
+    x_ref: FloatArray,
+    step: Step,
+    T_s: float,
+    noise_m: float,
+    *,
+    smooth_s: float = SMOOTH_S,
+) -> list[float]:
     """The figures of one step in the order of FIGURES; NaN for what did not happen within the dwell.
 
     Rise and settling time count from the first change of the reference; overshoot is a share of the step; the effort is
@@ -123,7 +166,7 @@ def measure(x: FloatArray, u: FloatArray, x_ref: FloatArray, step: Step, T_s: fl
     """
     part = slice(step.begin, step.end)
     size = step.to_m - step.from_m
-    width = max(round(SMOOTH_S / T_s), 1)
+    width = max(round(smooth_s / T_s), 1)
     own = x[part]
     seen = np.isfinite(own)
     own = np.interp(np.arange(len(own)), np.flatnonzero(seen), own[seen])
@@ -155,7 +198,8 @@ def _crossing(y: FloatArray, level: float) -> float:
     return k - 1 + float((level - y[k - 1]) / (y[k] - y[k - 1]))
 
 
-def _compared(name: str, rig: FloatArray, simulation: FloatArray) -> Compared:
+def compared(name: str, rig: FloatArray, simulation: FloatArray) -> Compared:
+    """One figure of both over the same steps, paired."""
     both = np.isfinite(rig) & np.isfinite(simulation)
     n = int(both.sum())
     difference = rig[both] - simulation[both]

@@ -16,10 +16,10 @@ from protocol.errors import DataError
 from twin.model.parameters import Model
 from twin.validate.amplifier import Amplifier, amplifier, fit_percent
 from twin.validate.ball import Ahead, Windows, multi_step, windows
-from twin.validate.loop import LoopRun, closed_loops
+from twin.validate.loop import LoopRun, closed_loops, measured_only
 from twin.validate.residuals import Channel, residuals
 from twin.validate.source import FLYING, Filtered, Source, chosen, filtered, sources_of
-from twin.validate.steps import Compared, Response, compare_steps, responses
+from twin.validate.steps import Alone, Compared, Response, compare_steps, responses, rig_alone
 
 RMSE_TOLERANCE = 1.5  # of a simulation's error over what noise alone leaves: below it, nobody sees it in the figure
 
@@ -47,6 +47,8 @@ class Validation:
     ahead: tuple[Ahead, ...]
     channels: tuple[Channel, ...] | str
     loop: ClosedLoop | str
+    measured: tuple[LoopRun, ...]  # closed loops that could not be simulated
+    alone: tuple[Alone, ...]  # the rig's steps in these
     flown: tuple[str, ...]  # names of the recordings in flight
     notes: tuple[str, ...]
 
@@ -63,7 +65,7 @@ class Validation:
         if bad := [row for row in self.ahead if not row.at_floor]:
             row = max(bad, key=lambda r: r.ratio)
             said.append(
-                f"its error {row.horizon_s * 1e3:.0f} ms ahead is {row.rmse_m * 1e6:.3g} um, "
+                f"its error {row.horizon_s * 1e3:.0f} ms ahead is {row.rmse_m * 1e6:.3g} µm, "
                 f"{row.ratio:.3g} times what noise alone leaves"
             )
         if not isinstance(self.channels, str):
@@ -85,7 +87,7 @@ class Validation:
                 said.append(
                     "its closed loop is unstable"
                     if not np.isfinite(ratio)
-                    else f"the closed loop differs by {self.loop.rmse_m * 1e6:.3g} um rms, {ratio:.2g} times the noise"
+                    else f"the closed loop differs by {self.loop.rmse_m * 1e6:.3g} µm rms, {ratio:.2g} times the noise"
                 )
         if not isinstance(self.amplifier, str) and self.amplifier.from_steps:
             ratio = self.amplifier.rmse_a / self.amplifier.noise_a
@@ -111,9 +113,9 @@ class Validation:
             said = self.failures()
             more = f" ({len(said) - 1} more below)" if len(said) > 1 else ""
             first = f"The model does not explain these recordings: {said[0]}{more}."
-        untested = f"The closed loop could not be compared: {self.loop}." if isinstance(self.loop, str) else ""
-        if self.passed is None:
-            untested = ""
+        untested = ""
+        if isinstance(self.loop, str) and self.passed is not None:
+            untested = f"The closed loop could not be compared: {self.loop.rsplit(' (', 1)[0]}."  # the page names where
         return " ".join(part for part in (first, self.pace(), untested) if part)
 
     def pace(self) -> str:
@@ -198,13 +200,19 @@ def validate_sources(
     shown = windows(runs, model) if runs else None
     channels = residuals(runs)
     say("simulating the closed loop")
+    loop = _closed_loop(runs, model, unflown)
+    measured: tuple[LoopRun, ...] = ()
+    if isinstance(loop, str):
+        measured = tuple(part for run in runs if run.source.record.kind == "closed-loop" for part in measured_only(run))
     return Validation(
         model=model,
         amplifier=amplifier(sources, model),
         windows=shown or (unflown if not runs else "no flight is long enough for a window of 40 ms"),
         ahead=multi_step(runs, model),
         channels=channels or (unflown if not runs else "too few samples in flight"),
-        loop=_closed_loop(runs, model, unflown),
+        loop=loop,
+        measured=measured,
+        alone=rig_alone(measured, float(runs[0].point.sigma_x_m)) if measured else (),
         flown=tuple(run.source.record.name for run in runs),
         notes=tuple(dict.fromkeys(notes)),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -169,3 +170,60 @@ def test_bad_input_is_one_line_and_exit_2(
     error = capsys.readouterr().err
     assert error.startswith("board51 validate: ")
     assert error.count("\n") == 1
+
+
+WRONG: dict[str, Callable[[Record], Record]] = {
+    "millimetres": lambda r: replace(r, x=r.x * 1e3, x_ref=r.x_ref * 1e3),
+    "downwards": lambda r: replace(r, x=BALL.travel - r.x, x_ref=BALL.travel - r.x_ref),
+    "milliamperes": lambda r: replace(r, i_c=r.i_c * 1e3),
+    "millivolts": lambda r: replace(r, u_c=r.u_c * 1e3),
+    "milliseconds": lambda r: replace(r, t=r.t * 1e3),
+    "opposite signs": lambda r: replace(r, i_c=-r.i_c),
+    "swapped": lambda r: replace(r, i_c=r.u_c, u_c=r.i_c),
+}
+
+
+@pytest.mark.parametrize("problem", WRONG)
+def test_a_wrong_channel_is_not_blamed_on_the_model(
+    problem: str, tmp_path: Path, flight: Record, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_log(tmp_path / "run.mcap", WRONG[problem](flight), BALL, step=False)
+
+    code = run(*folder(tmp_path))
+
+    error = capsys.readouterr().err
+    assert code == 2
+    assert problem in error
+    assert error.count("\n") == 1
+
+
+def test_constant_channels_test_nothing_and_are_said(
+    tmp_path: Path, flight: Record, capsys: pytest.CaptureFixture[str]
+) -> None:
+    n = len(flight.t)
+    still = replace(flight, u_c=np.full(n, 2.0), i_c=np.full(n, 0.6), x=np.full(n, 3e-3))
+    write_log(tmp_path / "run.mcap", still, BALL, step=False)
+
+    code = run(*folder(tmp_path))
+
+    output = capsys.readouterr()
+    assert code == 1
+    assert "could not be tested" in output.out
+    assert output.err.count("throughout") == 3
+
+
+def test_a_rig_whose_law_is_unknown_is_shown_alone(
+    tmp_path: Path, flight: Record, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = np.column_stack((flight.t, flight.u_c, flight.i_c, flight.x, flight.x_ref))
+    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header="t,u_c,i_c,x,x_ref", comments="")
+
+    code = run(*folder(tmp_path, file="run.csv"))
+
+    assert code == 0
+    assert "closed loop could not be compared" in capsys.readouterr().out
+    numbers = json.loads((tmp_path / "report" / "validation.json").read_text())
+    alone = {row["name"]: row for row in numbers["closed_loop"]["rig_alone"]}
+    assert alone["settling_s"]["count"] > 5
+    assert 0.1 < alone["settling_s"]["rig"] < 0.4  # of a loop whose slowest mode has 50 to 60 ms
+    assert "measured closed loop of run.csv" in (tmp_path / "report" / "report.html").read_text()

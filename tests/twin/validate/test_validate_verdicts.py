@@ -264,3 +264,55 @@ def test_settling_interval_and_verdict_hold_over_many_flights() -> None:
     assert missed <= 4
     # Two size tests at 1 %, four at 0.1 %, four floors with a margin of 5 %: 3 % of flights at most.
     assert refused <= 3
+
+
+@pytest.mark.parametrize("factor", [0.85, 0.95, 1.2])
+def test_one_wrong_gain_of_the_law_is_not_blamed_on_the_model(records: list[Record], factor: float) -> None:
+    right = controller_of(BALL)
+    gains = (right.gains[0], right.gains[1] * factor, right.gains[2], right.gains[3])
+
+    result = judged(records, model_of(BALL), replace(right, gains=gains))
+
+    assert isinstance(result.loop, str)
+    assert "follows gains of about [0.49, 2000, 18, " in result.loop
+    assert result.passed
+
+
+def test_single_wild_readings_are_left_out_and_counted(records: list[Record]) -> None:
+    step, flight = records
+    rng = np.random.default_rng(9)
+    x, i = flight.x.copy(), flight.i_c.copy()
+    places = rng.choice(np.arange(100, TICKS - 100, 20), 20, replace=False)
+    x[places[:10]] = rng.uniform(0.5e-3, 5e-3, 10)
+    i[places[10:]] = rng.uniform(1.0, 1.5, 10)
+
+    result = judged([step, replace(flight, x=x, i_c=i)], model_of(BALL))
+
+    assert result.passed, result.failures()
+    said = next(note for note in result.notes if "wild readings were left out" in note)
+    # A wild x draws the estimate with it: the sample behind it may look wild, too.
+    assert 20 <= int(said.split(" ")[0]) <= 30
+    assert not isinstance(result.loop, str)
+    assert abs(next(row for row in result.loop.steps if row.name == "rise_s").difference) < 2e-3
+
+
+def test_steps_of_the_amplifier_are_measured_against_equation_1(records: list[Record]) -> None:
+    right, slow = (judged(records, model_of(BALL, T_A=k)) for k in (1.0, 1.5))
+
+    assert not isinstance(right.amplifier, str)
+    assert not isinstance(slow.amplifier, str)
+    rise = {row.name: row for row in right.amplifier.steps}["rise_s"]
+    # ln 9 T_A, read off noisy samples: 0.2 % of the step is a thousandth of T_A at 90 %, and 40 us at most between two.
+    assert rise.rig == pytest.approx(math.log(9.0) * BALL.T_A, abs=40e-6)
+    assert abs(rise.difference) < 40e-6
+    late = {row.name: row for row in slow.amplifier.steps}["rise_s"]
+    assert late.difference == pytest.approx(-0.5 * math.log(9.0) * BALL.T_A, rel=0.1)
+
+
+def test_what_the_model_does_not_know_is_said(records: list[Record]) -> None:
+    model = model_of(BALL)
+    unsure = replace(model.parameters["b"], verdict="not-identifiable", method="placeholder")
+
+    result = judged(records, replace(model, parameters={**model.parameters, "b": unsure}))
+
+    assert any("is not identified: placeholder" in note for note in result.notes)
