@@ -36,7 +36,9 @@ from twin.model.parameters import Model, Parameter
 
 PARSIMONY = 2.0  # of log-likelihood: a process noise that gains less than that is not there
 HAC_S = 0.1  # memory of the residuals that the sandwich covers
-_NOISE_START = {"sigma_x_m": 1e-5, "process_a_m_s2": 0.1}
+# Much unexplained acceleration: from little of it, a model that lacks something climbs to a far lower maximum, in which
+# all its error counts as noise of the position sensor (250 um instead of 4).
+_NOISE_START = {"sigma_x_m": 1e-5, "process_a_m_s2": 5.0}
 _TICK_S = 2e-3
 
 
