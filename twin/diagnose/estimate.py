@@ -207,6 +207,10 @@ class Criterion:
         total = whiten(out, np.empty(len(out)), np.empty((len(out), 2)))
         return total + self.outside(theta)
 
+    def values(self, thetas: Sequence[Theta]) -> list[float]:
+        """`value` of each, -inf for those that are not finite."""
+        return [value if math.isfinite(value) else -math.inf for value in self._pool.map(self.value, thetas)]
+
     def white(self, theta: Theta) -> tuple[FloatArray, FloatArray]:
         """(log-likelihood of each sample, shape (n,); whitened innovations, shape (n, 2))."""
         out = self.outputs(theta)
@@ -282,9 +286,7 @@ def derivative_step(theta: Theta, name: str, plant: Plant) -> float:
     return by if moved(theta, name, by, plant) != theta else -by
 
 
-def climb(
-    criterion: Criterion, start: Theta, free: Sequence[str], *, passes: int = PASSES, done: float = DONE
-) -> Fit:
+def climb(criterion: Criterion, start: Theta, free: Sequence[str], *, passes: int = PASSES, done: float = DONE) -> Fit:
     """Climb to the maximum from `start`; coordinates not in `free` stay."""
     plant = criterion.plant
     theta, damping, converged, slow = start, 1e-3, False, 0
@@ -296,7 +298,7 @@ def climb(
         if decrement < done or (slow >= 2 and decrement < NEAR):
             converged = True
             break
-        most = np.array([_most(name) for name in free])
+        most = np.array([most_step(name) for name in free])
         shorter = min(1.0, *(most / np.maximum(np.abs(step), 1e-300)))  # one factor: the direction stays
         trial = theta
         for place, name in enumerate(free):
@@ -334,7 +336,8 @@ def _active(theta: Theta, free: Sequence[str], score: FloatArray, plant: Plant) 
     )
 
 
-def _most(name: str) -> float:
+def most_step(name: str) -> float:
+    """The largest move of a coordinate in one pass."""
     if name == "b":
         return 20.0
     if name in STOPS:

@@ -74,7 +74,9 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         if lifts and not (on_stop[0] | on_stop[1]).any():
             platform.append(record)
         scale, shift = _rescaling(low, high, plant)
-        told = replace(record, x=(record.x - shift) * scale, kind="prbs" if lifts and record not in platform else record.kind)
+        told = replace(
+            record, x=(record.x - shift) * scale, kind="prbs" if lifts and record not in platform else record.kind
+        )
         series, (usage,) = prepare([told], plant)
         usage.kind = record.kind
         usages.append(usage)
@@ -91,9 +93,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
             for mask, bit in zip(on_stop, (RESTS_LOW, RESTS_HIGH), strict=True):
                 free = own & FLIES == 0
                 own[mask & free & np.isfinite(record.x)] |= np.uint8(bit | USE_X)
-        parts.append(
-            replace(series, flags=flags, x=x, recording=np.full(len(series), number, np.int32))
-        )
+        parts.append(replace(series, flags=flags, x=x, recording=np.full(len(series), number, np.int32)))
         times.append(t)
     statics = [*equilibria(list(records), plant), *lift_offs(platform, plant)]
     return Evidence(

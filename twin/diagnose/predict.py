@@ -15,6 +15,7 @@ import numpy as np
 from protocol.errors import DataError
 from twin.diagnose.evidence import gather
 from twin.diagnose.horizon import SETTLE_S, predict_ahead
+from twin.diagnose.phase import has_phase, predict_in_phase
 from twin.identify.innovations import FLIES, FOLLOWS, USE_X
 from twin.identify.record import FloatArray, Record
 from twin.model.extended import position_reading
@@ -78,9 +79,12 @@ def predict(model: Model, record: Record, ahead: int) -> Prediction:
     point = point_of(model, record)
     tick_s = record.interval_s
     noise = (point.sigma_i_c_a, point.sigma_x_m, point.process_i_c_a, point.process_a_m_s2, tick_s)
-    x_hat = predict_ahead(tuple(p), c, noise, (0.0, 0.0), evidence.t, s.step, s.u, s.i, s.x, s.flags, tick_s, ahead)
+    ahead_of = predict_in_phase if has_phase(c) else predict_ahead
+    x_hat = ahead_of(tuple(p), c, noise, (0.0, 0.0), evidence.t, s.step, s.u, s.i, s.x, s.flags, tick_s, ahead)
     there = np.isfinite(x_hat)
     notes = list(evidence.notes)
+    if has_phase(c):
+        notes.append("the phase of periodic-disturbance is taken from the readings before each prediction")
     if source.late:
         notes.append(f"u_c acts {source.late} samples later than recorded, as where the model was identified")
     if source.unknown_late:

@@ -16,9 +16,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnose.estimate import Criterion, Theta, coordinates_of, derivative_step, inverse, moved, unit_of
+from twin.diagnose.estimate import (
+    Criterion,
+    Theta,
+    coordinates_of,
+    derivative_step,
+    inverse,
+    moved,
+)
+from twin.diagnose.probes import probes_of
 from twin.identify.innovations import information
-from twin.identify.record import FloatArray
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
 
@@ -37,6 +44,7 @@ class Score:
     z: float  # how far from absent, in standard errors, signed
     detectable: float  # standard errors by which the probe itself would show
     visible: float  # share of the signature that nothing in the model takes up
+    beside: tuple[tuple[str, float], ...]  # moves of the other coordinates that go with a whole step
 
     @property
     def testable(self) -> bool:
@@ -44,19 +52,23 @@ class Score:
         return self.visible >= VISIBLE and self.detectable >= LEAST_INFORMATION
 
 
-def screen(criterion: Criterion, theta: Theta, free: Sequence[str], candidates: Sequence[Cause] = CATALOGUE) -> list[Score]:
+def screen(
+    criterion: Criterion, theta: Theta, free: Sequence[str], candidates: Sequence[Cause] = CATALOGUE
+) -> list[Score]:
     """The candidates' scores at a maximum, best first; those already in the model are left out."""
     plant = criterion.plant
     present = {name.partition(".")[0] for name, _ in theta.causes}
     trials = [
         (cause, probe)
         for cause in candidates
-        if cause.name not in present and not cause.not_testable and cause.name not in ("lost-samples", "periodic-disturbance")
-        for probe in cause.strength.probes
+        if cause.name not in present
+        and not cause.not_testable
+        and cause.name not in ("lost-samples", "periodic-disturbance")
+        for probe in probes_of(cause, criterion.evidence.series)
     ]
     steps = [derivative_step(theta, name, plant) for name in free]
     thetas = [theta, *(moved(theta, name, by, plant) for name, by in zip(free, steps, strict=True))]
-    thetas += [_probed(theta, cause, probe) for cause, probe in trials]
+    thetas += [probed(theta, cause, probe) for cause, probe in trials]
     base, *outs = criterion.several(thetas)
     scales = [*steps, *(1.0 for _ in trials)]
     change = np.empty((len(outs), *base.shape))
@@ -92,25 +104,15 @@ def screen(criterion: Criterion, theta: Theta, free: Sequence[str], candidates: 
             z=slope / math.sqrt(left),
             detectable=math.sqrt(left),
             visible=left / own,
+            beside=tuple(zip(free, (-(inner @ cross)).tolist(), strict=True)),
         )
         if cause.name not in best or found.gain > best[cause.name].gain:
             best[cause.name] = found
     return sorted(best.values(), key=lambda found: -found.gain)
 
 
-def started(theta: Theta, score: Score) -> Theta:
-    """Where the fit with that candidate begins."""
-    from twin.model.causes.catalogue import BY_NAME
-
-    cause = BY_NAME[score.cause]
-    strength = cause.strength
-    reach = min(max(score.step, -20.0), 20.0)
-    coordinate = strength.coordinate(score.probe) * (reach if abs(reach) > 0.05 else 0.3)
-    theta = _probed(theta, cause, strength.value(coordinate))
-    return theta
-
-
-def _probed(theta: Theta, cause: Cause, value: float) -> Theta:
+def probed(theta: Theta, cause: Cause, value: float) -> Theta:
+    """With that strength of a cause, its other parameters at their usual values."""
     strength, *others = coordinates_of(cause.name)
     for name, parameter in zip(others, cause.parameters[1:], strict=True):
         theta = theta.having(name, parameter.neutral)

@@ -18,7 +18,8 @@ from dataclasses import dataclass, field
 
 from twin.diagnose.estimate import PASSES, Criterion, Fit, climb, coordinates_of, parameter_of
 from twin.diagnose.floor import Floor
-from twin.diagnose.screen import Score, screen, started
+from twin.diagnose.screen import Score, screen
+from twin.diagnose.starts import start_of
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
 
@@ -27,7 +28,8 @@ SHARE = 0.2  # of the excess that is left
 MARGIN = 4.5
 MOST_CAUSES = 4
 FEW = 5  # candidates that are fitted in a round
-_SHORT = 10  # passes of a first fit
+_SHORT = 5  # passes of a first fit
+_HOPELESS = 0.4  # of the best gain: a candidate that is so far behind after them is not fitted to the end
 Say = Callable[[str], None]
 
 
@@ -90,28 +92,28 @@ def select(
     return found
 
 
-def _forward(
-    criterion: Criterion, at: Fit, floor: Floor, candidates: Sequence[Cause], few: int, say: Say
-) -> Round:
+def _forward(criterion: Criterion, at: Fit, floor: Floor, candidates: Sequence[Cause], few: int, say: Say) -> Round:
     scores = screen(criterion, at.theta, at.free, candidates)
     worth = [score for score in scores if score.testable and score.gain > 0.5 * THRESHOLD][:few]
     say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
     trials = _fitted(criterion, at, worth)
     if not trials:
         return Round(scores=tuple(scores), trials=(), taken="", why="nothing in the catalogue gains anything")
-    best = trials[0]
     excess = floor.excess(at.loglik)
+    possible = [trial for trial in trials if inside(trial)]
+    best = (possible or trials)[0]
     share = best.gain / excess if excess > 0.0 else 1.0
     why = f"log-likelihood +{best.gain:.0f}"
     taken = ""
     if best.gain < THRESHOLD:
         why = f"{best.cause} would be best, with a gain of {best.gain:.1f}: chance does that"
-    elif not inside(best):
+    elif not possible:
         why = f"{best.cause} would be best, but outside its physical range"
     elif floor.material(at.loglik) and share < SHARE:
         why = f"{best.cause} would be best, but explains {100 * share:.0f} % of what is left"
     else:
         taken = best.cause
+        trials = [best, *(trial for trial in trials if trial is not best)]
     return Round(scores=tuple(scores), trials=tuple(trials), taken=taken, why=why)
 
 
@@ -119,15 +121,19 @@ def _fitted(criterion: Criterion, at: Fit, scores: Sequence[Score]) -> list[Tria
     """Each candidate fitted, the leading ones to the end; best first."""
     trials = []
     for score in scores:
-        fit = climb(criterion, started(at.theta, score), at.free + coordinates_of(score.cause), passes=_SHORT)
+        fit = climb(criterion, start_of(criterion, at.theta, score), _with(at.free, score.cause), passes=_SHORT)
         trials.append(Trial(cause=score.cause, fit=fit, gain=fit.loglik - at.loglik))
     trials.sort(key=lambda trial: -trial.gain)
     for place, trial in enumerate(trials[:3]):
-        if trial.fit.converged or trial.gain < 0.2 * trials[0].gain:
+        if trial.fit.converged or trial.gain < _HOPELESS * max(other.gain for other in trials):
             continue
         fit = climb(criterion, trial.fit.theta, trial.fit.free, passes=PASSES)
         trials[place] = Trial(cause=trial.cause, fit=fit, gain=fit.loglik - at.loglik)
     return sorted(trials, key=lambda trial: -trial.gain)
+
+
+def _with(free: tuple[str, ...], cause: str) -> tuple[str, ...]:
+    return free + coordinates_of(cause)
 
 
 def inside(trial: Trial) -> bool:

@@ -1,0 +1,103 @@
+"""Where the fit of a candidate begins.
+
+A wrong model bends its own parameters: under a current limit K_A comes out low and T_A long, and from there the limit
+explains nothing.  So beside the screen's linear step, an amplifier's candidate is tried with a K_A and T_A that few
+samples can bend: the median of i_c / u_c, and the fastest response that any single recording shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from twin.diagnose.estimate import PARAMETERS, Criterion, Theta, most_step, moved
+from twin.diagnose.probes import probes_of
+from twin.diagnose.screen import Score, probed
+from twin.identify.record import Record
+from twin.identify.start import amplifier_start
+from twin.model.causes.catalogue import BY_NAME
+from twin.model.causes.cause import Cause
+
+_REACH = 20.0  # probes: farther the signature is another
+_LEAST = 0.05
+_STEADY = 5  # samples of the same u_c
+
+
+def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
+    """The best of the starts by the likelihood itself."""
+    cause = BY_NAME[score.cause]
+    starts = [_linear(criterion, theta, score, cause)]
+    if cause.family == "amplifier":
+        gains, times = {theta.K_A}, {theta.T_A}
+        robust = robust_gain(criterion.evidence.records)
+        if robust is not None:
+            gains.add(robust)
+        quick = quickest(criterion.evidence.records)
+        if quick is not None:
+            times.add(min(quick, theta.T_A))
+        for K_A in sorted(gains):
+            for T_A in sorted(times):
+                for probe in probes_of(cause, criterion.evidence.series):
+                    starts.append(probed(replace(theta, K_A=K_A, T_A=T_A), cause, probe))
+    if len(starts) == 1:
+        return starts[0]
+    return starts[int(np.argmax(criterion.values(starts)))]
+
+
+def robust_gain(records: Sequence[Record]) -> float | None:
+    """K_A as the median of i_c / u_c where u_c has stood still, A/V."""
+    ratios = []
+    for record in records:
+        if record.kind == "equilibria" or not record.has("u_c", "i_c") or len(record.t) < 2 * _STEADY:
+            continue
+        u, i = record.u_c, record.i_c
+        still = np.ones(len(u), np.bool_)
+        for lag in range(1, _STEADY):
+            still[lag:] &= np.abs(u[lag:] - u[:-lag]) <= 0.02 * np.abs(u[lag:])
+        still[:_STEADY] = False
+        good = still & (u > 0.2 * np.nanmax(u)) & np.isfinite(i)
+        if good.sum() >= 20:
+            ratios.append(i[good] / u[good])
+    if not ratios:
+        return None
+    gain = float(np.median(np.concatenate(ratios)))
+    return gain if gain > 0.0 else None
+
+
+def quickest(records: Sequence[Record]) -> float | None:
+    """The shortest T_A that any single recording or capture of steps asks for, s."""
+    found = []
+    for record in records:
+        singles = [
+            replace(
+                record,
+                captures=(capture,),
+                t=record.t[:0],
+                u_c=record.u_c[:0],
+                i_c=record.i_c[:0],
+                x=record.x[:0],
+                x_ref=record.x_ref[:0],
+            )
+            for capture in record.captures
+        ]
+        if record.kind == "amplifier-step" and len(record.t):
+            singles.append(replace(record, captures=()))
+        for single in singles:
+            start = amplifier_start([single])
+            if start is not None and start.K_A > 0.0 and start.share > 0.9:
+                found.append(start.T_A)
+    return min(found) if found else None
+
+
+def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause) -> Theta:
+    strength = cause.strength
+    reach = min(max(score.step, -_REACH), _REACH)
+    reach = reach if abs(reach) > _LEAST else 0.3
+    shorter = min([1.0, *(most_step(name) / max(abs(by * reach), 1e-300) for name, by in score.beside)])
+    reach *= max(shorter, _LEAST / abs(reach))
+    for name, by in score.beside:
+        if name in PARAMETERS:  # noise levels find their own way: falling ones overshoot
+            theta = moved(theta, name, by * reach, criterion.plant)
+    return probed(theta, cause, strength.value(strength.coordinate(score.probe) * reach))
