@@ -23,7 +23,7 @@ from protocol.wire.messages import Flag
 FloatArray = NDArray[np.float64]
 Cure = Literal["again", "raise", "lower", "none"]
 
-MOST_LOST_SHARE = 0.05  # of the samples; the filter of the identification starts anew behind each gap
+MOST_LOST_SHARE = 0.15  # of the samples; a rig that loses single ones everywhere can still be identified
 LONGEST_GAP_S = 0.05  # four e-folds of the unstable pole: nothing connects the two sides
 CLIPPED_SHARE = 0.01  # of the samples at a converter's end
 SATURATED_SHARE = 0.25  # of the samples with u_c at a limit: the law no longer controls
@@ -179,7 +179,7 @@ def _converters(experiment: Experiment, s: Samples, rig: Rig) -> tuple[Problem, 
             )
         )
     position = float(np.mean((s.flags & Flag.POSITION_RANGE) != 0))
-    if position > CLIPPED_SHARE and experiment.expects in ("flies", "bounces"):
+    if position > CLIPPED_SHARE and experiment.expects == "flies":  # at a stop, an offset sensor may well be at its end
         problems.append(
             Problem(code="clipped-x", cure="none", text=f"x is at its converter's end in {100 * position:.0f} % of it")
         )
@@ -209,21 +209,18 @@ def _captures(experiment: Experiment, captures: Sequence[pb.CaptureRecord]) -> t
     wanted = sum(isinstance(step, Burst) for step in experiment.steps)
     if len(captures) < wanted:
         return (Problem(code="captures-missing", text=f"{len(captures)} of {wanted} captures came"),)
+    clear = 0
     for capture in captures:
         i = np.array(capture.i_c_a)
         if not 0 < capture.step_index < len(i) - 20:
             return (Problem(code="capture-short", text=f"a capture has {len(i)} samples"),)
         before, after = i[: capture.step_index], i[-len(i) // 4 :]
         noise = max(float(np.std(before)), float(np.std(after)), 1e-9)
-        step = abs(capture.u_to_v - capture.u_from_v)
-        if step > 0 and abs(float(np.mean(after) - np.mean(before))) < 0.5 * noise:
-            return (
-                Problem(
-                    code="no-response",
-                    cure="none",
-                    text=f"i_c does not answer the step from {capture.u_from_v:.3g} to {capture.u_to_v:.3g} V",
-                ),
-            )
+        clear += abs(float(np.mean(after) - np.mean(before))) > 3.0 * noise
+    if 2 * clear < wanted:  # a dead zone swallows a small step: that is the rig, not the recording
+        return (
+            Problem(code="no-response", cure="none", text=f"i_c answers {clear} of {wanted} captured steps of u_c"),
+        )
     return ()
 
 

@@ -224,5 +224,5 @@ def _difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
         return f"--seed was {old.get('seed')}, is {new['seed']}"
     for key, value in new["limits"].items():
         if old.get("limits", {}).get(key) != value:
-            return f"the limit {key} was {old.get('limits', {}).get(key)}, is {value}"
+            return f"the limit {key} was {old.get('limits', {}).get(key, float('nan')):.4g}, is {value:.4g}"
     return "its steps differ (with and without --quick, or another version of the menu)"

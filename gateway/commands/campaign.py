@@ -99,7 +99,8 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
         tap = Tap(session, args.site, args.board)
         rig = Rig(session, args.site, args.board, tap, stop, who=args.who, travel_m=plant.travel_m)
         wishes = Wishes(
-            experiments=experiments, plant=plant, lift_off=chosen((LIFT_OFF,), quick=args.quick)[0], seed=args.seed, u_max_v=args.u_max,
+            experiments=experiments, plant=plant, lift_off=chosen((LIFT_OFF,), quick=args.quick)[0],
+            seed=args.seed, u_max_v=args.u_max,
             x_min_m=None if args.x_min is None else args.x_min * 1e-3,
             x_max_m=None if args.x_max is None else args.x_max * 1e-3,
             ask=lambda experiment: "" if args.yes else _ask(experiment, stop),

@@ -110,7 +110,7 @@ def test_a_good_recording_has_no_problem(name: str) -> None:
     ("name", "spoil", "code", "cure"),
     [
         ("steps", cut(slice(1000, 1026)), "samples-lost", "again"),  # 52 ms in one place
-        ("rest", cut(slice(0, 2000, 12)), "samples-lost", "again"),  # every twelfth
+        ("rest", cut(slice(0, 2000, 6)), "samples-lost", "again"),  # every sixth
         ("rest", with_("session", put(slice(900, None), 2)), "board-reset", "again"),
         ("steps", with_("flags", put(slice(10, 12), Flag.FAULT)), "fault", "again"),
         ("rest", with_("flags", put(slice(0, 90), Flag.CURRENT_RANGE)), "clipped-i_c", "lower"),
@@ -139,7 +139,13 @@ def test_what_spoils_a_recording_is_named(name: str, spoil: Change, code: str, c
 
 
 def test_single_lost_samples_are_no_problem() -> None:
-    assert problems("steps", cut(slice(0, 2000, 50))(flying())) == ()
+    assert problems("steps", cut(slice(0, 2000, 10))(flying())) == ()
+
+
+def test_a_sensor_at_its_end_at_the_stop_is_no_problem_where_the_ball_bounces() -> None:
+    at_the_end = with_("flags", put(slice(0, 400), Flag.POSITION_RANGE))
+
+    assert problems("prbs-open-loop", at_the_end(bouncing())) == ()
 
 
 def test_a_ramp_that_ended_at_the_limit_is_not_raised_any_more() -> None:
@@ -152,9 +158,11 @@ def test_a_ramp_that_ended_at_the_limit_is_not_raised_any_more() -> None:
 
 def test_a_missing_or_dead_capture_is_named() -> None:
     rest, shots = at_rest(), captures("amplifier-steps")
-    dead = [capture(1.0, 2.0, gain=0.0), *shots[1:]]
+    dead = [capture(c.u_from_v, c.u_to_v, gain=0.0) for c in shots]
+    swallowed = [capture(0.0, 0.33, gain=0.0), *shots[1:]]  # by a dead zone
 
     assert problems("amplifier-steps", rest, shots=shots) == ()
+    assert problems("amplifier-steps", rest, shots=swallowed) == ()
     assert [p.code for p in problems("amplifier-steps", rest, shots=shots[:-1])] == ["captures-missing"]
     assert [p.code for p in problems("amplifier-steps", rest, shots=dead)] == ["no-response"]
 

@@ -38,7 +38,7 @@ def test_a_recording_with_lost_samples_is_made_again(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_line_that_loses_all_the_time_is_given_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with emulated_line(tmp_path, faults=("lost=0.01:tx",)) as line:  # one STATE in seven
+    with emulated_line(tmp_path, faults=("lost=0.02:tx",)) as line:  # one STATE in four
         code = line.run(tmp_path / "c", *LIFT_OFF)
         line.assert_parked()
 
