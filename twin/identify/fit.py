@@ -6,7 +6,7 @@ the filter, so the score is that of the likelihood itself, terms through the gai
 Rule 1: K_A, T_A, K_c and the noise levels move as logarithms; b moves freely through zero, because a record that knows
         nothing of the drag must be able to say so.
         It is held below the unstable pole: beyond, it only stands for something else.
-Rule 2: a noise level at its floor with a score that pushes it further down is left there.
+Rule 2: a noise level or T_A at its floor with a score that pushes it further down is left there.
 Rule 3: never raises for numbers: an impossible step is refused, no convergence is a value (`converged`).
 """
 
@@ -27,7 +27,13 @@ from twin.identify.transition import GAP_MIN_SHARE, Physics
 PARAMETERS = ("K_A", "T_A", "K_c", "b")
 NOISES = ("sigma_i_c_a", "sigma_x_m", "process_i_c_a", "process_a_m_s2")
 NAMES = PARAMETERS + NOISES
-FLOORS = {"sigma_i_c_a": 1e-7, "sigma_x_m": 1e-9, "process_i_c_a": 1e-6, "process_a_m_s2": 1e-3}
+FLOORS = {
+    "T_A": 2e-6,  # faster than any coil: below, the likelihood is flat and no climb ends
+    "sigma_i_c_a": 1e-7,
+    "sigma_x_m": 1e-9,
+    "process_i_c_a": 1e-6,
+    "process_a_m_s2": 1e-3,
+}
 _STEP = {"K_A": 1e-5, "T_A": 1e-4, "K_c": 1e-5} | dict.fromkeys(NOISES, 1e-4)
 _DRAG_STEP = 1e-2  # 1/s, of b / m
 _MOST = {"K_A": 0.7, "T_A": 1.5, "K_c": 0.5} | dict.fromkeys(NOISES, 2.0)  # largest step of a logarithm

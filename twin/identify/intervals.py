@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.identify.fit import PARAMETERS, Fit, Likelihood, Point, fit
+from twin.identify.fit import FLOORS, PARAMETERS, Fit, Likelihood, Point, fit
 
 Z = 1.96
 CROOKED = 0.15  # relative standard error of a logarithm from which its parabola misleads
 NEAR_ZERO = 3.0  # standard errors of b from 0
-_ROUNDS = 4
+_ROUNDS = 6
 _PASSES = 6
 _FURTHEST = 4.0  # of a logarithm: beyond a factor of 50 the bound is called absent
 
@@ -36,7 +36,10 @@ def quadratic_or_profile(likelihood: Likelihood, found: Fit, *, robust: bool) ->
         std = found.std(name, mass, robust=robust)
         value = getattr(found.point, name)
         relative = std / value if name != "b" and value > 0 else 0.0
-        crooked = relative > CROOKED or (name == "b" and abs(value) < NEAR_ZERO * std) or not np.isfinite(std)
+        floored = name == "T_A" and value <= FLOORS[name] * 1.001  # no std, and no end below
+        crooked = (
+            floored or relative > CROOKED or (name == "b" and abs(value) < NEAR_ZERO * std) or not np.isfinite(std)
+        )
         if not crooked:
             low, high = (
                 (value - Z * std, value + Z * std)
@@ -47,7 +50,9 @@ def quadratic_or_profile(likelihood: Likelihood, found: Fit, *, robust: bool) ->
         else:
             # Coloured residuals make the likelihood too sure of itself by the ratio of the two standard errors.
             inflate = max(std / max(found.std(name, mass), 1e-300), 1.0) if robust and np.isfinite(std) else 1.0
-            low, high = (_profile(likelihood, found, name, side, Z * inflate) for side in (-1, 1))
+            high = _profile(likelihood, found, name, 1, Z * inflate)
+            low = 0.0 if floored else _profile(likelihood, found, name, -1, Z * inflate)
+            std = float("inf") if floored else std
             method = "profile likelihood"
         result[name] = Interval(std=std, low=low, high=high, method=method)
     return result

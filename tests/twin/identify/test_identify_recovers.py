@@ -187,3 +187,16 @@ def test_levels_off_a_line_widen_the_gain_and_are_said() -> None:
     assert K_A.verdict != "identified"
     assert K_A.ci95 is not None
     assert K_A.ci95[0] < rig.amplifier_gain_a_v < K_A.ci95[1]
+
+
+def test_an_amplifier_too_fast_to_be_seen_is_no_obstacle() -> None:
+    rig = replace(random_rig(np.random.default_rng(7)), amplifier_time_constant_s=2e-5)
+
+    found = identify_records(campaign_of(rig), run_campaign(rig, seed=7, flight_s=8.0)[2:])
+
+    T_A = found.model.parameters["T_A"]
+    assert found.usable
+    assert T_A.verdict == "not-identifiable"
+    assert T_A.ci95 is not None
+    assert T_A.ci95[0] <= 2e-5 <= T_A.ci95[1] < 2e-4  # a tenth of the sampling interval is seen
+    assert abs(found.model.K_c / rig.force_constant_n_m2_a2 - 1.0) < 1e-3
