@@ -164,7 +164,7 @@ def load(path: Path) -> Campaign:
         DataError: it is absent or not text.
         ConfigError: a key or a value is wrong.
     """
-    text, file = _read(path)
+    text, file = _read(path, remedy="Name a campaign.toml or its folder")
     return parse(text, where=str(file), folder=file.parent)
 
 
@@ -175,7 +175,7 @@ def load_plant(path: Path) -> Plant:
         DataError: it is absent or not text.
         ConfigError: it has no `[plant]`, or a key or a value of it is wrong.
     """
-    text, file = _read(path)
+    text, file = _read(path, remedy="Name a file with a [plant] table, or a campaign's folder")
     return _plant(_top(text, where=str(file)).table("plant"))
 
 
@@ -205,16 +205,14 @@ def parse(text: str, *, where: str, folder: Path = Path()) -> Campaign:
     return Campaign(where=where, folder=folder, plant=plant, controller=controller, recordings=recordings)
 
 
-def _read(path: Path) -> tuple[str, Path]:
+def _read(path: Path, *, remedy: str) -> tuple[str, Path]:
     file = path / "campaign.toml" if path.is_dir() else path
     try:
         return file.read_text(encoding="utf-8"), file
     except OSError as error:
-        raise DataError(
-            f"Campaign {file} cannot be read: {error.strerror}", remedy="Name a campaign.toml or its folder"
-        ) from None
+        raise DataError(f"{file} cannot be read: {error.strerror}", remedy=remedy) from None
     except UnicodeDecodeError:
-        raise DataError(f"Campaign {file} is not UTF-8 text", remedy="Name a campaign.toml or its folder") from None
+        raise DataError(f"{file} is not UTF-8 text", remedy=remedy) from None
 
 
 def _top(text: str, *, where: str) -> TomlTable:

@@ -73,10 +73,10 @@ class Folder:
     """A campaign's folder, new or to be continued.
 
     Args:
-        path: made if absent.
+        path: may be absent; `claim` makes it.
 
     Raises:
-        UsageError: it holds a campaign that was not made here, or cannot be made.
+        UsageError: it holds a campaign that was not made here.
         DataError: its run.json is damaged.
     """
 
@@ -85,12 +85,6 @@ class Folder:
         self.lift_off_v: float | None = None
         self.kept: dict[str, Kept] = {}
         self._identity: dict[str, Any] | None = None
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UsageError(
-                f"Folder {path} cannot be made: {error.strerror}", remedy="Give a folder that can be written"
-            ) from None
         if (path / RUN_FILE).exists():
             self._load()
         elif (path / "campaign.toml").exists():
@@ -116,7 +110,7 @@ class Folder:
         """This rig, and no other.
 
         Raises:
-            UsageError: the folder belongs to another one.
+            UsageError: the folder belongs to another one, or cannot be made.
         """
         if self._identity is not None and self.kept:
             for part, known in self._identity.items():
@@ -128,6 +122,12 @@ class Folder:
                         remedy="Give a new folder, or the same board, plant and gains as before",
                     )
         self._identity = dict(identity)
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UsageError(
+                f"Folder {self.path} cannot be made: {error.strerror}", remedy="Give a folder that can be written"
+            ) from None
 
     def has(self, name: str, plan: Mapping[str, Any]) -> bool:
         """Whether the recording is there, whole.
@@ -151,7 +151,7 @@ class Folder:
         """Where a recording lies."""
         return self.path / f"{name}.mcap"
 
-    def keep(self, experiment: Experiment, recorded: Recorded, kept: Kept, campaign: Controller | None) -> None:
+    def keep(self, experiment: Experiment, recorded: Recorded, kept: Kept, controller: Controller | None) -> None:
         """Write a recording and list it.
 
         Raises:
@@ -172,7 +172,7 @@ class Folder:
         kept.bytes = beside.stat().st_size
         beside.replace(file)
         self.kept[experiment.name] = kept
-        self.save(campaign)
+        self.save(controller)
 
     def drop(self, name: str) -> None:
         """A recording that is to be made anew, or is not usable after all."""
@@ -190,6 +190,8 @@ class Folder:
         self._write(RUN_FILE, json.dumps(table, indent=1) + "\n")
         if self.kept:
             self._write("campaign.toml", self._campaign(Plant(**self._identity["plant"]), controller))
+        else:
+            (self.path / "campaign.toml").unlink(missing_ok=True)
 
     def _campaign(self, plant: Plant, controller: Controller | None) -> str:
         recordings = tuple(

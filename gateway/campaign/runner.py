@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import replace
 
 from gateway.campaign import checks
 from gateway.campaign.folder import Folder, Kept, controller_of, identity_of, plan_of
-from gateway.campaign.menu import BY_NAME, LIFT_OFF, Experiment
+from gateway.campaign.menu import LIFT_OFF, Experiment
+from gateway.campaign.outcome import Outcome, Summary, Wishes
 from gateway.campaign.plan import (
     Action,
     GoTo,
@@ -33,62 +33,11 @@ from gateway.campaign.plan import (
 from gateway.campaign.rig import ID_PREFIX, Cut, Rig, Stopped
 from gateway.campaign.tap import Recorded, Tap
 from protocol.bus import board51_pb2 as pb
-from protocol.campaign import Plant
 from protocol.errors import Board51Error, ServiceError
 
 ATTEMPTS = 3
 LOWERED = 0.7  # amplitudes of a repetition after the ball fell or something was clipped
 OVERHEAD_S = {True: 2.0, False: 0.8}  # around a recording, in closed and open loop: lifting, landing, writing
-Standing = Literal["recorded", "already-there", "given-up", "impossible", "skipped", "interrupted", "not-reached"]
-
-
-@dataclass(slots=True, kw_only=True)
-class Outcome:
-    """What became of one experiment."""
-
-    experiment: Experiment
-    standing: Standing = "not-reached"
-    attempts: int = 0
-    seconds: float = 0.0
-    said: list[str] = field(default_factory=list)
-
-    @property
-    def is_there(self) -> bool:
-        """Whether the folder holds it."""
-        return self.standing in ("recorded", "already-there")
-
-
-@dataclass(slots=True, kw_only=True)
-class Summary:
-    """The whole run."""
-
-    outcomes: list[Outcome]
-    lift_off_v: float | None = None
-    interrupted: bool = False
-    failure: str = ""  # the error that ended it
-    parked: str = ""  # "" or why STOP could not be delivered
-    restored: list[str] = field(default_factory=list)
-
-    @property
-    def complete(self) -> bool:
-        """Everything that was asked for is in the folder."""
-        settled = all(o.is_there or o.standing == "skipped" for o in self.outcomes)
-        return settled and not (self.interrupted or self.failure or self.parked)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Wishes:
-    """What the user asked for."""
-
-    experiments: tuple[Experiment, ...]
-    plant: Plant
-    lift_off: Experiment = BY_NAME[LIFT_OFF]  # recorded first where its result is needed and not known
-    seed: int = 1
-    u_max_v: float | None = None
-    x_min_m: float | None = None
-    x_max_m: float | None = None
-    # Asked before an experiment that needs a person; "" goes ahead, else why not.
-    ask: Callable[[Experiment], str] = lambda experiment: "it needs a person"
 
 
 class Runner:
@@ -183,6 +132,7 @@ class Runner:
     def _begin(self) -> None:
         if self._parameters.stream_divider != 1:
             self._rig.command(pb.Command(set_stream=pb.SetStream(divider=1)))
+        self._folder.save(controller_of(self._parameters))  # what is to be made anew is not listed meanwhile
         self._rig.land()
         self._rig.measure_rest()
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import select
 import shlex
 import signal
 import sys
@@ -22,7 +23,7 @@ from protocol.errors import UsageError
 
 if TYPE_CHECKING:
     from gateway.campaign.menu import Experiment
-    from gateway.campaign.runner import Summary
+    from gateway.campaign.outcome import Summary
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -58,7 +59,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _positive(text: str) -> float:
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
     if not (math.isfinite(value) and value >= 0.0):
         raise argparse.ArgumentTypeError(f"{text} is not a number of at least 0")
     return value
@@ -86,8 +90,9 @@ def run(args: argparse.Namespace) -> int:
 def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> int:
     from gateway.campaign.folder import CE152, Folder
     from gateway.campaign.menu import LIFT_OFF, chosen
+    from gateway.campaign.outcome import Wishes
     from gateway.campaign.rig import Rig
-    from gateway.campaign.runner import Runner, Wishes
+    from gateway.campaign.runner import Runner
     from gateway.campaign.tap import Tap
     from protocol.campaign import load_plant
 
@@ -118,12 +123,12 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
 def _ask(experiment: Experiment, stop: threading.Event) -> str:
     if not sys.stdin.isatty():
         return f"{experiment.person.rstrip('.')}, then say so with --yes"
-    _say(f"    {experiment.person}")
-    try:
-        answer = input("    Done? y goes on, anything else skips: ")
-    except EOFError:
-        answer = ""
-    return "" if answer.strip().lower() in ("y", "yes") and not stop.is_set() else "not confirmed"
+    _say(f"    {experiment.person}\n    Done? y goes on, anything else skips:")
+    # Not input(): it would go on waiting after Ctrl-C, which here only sets `stop`.
+    while not stop.is_set():
+        if select.select([sys.stdin], [], [], 0.2)[0]:
+            return "" if sys.stdin.readline().strip().lower() in ("y", "yes") else "not confirmed"
+    return "not confirmed"
 
 
 def _say(text: str) -> None:
