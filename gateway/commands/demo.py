@@ -72,7 +72,7 @@ def _demo(out: Path, effects: list[str]) -> int:
         port = free_port()
         endpoint, tty, folder = f"tcp/127.0.0.1:{port}", str(Path(scratch) / "ttyBoard51"), Path(scratch) / "logs"
 
-        _say("1/8 emulated board on a pty, gateway (UART <-> zenoh, MCAP), twin on the nominal CE 152")
+        _step(began, "1/8 emulated board on a pty, gateway (UART <-> zenoh, MCAP), twin on the nominal CE 152")
         words = [word for effect in effects for word in ("--effect", effect)]
         emulator = processes.enter_context(running(out, "emulate", "--pty", tty, *words))
         # In any order: the twin looks for the gateway until it is there.
@@ -86,10 +86,10 @@ def _demo(out: Path, effects: list[str]) -> int:
         wait(lambda: bus.count("state") > 100, gateway, "samples from the board")
         wait(lambda: bus.count("twin/state") > 10, twin, "the twin")
 
-        _say("2/8 lift the ball, follow a reference")
+        _step(began, "2/8 lift the ball, follow a reference")
         before = _fly(bus, "nominal")
 
-        _say("3/8 measure: a quick campaign of the paper's experiments")
+        _step(began, "3/8 measure: a quick campaign of the paper's experiments")
         _, shown = call(
             out, "campaign", "run", str(campaign), "--board", BOARD, "--connect", endpoint, "--quick",
             good=NOT_ALL, tell=_tell_experiment,
@@ -97,7 +97,7 @@ def _demo(out: Path, effects: list[str]) -> int:
         if not (campaign / "campaign.toml").exists():
             raise ServiceError(f"The campaign recorded nothing: {shown[-1].rstrip('.')}", remedy="Try another --effect")
 
-        _say("4/8 identify")
+        _step(began, "4/8 identify")
         refused, lines = call(out, "identify", str(campaign), "--out", str(model), good=NOT_ALL)
         _show_model(model)
         if refused:
@@ -106,11 +106,11 @@ def _demo(out: Path, effects: list[str]) -> int:
                 if line.startswith("! "):
                     _wrap(line)
 
-        _say("5/8 validate: what the model leaves unexplained")
+        _step(began, "5/8 validate: what the model leaves unexplained")
         _, answer = call(out, "validate", str(campaign), "--model", str(model), "--out", str(report), good=NOT_ALL)
         _wrap(answer[0])
 
-        _say("6/8 hand the identified model to the running twin")
+        _step(began, "6/8 hand the identified model to the running twin")
         _, lines = call(
             out, "twin", "--hand-over", str(model), "--board", BOARD, "--connect", endpoint, "--who", "demo",
             log="hand-over",
@@ -118,12 +118,12 @@ def _demo(out: Path, effects: list[str]) -> int:
         for line in lines:
             _wrap(line)
 
-        _say("7/8 the same reference again")
+        _step(began, "7/8 the same reference again")
         after = _fly(bus, "identified")
         bus.hold(0.3)
         processes.close()
 
-        _say("8/8 what the log says")
+        _step(began, "8/8 what the log says")
         logs = [Path(shutil.move(path, out / path.name)) for path in sorted(folder.glob("*.mcap"))]
     if not logs:
         raise ServiceError("The gateway left no log", remedy=f"Its messages are in {out / 'gateway.log'}")
@@ -173,6 +173,10 @@ def _show_model(path: Path) -> None:
 
 def _wrap(text: str) -> None:
     _say(textwrap.fill(text, 100, initial_indent=" " * 6, subsequent_indent=" " * 6))
+
+
+def _step(began: float, text: str) -> None:
+    _say(f"[{time.monotonic() - began:3.0f} s] {text}")
 
 
 def _tell_experiment(line: str) -> None:
