@@ -38,7 +38,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     some = parser.add_argument_group("options of benchmarks that draw trials (diagnosis)")
     some.add_argument("--runs", type=int, metavar="N", help="trials per part; 0: all of them (default: a few)")
     some.add_argument("--seed", type=int, metavar="S", help="of the first trial (default: 0)")
-    some.add_argument("--part", metavar="PART", help="causes, nulls, composites or outside (default: each)")
+    some.add_argument(
+        "--part", metavar="PART", help="causes, nulls, composites, outside or gateway (default: the first four)"
+    )
     some.add_argument("--results", type=Path, metavar="FILE", help="lines of JSON; what is there is not run again")
     some.add_argument("--quick", action="store_true", default=None, help="short trials, uncalibrated")
 

@@ -6,6 +6,7 @@
 Rule 1: consecutive seeds of `causes` go through all causes before one comes again, and through the three strengths of
         each within 78 seeds: a short run already says something about every cause.
 Rule 2: sign, plant, noise and rig are drawn freely.
+        `gateway` does so with the strong ones: its recordings take their time, because a real line carries them.
 Rule 3: of effects that delay the loop a composite has one at most: two strong ones put the ball on the floor.
 """
 
@@ -22,7 +23,7 @@ from gateway.emulator.effects import EFFECTS, Effect
 from tests.twin.diagnose.hidden_campaign import PlantName, make_campaign
 from tests.twin.diagnose.outside import OUTSIDE
 
-Part = Literal["causes", "nulls", "composites", "outside"]
+Part = Literal["causes", "nulls", "composites", "outside", "gateway"]
 Grade = Literal["weak", "medium", "strong"]
 PARTS: tuple[Part, ...] = get_args(Part)
 GRADES: tuple[Grade, ...] = get_args(Grade)
@@ -38,7 +39,7 @@ class Hidden:
 
     part: Part
     seed: int  # of rig, noise, excitation
-    plant: PlantName
+    plant: PlantName | Literal["gateway"]
     effects: Mapping[str, float] = field(default_factory=dict)
     outside: Mapping[str, float] = field(default_factory=dict)
     grade: str = ""  # of `causes`
@@ -64,6 +65,10 @@ def draw_hidden(seed: int, part: Part | None = None) -> Hidden:
         strength = OUTSIDE[name].strength * 0.7 * 2.0 ** rng.random()
         return Hidden(part=part, seed=seed, plant="independent", outside={name: float(strength)})
     names = np.random.default_rng(_DRAW).permutation(sorted(EFFECTS)).tolist()
+    if part == "gateway":
+        effect = EFFECTS[names[seed % len(names)]]
+        effects = {effect.name: _signed(effect, effect.strong, rng)}
+        return Hidden(part=part, seed=seed, plant="gateway", effects=effects, grade="strong")
     if part == "causes":
         turn, place = divmod(seed, len(names))
         effect, grade = EFFECTS[names[place]], GRADES[(turn + place) % len(GRADES)]
@@ -85,7 +90,14 @@ def record_hidden(folder: Path, hidden: Hidden, *, quick: bool = False) -> None:
 
     Raises:
         Grounded: the ball does not fly with these effects.
+        Refused: `campaign run` did not get to its end on this rig.
     """
+    if hidden.plant == "gateway":
+        # Imported here: zenoh and the daemon are for this part alone.
+        from tests.twin.diagnose.through_gateway import record_through_gateway
+
+        record_through_gateway(folder, hidden.effects, seed=hidden.seed, quick=quick)
+        return
     make_campaign(
         folder, effects=hidden.effects, seed=hidden.seed, plant=hidden.plant, quick=quick, outside=hidden.outside
     )

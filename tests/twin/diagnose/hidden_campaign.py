@@ -57,6 +57,10 @@ class Grounded(Exception):  # noqa: N818  an outcome of a draw, not a fault
     """The effects together are more than the loop can hold."""
 
 
+class Refused(Exception):  # noqa: N818  as above
+    """`board51 campaign run` did not get to its end."""
+
+
 class Bench(Protocol):
     """A board with a rig, and a host that records; SI units, time of the board."""
 

@@ -120,12 +120,12 @@ def judge(part: str, truths: Sequence[str], answer: Answer, *, may_be_adequate: 
     """Judge one answer.
 
     Args:
-        part: causes | nulls | composites | outside.
+        part: causes | nulls | composites | outside | gateway.
         truths: Names of the hidden effects.
         answer: What the diagnosis said.
         may_be_adequate: Of an effect outside: leaving the damaged samples out is an honest answer, too.
     """
-    known = set(truths) if part in ("causes", "composites") else set()
+    known = set(truths) if part in ("causes", "composites", "gateway") else set()
     found = {truth for truth in known if any(truth in _class(cause) for cause in answer.causes)}
     false_names = sum(not (known & set(_class(cause))) for cause in answer.causes)
     confidence = answer.causes[0].confidence if answer.causes else math.nan

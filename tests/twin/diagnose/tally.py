@@ -70,6 +70,10 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
                 ),
                 Rate(name=f"{grade}: first", hits=sum(j.first for _, j in can), count=len(can)),
             ]
+    carried = [(o, j) for o, j in part("gateway") if j.right is not None]
+    if carried:
+        hits = sum(j.right is True for _, j in carried)
+        result.append(Rate(name="through the gateway, strong: right", hits=hits, count=len(carried), target=0.95))
     nulls = part("nulls")
     if nulls:
         named = sum(o.verdict == FOUND for o, _ in nulls)

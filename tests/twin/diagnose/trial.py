@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from tests.twin.diagnose.draws import Hidden, record_hidden
-from tests.twin.diagnose.hidden_campaign import Grounded
+from tests.twin.diagnose.hidden_campaign import Grounded, Refused
 from tests.twin.diagnose.outside import OUTSIDE
 from tests.twin.diagnose.scoring import Outcome, judge, read_answer
 
@@ -80,6 +80,8 @@ def _run(hidden: Hidden, folder: Path, *, program: str, quick: bool) -> Outcome:
         record_hidden(campaign, hidden, quick=quick)
     except Grounded as reason:
         return outcome("grounded", message=str(reason))
+    except Refused as reason:
+        return outcome("refused", message=str(reason))
     recorded = time.monotonic()
     try:
         done = subprocess.run(
