@@ -44,7 +44,7 @@ class Source:
     without_law: str = "the campaign has no [controller] and the recording names no gains"
     u_lsb_v: float = 0.0
     late: int = 0  # samples by which u_c acts later than recorded, where the model knows of it
-    unknown_late: int = 0  # the same, where it does not
+    unknown_late: int = 0  # by so many more than the model knows of
 
     @property
     def acting(self) -> Record:
@@ -117,8 +117,8 @@ def source_of(
         source = replace(source, law=_written(controller, record), without_law="")
     if record.kind in FLYING:
         late = input_delay(record, plant_of(model))
-        known = any(usage.get("input_delay") for usage in _usages(model))
-        source = replace(source, late=late) if known else replace(source, unknown_late=late)
+        known = min(late, _known_late(model))
+        source = replace(source, late=known, unknown_late=late - known)
     return source
 
 
@@ -174,6 +174,16 @@ def point_of(model: Model, record: Record) -> Point:
         process_i_c_a=n.process_i_c_a,
         process_a_m_s2=n.process_a_m_s2,
     )
+
+
+def _known_late(model: Model) -> int:
+    """By how many samples u_c acted late in the recordings that the model was made from; their median."""
+    late = [
+        delay
+        for usage in _usages(model)
+        if usage.get("kind") in FLYING and isinstance(delay := usage.get("input_delay"), int)
+    ]
+    return round(float(np.median(late))) if late else 0
 
 
 def _usages(model: Model) -> list[dict[str, object]]:

@@ -184,11 +184,18 @@ def validate_sources(
     judges, fitted = chosen([s for s in sources if s.record.kind in FLYING])
     if fitted and judges:
         notes.append("no flight is marked for judging: these recordings may have been fitted, which flatters the model")
+    for late in sorted({source.late for source in judges} - {0}):
+        count = sum(source.late == late for source in judges)
+        notes.append(
+            f"in {count} recording(s) u_c acts {late} sample(s) later than recorded, as in those that the model was "
+            "made from: corrected here as there"
+        )
     for source in judges:
         if source.unknown_late:
+            more = "" if not source.late else "still "
             notes.append(
-                f"{source.record.name}: u_c acts {source.unknown_late} sample(s) later than recorded, by the response "
-                "of i_c; the model knows of no such delay"
+                f"{source.record.name}: u_c acts {source.unknown_late} sample(s) {more}later than recorded, by the "
+                "response of i_c; the model knows of no such delay"
             )
     say("filtering")
     runs: list[Filtered] = [run for source in judges if (run := filtered(source, model)) is not None]

@@ -321,3 +321,18 @@ def test_what_the_model_does_not_know_is_said(records: list[Record]) -> None:
     result = judged(records, replace(model, parameters={**model.parameters, "b": unsure}))
 
     assert any("is not identified: placeholder" in note for note in result.notes)
+
+
+def test_a_delay_of_the_models_own_recordings_is_corrected_and_a_longer_one_is_not(records: list[Record]) -> None:
+    model = model_of(BALL)
+    usage = {"name": "flight", "kind": "closed-loop", "input_delay": 1}
+    aware = replace(model, provenance={"recordings": [usage]})
+    flight = records[1]
+    early = [replace(flight, u_c=np.append(flight.u_c[n:], flight.u_c[-n:])) for n in (1, 2)]
+
+    same, longer = (judged([records[0], record], aware) for record in early)
+
+    assert same.passed, same.failures()
+    assert any("corrected here as there" in note for note in same.notes)
+    assert longer.passed is False
+    assert any("1 sample(s) still later" in note for note in longer.notes)
