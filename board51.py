@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from protocol.errors import Board51Error
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("gateway.commands.demo", "lift the emulated ball, follow a reference, show what the twin sees"),
+    "demo": ("gateway.commands.demo", "fly an emulated board, measure, identify, validate, fly on with the model"),
     "emulate": ("gateway.commands.emulate", "an emulated board on a pty or TCP port"),
     "gateway": ("gateway.commands.gateway", "the daemon: boards <-> zenoh, MCAP"),
     "twin": ("twin.commands.twin", "the model in step with a live rig or a log"),
