@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import time
 from pathlib import Path
@@ -38,6 +39,9 @@ def run(args: argparse.Namespace) -> int:
     from twin.identify.result import table
     from twin.model.parameters import model_to_dict
 
+    if args.out is not None and (args.out.is_dir() or not os.access(args.out.parent, os.W_OK)):
+        # Before the work: a minute later is too late to hear of it.
+        raise DataError(f"{args.out} cannot be written", remedy="Give a file in a writable folder")
     began = time.monotonic()
 
     def say(line: str) -> None:

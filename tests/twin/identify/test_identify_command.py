@@ -221,3 +221,15 @@ def test_a_log_of_two_boards_asks_which_one(tmp_path: Path, flight: Record, caps
     assert "holds 2 boards: left, right" in capsys.readouterr().err
 
     assert run(campaign(tmp_path, "a.mcap", 'board = "left"\n'), "--quiet") == 0
+
+
+def test_a_result_that_cannot_be_written_is_said_before_the_work(
+    tmp_path: Path, flight: Record, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_csv(tmp_path / "a.csv", flight)
+
+    assert run(campaign(tmp_path, "a.csv"), "--out", tmp_path / "absent" / "m.json") == 2
+
+    error = capsys.readouterr().err
+    assert "cannot be written" in error
+    assert error.count("\n") == 1
