@@ -18,7 +18,7 @@ import zenoh
 
 from gateway.campaign.checks import AT_STOP_S, STOP_SHARE, Problem, rest_level_m
 from gateway.campaign.plan import CAPTURE_PRE_S, CAPTURE_S, Action, GoTo, Send, Shoot
-from gateway.campaign.tap import Tap
+from gateway.campaign.tap import ID_PREFIX, Tap
 from gateway.client import send
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import Board51Error, ServiceError
@@ -31,7 +31,6 @@ LANDING_S = 0.3  # a fall through the travel takes 0.03 s, its bounces ten times
 CAPTURE_LIMIT_S = 5.0
 _AGAIN = ("flood", "queue-full", "slew", "busy", "no-session", "not-available")
 _AGAIN_LIMIT_S = 5.0
-ID_PREFIX = "campaign-"
 
 
 class Stopped(Exception):  # noqa: N818  # not an error: somebody wanted it
@@ -77,13 +76,15 @@ class Rig:
 
         Raises:
             Stopped: the user wants the end.
-            ServiceError: the board, its link or the gateway is gone.
+            ServiceError: the board, its link or the gateway is gone, or somebody else sent STOP: a campaign that
+                lifted the ball again would be dangerous.
         """
         end_s = None if timeout_s is None else time.monotonic() + timeout_s
         with self._tap.changed:
             while not ready():
                 if self._stop.is_set():
                     raise Stopped
+                self._heed()
                 if self._tap.silence_s() > SILENCE_S:
                     raise self._lost("No samples")
                 if end_s is not None and time.monotonic() > end_s:
@@ -92,6 +93,13 @@ class Rig:
         if self._stop.is_set():
             raise Stopped
         return True
+
+    def _heed(self) -> None:
+        if self._tap.stopped_by is not None:
+            raise ServiceError(
+                f"{self._tap.stopped_by} stopped the board",
+                remedy="When it is safe again, the same command goes on where this ended",
+            )
 
     def _lost(self, what: str) -> ServiceError:
         return ServiceError(
@@ -166,12 +174,13 @@ class Rig:
 
         Raises:
             Cut: refused for good.
-            ServiceError: not delivered.
+            ServiceError: not delivered, or somebody else sent STOP.
         """
         end_s = time.monotonic() + _AGAIN_LIMIT_S
         while True:
             if self._stop.is_set():
                 raise Stopped
+            self._heed()
             reply = self._send(command)
             if reply.accepted:
                 return reply.tick
@@ -298,7 +307,8 @@ class Rig:
 
     def put_back(self, x_ref_m: float, *, stream_divider: int) -> str:
         """Reference and stream as they were found; "" or why not."""
-        self._stop = threading.Event()  # the wish to end has been heard
+        self._stop = threading.Event()  # the wish to end has been heard,
+        self._tap.stopped_by = None  # and so has the other's STOP
         try:
             self.go_to(x_ref_m)
             if stream_divider != 1:

@@ -30,8 +30,8 @@ from gateway.campaign.plan import (
     needs_lift_off,
     raised,
 )
-from gateway.campaign.rig import ID_PREFIX, Cut, Rig, Stopped
-from gateway.campaign.tap import Recorded, Tap
+from gateway.campaign.rig import Cut, Rig, Stopped
+from gateway.campaign.tap import Recorded, Tap, is_foreign
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import Board51Error, ServiceError
 
@@ -211,7 +211,7 @@ class Runner:
             cut = (problem.problem,)
         recorded = self._tap.end()
         with contextlib.suppress(Cut):  # a reset while landing: the next experiment meets it again, or it is over
-            self._rig.land()
+            self._rig.land()  # also the place where somebody's STOP ends the run
         if cut:
             return cut, recorded
         if intruder := _intruder(recorded):
@@ -275,7 +275,7 @@ def _intruder(recorded: Recorded) -> checks.Problem | None:
     """Somebody else's command in the middle of a recording."""
     for record in recorded.commands:
         what = record.command.WhichOneof("what")
-        if record.reply.accepted and what != "ping" and not record.command.id.startswith(ID_PREFIX):
+        if is_foreign(record) and what != "ping":
             return checks.Problem(
                 code="intruder", text=f"{record.command.who or 'somebody'} sent {what} to the board in between"
             )

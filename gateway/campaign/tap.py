@@ -17,6 +17,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse
 
+ID_PREFIX = "campaign-"  # of the ids of a campaign's own commands
 RECENT = 100  # states kept for the level at rest
 _RECORDED = ("state", "parameters", "capture", "event", "command/record", "status")
 
@@ -39,6 +40,11 @@ class Recorded(NamedTuple):
     commands: list[pb.CommandRecord]
 
 
+def is_foreign(record: pb.CommandRecord) -> bool:
+    """Whether somebody else's command was executed."""
+    return record.reply.accepted and not record.command.id.startswith(ID_PREFIX)
+
+
 class Tap:
     """Listens to one board until the session closes."""
 
@@ -47,6 +53,7 @@ class Tap:
         self.state: pb.State | None = None
         self.parameters: pb.Parameters | None = None
         self.captures = 0  # since the start
+        self.stopped_by: str | None = None  # who else sent STOP
         self.recent: deque[pb.State] = deque(maxlen=RECENT)
         self._parameters_message: Logged | None = None
         self._recorded: Recorded | None = None
@@ -99,6 +106,9 @@ class Tap:
                         recorded.captures.append(message)
                 case pb.Event() if recorded is not None:
                     recorded.events.append(message)
-                case pb.CommandRecord() if recorded is not None:
-                    recorded.commands.append(message)
+                case pb.CommandRecord():
+                    if is_foreign(message) and message.command.WhichOneof("what") == "stop":
+                        self.stopped_by = message.command.who or "somebody"
+                    if recorded is not None:
+                        recorded.commands.append(message)
             self.changed.notify_all()

@@ -80,6 +80,7 @@ def test_a_stuck_ball_ends_what_depends_on_it(tmp_path: Path, capsys: pytest.Cap
     assert highest <= 4.0
 
 
+@pytest.mark.slow
 def test_a_reset_in_flight_costs_one_attempt(tmp_path: Path) -> None:
     with emulated_line(tmp_path) as line:
         process = line.start(tmp_path / "c", "--quick", "--experiment", "steps", "--json")
@@ -109,6 +110,20 @@ def test_somebody_elses_command_spoils_a_recording(tmp_path: Path) -> None:
     assert "test sent set_reference to the board in between" in row["said"][0]
 
 
+def test_somebody_elses_stop_ends_the_campaign(tmp_path: Path) -> None:
+    with emulated_line(tmp_path) as line:
+        process = line.start(tmp_path / "c", "--quick", "--experiment", "steps")
+        wait_for(lambda: line.bus.states()[-1].mode == pb.MODE_CLOSED_LOOP, "flight", timeout_s=30.0)
+        line.bus.command("emergency", stop=pb.Stop())
+        _, err = process.communicate(timeout=20.0)
+        later = line.bus.await_states(50)
+        line.assert_parked()
+
+    assert process.returncode == 1
+    assert "test stopped the board" in err
+    assert all(state.mode == pb.MODE_IDLE for state in later)
+
+
 @pytest.mark.slow
 def test_without_its_gateway_a_campaign_ends_and_says_that_the_coil_may_be_on(tmp_path: Path) -> None:
     plant = tmp_path / "plant.toml"
@@ -135,6 +150,7 @@ def test_without_its_gateway_a_campaign_ends_and_says_that_the_coil_may_be_on(tm
     assert resumed.returncode == 0, err
 
 
+@pytest.mark.slow
 def test_sigterm_ends_like_ctrl_c(tmp_path: Path) -> None:
     with emulated_line(tmp_path) as line:
         process = line.start(tmp_path / "c", "--quick", "--experiment", "lift-off")
