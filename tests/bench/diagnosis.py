@@ -23,7 +23,7 @@ from tests.twin.diagnose.tally import page, rates, removed_median, seconds
 from tests.twin.diagnose.trial import program_digest, run_trial
 
 WORKERS = 2
-DEFAULT_RUNS = 8  # per part: what a benchmark among others may take
+DEFAULT_RUNS = 2  # per part: what a benchmark among others may take
 # --runs 0: each cause twice at each strength, each effect outside three times
 WHOLE = {"causes": 156, "nulls": 60, "composites": 30, "outside": 27, "gateway": 26}
 
@@ -39,7 +39,7 @@ def run(
     """The rows of the benchmark.
 
     Args:
-        runs: Trials per part; 0: the whole matrix; default 8.
+        runs: Trials per part; 0: the whole matrix; default 2.
         seed: Of the first trial; the next has the next number.
         part: causes | nulls | composites | outside | gateway; default all but the last.
         results: File of JSON lines, made or continued; default: not kept.

@@ -79,6 +79,9 @@ class Bench(Protocol):
     def capture(self, u_from_v: float, u_to_v: float) -> FloatArray:
         """i_c at 25 kHz around a step of u_c; rows t, u_c, i_c, shape (CAPTURE_COUNT, 3)."""
 
+    def change(self, effects: Mapping[str, float]) -> None:
+        """From now on the rig has these effects."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recorded:
@@ -133,6 +136,7 @@ def make_campaign(
     quick: bool = False,
     x_max: Literal["true", "travel"] = "true",
     outside: Mapping[str, float] | None = None,
+    begins_with: str = "",
 ) -> None:
     """Write campaign.toml and its recordings.
 
@@ -144,6 +148,7 @@ def make_campaign(
         quick: A third of the time in each recording.
         x_max: `true`: x_max of (3) as the rig has it without effects; `travel`: the coil's plane taken at the top stop.
         outside: Strength by name, as `outside.OUTSIDE`; the second plant only.
+        begins_with: Name of a recording, one of `closed_loop_1` to `_8`: the effects are absent before it.
 
     Raises:
         Grounded: with these effects the loop does not keep the ball off its stops.
@@ -154,20 +159,30 @@ def make_campaign(
     bench: Bench
     if plant == "emulator":
         assert not outside, "only the second plant has them"
-        bench = EmulatedBench(rig, effects, seed=noise, believed=believed)
+        bench = EmulatedBench(rig, {} if begins_with else effects, seed=noise, believed=believed)
     else:
         from tests.twin.diagnose.second_plant import SecondBench
 
-        bench = SecondBench(rig, effects, seed=noise, believed=believed, outside=outside)
-    recorded = play(bench, seed=seed, quick=quick)
+        now: Mapping[str, float] = {} if begins_with else effects
+        bench = SecondBench(rig, now, seed=noise, believed=believed, outside=outside)
+    recorded = play(bench, seed=seed, quick=quick, begins={begins_with: effects})
     share = contact_share(recorded, rig)
     if share > CONTACT_MOST:
         raise Grounded(f"The ball is at a stop for {100 * share:.0f} % of the closed loop")
     write_campaign(folder, rig, believed, recorded, x_max=x_max)
 
 
-def play(bench: Bench, *, seed: int, quick: bool = False) -> list[Recorded]:
-    """All recordings of a campaign: about 90 s, or 30 s if quick."""
+def play(
+    bench: Bench, *, seed: int, quick: bool = False, begins: Mapping[str, Mapping[str, float]] | None = None
+) -> list[Recorded]:
+    """All recordings of a campaign: about 90 s, or 30 s if quick.
+
+    Args:
+        bench: Who plays.
+        seed: Of the excitation.
+        quick: A third of the time in each recording.
+        begins: Effects of the rig from a recording on, by its name.
+    """
     rng = np.random.default_rng([_PLAY, seed])
 
     def ticks(seconds: float) -> int:
@@ -208,7 +223,10 @@ def play(bench: Bench, *, seed: int, quick: bool = False) -> list[Recorded]:
             Signal(shape="prbs", offset=MIDDLE_M, amplitude=0.45e-3 * share, period=40, seed=_any_seed(rng)),
         ):
             number += 1
-            keep(f"closed_loop_{number}", "closed-loop", bench.closed_loop(signal, ticks(8.5)), use)
+            name = f"closed_loop_{number}"
+            if begins and name in begins:
+                bench.change(begins[name])
+            keep(name, "closed-loop", bench.closed_loop(signal, ticks(8.5)), use)
     return recorded
 
 
@@ -281,6 +299,9 @@ class EmulatedBench:
         t = began * TICK_S + CAPTURE_S * np.arange(CAPTURE_COUNT)
         u = np.where(np.arange(CAPTURE_COUNT) < one.step_index, one.u_from_v, one.u_to_v)
         return np.column_stack((t, u, one.i_c_a))
+
+    def change(self, effects: Mapping[str, float]) -> None:
+        self._lab.plant.set_effects(effects)
 
     def _mode(self, mode: Mode) -> None:
         self._lab.ask("SET_MODE", mode=int(mode))

@@ -349,12 +349,11 @@ class SecondBench:
         outside: Mapping[str, float] | None = None,
     ) -> None:
         self._rig, self._believed = rig, believed
-        own, noise, chance = (np.random.default_rng(s) for s in np.random.SeedSequence([22, seed]).spawn(3))
-        self._noise, self._chance = noise, chance
-        strange = dict(outside or {})
-        self._bit_error_rate = strange.pop("bit-errors", 0.0)
-        self._loss = effects.get("lost-samples", 0.0)
-        self._c = numbers(rig, effects, strange, own)
+        self._own, noise, chance = np.random.SeedSequence([22, seed]).spawn(3)
+        self._noise, self._chance = np.random.default_rng(noise), np.random.default_rng(chance)
+        self._outside = dict(outside or {})
+        self._bit_error_rate = self._outside.pop("bit-errors", 0.0)
+        self.change(effects)
         self._k, self._u = 0, 0.0
         self._good = 1.0
         self._y = np.zeros(11)
@@ -394,6 +393,10 @@ class SecondBench:
         self._y[HELD] = held
         self._run(np.zeros(1), closed=False)  # back on the grid of ticks, coil off
         return out
+
+    def change(self, effects: Mapping[str, float]) -> None:
+        self._loss = effects.get("lost-samples", 0.0)
+        self._c = numbers(self._rig, effects, self._outside, np.random.default_rng(self._own))
 
     def _place(self, x_m: float, i_a: float) -> None:
         y = self._y

@@ -85,6 +85,19 @@ def test_one_board_clock_runs_through_the_campaign(tmp_path: Path, plant: PlantN
     }
 
 
+@pytest.mark.parametrize("plant", PLANTS)
+def test_an_effect_may_begin_with_a_recording(tmp_path: Path, plant: PlantName) -> None:
+    strong = {"current-sensor-offset": 0.08}
+    for folder, effects in (("none", {}), ("late", strong)):
+        make_campaign(tmp_path / folder, effects=effects, seed=3, plant=plant, quick=True, begins_with="closed_loop_3")
+
+    none, late = (read_campaign(load(tmp_path / folder)) for folder in ("none", "late"))
+    means = {b.name: float(np.mean(b.i_c) - np.mean(a.i_c)) for a, b in zip(none, late, strict=True)}
+    assert means.pop("closed_loop_3.csv.gz") == pytest.approx(0.08, abs=5e-3)
+    assert means.pop("closed_loop_4.csv.gz") == pytest.approx(0.08, abs=5e-3)
+    assert set(means.values()) == {0.0}
+
+
 def test_x_max_may_be_the_travel_as_in_the_paper(tmp_path: Path) -> None:
     make_campaign(tmp_path, effects={}, seed=2, plant="independent", quick=True, x_max="travel")
 
