@@ -78,7 +78,7 @@ def emulated_line(
     plant.write_text(PLANT)
     with Emulator(tcp=False, speed=speed, effects=effects or {}, faults=faults, seed=5) as emulator:
         # The board's second is a third of ours: a busy machine must not look like a lost host.
-        config = gateway_config(emulator.urls[0], **{"host_loss_timeout_s": 6.0, **board})
+        config = gateway_config(emulator.urls[0], **{"host_loss_timeout_s": 6.0, "stale_s": 1.0, **board})
         with running(config), client(config.zenoh.listen[0]) as bus:
             wait_for(bus.states, "first sample")
             yield Line(emulator=emulator, endpoint=config.zenoh.listen[0], bus=bus, plant=plant)
