@@ -23,6 +23,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "design": ("twin.commands.design", "a controller for the board from a model"),
     "validate": ("twin.commands.validate", "does a model explain the recordings? figures, numbers, a report"),
     "predict": ("twin.commands.predict", "the position N samples ahead along a recording, row by row"),
+    "diagnose": ("twin.commands.diagnose", "what the model gets wrong, the physical cause, the extended model"),
     "router": ("gateway.commands.router", "a standalone zenoh router"),
     "send": ("gateway.commands.send", "one command to a board, through the gateway"),
     "watch": ("gateway.commands.watch", "print what travels on the bus"),

@@ -38,6 +38,7 @@ STOP_STD_M = 2e-5  # how well anybody knows where a stop is
 STOP_UNIT_M = 1e-5
 DONE = 0.02  # of a standard error
 NEAR = 0.3
+CLOSE = 3.0  # standard errors from the maximum: the derivatives are as good as those of the next point
 PASSES = 30
 _NO_STATE = np.empty((0, STATES))
 
@@ -120,6 +121,17 @@ class Fit:
         return spread * abs(beyond - here) / 1e-3
 
 
+def spreads(criterion: Criterion, fit: Fit) -> dict[str, float]:
+    """Standard errors of all free numbers, in their own units, at fresh derivatives."""
+    _, score, fisher = criterion.gradient(fit.theta, fit.free)
+    active = _active(fit.theta, fit.free, score, criterion.plant)
+    covariance = np.zeros_like(fisher)
+    if active.any():
+        covariance[np.ix_(active, active)] = inverse(fisher[np.ix_(active, active)])
+    at = replace(fit, covariance=covariance)
+    return {name: at.std(name, criterion.plant) for name in fit.free}
+
+
 def parameter_of(name: str) -> CauseParameter:
     """The parameter behind `cause.parameter`."""
     cause, _, parameter = name.partition(".")
@@ -168,6 +180,7 @@ class Criterion:
 
     def __init__(self, evidence: Evidence, plant: Plant, tick_s: float, *, workers: int = 2) -> None:
         self.evidence, self.plant, self.tick_s = evidence, plant, tick_s
+        self.shift_s: FloatArray = np.zeros(len(evidence.series))  # phases of a periodic cause, `periodic.py`
         self._pool = ThreadPoolExecutor(max_workers=workers)
         self.evaluations = 0
 
@@ -175,8 +188,10 @@ class Criterion:
         """End the workers."""
         self._pool.shutdown()
 
-    def outputs(self, theta: Theta, state: NDArray[np.float64] = _NO_STATE) -> FloatArray:
-        """Innovations and their covariance, shape (n, 5)."""
+    def outputs(
+        self, theta: Theta, state: NDArray[np.float64] = _NO_STATE, shift_s: FloatArray | None = None
+    ) -> FloatArray:
+        """Innovations and their covariance, shape (n, 5); `shift_s` of time for periodic causes, else `self.shift_s`."""
         s = self.evidence.series
         out = np.empty((len(s), OUT_COLUMNS))
         noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, self.tick_s)
@@ -185,7 +200,7 @@ class Criterion:
             theta.vector(),
             noise,
             (theta.stop_low_m, theta.stop_high_m),
-            self.evidence.t,
+            self.evidence.t + (self.shift_s if shift_s is None else shift_s),
             s.step,
             s.u,
             s.i,
@@ -203,9 +218,12 @@ class Criterion:
 
     def value(self, theta: Theta) -> float:
         """Log-likelihood with the priors; -inf for impossible parameters."""
-        out = self.outputs(theta)
-        total = whiten(out, np.empty(len(out)), np.empty((len(out), 2)))
-        return total + self.outside(theta)
+        return self.loglik(self.outputs(theta)) + self.outside(theta)
+
+    @staticmethod
+    def loglik(out: FloatArray) -> float:
+        """Of innovations."""
+        return float(whiten(out, np.empty(len(out)), np.empty((len(out), 2))))
 
     def values(self, thetas: Sequence[Theta]) -> list[float]:
         """`value` of each, -inf for those that are not finite."""
@@ -248,17 +266,22 @@ class Criterion:
     def gradient(self, theta: Theta, names: Sequence[str]) -> tuple[float, FloatArray, FloatArray]:
         """(log-likelihood, score, Fisher information) in the coordinates `names`."""
         base, change = self.derivatives(theta, names)
+        return self.slopes(theta, names, base, change)
+
+    def slopes(
+        self, theta: Theta, names: Sequence[str], base: FloatArray, change: FloatArray
+    ) -> tuple[float, FloatArray, FloatArray]:
+        """`gradient` from outputs and derivatives; those of a point nearby will do for the last steps of a climb."""
         n, count = len(base), len(names)
         fisher, each = np.zeros((count, count)), np.empty((n, count))
-        total = whiten(base, np.empty(n), np.empty((n, 2))) + self.outside(theta)
+        here = self.outside(theta)
+        total = whiten(base, np.empty(n), np.empty((n, 2))) + here
         information(base, change, each, fisher)
         score = each.sum(axis=0)
-        here = self.outside(theta)
-        for place, name in enumerate(names):
+        steps = [derivative_step(theta, name, self.plant) for name in names]
+        for place, (name, by) in enumerate(zip(names, steps, strict=True)):
             # The few terms outside the series: differences and a curvature of the same kind.
-            by = derivative_step(theta, name, self.plant)
-            up = self.outside(moved(theta, name, by, self.plant))
-            score[place] += (up - here) / by
+            score[place] += (self.outside(moved(theta, name, by, self.plant)) - here) / by
             if name in STOPS:
                 fisher[place, place] += (STOP_UNIT_M / STOP_STD_M) ** 2
         if self.evidence.statics:
@@ -266,8 +289,7 @@ class Criterion:
                 [
                     [
                         (self._ratio(moved(theta, name, by, self.plant), point) - self._ratio(theta, point)) / by
-                        for name in names
-                        for by in (derivative_step(theta, name, self.plant),)
+                        for name, by in zip(names, steps, strict=True)
                     ]
                     for point in self.evidence.statics
                 ]
@@ -290,8 +312,9 @@ def climb(criterion: Criterion, start: Theta, free: Sequence[str], *, passes: in
     """Climb to the maximum from `start`; coordinates not in `free` stay."""
     plant = criterion.plant
     theta, damping, converged, slow = start, 1e-3, False, 0
-    loglik, score, fisher = criterion.gradient(theta, free)
-    decrement = math.inf
+    base, change = criterion.derivatives(theta, free)
+    loglik, score, fisher = criterion.slopes(theta, free, base, change)
+    decrement, fresh = math.inf, True
     for _ in range(passes):
         active = _active(theta, free, score, plant)
         step, decrement = _newton(score, fisher, active, damping)
@@ -303,15 +326,23 @@ def climb(criterion: Criterion, start: Theta, free: Sequence[str], *, passes: in
         trial = theta
         for place, name in enumerate(free):
             trial = moved(trial, name, step[place] * shorter, plant)
-        value = criterion.value(trial)
+        out = criterion.outputs(trial)
+        value = criterion.loglik(out) + criterion.outside(trial)
         if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
             slow = slow + 1 if value - loglik < 0.05 else 0
-            theta, damping = trial, max(damping * 0.1, 1e-9)
-            loglik, score, fisher = criterion.gradient(theta, free)
+            theta, damping, base = trial, max(damping * 0.1, 1e-9), out
+            fresh = decrement > CLOSE
+            if fresh:
+                base, change = criterion.derivatives(theta, free)
+        elif not fresh:
+            base, change = criterion.derivatives(theta, free)
+            fresh = True
         else:
             damping = max(damping, 1e-4) * 10.0
             if damping > 1e8:
                 break
+            continue
+        loglik, score, fisher = criterion.slopes(theta, free, base, change)
     active = _active(theta, free, score, plant)
     covariance = np.zeros((len(free), len(free)))
     if active.any():

@@ -29,7 +29,7 @@ from twin.identify.innovations import information
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
 
-VISIBLE = 1e-3  # of the square of a signature: what must be left of it beside the parameters
+VISIBLE = 1e-5  # of the square of a signature: what must be left of it beside the parameters
 LEAST_INFORMATION = 1.0  # a signature of less than one standard error at its probe cannot be seen
 
 
@@ -45,6 +45,7 @@ class Score:
     detectable: float  # standard errors by which the probe itself would show
     visible: float  # share of the signature that nothing in the model takes up
     beside: tuple[tuple[str, float], ...]  # moves of the other coordinates that go with a whole step
+    others: tuple[tuple[str, float], ...] = ()  # values of the cause's other parameters, where not the usual ones
 
     @property
     def testable(self) -> bool:

@@ -16,6 +16,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from twin.diagnose import periodic
 from twin.diagnose.estimate import PASSES, Criterion, Fit, climb, coordinates_of, parameter_of
 from twin.diagnose.floor import Floor
 from twin.diagnose.screen import Score, screen
@@ -72,9 +73,10 @@ def select(
     *,
     candidates: Sequence[Cause] = CATALOGUE,
     few: int = FEW,
+    quick: bool = False,
     say: Say = lambda line: None,
 ) -> Selection:
-    """Forward, backward, classes."""
+    """Forward, backward, classes; `quick` leaves out the search for stand-ins beyond what was fitted anyway."""
     found = Selection(base=base, fit=base)
     while len(found.causes) < MOST_CAUSES:
         step = _forward(criterion, found.fit, floor, candidates, few, say)
@@ -88,12 +90,17 @@ def select(
         if len(found.causes) > 1:
             _backward(criterion, found, say)
     for cause in list(found.causes):
+        if quick and len(found.causes) > 1:
+            found.runner_up[cause] = found.gains[cause]
+            continue
         _rivals(criterion, found, cause, candidates, few, say)
     return found
 
 
 def _forward(criterion: Criterion, at: Fit, floor: Floor, candidates: Sequence[Cause], few: int, say: Say) -> Round:
     scores = screen(criterion, at.theta, at.free, candidates)
+    if any(cause.name == periodic.CAUSE.name for cause in candidates):
+        scores = _with_line(criterion, at, scores)
     worth = [score for score in scores if score.testable and score.gain > 0.5 * THRESHOLD][:few]
     say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
     trials = _fitted(criterion, at, worth)
@@ -115,6 +122,28 @@ def _forward(criterion: Criterion, at: Fit, floor: Floor, candidates: Sequence[C
         taken = best.cause
         trials = [best, *(trial for trial in trials if trial is not best)]
     return Round(scores=tuple(scores), trials=tuple(trials), taken=taken, why=why)
+
+
+def _with_line(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score]:
+    """The scores with that of the strongest line among them."""
+    if any(name == periodic.AMPLITUDE for name, _ in at.theta.causes):
+        return scores
+    line = periodic.find_line(criterion, at.theta)
+    if line is None:
+        return scores
+    criterion.shift_s = line.shift_s
+    score = Score(
+        cause=periodic.CAUSE.name,
+        probe=line.amplitude_n,
+        gain=line.gain,
+        step=1.0,
+        z=math.sqrt(2.0 * line.gain),
+        detectable=math.sqrt(2.0 * line.gain) * periodic.CAUSE.strength.probes[0] / max(line.amplitude_n, 1e-12),
+        visible=1.0,
+        beside=(),
+        others=((periodic.FREQUENCY, line.frequency_hz),),
+    )
+    return sorted([*scores, score], key=lambda found: -found.gain)
 
 
 def _fitted(criterion: Criterion, at: Fit, scores: Sequence[Score]) -> list[Trial]:

@@ -100,4 +100,7 @@ def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause) -> T
     for name, by in score.beside:
         if name in PARAMETERS:  # noise levels find their own way: falling ones overshoot
             theta = moved(theta, name, by * reach, criterion.plant)
-    return probed(theta, cause, strength.value(strength.coordinate(score.probe) * reach))
+    theta = probed(theta, cause, strength.value(strength.coordinate(score.probe) * reach))
+    for name, value in score.others:
+        theta = theta.having(name, value)
+    return theta

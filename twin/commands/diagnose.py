@@ -1,0 +1,90 @@
+"""What the simulation gets wrong, which physical cause explains it, and what the extended model gains.
+
+Takes campaign.toml or its folder, tries every cause of the catalogue on all recordings together, and writes
+diagnosis.json, report.html and extended_model.json.  It says so when the model is adequate, when no known cause
+explains the data, and which causes these data cannot tell apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+from protocol.campaign import load
+from protocol.errors import DataError
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.epilog = (
+        "examples:\n"
+        "  board51 diagnose runs/monday --out diagnosis\n"
+        "  board51 diagnose runs/monday --model model.json --quick --out diagnosis\n"
+        "\nexit code 0: causes found, or the model is adequate; 1: the model is wrong and no known cause explains it;\n"
+        "2: bad input"
+    )
+    parser.add_argument("campaign", type=Path, metavar="CAMPAIGN", help="campaign.toml or the folder that holds it")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for diagnosis.json, report.html, models")
+    parser.add_argument("--model", metavar="MODEL.json", help="the simulation to judge (default: the paper's, fitted)")
+    parser.add_argument("--data", type=Path, metavar="DIR", help="folder of recordings not beside the campaign")
+    parser.add_argument("--quick", action="store_true", help="under 10 s; confidence figures are not calibrated then")
+    parser.add_argument("--seed", type=int, default=0, help="of the bootstrap (0)")
+    parser.add_argument("--workers", type=int, default=2, help="threads (2); the result does not depend on it")
+    parser.add_argument("--json", action="store_true", help="print diagnosis.json instead of a summary")
+    parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Diagnose, print, write."""
+    # Imported here: --help must not wait for numba and scipy.
+    from twin.diagnose.pipeline import diagnose
+    from twin.diagnose.result import to_json
+    from twin.model.parameters import load_model, model_to_dict
+
+    began = time.monotonic()
+
+    def say(line: str) -> None:
+        if not args.quiet:
+            print(f"[{time.monotonic() - began:5.1f} s] {line}", file=sys.stderr, flush=True)
+
+    found = diagnose(
+        load(args.campaign),
+        data=args.data,
+        model=load_model(args.model) if args.model else None,
+        quick=args.quick,
+        seed=args.seed,
+        workers=args.workers,
+        say=say,
+    )
+    text = json.dumps(to_json(found), indent=2, allow_nan=False)
+    if args.out is not None:
+        files = {
+            "diagnosis.json": text + "\n",
+            "extended_model.json": json.dumps(model_to_dict(found.extended), indent=2, allow_nan=False) + "\n",
+        }
+        try:
+            args.out.mkdir(parents=True, exist_ok=True)
+            for name, content in files.items():
+                (args.out / name).write_text(content, encoding="utf-8")
+        except OSError as error:
+            raise DataError(
+                f"{args.out} cannot be written ({error.strerror})", remedy="Give a writable folder"
+            ) from None
+    if args.json:
+        print(text)
+    else:
+        print(found.sentence)
+        for cause in found.causes:
+            others = ", ".join(member.name for member in cause.indistinguishable_from)
+            print(
+                f"  {cause.name}: confidence {cause.confidence:.2f}, explains {100 * cause.share_of_excess_explained:.0f} %"
+                + (f"; these data cannot tell it from {others}" if others else "")
+            )
+        for warning in found.warnings:
+            print(f"  ! {warning}")
+        if args.out is not None:
+            print(f"report   {args.out / 'report.html'}\nmodel    {args.out / 'extended_model.json'}")
+    return 1 if found.verdict == "unknown-cause" else 0

@@ -1,0 +1,58 @@
+"""Is what is left noise?
+
+Rule 1: a model is adequate if its innovations are as large as the sensor noise makes them, and white.
+Rule 2: small departures are nobody's physics: converters round, the filter linearises.  What counts is stated here once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.diagnose.estimate import Criterion, Fit
+from twin.diagnose.floor import Floor
+from twin.identify.innovations import FLIES
+from twin.identify.whiteness import whiteness
+
+COLOURED = 0.06  # autocorrelation of innovations: four times what identify calls small
+LOUD = 1.5  # mean square of whitened innovations, of one recording against all
+
+
+def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
+    """(whether the model is adequate, the sentence that says why it is not)."""
+    _, white = criterion.white(fit.theta)
+    colour = whiteness(criterion.evidence.series, white)
+    if floor.measured and floor.material(fit.loglik):
+        per_reading = floor.excess(fit.loglik) / floor.readings
+        return False, (
+            f"what is left is larger than the sensor noise: {per_reading:.2f} of log-likelihood per reading are missing"
+        )
+    if colour.worst > COLOURED:
+        return False, f"what is left is not white: its autocorrelation reaches {colour.worst:.2f}"
+    return True, ""
+
+
+def where_left(criterion: Criterion, fit: Fit) -> str:
+    """Where the innovations are largest: recording, height, direction, channel."""
+    series = criterion.evidence.series
+    _, white = criterion.white(fit.theta)
+    names = criterion.evidence.names()
+    worst: list[tuple[float, str]] = []
+    for column, channel in ((0, "i_c"), (1, "x")):
+        values = white[:, column] ** 2
+        for number, name in enumerate(names):
+            own = values[(series.recording == number) & np.isfinite(values)]
+            if len(own) >= 100:
+                worst.append((float(own.mean()), f"{channel} in {name}"))
+    flying = (series.flags & FLIES != 0) & np.isfinite(white[:, 1])
+    parts = []
+    if worst:
+        most = max(worst)
+        parts.append(f"most in {most[1]} (mean square {most[0]:.2g} times its share)")
+    if flying.sum() > 500:
+        x, w = series.x[flying], white[flying, 1] ** 2
+        edges = np.quantile(x, np.linspace(0.0, 1.0, 6))
+        means = [float(w[(x >= a) & (x <= b)].mean()) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        place = int(np.argmax(means))
+        if means[place] > LOUD * min(means):
+            parts.append(f"with the ball at {edges[place] * 1e3:.2f} to {edges[place + 1] * 1e3:.2f} mm")
+    return "; ".join(parts)

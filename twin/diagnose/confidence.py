@@ -1,0 +1,28 @@
+"""How sure is a name?  A figure that is right as often as it says.
+
+The lead of a cause is the log-likelihood by which it beats the best rival outside its class.  `board51 bench diagnosis`
+measures how often a name was right at each figure; the map below is read off that table (twin/diagnose/README.md).
+"""
+
+from __future__ import annotations
+
+import math
+
+from twin.diagnose.select import Selection
+
+_HALF_LEAD = 6.0  # of log-likelihood
+_MOST, _UNFINISHED, _QUICK = 0.98, 0.6, 0.8
+
+
+def confidence_of(found: Selection, cause: str, fine: bool, quick: bool) -> float:
+    """Probability that the truth is `cause` or in its class.
+
+    Args:
+        found: the selection.
+        cause: one of its causes.
+        fine: whether what is left is noise; where it is not, a name may stand in for what nobody knows.
+        quick: without classes, not calibrated.
+    """
+    lead = found.runner_up.get(cause, found.gains.get(cause, 0.0))
+    sure = 1.0 - 0.5 * math.exp(-max(lead, 0.0) / _HALF_LEAD)
+    return round(_MOST * sure * (1.0 if fine else _UNFINISHED) * (_QUICK if quick else 1.0), 3)

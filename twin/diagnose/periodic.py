@@ -1,0 +1,100 @@
+"""A periodic force: its frequency from the spectrum of the innovations, its phase from each recording.
+
+Rule 1: the clock of a periodic force is not the board's: each recording has a phase of its own, which two signatures a
+        quarter of a period apart give by least squares.  They enter the filter as shifts of time.
+Rule 2: a line counts against the spectrum around it, so that coloured innovations of a wrong model are not a line.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.diagnose.estimate import Criterion, Theta
+from twin.identify.innovations import FLIES
+from twin.identify.record import FloatArray, runs
+from twin.model.causes import periodic_disturbance
+
+CAUSE = periodic_disturbance.CAUSE
+AMPLITUDE, FREQUENCY = (f"{CAUSE.name}.{parameter.name}" for parameter in CAUSE.parameters)
+_PAD = 1 << 16
+_NEIGHBOURS_HZ = 3.0
+_LONG_SAMPLES = 500
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """A candidate for a periodic force."""
+
+    frequency_hz: float
+    amplitude_n: float
+    gain: float  # of log-likelihood
+    shift_s: FloatArray  # of time, for each sample of the series, shape (n,)
+
+
+def find_line(criterion: Criterion, theta: Theta) -> Line | None:
+    """The strongest line, as a force; None where no recording is long enough."""
+    series = criterion.evidence.series
+    frequency = _strongest(criterion, theta)
+    if frequency is None:
+        return None
+    probe = CAUSE.strength.probes[0]
+    at = theta.having(FREQUENCY, frequency).having(AMPLITUDE, probe)
+    quarter = 0.25 / frequency
+    base = criterion.outputs(theta)
+    sine, cosine = criterion.outputs(at), criterion.outputs(at, shift_s=np.full(len(series), quarter))
+    scale = np.sqrt(base[:, 4])
+    residual = base[:, 1] / scale
+    columns = np.column_stack((sine[:, 1] - base[:, 1], cosine[:, 1] - base[:, 1])) / scale[:, None]
+    good = np.isfinite(residual) & np.isfinite(columns).all(axis=1)
+    shift = np.zeros(len(series))
+    gain, weighted, weight = 0.0, 0.0, 0.0
+    for number in np.unique(series.recording):
+        own = series.recording == number
+        use = own & good
+        if use.sum() < _LONG_SAMPLES:
+            continue
+        design = columns[use]
+        normal = design.T @ design
+        if np.linalg.cond(normal) > 1e10:
+            continue
+        pair = np.linalg.solve(normal, design.T @ -residual[use])
+        pair = -pair  # innovation falls where the prediction rises: residual + columns * pair -> 0
+        power = float(pair @ normal @ pair)
+        gain += 0.5 * power
+        size = math.hypot(*pair)
+        weighted, weight = weighted + size * float(np.trace(normal)), weight + float(np.trace(normal))
+        pair = -pair
+        shift[own] = math.atan2(pair[1], pair[0]) / (2.0 * math.pi * frequency)
+    if weight == 0.0:
+        return None
+    return Line(frequency_hz=frequency, amplitude_n=probe * weighted / weight, gain=gain, shift_s=shift)
+
+
+def _strongest(criterion: Criterion, theta: Theta) -> float | None:
+    """The frequency whose power stands out most from that of its neighbours, all recordings together."""
+    series = criterion.evidence.series
+    _, white = criterion.white(theta)
+    flying = (series.flags & FLIES != 0) & np.isfinite(white[:, 1])
+    values = np.where(flying, white[:, 1], 0.0)
+    interval = criterion.tick_s
+    frequencies = np.fft.rfftfreq(_PAD, interval)
+    power = np.zeros(len(frequencies))
+    count = 0
+    for number in np.unique(series.recording):
+        own = series.recording == number
+        for piece in runs(own & (np.abs(series.step - interval) < 0.02 * interval), _LONG_SAMPLES):
+            if flying[piece].sum() < _LONG_SAMPLES:
+                continue
+            part = values[piece][:_PAD]
+            power += np.abs(np.fft.rfft(part, _PAD)) ** 2 / flying[piece].sum()
+            count += 1
+    if not count:
+        return None
+    low, high = CAUSE.parameters[1].low, min(CAUSE.parameters[1].high, 0.4 / interval)
+    inside = (frequencies >= low) & (frequencies <= high)
+    width = max(round(_NEIGHBOURS_HZ / float(frequencies[1])), 3)
+    around = np.convolve(power, np.ones(2 * width + 1) / (2 * width + 1), mode="same")
+    return float(frequencies[inside][int(np.argmax((power / np.maximum(around, 1e-12))[inside]))])

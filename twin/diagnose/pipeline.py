@@ -1,0 +1,306 @@
+"""From a campaign to a diagnosis: the steps in order, and what is said on the way.
+
+    recordings -> evidence -> the paper's model at its best -> what does it lack against sensor noise alone?
+               -> causes: forward, backward, classes -> is what is left noise? -> gain on the judge recordings
+
+Rule 1: nothing but the campaign folder (and the model file, where one is given) is read.
+Rule 2: choosing sees the recordings for fitting only; measuring sees the judge recordings only.
+Rule 3: the same seed gives the same diagnosis, whatever the number of workers.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from protocol.campaign import Campaign, Plant
+from protocol.errors import DataError
+from twin.diagnose.adequacy import adequate, where_left
+from twin.diagnose.confidence import confidence_of
+from twin.diagnose.estimate import BASE, STOPS, Criterion, Fit, Theta, climb, most_drag, spreads
+from twin.diagnose.evidence import Evidence, gather
+from twin.diagnose.floor import Floor, floor_of
+from twin.diagnose.lost import Lost, lost_samples
+from twin.diagnose.measure import HORIZONS_S, Gain, gain
+from twin.diagnose.models import model_of
+from twin.diagnose.result import Diagnosis, Finding, Member, NotTestable, RuledOut, Verdict, fit_parameters
+from twin.diagnose.select import Selection, Trial, select
+from twin.diagnose.words import bound_sentence, finding_sentence, summary_sentence
+from twin.identify.checks import inspect
+from twin.identify.reading import read_campaign
+from twin.identify.record import Record
+from twin.identify.start import amplifier_start, ball_start
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.model.causes.cause import Cause
+from twin.model.parameters import Model, Parameter
+
+Say = Callable[[str], None]
+LOST = "lost-samples"
+
+
+def diagnose(
+    campaign: Campaign,
+    *,
+    data: Path | None = None,
+    model: Model | None = None,
+    quick: bool = False,
+    seed: int = 0,
+    workers: int = 2,
+    say: Say = lambda line: None,
+) -> Diagnosis:
+    """Diagnose a campaign.
+
+    Args:
+        campaign: of `protocol.campaign.load`.
+        data: folder of recordings that are not beside the campaign.
+        model: the simulation to be judged; default: the paper's model, identified from the campaign itself.
+        quick: fewer candidates are fitted, and none is asked for a stand-in: confidence is not calibrated.
+        seed: of the bootstrap.
+        workers: threads.
+        say: takes lines of progress.
+
+    Raises:
+        DataError: no recording for fitting, too little data, a recording that is not what it says it is, a model of
+            another plant.
+    """
+    records = read_campaign(campaign, data=data)
+    judges = read_campaign(campaign, use="judge", data=data)
+    if not records:
+        raise DataError(
+            f'{campaign.where}: no recording has use = "fit"',
+            remedy='Give at least one [[recording]] with use = "fit"; choosing on judge recordings would spoil them',
+        )
+    return diagnose_records(campaign, records, judges, model=model, quick=quick, seed=seed, workers=workers, say=say)
+
+
+def diagnose_records(
+    campaign: Campaign,
+    records: Sequence[Record],
+    judges: Sequence[Record],
+    *,
+    model: Model | None = None,
+    quick: bool = False,
+    seed: int = 0,
+    workers: int = 2,
+    say: Say = lambda line: None,
+) -> Diagnosis:
+    """As `diagnose`, on recordings in memory."""
+    plant = campaign.plant
+    warnings = [note for record in records for note in record.notes]
+    warnings += inspect(list(records), plant, campaign.controller)
+    stages: dict[str, float] = {}
+    with _timed(stages, "evidence"):
+        evidence = gather(records, plant)
+        judge = gather(judges, plant, (evidence.low_m, evidence.high_m)) if judges else None
+        warnings += evidence.notes
+        tick_s = tick_of(records)
+    if not judges:
+        warnings.append('no recording has use = "judge": the gain cannot be measured on data that were not used')
+    start = start_theta(records, plant)
+    criterion = Criterion(evidence, plant, tick_s, workers=workers)
+    try:
+        with _timed(stages, "base fit"):
+            say(f"{len(records)} recordings, {len(evidence.series)} samples; the paper's model first")
+            base = climb(criterion, start, (*BASE, *STOPS))
+            floor = floor_of(criterion, base.theta)
+            say(f"lacks {max(floor.excess(base.loglik), 0.0):.0f} of log-likelihood against sensor noise alone")
+        with _timed(stages, "search"):
+            candidates = testable_causes(records)
+            found = select(criterion, base, floor, candidates=candidates, few=3 if quick else 6, quick=quick, say=say)
+        with _timed(stages, "what is left"):
+            fine, why_not = adequate(criterion, found.fit, floor)
+            where = "" if fine else where_left(criterion, found.fit)
+            spread = spreads(criterion, found.fit)
+    finally:
+        criterion.close()
+    lost = lost_samples([*records, *judges])
+    with _timed(stages, "gain"):
+        before, after = base.theta, found.fit.theta
+        gains = _gains(judge, before, after, floor, plant, tick_s, seed)
+    at_20_ms = next((one for one in gains if abs(one.horizon_s - 0.02) < 0.5 * tick_s), None)
+    findings = _findings(found, floor, spread, fine, quick, lost)
+    verdict: Verdict = "causes-found" if findings else "model-adequate"
+    if not fine:
+        verdict = "unknown-cause"
+        warnings.append(why_not)
+    baseline = model or model_of(campaign, base, {}, records, floor, "the paper's model at its best")
+    extended = model_of(campaign, found.fit, spread, records, floor, "extended by board51 diagnose")
+    total = max(floor.excess(base.loglik), base_gain(found), 1e-9)
+    left = max(floor.excess(found.fit.loglik), 0.0) / max(total, floor.readings * 1e-3)
+    diagnosis = Diagnosis(
+        verdict=verdict,
+        sentence="",
+        causes=tuple(findings),
+        not_testable=tuple(_not_testable(found, records)),
+        ruled_out=tuple(_ruled_out(found, findings)),
+        unexplained_share=min(left, 1.0),
+        unexplained_where=where,
+        gains=tuple(gains),
+        gain=at_20_ms,
+        baseline=baseline,
+        extended=extended,
+        warnings=tuple(dict.fromkeys(warnings)),
+        quick=quick,
+        stages_s=stages,
+        selection=found,
+        floor=floor,
+        fit_evidence=evidence,
+        judge_evidence=judge,
+        before=before,
+        after=after,
+        tick_s=tick_s,
+    )
+    return replace(diagnosis, sentence=summary_sentence(diagnosis))
+
+
+def tick_of(records: Sequence[Record]) -> float:
+    """The sampling interval of the flights."""
+    steps = [r.interval_s for r in records if r.kind in ("closed-loop", "prbs", "free", "sawtooth") and len(r.t) > 1]
+    good = [step for step in steps if math.isfinite(step)]
+    return float(np.median(good)) if good else 2e-3
+
+
+def start_theta(records: Sequence[Record], plant: Plant) -> Theta:
+    """Where the fit of the paper's model begins; no guess is needed.
+
+    Raises:
+        DataError: no recording has u_c and i_c that move.
+    """
+    amplifier = amplifier_start(list(records))
+    if amplifier is None or amplifier.K_A <= 0.0:
+        raise DataError(
+            "no recording shows i_c following u_c",
+            remedy="Record a step or a ramp of u_c with i_c, and map both columns",
+        )
+    ball = ball_start(list(records), plant, amplifier)
+    if ball is None or ball.k <= 0.0:
+        raise DataError(
+            "no recording shows the ball in flight for long enough",
+            remedy="Record closed-loop flights or an open-loop prbs with x: without them only the amplifier is known",
+        )
+    return Theta(
+        K_A=amplifier.K_A,
+        T_A=amplifier.T_A,
+        K_c=ball.k * plant.mass_kg,
+        b=min(max(ball.d * plant.mass_kg, 0.0), 0.9 * most_drag(plant)),
+        sigma_i_c_a=max(amplifier.sigma_i_c_a, 1e-5),
+        sigma_x_m=1e-5,
+        process_i_c_a=max(0.3 * amplifier.sigma_i_c_a, 1e-5),
+        process_a_m_s2=0.3,
+    )
+
+
+def testable_causes(records: Sequence[Record]) -> tuple[Cause, ...]:
+    """The causes whose channels the recordings have."""
+    return tuple(
+        cause
+        for cause in CATALOGUE
+        if not cause.not_testable and cause.name != LOST and not missing_channels(cause, records)
+    )
+
+
+def missing_channels(cause: Cause, records: Sequence[Record]) -> list[str]:
+    """Channels that a cause needs and no recording has."""
+    return [channel for channel in cause.needs if not any(record.has(channel) for record in records)]
+
+
+def base_gain(found: Selection) -> float:
+    """Log-likelihood that all causes together gain."""
+    return found.fit.loglik - found.base.loglik
+
+
+def _gains(
+    judge: Evidence | None, before: Theta, after: Theta, floor: Floor, plant: Plant, tick_s: float, seed: int
+) -> list[Gain]:
+    if judge is None or not len(judge.series):
+        return []
+    found = []
+    for samples in sorted({max(round(horizon / tick_s), 1) for horizon in HORIZONS_S}):
+        one = gain(judge, before, after, floor, plant, tick_s, samples, seed)
+        if one is not None:
+            found.append(one)
+    return found
+
+
+def _findings(
+    found: Selection, floor: Floor, spread: dict[str, float], fine: bool, quick: bool, lost: Lost | None
+) -> list[Finding]:
+    total = max(floor.excess(found.base.loglik), base_gain(found), 1e-9)
+    findings = []
+    for cause in found.causes:
+        near = found.classes.get(cause, ())
+        parameters = fit_parameters(found.fit, cause, spread)
+        findings.append(
+            Finding(
+                name=cause,
+                sentence=finding_sentence(cause, parameters),
+                parameters=parameters,
+                confidence=confidence_of(found, cause, fine, quick),
+                indistinguishable_from=tuple(_member(trial) for trial in near),
+                share_of_excess_explained=min(found.gains[cause] / total, 1.0),
+                loglik_gain=found.gains[cause],
+            )
+        )
+    if lost is not None:
+        value = Parameter(value=lost.probability, unit="", ci95=lost.ci95, verdict="identified", method="gaps counted")
+        findings.append(
+            Finding(
+                name=LOST,
+                sentence=f"{100 * lost.probability:.2g} % of the samples are missing, most in {lost.worst}",
+                parameters={"probability": value},
+                confidence=0.99,
+                indistinguishable_from=(),
+                share_of_excess_explained=0.0,
+                loglik_gain=0.0,
+            )
+        )
+    return findings
+
+
+def _member(trial: Trial) -> Member:
+    return Member(name=trial.cause, parameters=fit_parameters(trial.fit, trial.cause, _own_spread(trial.fit)))
+
+
+def _own_spread(fit: Fit) -> dict[str, float]:
+    return {name: math.nan for name in fit.free}
+
+
+def _not_testable(found: Selection, records: Sequence[Record]) -> list[NotTestable]:
+    entries = []
+    last = {score.cause: score for score in found.rounds[-1].scores} if found.rounds else {}
+    for cause in CATALOGUE:
+        missing = missing_channels(cause, records)
+        score = last.get(cause.name)
+        if cause.not_testable:
+            entries.append(NotTestable(name=cause.name, why=cause.not_testable))
+        elif missing:
+            entries.append(NotTestable(name=cause.name, why=f"no recording has {' and '.join(missing)}"))
+        elif score is not None and not score.testable:
+            shows = ", ".join(cause.shows_in) or "no experiment"
+            why = f"these recordings would not show it ({shows} would): what it does, the other parameters can do"
+            entries.append(NotTestable(name=cause.name, why=why))
+    return entries
+
+
+def _ruled_out(found: Selection, findings: Sequence[Finding]) -> list[RuledOut]:
+    """Every other cause, with the size that it has at most."""
+    named = {finding.name for finding in findings}
+    named |= {member.name for finding in findings for member in finding.indistinguishable_from}
+    entries = []
+    for score in found.rounds[-1].scores if found.rounds else ():
+        if score.cause not in named and score.testable:
+            entries.append(RuledOut(name=score.cause, why=bound_sentence(BY_NAME[score.cause], score)))
+    return entries
+
+
+@contextmanager
+def _timed(stages: dict[str, float], name: str) -> Iterator[None]:
+    began = time.perf_counter()
+    yield
+    stages[name] = stages.get(name, 0.0) + time.perf_counter() - began

@@ -1,0 +1,185 @@
+"""What a diagnosis says, and its JSON form (`diagnosis.json`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from twin.diagnose.estimate import Fit, Theta
+from twin.diagnose.evidence import Evidence
+from twin.diagnose.floor import Floor
+from twin.diagnose.measure import Gain
+from twin.diagnose.select import Selection
+from twin.model.parameters import Model, Parameter
+
+Verdict = Literal["causes-found", "model-adequate", "unknown-cause"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Member:
+    """A cause that explains the same as the one that is named."""
+
+    name: str
+    parameters: Mapping[str, Parameter]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Proposal:
+    """An experiment that would tell the members of a class apart, or why none can."""
+
+    what: str
+    separation_z: float
+    command: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One cause."""
+
+    name: str
+    sentence: str
+    parameters: Mapping[str, Parameter]
+    confidence: float
+    indistinguishable_from: tuple[Member, ...]
+    share_of_excess_explained: float
+    loglik_gain: float
+    next_experiment: Proposal | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NotTestable:
+    """A cause that these data cannot show."""
+
+    name: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RuledOut:
+    """A cause that was tried and did not earn its place."""
+
+    name: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Diagnosis:
+    """Everything that was found; what `report.py` shows."""
+
+    verdict: Verdict
+    sentence: str  # the answer, for people
+    causes: tuple[Finding, ...]
+    not_testable: tuple[NotTestable, ...]
+    ruled_out: tuple[RuledOut, ...]
+    unexplained_share: float
+    unexplained_where: str
+    gains: tuple[Gain, ...]  # on judge recordings, one per horizon
+    gain: Gain | None  # at 20 ms
+    baseline: Model
+    extended: Model
+    warnings: tuple[str, ...]
+    quick: bool
+    stages_s: Mapping[str, float]  # time that each stage took
+    selection: Selection
+    floor: Floor
+    fit_evidence: Evidence
+    judge_evidence: Evidence | None
+    before: Theta
+    after: Theta
+    tick_s: float
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+
+def to_json(found: Diagnosis) -> dict[str, Any]:
+    """The contract of diagnosis.json."""
+    return {
+        "verdict": found.verdict,
+        "sentence": found.sentence,
+        "calibrated": not found.quick,
+        "causes": [
+            {
+                "name": cause.name,
+                "sentence": cause.sentence,
+                "parameters": _parameters(cause.parameters),
+                "confidence": round(cause.confidence, 3),
+                "indistinguishable_from": [member.name for member in cause.indistinguishable_from],
+                "alternatives": [
+                    {"name": member.name, "parameters": _parameters(member.parameters)}
+                    for member in cause.indistinguishable_from
+                ],
+                "share_of_excess_explained": _number(cause.share_of_excess_explained),
+                "log_likelihood_gain": _number(cause.loglik_gain),
+                "next_experiment": None
+                if cause.next_experiment is None
+                else {
+                    "what": cause.next_experiment.what,
+                    "separation_z": _number(cause.next_experiment.separation_z),
+                    "command": cause.next_experiment.command,
+                },
+            }
+            for cause in found.causes
+        ],
+        "not_testable": [{"name": entry.name, "why": entry.why} for entry in found.not_testable],
+        "ruled_out": [{"name": entry.name, "why": entry.why} for entry in found.ruled_out],
+        "unexplained": {"share_of_excess": _number(found.unexplained_share), "where": found.unexplained_where},
+        "gain": _gain(found.gain),
+        "gains": [_gain(gain) for gain in found.gains],
+        "warnings": list(found.warnings),
+        "stages_s": {name: round(seconds, 2) for name, seconds in found.stages_s.items()},
+    }
+
+
+def fit_parameters(fit: Fit, cause: str, std: Mapping[str, float]) -> dict[str, Parameter]:
+    """The parameters of one cause of a fit, with intervals."""
+    from twin.model.causes.catalogue import BY_NAME
+
+    found = {}
+    for parameter in BY_NAME[cause].parameters:
+        value = fit.theta.value(f"{cause}.{parameter.name}")
+        spread = std[f"{cause}.{parameter.name}"]
+        known = math.isfinite(spread) and spread > 0.0
+        found[parameter.name] = Parameter(
+            value=float(value),
+            unit=parameter.unit,
+            std=float(spread) if known else None,
+            ci95=(
+                max(float(value - 1.96 * spread), parameter.low),
+                min(float(value + 1.96 * spread), parameter.high),
+            )
+            if known
+            else None,
+            verdict="identified" if known and 1.96 * spread < 0.25 * max(abs(value), 1e-300) else "weak",
+            method="maximum likelihood of the innovations, all recordings together",
+            equation=BY_NAME[cause].equation,
+        )
+    return found
+
+
+def _parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+    return {
+        name: {"value": p.value, "unit": p.unit, "std": p.std, "ci95": list(p.ci95) if p.ci95 else None}
+        for name, p in parameters.items()
+    }
+
+
+def _gain(gain: Gain | None) -> dict[str, Any] | None:
+    if gain is None:
+        return None
+    return {
+        "horizon_samples": gain.samples,
+        "horizon_s": gain.horizon_s,
+        "judge": {
+            "baseline_rmse_m": gain.baseline_rmse_m,
+            "extended_rmse_m": gain.extended_rmse_m,
+            "ci95_ratio": list(gain.ci95_ratio),
+            "noise_floor_m": _number(gain.floor_m),
+            "excess_removed": _number(gain.removed),
+            "samples": gain.count,
+        },
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
