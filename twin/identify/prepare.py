@@ -145,8 +145,8 @@ def _series(record: Record, plant: Plant, usage: Usage, number: int) -> Series:
     follows = follows.copy()
     follows[1:] &= ~broken[:-1]
     follows[0] = False
+    usage.gaps = int(np.count_nonzero(~follows[1:]))
     follows[::BLOCK_SAMPLES] = False
-    usage.gaps = int(np.count_nonzero(~follows[1:])) - (n - 1) // BLOCK_SAMPLES
     usage.pieces = int(np.count_nonzero(~follows))
     flies = np.zeros(n, np.bool_)
     if record.has("x") and record.kind not in ("sawtooth", "amplifier-step"):

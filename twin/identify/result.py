@@ -97,11 +97,17 @@ def _finite(value: object) -> object:
 
 def table(found: Identification) -> str:
     """Parameters, noise, residuals and warnings as lines of text."""
-    lines = [f"{'':4}{'value':>12} {'unit':<10} {'std':>9}  {'95 % interval':<26}{'verdict':<18}how"]
+    lines = [f"{'':4}{'value':>12} {'unit':<10} {'std':>9}  {'95 % interval':<28}{'verdict':<18}how"]
     for name, p in found.model.parameters.items():
-        interval = f"{p.ci95[0]:.5g} .. {p.ci95[1]:.5g}" if p.ci95 else "-"
+        interval = "-"
+        if p.ci95:
+            # As many digits as show the width, or a narrow interval reads "0.3 .. 0.3".
+            low, high = p.ci95
+            width = (high - low) / max(abs(high), 1e-300)
+            digits = min(max(math.ceil(2.0 - math.log10(width)), 5), 9) if width > 0.0 else 5
+            interval = f"{low:.{digits}g} .. {high:.{digits}g}"
         std = f"{p.std:.2g}" if p.std is not None else "-"
-        lines.append(f"{name:<4}{p.value:>12.6g} {p.unit:<10} {std:>9}  {interval:<26}{p.verdict:<18}{p.method}")
+        lines.append(f"{name:<4}{p.value:>12.6g} {p.unit:<10} {std:>9}  {interval:<28}{p.verdict:<18}{p.method}")
     n = found.model.noise
     lines.append(
         f"noise: i_c {n.sigma_i_c_a * 1e3:.3g} mA, x {n.sigma_x_m * 1e6:.3g} um, unexplained acceleration "

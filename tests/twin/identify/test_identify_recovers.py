@@ -12,6 +12,7 @@ from protocol.wire.messages import Mode, Shape
 from tests.twin.identify.emulated_campaign import TRUTHS, Lab, campaign_of, random_rig, run_campaign, truth
 from tests.twin.identify.independent_plant import Ball, wandering
 from twin.identify.pipeline import Identification, identify_records
+from twin.identify.prepare import BLOCK_SAMPLES, prepare
 from twin.identify.record import Record
 
 TICKS = 4000
@@ -200,3 +201,16 @@ def test_an_amplifier_too_fast_to_be_seen_is_no_obstacle() -> None:
     assert T_A.ci95 is not None
     assert T_A.ci95[0] <= 2e-5 <= T_A.ci95[1] < 2e-4  # a tenth of the sampling interval is seen
     assert abs(found.model.K_c / rig.force_constant_n_m2_a2 - 1.0) < 1e-3
+
+
+def test_gaps_are_counted_wherever_the_series_is_cut_into_blocks() -> None:
+    n = 2 * BLOCK_SAMPLES + 100
+    t = 2e-3 * np.arange(n, dtype=np.float64)
+    t[BLOCK_SAMPLES:] += 1.0
+    t[BLOCK_SAMPLES + 50 :] += 1.0
+    zeros = np.zeros(n)
+    record = Record(name="r", kind="free", use="fit", t=t, u_c=zeros + 1.0, i_c=zeros, x=zeros, x_ref=zeros)
+
+    _, (usage,) = prepare([record], campaign_of(random_rig(np.random.default_rng(1))).plant)
+
+    assert usage.gaps == 2
