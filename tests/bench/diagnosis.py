@@ -119,7 +119,7 @@ def _rows(outcomes: list[Outcome]) -> list[dict[str, Any]]:
     middle, longest, _ = seconds(outcomes)
     for name, value, unit, target, note in (
         ("excess removed on judge data, median", share, "1", 0.9, f"{count} campaigns named rightly"),
-        ("time of a diagnosis, median", middle, "s", 60.0, f"longest {longest:.1f} s; two at a time"),
+        ("time of a diagnosis, median", middle, "s", 60.0, f"longest {longest:.1f} s; one thread each, two at a time"),
     ):
         if value == value:  # there was something to take the median of
             rows.append(

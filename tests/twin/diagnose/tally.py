@@ -196,7 +196,7 @@ def page(outcomes: Sequence[Outcome]) -> str:
     if middle == middle:
         lines += [
             "",
-            f"Time of a diagnosis: median {middle:.1f} s, longest {longest:.1f} s, two at a time; "
+            f"Time of a diagnosis: median {middle:.1f} s, longest {longest:.1f} s, one thread each, two at a time; "
             f"a campaign is recorded in {recording:.1f} s.",
         ]
     table = reliability(outcomes)

@@ -30,15 +30,15 @@ def program_digest() -> str:
 
 
 def diagnose_command(campaign: Path, out: Path, *, quick: bool = False) -> list[str]:
-    """What a user would type."""
+    """What a user would type; one thread, because trials run side by side."""
     return [
-        *(sys.executable, "-m", "board51", "diagnose", str(campaign), "--out", str(out)),
+        *(sys.executable, "-m", "board51", "diagnose", str(campaign), "--out", str(out), "--workers", "1"),
         *(["--quick"] if quick else []),
     ]
 
 
 def clean_environment() -> dict[str, str]:
-    """Without the variables that point at other data; one thread, because trials run side by side."""
+    """Without the variables that point at other data; the libraries' own threads are off."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("BOARD51_")}
     return kept | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
 
