@@ -83,15 +83,17 @@ def at_rest(theta: Theta, plant: Plant, x_m: float) -> tuple[NDArray[np.float64]
     """(state, u_c in V) of a ball that floats at x (true).
 
     Returns:
-        The state, shape (6,); u_c is inf where nothing holds the ball.
+        The state, shape (6,); where nothing holds the ball, one without current, and u_c is inf.
     """
     i = carrying_current(theta, plant, x_m)
+    held = math.isfinite(i)
+    i = i if held else 0.0
     y = np.zeros(STATES)
     y[I_C] = y[FIELD] = i
     y[X] = x_m
     y[SENSOR] = position_reading(theta.base(plant), theta.vector(), x_m, i)
     y[WARMTH] = i * i
-    return y, carrying_input(theta, plant, i)
+    return y, carrying_input(theta, plant, i) if held else math.inf
 
 
 def position_shown_as(theta: Theta, plant: Plant, reading_m: float) -> float:

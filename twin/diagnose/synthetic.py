@@ -175,11 +175,9 @@ def _again(
         command = _held(source[piece], rows, len(grid))
         y, speed = _start(theta, plant, record, piece, clamped)
         numbers, s = None, 0.0
-        interval_s = record.interval_s
         if closed_loop:
-            numbers = law_of(controller, theta, plant, interval_s, _input_limit(record))
-            reading = current_reading(theta.vector(), float(y[I_C]))
-            s = _integral(numbers, reading, y[SENSOR], y[SENSOR] - speed * interval_s, command[0], u_c[piece.start])
+            numbers = law_of(controller, theta, plant, record.interval_s, _input_limit(record))
+            s = _recorded_integral(numbers, record, piece)
         out = np.empty((len(grid), 4))
         floor = float(y[X]) if record.kind == "sawtooth" and y[X] > PLATFORM_SHARE * plant.travel_m else None
         run(theta, plant, numbers, steps, grid, command, y, s, speed, tick_s, rng, out, clamped=clamped, floor_m=floor)
@@ -299,6 +297,19 @@ def _integral(numbers: LawNumbers, i: float, x: float, x_prev: float, x_ref: flo
         return 0.0
     without, _ = law(numbers._replace(u_low=-math.inf, u_high=math.inf), i, x, x_prev, 0.0, x_ref)
     return float((u - without) / numbers.k_s)
+
+
+def _recorded_integral(numbers: LawNumbers, record: Record, piece: slice) -> float:
+    """The integral at the first sample of a piece, m s: u_c was taken from the very readings recorded."""
+    errors = np.nan_to_num(record.x_ref[piece][:_HEAD] - record.x[piece][:_HEAD])
+    for k in range(1, len(errors)):
+        n = piece.start + k
+        i, x, x_prev = float(record.i_c[n]), float(record.x[n]), float(record.x[n - 1])
+        x_ref, u = float(record.x_ref[n]), float(record.u_c[n])
+        if all(map(math.isfinite, (i, x, x_prev, x_ref, u))) and numbers.u_low < u < numbers.u_high:
+            here = _integral(numbers, i, x, x_prev, x_ref, u)
+            return here - float(errors[:k].sum()) * numbers.sample_time_s
+    return 0.0
 
 
 def _input_limit(record: Record) -> float:

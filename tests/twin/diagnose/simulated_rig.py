@@ -1,0 +1,77 @@
+"""A CE 152 as a theta, its board's law, and short recordings of it: for tests of what the diagnosis computes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from protocol.campaign import Controller, OperatingPoint, Plant
+from twin.diagnose.estimate import BASE, Criterion, Fit, Theta, climb, coordinates_of
+from twin.diagnose.evidence import gather
+from twin.diagnose.menu import MENU, Item, schedule_of
+from twin.diagnose.operating import at_rest, lift_off_input
+from twin.diagnose.screen import probed
+from twin.diagnose.synthetic import Schedule, simulate
+from twin.identify.record import Record
+from twin.model.causes.catalogue import BY_NAME
+
+PLANT = Plant(name="ce152", mass_kg=8.28e-3, travel_m=5.7e-3, x_max_m=8.1e-3, gravity_m_s2=9.81)
+THETA = Theta(
+    K_A=0.3,
+    T_A=4e-4,
+    K_c=5.6e-6,
+    b=0.02,
+    sigma_i_c_a=2e-3,
+    sigma_x_m=5e-6,
+    process_i_c_a=1e-5,
+    process_a_m_s2=0.005,
+)
+MIDDLE_M = 2.85e-3
+TICK_S = 2e-3
+ITEMS = {item.name: item for item in MENU}
+
+
+def controller(theta: Theta = THETA) -> Controller:
+    """The emulated board's gains, at the operating point of this rig."""
+    y, u_0 = at_rest(theta, PLANT, MIDDLE_M)
+    return Controller(
+        kind="lqi",
+        gains=(0.49, 1700.0, 17.7, -17600.0),
+        operating_point=OperatingPoint(i_c_a=float(y[0]), x_m=MIDDLE_M, u_c_v=u_0),
+    )
+
+
+def strong(cause: str, value: float, theta: Theta = THETA) -> Theta:
+    """The rig with that strength of a cause."""
+    return probed(theta, BY_NAME[cause], value)
+
+
+def made(item: Item, theta: Theta, *, seed: int = 3) -> list[Record]:
+    """An experiment of the menu, as short as it is computed."""
+    schedule, _ = schedule_of(item, lift_off_v=lift_off_input(theta, PLANT), travel_m=PLANT.travel_m, tick_s=TICK_S)
+    return simulate(theta, PLANT, controller(), schedule, seed=seed)
+
+
+def narrow(theta: Theta, *, seed: int = 1, seconds: float = 6.0) -> list[Record]:
+    """25 kHz steps and small reference steps, nothing else."""
+    t = np.arange(round(seconds / TICK_S)) * TICK_S
+    steps = Schedule(
+        name="steps",
+        kind="closed-loop",
+        command=MIDDLE_M + np.where(t % 1.0 < 0.5, 0.4e-3, -0.4e-3),
+        closed_loop=True,
+    )
+    bursts = Schedule(name="bursts", kind="amplifier-step", command=np.empty(0), bursts=((0.3, 1.5), (1.5, 2.5)))
+    return [
+        *simulate(theta, PLANT, controller(), bursts, seed=seed),
+        *simulate(theta, PLANT, controller(), steps, seed=seed + 1),
+    ]
+
+
+def criterion_of(records: list[Record], plant: Plant = PLANT) -> Criterion:
+    return Criterion(gather(records, plant), plant, TICK_S, workers=1)
+
+
+def fitted(criterion: Criterion, start: Theta, *causes: str) -> Fit:
+    """The maximum with these causes, from that start."""
+    free = BASE + tuple(name for cause in causes for name in coordinates_of(cause))
+    return climb(criterion, start, free)
