@@ -31,6 +31,7 @@ class Line:
     frequency_hz: float
     amplitude_n: float
     gain: float  # of log-likelihood
+    chance: float  # of it, that the best of all frequencies and free phases make out of noise
     shift_s: FloatArray  # of time, for each sample of the series, shape (n,)
 
 
@@ -50,7 +51,7 @@ def find_line(criterion: Criterion, theta: Theta) -> Line | None:
     columns = np.column_stack((sine[:, 1] - base[:, 1], cosine[:, 1] - base[:, 1])) / scale[:, None]
     good = np.isfinite(residual) & np.isfinite(columns).all(axis=1)
     shift = np.zeros(len(series))
-    gain, weighted, weight = 0.0, 0.0, 0.0
+    gain, weighted, weight, phases = 0.0, 0.0, 0.0, 0
     for number in np.unique(series.recording):
         own = series.recording == number
         use = own & good
@@ -64,13 +65,20 @@ def find_line(criterion: Criterion, theta: Theta) -> Line | None:
         pair = -pair  # innovation falls where the prediction rises: residual + columns * pair -> 0
         power = float(pair @ normal @ pair)
         gain += 0.5 * power
+        phases += 1
         size = math.hypot(*pair)
         weighted, weight = weighted + size * float(np.trace(normal)), weight + float(np.trace(normal))
         pair = -pair
         shift[own] = math.atan2(pair[1], pair[0]) / (2.0 * math.pi * frequency)
     if weight == 0.0:
         return None
-    return Line(frequency_hz=frequency, amplitude_n=probe * weighted / weight, gain=gain, shift_s=shift)
+    return Line(
+        frequency_hz=frequency,
+        amplitude_n=probe * weighted / weight,
+        gain=gain,
+        chance=math.log(_PAD) + phases,
+        shift_s=shift,
+    )
 
 
 def _strongest(criterion: Criterion, theta: Theta) -> float | None:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from twin.diagnose import periodic
 from twin.diagnose.estimate import PASSES, Criterion, Fit, climb, coordinates_of, parameter_of
@@ -40,7 +40,7 @@ class Trial:
 
     cause: str
     fit: Fit
-    gain: float  # of log-likelihood, against the model without it
+    gain: float  # of log-likelihood, against the model without it, beyond what the search makes out of noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +101,7 @@ def _forward(criterion: Criterion, at: Fit, floor: Floor, candidates: Sequence[C
     scores = screen(criterion, at.theta, at.free, candidates)
     if any(cause.name == periodic.CAUSE.name for cause in candidates):
         scores = _with_line(criterion, at, scores)
-    worth = [score for score in scores if score.testable and score.gain > 0.5 * THRESHOLD][:few]
+    worth = [score for score in scores if score.testable and score.gain - score.chance > 0.5 * THRESHOLD][:few]
     say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
     trials = _fitted(criterion, at, worth)
     if not trials:
@@ -141,6 +141,7 @@ def _with_line(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score
         detectable=math.sqrt(2.0 * line.gain) * periodic.CAUSE.strength.probes[0] / max(line.amplitude_n, 1e-12),
         visible=1.0,
         beside=(),
+        chance=line.chance,
         others=((periodic.FREQUENCY, line.frequency_hz),),
     )
     return sorted([*scores, score], key=lambda found: -found.gain)
@@ -151,13 +152,13 @@ def _fitted(criterion: Criterion, at: Fit, scores: Sequence[Score]) -> list[Tria
     trials = []
     for score in scores:
         fit = climb(criterion, start_of(criterion, at.theta, score), _with(at.free, score.cause), passes=_SHORT)
-        trials.append(Trial(cause=score.cause, fit=fit, gain=fit.loglik - at.loglik))
+        trials.append(Trial(cause=score.cause, fit=fit, gain=fit.loglik - at.loglik - score.chance))
     trials.sort(key=lambda trial: -trial.gain)
     for place, trial in enumerate(trials[:3]):
         if trial.fit.converged or trial.gain < _HOPELESS * max(other.gain for other in trials):
             continue
         fit = climb(criterion, trial.fit.theta, trial.fit.free, passes=PASSES)
-        trials[place] = Trial(cause=trial.cause, fit=fit, gain=fit.loglik - at.loglik)
+        trials[place] = replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
     return sorted(trials, key=lambda trial: -trial.gain)
 
 
