@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from protocol.bus import board51_pb2 as pb
+from twin import linear
 from twin.compiled import kernel
 from twin.model.parameters import Model
 
@@ -115,7 +116,12 @@ def integral_behind(c: LawNumbers, *, i: float, x: float, x_prev: float, x_ref: 
 
 
 def equilibrium(model: Model, x_m: float) -> tuple[float, float]:
-    """(i_c0, u_c0) that hold the ball at `x_m`: (6) and (1) at rest, the operating point (13); A, V."""
+    """(i_c0, u_c0) that hold the ball at `x_m`: (6) and (1) at rest, the operating point (13); A, V.
+
+    With causes: i_c as it reads where x reads `x_m`; NaN where nothing holds the ball there.
+    """
+    if model.causes:
+        return linear.equilibrium(model, x_m)
     i = float(np.sqrt(model.plant.mass_kg * model.plant.gravity_m_s2 / model.K_c)) * (model.plant.x_max_m - x_m)
     return i, i / model.K_A
 
@@ -124,8 +130,11 @@ def linearise(model: Model, x_m: float) -> tuple[NDArray[np.float64], NDArray[np
     """Jacobians of (1), (6) at rest at `x_m`, the paper's (14).
 
     Returns:
-        A, shape (3, 3), and B, shape (3, 1), for the state [i_c, x, x'] in A, m, m/s and the input u_c in V.
+        A, shape (3, 3), and B, shape (3, 1), for the state [i_c, x, x'] in A, m, m/s and the input u_c in V.  With
+        causes these three are readings, and states of the causes follow them: see `linear.linearise`.
     """
+    if model.causes:
+        return linear.linearise(model, x_m)
     i, _ = equilibrium(model, x_m)
     gap = model.plant.x_max_m - x_m
     m = model.plant.mass_kg
@@ -137,6 +146,13 @@ def linearise(model: Model, x_m: float) -> tuple[NDArray[np.float64], NDArray[np
         ]
     )
     return A, np.array([[model.K_A / model.T_A], [0.0], [0.0]])
+
+
+def discrete(model: Model, x_m: float, sample_time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(15) at rest at `x_m`, the delays of the model as states behind those of `linearise`."""
+    if model.causes:
+        return linear.late(*linear.linearise(model, x_m), linear.delay_s(model), sample_time_s)
+    return c2d(*linearise(model, x_m), sample_time_s)
 
 
 def c2d(

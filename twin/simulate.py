@@ -1,10 +1,15 @@
-"""One tick of the paper's model, (1) and (6) between the stops, with the input held; fixed steps, no allocation.
+"""One tick of the model, causes included, with the input held: `extended.advance` and the delays around it.
 
 Rule 1: the sample grid is the clock.  One call is one T_s; what happens at a tick happens between two calls.
-Rule 2: the amplifier (1) is integrated exactly (T_A may be far below T_s), the ball (6) by classical Runge-Kutta in
-        `substeps` equal parts, the force seeing the exact i_c at each stage.
-Rule 3: the stops are inelastic: the ball stays where it hits.  The instant of the hit is resolved to one substep.
-Rule 4: (3) is singular at x_max, so the force is evaluated with a gap of at least `gap_min_m`.
+Rule 2: there is one physics: a model without causes is (1) and (6) by the same kernel, with the neutral vector.
+Rule 3: `actuation-delay` holds back u_c, `sampling-delay` what the sensors show.  Readings are what a board would get:
+        sensors' causes, lag and delay included, noise not.
+Rule 4: the phase of a periodic force is unknown to a simulation, so it runs without that force (`left_out` says so);
+        lost samples are the line's, not the rig's.
+
+Memory of a simulated rig, shape (`places`,): the state of `extended.py` (0..5), the readings shown at this tick
+(I_READ, X_READ), two places of the law that closes the loop (INTEGRAL, X_BEFORE), the inputs that still have to act,
+newest first, then pairs of readings that still have to show.
 """
 
 from __future__ import annotations
@@ -15,109 +20,142 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.compiled import kernel
+from twin.compiled import Packed, kernel
+from twin.model.causes import actuation_delay, periodic_disturbance, sampling_delay
+from twin.model.extended import (
+    FIELD,
+    I_C,
+    SENSOR,
+    STATES,
+    WARMTH,
+    Base,
+    V,
+    X,
+    advance,
+    current_of_reading,
+    current_reading,
+    position_of_reading,
+    position_reading,
+)
+from twin.model.extension import base, vector
 from twin.model.parameters import Model
 
-GAP_MIN_SHARE = 0.01  # of the travel: nearer to x_max than this, (3) is not evaluated
-SUBSTEPS_MIN, SUBSTEPS_MAX = 4, 64
+LONGEST_STEP_S = 2e-3  # of one `advance`, whose substeps were checked at that
+I_READ, X_READ, INTEGRAL, X_BEFORE = range(STATES, STATES + 4)
+LINES = STATES + 4
+_SLIVER = 1e-9  # of a tick: rounding of a delay that is whole ticks
 
 
 class PlantNumbers(NamedTuple):
     """The model as the kernels take it, for one T_s; made by `plant_numbers`."""
 
-    K_A: float  # A/V
-    k: float  # K_c / m, m^3/(A s)^2
-    d: float  # b / m, 1/s
-    gravity_m_s2: float
-    x_max_m: float
-    travel_m: float
-    gap_min_m: float
+    base: Packed  # tuple(Base)
+    c: NDArray[np.float64]  # the causes, shape (PLACES,)
     sample_time_s: float
-    substeps: int
-    half_step_decay: float  # exp(-h / (2 T_A)) of half a substep h
+    act_whole: int  # ticks by which the input acts late, and
+    act_part_s: float  # what is left of the delay
+    sense_whole: int  # the same of what the sensors show
+    sense_part_s: float
+    in_whole: int  # the same of their sum, for an observer that sees readings
+    in_part_s: float
 
 
-def plant_numbers(model: Model, sample_time_s: float, *, substeps: int | None = None) -> PlantNumbers:
-    """Freeze `model` for ticks of `sample_time_s`.
-
-    Args:
-        model: the plant and its four parameters.
-        sample_time_s: T_s, s.
-        substeps: of Runge-Kutta within a tick; None takes steps of at most T_A / 2, where halving them moves the
-            position after a tick by less than 2e-8 m, a hundredth of a converter count (tests/twin/test_simulate.py).
-    """
-    if substeps is None:
-        substeps = min(max(SUBSTEPS_MIN, math.ceil(2.0 * sample_time_s / model.T_A)), SUBSTEPS_MAX)
+def plant_numbers(model: Model, sample_time_s: float) -> PlantNumbers:
+    """Freeze `model` for ticks of `sample_time_s`."""
+    c = vector(model.causes)
+    c[periodic_disturbance.AMPLITUDE] = 0.0
+    act, sense = float(c[actuation_delay.DELAY]), float(c[sampling_delay.DELAY])
     return PlantNumbers(
-        K_A=model.K_A,
-        k=model.K_c / model.plant.mass_kg,
-        d=model.b / model.plant.mass_kg,
-        gravity_m_s2=model.plant.gravity_m_s2,
-        x_max_m=model.plant.x_max_m,
-        travel_m=model.plant.travel_m,
-        gap_min_m=GAP_MIN_SHARE * model.plant.travel_m,
-        sample_time_s=sample_time_s,
-        substeps=substeps,
-        half_step_decay=math.exp(-0.5 * sample_time_s / substeps / model.T_A),
+        tuple(base(model)),
+        c,
+        sample_time_s,
+        *_ticks(act, sample_time_s),
+        *_ticks(sense, sample_time_s),
+        *_ticks(act + sense, sample_time_s),
     )
 
 
-@kernel
-def acceleration(p: PlantNumbers, i: float, x: float, v: float) -> float:
-    """Acceleration of (6), m/s^2, free of the stops."""
-    gap = max(p.x_max_m - x, p.gap_min_m)
-    return p.k * i * i / (gap * gap) - p.d * v - p.gravity_m_s2
+def _ticks(delay_s: float, sample_time_s: float) -> tuple[int, float]:
+    whole = math.floor(delay_s / sample_time_s + _SLIVER)
+    part = delay_s - whole * sample_time_s
+    return whole, part if part > _SLIVER * sample_time_s else 0.0
 
 
-@kernel
-def substep(
-    p: PlantNumbers, h: float, i: float, i_half: float, i_next: float, x: float, v: float
-) -> tuple[float, float]:
-    """(x, x') after h, i_c being i, i_half and i_next at its beginning, middle and end: m, m/s."""
-    a1 = acceleration(p, i, x, v)
-    v2 = v + 0.5 * h * a1
-    a2 = acceleration(p, i_half, x + 0.5 * h * v, v2)
-    v3 = v + 0.5 * h * a2
-    a3 = acceleration(p, i_half, x + 0.5 * h * v2, v3)
-    v4 = v + h * a3
-    a4 = acceleration(p, i_next, x + h * v3, v4)
-    x += h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
-    v += h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
-    if x <= 0.0:
-        x = 0.0
-        v = max(v, 0.0)
-    elif x >= p.travel_m:
-        x = p.travel_m
-        v = min(v, 0.0)
-    return x, v
+def left_out(model: Model) -> list[str]:
+    """What of the model a simulation does without, and why."""
+    why = {
+        "periodic-disturbance": "its phase is not known",
+        "lost-samples": "it is the line's, not the rig's",
+    }
+    return [f"{cause.name} is not simulated: {why[cause.name]}" for cause in model.causes if cause.name in why]
 
 
-@kernel
-def tick(p: PlantNumbers, i: float, x: float, v: float, u: float) -> tuple[float, float, float]:
-    """(i_c, x, x') one T_s later, with u_c = u held: A, m, m/s."""
-    h = p.sample_time_s / p.substeps
-    i_end = p.K_A * u
-    for _ in range(p.substeps):
-        i_half = i_end + (i - i_end) * p.half_step_decay
-        i_next = i_end + (i_half - i_end) * p.half_step_decay
-        x, v = substep(p, h, i, i_half, i_next, x, v)
-        i = i_next
-    return i, x, v
+def places(plant: PlantNumbers) -> int:
+    """Length of a simulated rig's memory."""
+    return LINES + plant.act_whole + 2 + 2 * (plant.sense_whole + 1)
 
 
-@kernel
-def ticks(p: PlantNumbers, states: NDArray[np.float64], u: float) -> None:
-    """`tick` of several states [i_c, x, x'], shape (3, n), in place.
+def rig_at(
+    plant: PlantNumbers, *, i: float, x: float, v: float, u: float, warmth: float | None = None
+) -> NDArray[np.float64]:
+    """A rig whose sensors show i (A) and x (m), at the speed v (m/s), with u (V) in force for long.
 
-    The same bits as one after the other, in less than half the time: a substep waits for its divisions, which those of
-    the other states fill.
+    Args:
+        plant: of `plant_numbers`.
+        i: reading of the current.
+        x: reading of the position; the ball is put within the stops.
+        v: true speed.
+        u: input so far.
+        warmth: A^2; None: the coil has carried this current for long.
     """
-    h = p.sample_time_s / p.substeps
-    i_end = p.K_A * u
-    for _ in range(p.substeps):
-        for k in range(states.shape[1]):
-            i = states[0, k]
-            i_half = i_end + (i - i_end) * p.half_step_decay
-            i_next = i_end + (i_half - i_end) * p.half_step_decay
-            states[1, k], states[2, k] = substep(p, h, i, i_half, i_next, states[1, k], states[2, k])
-            states[0, k] = i_next
+    p, c = Base(*plant.base), plant.c
+    memory = np.zeros(places(plant))
+    current = current_of_reading(c, i)
+    position = min(max(position_of_reading(p, c, x, current), 0.0), p.travel_m)
+    memory[I_C], memory[X], memory[V], memory[FIELD] = current, position, v, current
+    memory[SENSOR] = position_reading(p, c, position, current)
+    memory[WARMTH] = current * current if warmth is None else warmth
+    memory[I_READ], memory[X_READ] = current_reading(c, current), memory[SENSOR]
+    late = LINES + plant.act_whole + 2
+    memory[LINES:late] = u
+    memory[late::2], memory[late + 1 :: 2] = memory[I_READ], memory[X_READ]
+    return memory
+
+
+@kernel
+def over(plant: Packed, y: NDArray[np.float64], u: float, duration: float, stops: bool) -> None:
+    """`advance` in steps that it was checked for; y, of which the first six places are the state, in place."""
+    p = PlantNumbers(*plant)
+    if duration <= 1.01 * LONGEST_STEP_S:
+        advance(p.base, p.c, y, u, 0.0, duration, stops)
+        return
+    steps = math.ceil(duration / LONGEST_STEP_S - 0.01)
+    for _ in range(steps):
+        advance(p.base, p.c, y, u, 0.0, duration / steps, stops)
+
+
+@kernel
+def hold(plant: Packed, memory: NDArray[np.float64], u: float) -> None:
+    """One tick of the rig with u_c = u sent to it; memory, as at the top, is then that of the next tick."""
+    p = PlantNumbers(*plant)
+    T_s = p.sample_time_s
+    if p.act_whole == 0 and p.act_part_s == 0.0 and p.sense_whole == 0 and p.sense_part_s == 0.0:
+        over(plant, memory, u, T_s, True)
+        memory[I_READ], memory[X_READ] = current_reading(p.c, memory[I_C]), memory[SENSOR]
+        return
+    last_u = LINES + p.act_whole + 1
+    for k in range(last_u, LINES, -1):
+        memory[k] = memory[k - 1]
+    memory[LINES] = u
+    last = last_u + 1 + 2 * p.sense_whole
+    for k in range(last, last_u + 1, -2):
+        memory[k], memory[k + 1] = memory[k - 2], memory[k - 1]
+    change, look = p.act_part_s, T_s - p.sense_part_s  # within the tick: the input changes, the sensors are looked at
+    at = 0.0
+    for end in (min(change, look), max(change, look), T_s):
+        if end > at:
+            over(plant, memory, memory[last_u] if at < change else memory[last_u - 1], end - at, True)
+            at = end
+        if at == look:
+            memory[last_u + 1], memory[last_u + 2] = current_reading(p.c, memory[I_C]), memory[SENSOR]
+    memory[I_READ], memory[X_READ] = memory[last], memory[last + 1]

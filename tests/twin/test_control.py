@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from protocol.bus import board51_pb2 as pb
+from tests.twin.one_tick import tick
 from twin.control import LawNumbers, c2d, equilibrium, integral_behind, law, law_numbers, linearise
 from twin.model.nominal import nominal
-from twin.simulate import plant_numbers, tick
+from twin.simulate import plant_numbers
 
 T_S = 2e-3
 
@@ -125,8 +126,9 @@ def test_linearisation_and_discretisation_agree_with_the_nonlinear_tick(x: float
         moved = (np.array(tick(p, *z)) - at_rest) / d
 
         expected = Phi[:, column] if column < 3 else Gamma[:, 0]
-        # what the second derivative leaves of a one-sided difference: d / gap, d / i
-        assert np.allclose(moved, expected, rtol=1e-4, atol=1e-7)
+        # What the second derivative leaves of a one-sided difference: d / gap, d / i.  What a jump of current or input
+        # does to the ball within the tick is integrated to 0.3 %.
+        assert np.allclose(moved, expected, rtol=4e-3 if column in (0, 3) else 1e-4, atol=1e-7)
 
 
 def test_the_unstable_pole_is_where_the_gap_puts_it() -> None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 from scipy.special import ndtr
 
-from twin.control import LawNumbers, c2d, linearise
+from twin.control import LawNumbers, discrete
 from twin.model.parameters import Model
 
 POSITIONS = 9  # grid of linearisations over the travel
@@ -74,7 +74,11 @@ class ExpectedError:
         )
         self._variances = variances
         self._loops = [error_dynamics(model, law, float(x)) for x in self._grid]
-        self._radius = [float(np.max(np.abs(np.linalg.eigvals(F)))) for F, _, _, _ in self._loops]
+        # Where the model's ball cannot rest at all there is nothing to linearise, and no expectation.
+        self._radius = [
+            float(np.max(np.abs(np.linalg.eigvals(F)))) if np.isfinite(F).all() else np.inf
+            for F, _, _, _ in self._loops
+        ]
         self._std: list[list[float]] = [
             np.sqrt(autocovariance(*loop, variances, lags=1)[0]).tolist() if radius < STABLE else []
             for loop, radius in zip(self._loops, self._radius, strict=True)
@@ -131,24 +135,30 @@ def error_dynamics(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """(F, G, H, D) of the difference between a noisy and a noise-free loop around `x_m`.
 
-    State d = [i_c, x, x', s, x_prev]; noise w = [n_i, n_x, n_u, w_i, w_v]; outputs [x, i_c, u_c] as measured.
-    Shapes (5, 5), (5, 5), (3, 5), (3, 5).
+    State d = [p, s, x_prev] with p the n states of `control.discrete`, first of them the readings of i_c, x and x';
+    noise w = [n_i, n_x, n_u, w_i, w_v]; outputs [x, i_c, u_c] as measured.
+    Shapes (n + 2, n + 2), (n + 2, 5), (3, n + 2), (3, 5).
     """
-    A, B = c2d(*linearise(model, x_m), law.sample_time_s)
+    A, B = discrete(model, x_m, law.sample_time_s)
+    n = len(A)
     on_x = -(law.k_x + law.k_p) - law.k_v / law.sample_time_s
-    from_state = np.array([-law.k_i, on_x, 0.0, law.k_s, law.k_v / law.sample_time_s])  # u_c of rule 9
+    from_state = np.zeros(n + 2)  # u_c of rule 9
+    from_state[0], from_state[1] = -law.k_i, on_x
+    from_state[n], from_state[n + 1] = law.k_s, law.k_v / law.sample_time_s
     from_noise = np.array([-law.k_i, on_x, 1.0, 0.0, 0.0])
-    F, G = np.zeros((5, 5)), np.zeros((5, 5))
-    F[:3, :3] = A
-    F[:3] += B @ from_state[None, :]
-    F[3, 1], F[3, 3] = -law.sample_time_s, 1.0
-    F[4, 1] = 1.0
-    G[:3] = B @ from_noise[None, :]
+    F, G = np.zeros((n + 2, n + 2)), np.zeros((n + 2, 5))
+    F[:n, :n] = A
+    F[:n] += B @ from_state[None, :]
+    F[n, 1], F[n, n] = -law.sample_time_s, 1.0
+    F[n + 1, 1] = 1.0
+    G[:n] = B @ from_noise[None, :]
     G[0, 3], G[2, 4] = 1.0, 1.0
-    G[3, 1] = -law.sample_time_s
-    G[4, 1] = 1.0
-    sensors = np.array([[0.0, 1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0]])
-    return F, G, np.vstack([sensors, from_state]), np.vstack([sensors, from_noise])
+    G[n, 1] = -law.sample_time_s
+    G[n + 1, 1] = 1.0
+    sensors = np.zeros((2, n + 2))
+    sensors[0, 1] = sensors[1, 0] = 1.0
+    noise = np.array([[0.0, 1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0]])
+    return F, G, np.vstack([sensors, from_state]), np.vstack([noise, from_noise])
 
 
 def autocovariance(

@@ -2,6 +2,7 @@
 
 Rule 1: in closed loop no measurement enters after the start: the twin does what the model says the loop does.
 Rule 2: the state held is the one at the tick of the next sample: look at it, then run the tick.
+Rule 3: the law gets what the model's sensors show, and that is what is compared with the rig: readings with readings.
 """
 
 from __future__ import annotations
@@ -11,17 +12,8 @@ from numpy.typing import NDArray
 
 from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, law
-from twin.simulate import PlantNumbers, tick
-
-
-@kernel
-def closed_loop_tick(
-    plant: Packed, law_: Packed, i: float, x: float, v: float, s: float, x_prev: float, x_ref: float
-) -> tuple[float, float, float, float, float]:
-    """(u_c of this tick, then i_c, x, x' and the integral at the next): V, A, m, m/s, m s."""
-    u, s = law(LawNumbers(*law_), i, x, x_prev, s, x_ref)
-    i, x, v = tick(PlantNumbers(*plant), i, x, v, u)
-    return u, i, x, v, s
+from twin.model.extended import V
+from twin.simulate import I_READ, INTEGRAL, X_BEFORE, X_READ, hold
 
 
 @kernel
@@ -30,15 +22,12 @@ def advance(
 ) -> tuple[float, float, float, float]:
     """Run one tick, in closed loop under x_ref, else under the given u: A, m, m/s, V.
 
-    memory, shape (5,): i_c, x, x', integral of (x_ref - x) dt, x at the tick before (for the law's speed).
-    Returns (i_c, x, x', u_c) of the tick that was run.
+    memory: of a simulated rig (`twin/simulate.py`), the integral of (x_ref - x) dt and x at the tick before in it.
+    Returns (i_c, x as the sensors show them, x', u_c) of the tick that was run.
     """
-    i, x, v = memory[0], memory[1], memory[2]
+    i, x, v = memory[I_READ], memory[X_READ], memory[V]
     if closed_loop:
-        u, memory[0], memory[1], memory[2], memory[3] = closed_loop_tick(
-            plant, law_, i, x, v, memory[3], memory[4], x_ref
-        )
-    else:
-        memory[0], memory[1], memory[2] = tick(PlantNumbers(*plant), i, x, v, u)
-    memory[4] = x
+        u, memory[INTEGRAL] = law(LawNumbers(*law_), i, x, memory[X_BEFORE], memory[INTEGRAL], x_ref)
+    memory[X_BEFORE] = x
+    hold(plant, memory, u)
     return i, x, v, u

@@ -30,7 +30,9 @@ from twin.mirror.regime import KnownParameters, Regime
 from twin.mirror.sample import Sample, read
 from twin.mirror.settings import Settings
 from twin.mirror.step import Constants, step
+from twin.model.extended import WARMTH
 from twin.model.parameters import Model
+from twin.simulate import INTEGRAL, X_BEFORE, X_READ, places, rig_at
 
 IN_STEP, SETTLING, OUT_OF_STEP = "in-step", "settling", "out-of-step"
 SAMPLE_TIME_RANGE_S = (1e-4, 2e-2)  # T_s for which the steps of the kernels were checked
@@ -64,7 +66,7 @@ class Mirror:
         self._regime: Regime | None = None
         self.comparison = Comparison()
         self._constants: Constants | None = None  # with the regime
-        self._twin = np.zeros(5)  # memory of `advance`
+        self._twin = np.zeros(0)  # memory of `advance`, made with the regime
         self._flying = False  # whether there is a free twin in it
         self._last: Sample | None = None
         self._settling_ticks = 0
@@ -211,10 +213,12 @@ class Mirror:
         observer = Observer(regime.plant, self.model.noise, i_lsb_a=regime.i_lsb_a, x_lsb_m=regime.x_lsb_m)
         windows = self.comparison
         windows.start(regime.window)
+        self._twin = np.full(places(regime.plant), math.nan)
         return (
             regime.packed_plant,
             regime.packed_law,
             observer.numbers,
+            observer.active,
             observer.z,
             observer.P,
             observer.work,
@@ -274,8 +278,7 @@ class Mirror:
             return
         if math.isnan(now.drive):
             return
-        x = min(max(now.x, 0.0), regime.plant.travel_m)
-        v, s, x_prev = 0.0, 0.0, x
+        v, s, x_prev = 0.0, 0.0, math.nan
         if before is not None and math.isfinite(before.x):
             v = (now.x - before.x) / regime.sample_time_s
         if now.closed_loop and before is not None and not before.closed_loop:
@@ -287,7 +290,18 @@ class Mirror:
             if found is None:
                 return
             s, x_prev = found, before.x
-        self._twin[:] = now.i, x, v, s, x_prev
+        u = before.u if before is not None and math.isfinite(before.u) else now.u
+        warmth = float(self._twin[WARMTH])  # a coil stays as warm as it was; one that nobody saw is warm from this i_c
+        self._twin[:] = rig_at(
+            regime.plant,
+            i=now.i,
+            x=now.x,
+            v=v,
+            u=u if math.isfinite(u) else 0.0,
+            warmth=warmth if math.isfinite(warmth) else None,
+        )
+        self._twin[INTEGRAL] = s
+        self._twin[X_BEFORE] = self._twin[X_READ] if math.isnan(x_prev) else x_prev
         self._flying = True
         self._settling_ticks = regime.settle_ticks(closed_loop=now.closed_loop, x_ref=now.x_ref)
         self.counters["starts"] += 1

@@ -23,6 +23,7 @@ Constants: TypeAlias = tuple[  # the arguments of `step` that stay as long as th
     Packed,
     Packed,
     Packed,
+    NDArray[np.int64],
     NDArray[np.float64],
     NDArray[np.float64],
     NDArray[np.float64],
@@ -40,6 +41,7 @@ def step(
     plant: Packed,
     law: Packed,
     noise: Packed,
+    active: NDArray[np.int64],
     z: NDArray[np.float64],
     P: NDArray[np.float64],
     work: NDArray[np.float64],
@@ -66,15 +68,16 @@ def step(
         plant: PlantNumbers.
         law: LawNumbers.
         noise: the observer's numbers, see `observe`.
-        z: its estimate, shape (5,).
-        P: its covariance, shape (3, 3).
-        work: its scratch, shape (3, 3, 4).
+        active: the states in its covariance, shape (m,).
+        z: its memory.
+        P: its covariance, shape (m, m).
+        work: its scratch, shape (3 m + 3, 6).
         ring: windows, shape (4, window, 3), see `Comparison`.
         sums: over them, shape (4, 4).
         counts: of samples in them, shape (5,).
         totals: over all time, shape (4, 4).
         alarms: shape (3, PLACES).
-        twin: memory of the free twin, see `advance`.
+        twin: memory of the free twin, a simulated rig, see `advance`.
         yardstick: standard deviations of x, i_c, u_c (0..2); thresholds on of x, i_c (3, 4), off (5, 6); of the mean
             NIS on, off (7, 8).
         i: measured i_c, A; like the next three NaN where the sample lacks it.
@@ -90,7 +93,7 @@ def step(
     Returns:
         (innovation, twin, figures of x, i_c, u_c, whether an alarm changed, the changes in the order of ALARMS).
     """
-    n_i, n_x, nis, valid = observe(plant, noise, z, P, work, follows, usable, i, x, u)
+    n_i, n_x, nis, valid = observe(plant, noise, active, z, P, work, follows, usable, i, x, u)
     nis_mean, of_innovation = judge_innovation(
         ring, sums, counts, totals, alarms[0], n_i, n_x, nis, valid, yardstick[7], yardstick[8]
     )

@@ -17,8 +17,9 @@ from twin.control import LawNumbers, integral_behind, law
 from twin.identify.lawcheck import law_gap
 from twin.identify.record import FloatArray, runs
 from twin.mirror.expected import STABLE, autocovariance, error_dynamics
+from twin.model.extended import I_C, Base, V, X
 from twin.model.parameters import Model
-from twin.simulate import PlantNumbers, plant_numbers, tick
+from twin.simulate import I_READ, X_READ, PlantNumbers, hold, plant_numbers, rig_at
 from twin.validate.ball import SETTLE_S
 from twin.validate.source import Filtered, Source, plant_of
 
@@ -52,6 +53,7 @@ def simulate_loop(
     noise: NDArray[np.float64],
     lsb: NDArray[np.float64],
     begin: NDArray[np.float64],
+    law_begin: NDArray[np.float64],
     before: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
@@ -63,16 +65,19 @@ def simulate_loop(
         x_ref: m, shape (n,).
         noise: of i_c (A), x (m), process of i_c (A), of x' (m/s), shape (4, n).
         lsb: of i_c (A), x (m), u_c (V); 0 does not round.
-        begin: i_c, x, x', integral, previous measured x.
+        begin: memory of the simulated rig (`twin/simulate.py`).
+        law_begin: integral, previous measured x.
         before: inputs that still have to act, oldest first: their number is the delay.
         out: receives the result.
     """
     p = PlantNumbers(*plant)
     c = LawNumbers(*numbers)
-    i, x, v, s, x_prev = begin[0], begin[1], begin[2], begin[3], begin[4]
+    memory = begin.copy()
+    travel = Base(*p.base).travel_m
+    s, x_prev = law_begin[0], law_begin[1]
     late = len(before)
     for k in range(len(x_ref)):
-        i_m, x_m = i + noise[0, k], x + noise[1, k]
+        i_m, x_m = memory[I_READ] + noise[0, k], memory[X_READ] + noise[1, k]
         if lsb[0] > 0.0:
             i_m = round(i_m / lsb[0]) * lsb[0]
         if lsb[1] > 0.0:
@@ -85,10 +90,10 @@ def simulate_loop(
         acting = u
         if late > 0:
             acting = before[k] if k < late else out[2, k - late]
-        i, x, v = tick(p, i, x, v, acting)
-        i += noise[2, k]
-        if 0.0 < x < p.travel_m:
-            v += noise[3, k]
+        hold(plant, memory, acting)
+        memory[I_C] += noise[2, k]
+        if 0.0 < memory[X] < travel:
+            memory[V] += noise[3, k]
 
 
 def closed_loops(runs_: Sequence[Filtered], model: Model, *, seed: int = 1) -> tuple[list[LoopRun], list[str]]:
@@ -214,7 +219,7 @@ def _begin(run: Filtered, c: LawNumbers, piece: slice) -> tuple[int, float] | No
 def _simulate(run: Filtered, model: Model, c: LawNumbers, part: slice, integral: float, *, seed: int) -> LoopRun:
     r, n = run.source.record, part.stop - part.start
     rng = np.random.default_rng(seed)
-    plant = tuple(plant_numbers(model, c.sample_time_s))
+    plant = plant_numbers(model, c.sample_time_s)
     noise_levels = np.array(
         [
             model.noise.sigma_i_c_a,
@@ -224,7 +229,9 @@ def _simulate(run: Filtered, model: Model, c: LawNumbers, part: slice, integral:
         ]
     )
     lsb = np.array([*r.lsb, run.source.u_lsb_v])
-    begin = np.array([*run.state[part.start], integral, r.x[part.start - 1]])
+    i, x, v = run.state[part.start].tolist()
+    begin = rig_at(plant, i=i, x=x, v=v, u=float(r.u_c[part.start - 1]))
+    law_begin = np.array([integral, r.x[part.start - 1]])
     late = run.source.late
     before = np.asarray(r.u_c[part.start - late : part.start], dtype=float)
     x_ref = np.ascontiguousarray(r.x_ref[part])
@@ -232,7 +239,7 @@ def _simulate(run: Filtered, model: Model, c: LawNumbers, part: slice, integral:
     for m in range(REALISATIONS + 1):
         scale = 0.0 if m == REALISATIONS else 1.0
         noise = scale * noise_levels[:, None] * rng.standard_normal((4, n))
-        simulate_loop(plant, tuple(c), x_ref, noise, scale * lsb, begin, before, out[m])
+        simulate_loop(tuple(plant), tuple(c), x_ref, noise, scale * lsb, begin, law_begin, before, out[m])
     loop = error_dynamics(model, c, float(np.clip(np.mean(x_ref), 0.0, 0.95 * model.plant.travel_m)))
     expected = float("nan")
     if np.max(np.abs(np.linalg.eigvals(loop[0]))) < STABLE:

@@ -11,6 +11,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import UsageError
+from tests.twin.one_tick import tick
 from twin.control import law, law_numbers, linearise
 from twin.design.board import Converters, to_mantissa
 from twin.design.design import Design, design
@@ -20,7 +21,7 @@ from twin.design.margins import delayed_plant
 from twin.design.robust import plant_at
 from twin.model.nominal import nominal
 from twin.model.parameters import Model
-from twin.simulate import plant_numbers, tick
+from twin.simulate import plant_numbers
 
 T_S = 2e-3
 COIL_PLANE_ABOVE_STOP_M = 2.44e-3

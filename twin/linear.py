@@ -1,0 +1,194 @@
+"""A model with causes around a point of rest: its equilibrium (13), its linearisation (14), its delays as states.
+
+Everything in what the sensors show, because that is what a board measures, feeds back and holds.
+
+Rule 1: the physics is `extended.advance`: (14) is the logarithm of its differences over a short time, not a second set
+        of equations.
+Rule 2: the first three states are the readings of i_c and x and the speed in the position sensor's scale; behind them
+        what the causes add (field current of `eddy-current-lag`, settled reading of `position-sensor-lag`).
+Rule 3: warmth is held at that of the equilibrium: it moves in minutes.  Dry friction is left out: linearised at rest it
+        is a ball that sticks.  So is a periodic force.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm, logm
+
+from twin.model.causes import (
+    actuation_delay,
+    amplifier_gain_drift,
+    coulomb_friction,
+    eddy_current_lag,
+    periodic_disturbance,
+    position_sensor_lag,
+    sampling_delay,
+)
+from twin.model.extended import (
+    FIELD,
+    I_C,
+    SENSOR,
+    STATES,
+    WARMTH,
+    V,
+    X,
+    acceleration,
+    advance,
+    current_reading,
+    drive,
+    position_of_reading,
+    position_reading,
+)
+from twin.model.extension import base, vector
+from twin.model.parameters import Model
+
+LONGEST_S = 1e-4  # over which differences are taken; shorter than every time constant, so that the logarithm is exact
+_MOST_A, _MOST_V = 1e3, 1e5  # beyond any amplifier: what is not reached by then is not reached
+_DELTA = np.array([1e-5, 1e-7, 1e-5, 1e-5, 1e-7])  # A, m, m/s, A, m
+_DELTA_U = 1e-4  # V
+
+
+def delay_s(model: Model) -> float:
+    """From u_c to what the readings show of it, s: both delays."""
+    c = vector(model.causes)
+    return float(c[actuation_delay.DELAY] + c[sampling_delay.DELAY])
+
+
+def smooth_causes(model: Model) -> NDArray[np.float64]:
+    """The causes of a linearisation: without dry friction and without a periodic force."""
+    c = vector(model.causes)
+    c[coulomb_friction.FORCE] = c[periodic_disturbance.AMPLITUDE] = 0.0
+    return c
+
+
+def rest(model: Model, x_m: float) -> tuple[NDArray[np.float64], float]:
+    """(state of `extended.py`, u_c in V) of a ball that rests where the sensor shows `x_m`; NaN where none can."""
+    p, c = base(model), smooth_causes(model)
+    nowhere = np.full(STATES, np.nan), math.nan
+
+    def lift(i: float) -> float:
+        return float(acceleration(p, c, i, position_of_reading(p, c, x_m, i), 0.0, 0.0))
+
+    if lift(0.0) > 0.0 or lift(_MOST_A) < 0.0:
+        return nowhere
+    i = _root(lift, _MOST_A)
+
+    def more(u: float) -> float:
+        return float(drive(p, c, u, i * i)) - i
+
+    if more(_MOST_V) < 0.0 or more(0.0) > 0.0:
+        return nowhere
+    y = np.zeros(STATES)
+    y[I_C], y[FIELD], y[X] = i, i, position_of_reading(p, c, x_m, i)
+    y[SENSOR], y[WARMTH] = position_reading(p, c, y[X], i), i * i
+    return y, _root(more, _MOST_V)
+
+
+def _root(rising: Callable[[float], float], high: float) -> float:
+    """Where a function that is not positive at 0 becomes so."""
+    low = 0.0
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if rising(middle) > 0.0 else (middle, high)
+        if high - low <= 1e-15 * high:
+            break
+    return high
+
+
+def equilibrium(model: Model, x_m: float) -> tuple[float, float]:
+    """(reading of i_c, u_c) that hold the ball where the sensor shows `x_m`, (13); A, V; NaN where nothing does."""
+    y, u = rest(model, x_m)
+    return float(current_reading(vector(model.causes), y[I_C])), u
+
+
+def linearise(model: Model, x_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Jacobians (14) of the model with its causes, delays apart, where the sensor shows `x_m` at rest.
+
+    Returns:
+        A, shape (n, n), and B, shape (n, 1), for [i_c, x, x', ..] as readings in A, m, m/s and the input u_c in V; NaN
+        where the ball cannot rest.
+    """
+    p, c = base(model), smooth_causes(model)
+    eddy, lag = float(c[eddy_current_lag.TAU]), float(c[position_sensor_lag.TAU])
+    y0, u0 = rest(model, x_m)
+    places = [I_C, X, V, *([FIELD] if eddy > 0.0 else []), *([SENSOR] if lag > 0.0 else [])]
+    n = len(places)
+    if not math.isfinite(u0):
+        return np.full((n, n), np.nan), np.full((n, 1), np.nan)
+    c[amplifier_gain_drift.TAU] = math.inf
+    h = min([LONGEST_S, model.T_A, *(tau for tau in (eddy, lag) if tau > 0.0)])
+
+    def after(place: int, by: float) -> NDArray[np.float64]:
+        y, u = y0.copy(), u0
+        if place < 0:
+            u += by
+        else:
+            y[place] += by
+            if place == I_C and eddy <= 0.0:
+                y[FIELD] = y[I_C]
+        advance(tuple(p), c, y, u, 0.0, h, False)
+        return y[places]
+
+    block = np.eye(n + 1)
+    for column, place in enumerate(places):
+        by = float(_DELTA[place])
+        block[:n, column] = (after(place, by) - after(place, -by)) / (2.0 * by)
+    block[:n, n] = (after(-1, _DELTA_U) - after(-1, -_DELTA_U)) / (2.0 * _DELTA_U)
+    rates = np.real(logm(block)) / h
+    change = _to_readings(model, y0, places)
+    return change @ rates[:n, :n] @ np.linalg.inv(change), change @ rates[:n, n:]
+
+
+def _to_readings(model: Model, y0: NDArray[np.float64], places: list[int]) -> NDArray[np.float64]:
+    """From deviations of the states `places` to deviations of what is shown, shape (n, n)."""
+    p, c = base(model), vector(model.causes)
+    i, x = float(y0[I_C]), float(y0[X])
+    by_x = (position_reading(p, c, x + 1e-7, i) - position_reading(p, c, x - 1e-7, i)) / 2e-7
+    by_i = (position_reading(p, c, x, i + 1e-4) - position_reading(p, c, x, i - 1e-4)) / 2e-4
+    shown = np.eye(len(places))
+    shown[0, 0] = (current_reading(c, i + 1e-4) - current_reading(c, i - 1e-4)) / 2e-4
+    settled = np.zeros(len(places))
+    settled[0], settled[1] = by_i, by_x
+    shown[2, 2] = by_x
+    if SENSOR in places:
+        shown[1], shown[-1] = np.eye(len(places))[-1], settled
+    else:
+        shown[1] = settled
+    return shown
+
+
+def late(
+    A: NDArray[np.float64], B: NDArray[np.float64], delay_s: float, sample_time_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(15) with u_c acting `delay_s` late, exactly: a part of a tick by splitting the hold, whole ticks as states.
+
+    Returns:
+        Phi, Gamma of the states of A and behind them u(k-1), u(k-2), ..; without delay none of these.
+    """
+    whole, part_s = divmod(delay_s, sample_time_s)
+    held, n = int(whole), len(A)
+    if not np.isfinite(A).all():
+        return np.full((n + held + 1, n + held + 1), np.nan), np.full((n + held + 1, 1), np.nan)
+    phi = expm(A * sample_time_s)
+
+    def integral(duration_s: float) -> NDArray[np.float64]:
+        block = np.zeros((n + 1, n + 1))
+        block[:n, :n], block[:n, n:] = A, B
+        return np.asarray(expm(block * duration_s)[:n, n:])
+
+    new = integral(sample_time_s - part_s)
+    if delay_s == 0.0:
+        return np.asarray(phi), new
+    old = expm(A * (sample_time_s - part_s)) @ integral(part_s)
+    taps = [new if age == held else old if age == held + 1 else np.zeros((n, 1)) for age in range(held + 2)]
+    size = n + held + 1
+    F, G = np.zeros((size, size)), np.zeros((size, 1))
+    F[:n, :n] = phi
+    F[:n, n:] = np.hstack(taps[1:])
+    F[n + 1 :, n:-1] = np.eye(held)
+    G[:n], G[n, 0] = taps[0], 1.0
+    return F, G
