@@ -70,6 +70,14 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
                 ),
                 Rate(name=f"{grade}: first", hits=sum(j.first for _, j in can), count=len(can)),
             ]
+    right = [(o, j) for o, j in causes if j.right is True]
+    if right:
+        besides = sum(j.false_names > 0 for _, j in right)
+        reserved = sum(o.verdict == UNKNOWN for o, _ in right)
+        result += [
+            Rate(name="one cause, right: a false name besides", hits=besides, count=len(right)),
+            Rate(name="one cause, right: unknown-cause all the same", hits=reserved, count=len(right)),
+        ]
     carried = [(o, j) for o, j in part("gateway") if j.right is not None]
     if carried:
         hits = sum(j.right is True for _, j in carried)

@@ -76,11 +76,10 @@ def _as_ours(step: campaign_menu.Step) -> Level | Wave:
             return Level(value=step.u, duration_s=step.duration_s)
         case campaign_menu.Hover():
             return Level(value=step.x, duration_s=step.duration_s)
-        case campaign_menu.Wave(shape="step"):
-            raise AssertionError("no experiment of the menu is a single step")
-        case campaign_menu.Wave():
+        case campaign_menu.Wave(shape=shape):
+            assert shape != "step"
             return Wave(
-                shape=step.shape, low=step.low, high=step.high, period_s=step.period_s, duration_s=step.duration_s,
+                shape=shape, low=step.low, high=step.high, period_s=step.period_s, duration_s=step.duration_s,
                 period_end_s=step.period_end_s,
             )  # fmt: skip
         case _:

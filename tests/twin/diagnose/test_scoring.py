@@ -165,6 +165,8 @@ def test_rates_matrix_and_reliability_count_what_they_say() -> None:
         "strong: first": (1, 2),
         "medium: right (first, or in a class of at most 3)": (0, 1),
         "medium: first": (0, 1),
+        "one cause, right: a false name besides": (0, 1),
+        "one cause, right: unknown-cause all the same": (0, 1),
         "nothing hidden: false alarm": (1, 2),
         "outside: honest": (1, 1),
         "outside: false name": (0, 1),
