@@ -40,7 +40,7 @@ from twin.diagnose.menu import MENU, Item, schedule_of, sentence
 from twin.diagnose.operating import lift_off_input
 from twin.diagnose.playback import converters_of
 from twin.diagnose.select import MARGIN, Trial
-from twin.diagnose.synthetic import simulate
+from twin.diagnose.synthetic import input_limit, simulate
 from twin.identify.innovations import information
 from twin.identify.record import FloatArray, Record
 
@@ -134,6 +134,9 @@ def rank(
     plant = criterion.plant
     lift_off_v = lift_off_input(fit.theta, plant)
     steps = converters_of(criterion.evidence.records)
+    u_max_v = min(
+        (input_limit(one) for one in criterion.evidence.records if one.kind == "closed-loop"), default=math.inf
+    )
     causes = {name.partition(".")[0] for one in (fit, *members) for name, _ in one.theta.causes}
     held = [_tied(fit, member) for member in members]
     ranked = []
@@ -144,7 +147,14 @@ def rank(
         if not np.isfinite(schedule.command).all() or not np.isfinite(schedule.bursts).all():
             continue
         records = simulate(
-            fit.theta, plant, controller, schedule, seed=_SEED, tick_s=criterion.tick_s, converters=steps
+            fit.theta,
+            plant,
+            controller,
+            schedule,
+            seed=_SEED,
+            tick_s=criterion.tick_s,
+            converters=steps,
+            u_max_v=u_max_v,
         )
         if item.closed_loop and not _floats(records[0], criterion):
             continue

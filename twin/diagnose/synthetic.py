@@ -46,6 +46,7 @@ CAPTURE_S, CAPTURE_PRE, CAPTURE_COUNT = 40e-6, 100, 1000
 STATIC_ERROR = 0.003  # relative, of a steady current that somebody has written down
 _HEAD = 8  # samples that show where a piece begins
 _LIMIT_SAMPLES = 5  # equal largest inputs in a row: the limit
+_LIMIT_OVER = 1.1  # and so far above the median
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,7 +177,7 @@ def _again(
         y, speed = _start(theta, plant, record, piece, clamped)
         numbers, s = None, 0.0
         if closed_loop:
-            numbers = law_of(controller, theta, plant, record.interval_s, _input_limit(record))
+            numbers = law_of(controller, theta, plant, record.interval_s, input_limit(record))
             s = _recorded_integral(numbers, record, piece)
         out = np.empty((len(grid), 4))
         floor = float(y[X]) if record.kind == "sawtooth" and y[X] > PLATFORM_SHARE * plant.travel_m else None
@@ -312,9 +313,12 @@ def _recorded_integral(numbers: LawNumbers, record: Record, piece: slice) -> flo
     return 0.0
 
 
-def _input_limit(record: Record) -> float:
-    """The upper end of u_c where it stood at it, V."""
+def input_limit(record: Record) -> float:
+    """The upper end of u_c where the law stood at it, V; inf where it never did."""
     u = record.u_c[np.isfinite(record.u_c)]
-    top = float(u.max()) if len(u) else math.inf
-    run = np.convolve(u >= top, np.ones(_LIMIT_SAMPLES), "valid") if len(u) >= _LIMIT_SAMPLES else np.zeros(1)
-    return top if bool((run >= _LIMIT_SAMPLES).any()) else math.inf
+    if len(u) < _LIMIT_SAMPLES:
+        return math.inf
+    top = float(u.max())
+    stood = bool((np.convolve(u >= top, np.ones(_LIMIT_SAMPLES), "valid") >= _LIMIT_SAMPLES).any())
+    # A ball that hovers without noise has its largest u_c for long, too: that is no limit.
+    return top if stood and top > _LIMIT_OVER * float(np.median(u)) else math.inf

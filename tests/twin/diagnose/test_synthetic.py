@@ -31,7 +31,7 @@ from twin.diagnose.operating import (
     settled_current,
 )
 from twin.diagnose.playback import Converters, converters_of
-from twin.diagnose.synthetic import Schedule, resimulate, simulate
+from twin.diagnose.synthetic import Schedule, input_limit, resimulate, simulate
 from twin.identify.innovations import FLIES
 from twin.identify.record import Record
 from twin.model.causes.catalogue import CATALOGUE
@@ -267,3 +267,17 @@ def test_lost_samples_are_lost() -> None:
 
     assert abs(len(record.t) - 4500) < 4.0 * math.sqrt(5000 * 0.09)
     assert TICK_S == pytest.approx(float(np.median(np.diff(record.t))))
+
+
+def test_an_input_that_stood_at_its_limit_is_limited_there_in_a_repetition() -> None:
+    jump = np.where(np.arange(1000) < 500, 1.2e-3, 4.6e-3)
+    schedule = Schedule(name="jump", kind="closed-loop", command=jump, closed_loop=True)
+    hover = Schedule(name="hover", kind="closed-loop", command=jump[:500], closed_loop=True)
+    (limited,) = simulate(THETA, PLANT, controller(), schedule, seed=1, u_max_v=2.95)
+    (free,) = simulate(THETA, PLANT, controller(), hover, seed=1)
+
+    (again,) = resimulate(THETA, PLANT, controller(), [limited], seed=2)
+
+    assert input_limit(limited) == limited.u_c.max() < 2.96
+    assert again.u_c.max() == limited.u_c.max()
+    assert input_limit(free) == math.inf
