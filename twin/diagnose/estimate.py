@@ -15,6 +15,7 @@ import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,10 +69,14 @@ class Theta:
     def having(self, name: str, value: float) -> Theta:
         """With one number changed."""
         if "." not in name:
-            return replace(self, **{name: value})
+            return self._with(name, value)
         causes = dict(self.causes)
         causes[name] = value
         return replace(self, causes=tuple(causes.items()))
+
+    def _with(self, name: str, value: float) -> Theta:
+        number: dict[str, Any] = {name: value}
+        return replace(self, **number)
 
     def without(self, cause: str) -> Theta:
         """The same without one cause."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnose.estimate import Criterion, Theta
+from twin.diagnose.estimate import Criterion, Fit, Theta, climb
 from twin.identify.innovations import FLIES
 from twin.identify.record import FloatArray, runs
 from twin.model.causes import periodic_disturbance
@@ -35,10 +35,10 @@ class Line:
     shift_s: FloatArray  # of time, for each sample of the series, shape (n,)
 
 
-def find_line(criterion: Criterion, theta: Theta) -> Line | None:
-    """The strongest line, as a force; None where no recording is long enough."""
+def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None) -> Line | None:
+    """The strongest line, or the one at `frequency`, as a force; None where no recording is long enough."""
     series = criterion.evidence.series
-    frequency = _strongest(criterion, theta)
+    frequency = frequency or _strongest(criterion, theta)
     if frequency is None:
         return None
     probe = CAUSE.strength.probes[0]
@@ -79,6 +79,20 @@ def find_line(criterion: Criterion, theta: Theta) -> Line | None:
         chance=math.log(_PAD) + phases,
         shift_s=shift,
     )
+
+
+def rephased(criterion: Criterion, fit: Fit, passes: int) -> Fit:
+    """The fit with phases that belong to its own frequency; the old one where they gain nothing."""
+    frequency = fit.theta.value(FREQUENCY)
+    line = find_line(criterion, fit.theta.without(CAUSE.name), frequency)
+    if line is None:
+        return fit
+    before, criterion.shift_s = criterion.shift_s, line.shift_s
+    again = climb(criterion, fit.theta, fit.free, passes=passes)
+    if again.loglik > fit.loglik:
+        return again
+    criterion.shift_s = before
+    return fit
 
 
 def _strongest(criterion: Criterion, theta: Theta) -> float | None:

@@ -23,6 +23,7 @@ from protocol.campaign import Campaign, Plant
 from protocol.errors import DataError
 from twin.diagnose.adequacy import adequate, where_left
 from twin.diagnose.confidence import confidence_of
+from twin.diagnose.consistency import beginnings, contradictions
 from twin.diagnose.estimate import BASE, STOPS, Criterion, Fit, Theta, climb, most_drag, spreads
 from twin.diagnose.evidence import Evidence, gather
 from twin.diagnose.floor import Floor, floor_of
@@ -42,6 +43,7 @@ from twin.model.parameters import Model, Parameter
 
 Say = Callable[[str], None]
 LOST = "lost-samples"
+PERIODIC = "periodic-disturbance"
 
 
 def diagnose(
@@ -117,6 +119,12 @@ def diagnose_records(
             fine, why_not = adequate(criterion, found.fit, floor)
             where = "" if fine else where_left(criterion, found.fit)
             spread = spreads(criterion, found.fit)
+            warnings += contradictions(criterion, found.fit)
+            began = beginnings(criterion, found.fit, [name for name in found.causes if name != PERIODIC])
+            warnings += [
+                f"{late.cause} is not there from the start: it begins in {late.recording} at about {late.t_s:.0f} s"
+                for late in began
+            ]
     finally:
         criterion.close()
     lost = lost_samples([*records, *judges])

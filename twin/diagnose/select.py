@@ -29,8 +29,8 @@ SHARE = 0.2  # of the excess that is left
 MARGIN = 4.5
 MOST_CAUSES = 4
 FEW = 5  # candidates that are fitted in a round
-_SHORT = 5  # passes of a first fit
-_HOPELESS = 0.4  # of the best gain: a candidate that is so far behind after them is not fitted to the end
+_SHORT = 2  # passes of a first fit
+_HEATS = ((4, 0.2, 4), (PASSES, 0.5, 3))  # then: passes, least share of the best gain, most candidates that go on
 Say = Callable[[str], None]
 
 
@@ -86,6 +86,8 @@ def select(
         found.causes.append(step.taken)
         found.fit = step.trials[0].fit
         found.gains[step.taken] = step.trials[0].gain
+        if periodic.CAUSE.name in found.causes:
+            found.fit = periodic.rephased(criterion, found.fit, PASSES)
         say(f"taken: {step.taken} ({step.why})")
         if len(found.causes) > 1:
             _backward(criterion, found, say)
@@ -149,17 +151,26 @@ def _with_line(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score
 
 def _fitted(criterion: Criterion, at: Fit, scores: Sequence[Score]) -> list[Trial]:
     """Each candidate fitted, the leading ones to the end; best first."""
-    trials = []
-    for score in scores:
-        fit = climb(criterion, start_of(criterion, at.theta, score), _with(at.free, score.cause), passes=_SHORT)
-        trials.append(Trial(cause=score.cause, fit=fit, gain=fit.loglik - at.loglik - score.chance))
+    trials = [
+        Trial(
+            cause=score.cause,
+            fit=(
+                fit := climb(
+                    criterion, start_of(criterion, at.theta, score), _with(at.free, score.cause), passes=_SHORT
+                )
+            ),
+            gain=fit.loglik - at.loglik - score.chance,
+        )
+        for score in scores
+    ]
     trials.sort(key=lambda trial: -trial.gain)
-    for place, trial in enumerate(trials[:3]):
-        if trial.fit.converged or trial.gain < _HOPELESS * max(other.gain for other in trials):
-            continue
-        fit = climb(criterion, trial.fit.theta, trial.fit.free, passes=PASSES)
-        trials[place] = replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
-    return sorted(trials, key=lambda trial: -trial.gain)
+    for passes, hopeless, most in _HEATS:
+        for place, trial in enumerate(trials):
+            if place < most and not trial.fit.converged and trial.gain >= hopeless * trials[0].gain:
+                fit = climb(criterion, trial.fit.theta, trial.fit.free, passes=passes)
+                trials[place] = replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
+        trials.sort(key=lambda trial: -trial.gain)
+    return trials
 
 
 def _with(free: tuple[str, ...], cause: str) -> tuple[str, ...]:
