@@ -42,6 +42,7 @@ def run(args: argparse.Namespace) -> int:
     # Imported here: --help must not wait for numba and scipy.
     from twin.diagnose.pipeline import diagnose
     from twin.diagnose.result import to_json
+    from twin.diagnose.static_shell import rests_alone, run_static
     from twin.model.parameters import load_model, model_to_dict
 
     began = time.monotonic()
@@ -50,8 +51,14 @@ def run(args: argparse.Namespace) -> int:
         if not args.quiet:
             print(f"[{time.monotonic() - began:5.1f} s] {line}", file=sys.stderr, flush=True)
 
+    campaign = load(args.campaign)
+    if rests_alone(campaign):
+        model = load_model(args.model) if args.model else None
+        code, answer = run_static(campaign, data=args.data, model=model, out=args.out, as_json=args.json, say=say)
+        print(answer)
+        return code
     found = diagnose(
-        load(args.campaign),
+        campaign,
         data=args.data,
         model=load_model(args.model) if args.model else None,
         quick=args.quick,
