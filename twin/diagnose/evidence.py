@@ -1,7 +1,8 @@
 """A campaign as one series of flagged samples, with what the ball says while it lies at a stop.
 
 Rule 1: contact is told by the data, not by the number 0: a sensor with an offset or a wrong scale shows the stops at
-        other places, and that is evidence.  In open loop an unstable ball that stays within its noise for 50 ms is held.
+        other places, and that is evidence.  In open loop an unstable ball that stays within its noise for 50 ms is
+        held.
 Rule 2: places where it was held are stops only if all recordings agree on them; a ball that rested on a platform at
         another height each time gives lift-off currents (8) and nothing else.
 Rule 3: a judge recording never enters the series of the fit, and the other way round.
@@ -62,6 +63,11 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
     held = [held_samples(record, plant) for record in records]
     notes: list[str] = []
     low, high = _stops(records, held, plant, notes) if stops is None else stops
+    lifted = [_on_platform(record, still, low, plant) for record, still in zip(records, held, strict=True)]
+    if stops is None and any(lifted):
+        # Wherever a ball ends that jumped off a platform, it is no stop of the other recordings.
+        kept = [place for place, platform in enumerate(lifted) if not platform]
+        low, high = _stops([records[place] for place in kept], [held[place] for place in kept], plant, notes)
     parts: list[Series] = []
     times: list[FloatArray] = []
     usages: list[Usage] = []
@@ -70,13 +76,12 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         if record.kind == "equilibria":
             continue
         on_stop = _on(record, still, low, high, plant)
-        lifts = record.kind == "sawtooth"
-        if lifts and not (on_stop[0] | on_stop[1]).any():
+        if lifted[number]:
             platform.append(record)
+            on_stop = (on_stop[0] & False, on_stop[1] & False)
+        flies = record.kind == "sawtooth" and not lifted[number]
         scale, shift = _rescaling(low, high, plant)
-        told = replace(
-            record, x=(record.x - shift) * scale, kind="prbs" if lifts and record not in platform else record.kind
-        )
+        told = replace(record, x=(record.x - shift) * scale, kind="prbs" if flies else record.kind)
         series, (usage,) = prepare([told], plant)
         usage.kind = record.kind
         usages.append(usage)
@@ -106,6 +111,11 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         high_m=high,
         notes=tuple(notes),
     )
+
+
+def _on_platform(record: Record, still: BoolArray, low: float | None, plant: Plant) -> bool:
+    """Whether a sawtooth lifts the ball off something else than the lower stop."""
+    return record.kind == "sawtooth" and not _on(record, still, low, None, plant)[0].any()
 
 
 def held_samples(record: Record, plant: Plant) -> BoolArray:
@@ -204,7 +214,7 @@ def _join(parts: list[Series]) -> Series:
 
 
 def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
-    """Standard deviations (i_c in A, x in m) at rest, where no model is needed; None where nothing rested long enough."""
+    """Standard deviations (i_c in A, x in m) at rest, where no model is needed; None where nothing rested for long."""
     series = evidence.series
     rest = series.flags & (RESTS_LOW | RESTS_HIGH) != 0
     squares = [[0.0, 0], [0.0, 0]]
@@ -220,6 +230,34 @@ def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
                 squares[place][0] += float(residual @ residual)
                 squares[place][1] += HELD_SAMPLES - 2
     result = [float(np.sqrt(total / count)) if count > 300 and total > 0 else None for total, count in squares]
+    if None in result:
+        clamped = _clamped_noise(evidence)
+        result = [here if here is not None else other for here, other in zip(result, clamped, strict=True)]
+    return result[0], result[1]
+
+
+def _clamped_noise(evidence: Evidence) -> tuple[float | None, float | None]:
+    """As `sensor_noise`, from a clamped ball at the heights that are flown: some sensors' noise grows with the gap."""
+    series = evidence.series
+    flown = series.x[series.flags & FLIES != 0]
+    if not len(flown):
+        return None, None
+    low, high = np.quantile(flown, (0.01, 0.99))
+    found: list[list[float]] = [[], []]
+    for record in evidence.records:
+        if record.kind != "amplifier-step" or not record.has("u_c", "i_c", "x"):
+            continue
+        for start in range(HELD_SAMPLES, len(record.t) - HELD_SAMPLES + 1, HELD_SAMPLES):
+            window, settled = slice(start, start + HELD_SAMPLES), slice(start - HELD_SAMPLES, start + HELD_SAMPLES)
+            if np.ptp(record.u_c[settled]) != 0.0 or at_converter_end(record.i_c[window]).any():
+                continue
+            x = record.x[window]
+            for place, values in ((0, record.i_c[window]), (1, x if low <= float(np.median(x)) <= high else x[:0])):
+                if len(values) and np.isfinite(values).all():
+                    line = np.polynomial.polynomial.polyfit(_LINE, values, 1)
+                    residual = values - np.polynomial.polynomial.polyval(_LINE, line)
+                    found[place].append(float(residual @ residual) / (HELD_SAMPLES - 2))
+    result = [float(np.sqrt(np.mean(ones))) if len(ones) * HELD_SAMPLES > 300 else None for ones in found]
     return result[0], result[1]
 
 

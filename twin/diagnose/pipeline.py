@@ -169,9 +169,12 @@ def diagnose_records(
 
 def tick_of(records: Sequence[Record]) -> float:
     """The sampling interval of the flights."""
-    steps = [r.interval_s for r in records if r.kind in ("closed-loop", "prbs", "free", "sawtooth") and len(r.t) > 1]
-    good = [step for step in steps if math.isfinite(step)]
-    return float(np.median(good)) if good else 2e-3
+    for kinds in (("closed-loop", "prbs", "free"), ("sawtooth",)):
+        steps = [r.interval_s for r in records if r.kind in kinds and len(r.t) > 1]
+        good = [step for step in steps if math.isfinite(step)]
+        if good:
+            return float(np.median(good))
+    return 2e-3
 
 
 def start_theta(records: Sequence[Record], plant: Plant) -> Theta:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.identify.innovations import FOLLOWS, Series
+from twin.identify.innovations import FLIES, FOLLOWS, Series
 from twin.model.causes.cause import Cause
 
 _FACTORS = (1.02, 1.0, 0.98, 0.93)
 _RATE_FACTORS = (1.3, 1.0, 0.7, 0.4)
 _RATE_SPAN_S = 4e-4  # over which a rate of change is taken: in one sample of a capture it is all noise
+_DELAY_STEPS = (0.5, 1.5)  # sampling intervals: the likelihood of a delay has a kink at every whole one
 _ENOUGH = 20
 
 
@@ -25,6 +26,11 @@ def probes_of(cause: Cause, series: Series) -> tuple[float, ...]:
     if cause.name == "slew-rate-limit":
         fastest = fastest_change(series)
         return tuple(fastest * factor for factor in _RATE_FACTORS) if fastest > 0.0 else ()
+    if cause.name in ("actuation-delay", "sampling-delay"):
+        flown = series.step[(series.flags & FLIES != 0) & (series.step > 0.0)]
+        interval = float(np.median(flown)) if len(flown) else 0.0
+        more = [interval * steps for steps in _DELAY_STEPS if interval * steps > cause.strength.probes[0]]
+        return (*cause.strength.probes, *more)
     return cause.strength.probes
 
 
