@@ -14,6 +14,7 @@ from protocol.wire.messages import Shape
 from tests.twin.diagnose.simulated_rig import (
     ITEMS,
     MIDDLE_M,
+    PLANT,
     THETA,
     TICK_S,
     controller,
@@ -24,7 +25,8 @@ from tests.twin.diagnose.simulated_rig import (
     strong,
 )
 from tests.twin.identify.emulated_campaign import Lab
-from twin.diagnose.estimate import Criterion, Fit
+from twin.diagnose import experiments
+from twin.diagnose.estimate import Criterion, Fit, moved
 from twin.diagnose.experiments import ENOUGH_Z, Proposal, propose
 from twin.diagnose.measurements import measurement_for
 from twin.diagnose.menu import MENU, Item, Level, Wave, schedule_of, sentence
@@ -134,6 +136,41 @@ def test_the_separation_is_what_a_refit_with_the_experiment_finds(
     # z has a standard error of 1.  A clear misfit is partly taken for process noise, which the prediction does not do.
     assert found > 0.35 * predicted - 3.0
     assert found < 1.25 * predicted + 3.0
+
+
+def test_what_the_campaign_leaves_open_is_not_taken_for_a_difference(
+    gap_or_exponent: tuple[list[Record], Criterion, Fit, Fit, list[Proposal]],
+) -> None:
+    _, criterion, own, _, _ = gap_or_exponent
+    errors, place = 3.0, own.free.index(f"{GAP}.d_m")
+    along = own.covariance[:, place] / math.sqrt(own.covariance[place, place])  # the others follow, as in a fit
+    theta = own.theta
+    for name, by in zip(own.free, along, strict=True):
+        theta = moved(theta, name, errors * float(by), PLANT)
+    same = replace(own, theta=theta)
+
+    proposals = propose(criterion, own, GAP, [as_trial(GAP, same, own)], controller())
+
+    # Tied down by F_c, told by F_e: z^2 = errors^2 F_e / (F_c + F_e) < errors^2, a tenth for the noise levels.
+    assert max(one.separation_z for one in proposals) < 1.1 * errors
+    assert max(one.separation_z for one in proposals) > 0.5 * errors
+
+
+def test_an_experiment_four_times_as_long_tells_more_but_not_more_than_four(
+    gap_or_exponent: tuple[list[Record], Criterion, Fit, Fit, list[Proposal]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, criterion, own, rival, _ = gap_or_exponent
+    short = Item(name="wide-steps", kind="closed-loop", what="", parts=(
+        Wave(shape="rectangle", low=0.27, high=0.73, period_s=1.4, duration_s=4.2),
+    ))  # fmt: skip
+    long = replace(short, name="longer", parts=(replace(short.parts[0], duration_s=16.8),))
+    monkeypatch.setattr(experiments, "MENU", (short, long))
+
+    proposals = propose(criterion, own, GAP, [as_trial(EXPONENT, rival, own)], controller())
+
+    squares = {one.name: one.separation_z**2 - one.pairs[0].now_z ** 2 for one in proposals}
+    # Less than four: what the campaign ties down ties both.
+    assert 1.5 < squares["longer"] / squares["wide-steps"] < 4.1
 
 
 def test_causes_of_one_effect_are_not_separable_and_the_measurement_that_does_it_is_named() -> None:
