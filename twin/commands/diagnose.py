@@ -41,7 +41,9 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose, print, write."""
     # Imported here: --help must not wait for numba and scipy.
     from twin.diagnose.pipeline import diagnose
+    from twin.diagnose.report import to_html
     from twin.diagnose.result import to_json
+    from twin.diagnose.show import shown, to_dict
     from twin.diagnose.static_shell import rests_alone, run_static
     from twin.model.parameters import load_model, model_to_dict
 
@@ -66,9 +68,12 @@ def run(args: argparse.Namespace) -> int:
         workers=args.workers,
         say=say,
     )
-    text = json.dumps(to_json(found), indent=2, allow_nan=False)
+    say("what it gets wrong, before and after")
+    show = shown(found, campaign.controller, quick=args.quick, seed=args.seed)
+    text = json.dumps(to_json(found) | {"show": to_dict(show)}, indent=2, allow_nan=False)
     if args.out is not None:
         files = {
+            "report.html": to_html(found, show, campaign=args.campaign, out=args.out),
             "diagnosis.json": text + "\n",
             "extended_model.json": json.dumps(model_to_dict(found.extended), indent=2, allow_nan=False) + "\n",
         }
@@ -86,8 +91,9 @@ def run(args: argparse.Namespace) -> int:
         print(found.sentence)
         for cause in found.causes:
             others = ", ".join(member.name for member in cause.indistinguishable_from)
+            share = 100 * cause.share_of_excess_explained
             print(
-                f"  {cause.name}: confidence {cause.confidence:.2f}, explains {100 * cause.share_of_excess_explained:.0f} %"
+                f"  {cause.name}: confidence {cause.confidence:.2f}, explains {share:.0f} %"
                 + (f"; these data cannot tell it from {others}" if others else "")
             )
         for warning in found.warnings:

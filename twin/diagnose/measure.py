@@ -9,7 +9,8 @@ Rule 3: intervals by block bootstrap: errors 20 ms ahead overlap, blocks of half
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
@@ -41,6 +42,8 @@ class Gain:
     floor_m: float
     ci95_ratio: tuple[float, float]  # of extended over baseline
     count: int
+    # x_hat - x of every sample, baseline and extended, shape (2, n); NaN where one of them predicts nothing
+    errors_m: FloatArray = field(default_factory=lambda: np.empty((2, 0)), repr=False, compare=False)
 
     @property
     def removed(self) -> float:
@@ -77,6 +80,7 @@ def gain(
         floor_m=floor_rmse(evidence, after, floor, plant, tick_s, samples),
         ci95_ratio=bootstrap(first, second, max(round(BLOCK_S / tick_s), 1), seed),
         count=int(both.sum()),
+        errors_m=np.where(both, errors, np.nan),
     )
 
 
@@ -84,7 +88,7 @@ def bootstrap(first: FloatArray, second: FloatArray, block: int, seed: int) -> t
     """95 % interval of the ratio of root mean squares, second over first, by blocks."""
     count = max(len(first) // block, 1)
     edges = np.linspace(0, len(first), count + 1).astype(int)
-    sums = np.array([[first[a:b].sum(), second[a:b].sum()] for a, b in zip(edges[:-1], edges[1:], strict=True)])
+    sums = np.array([[first[a:b].sum(), second[a:b].sum()] for a, b in pairwise(edges)])
     drawn = np.random.default_rng(seed).integers(0, count, size=(DRAWS, count))
     totals = sums[drawn].sum(axis=1)
     ratios = np.sqrt(totals[:, 1] / np.maximum(totals[:, 0], 1e-300))

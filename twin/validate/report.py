@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.page import bullets, image, mark, paragraph, table, untested, whole
 from twin.validate.amplifier import CURRENT_FIGURES
 from twin.validate.figures import (
     ahead_figure,
@@ -19,7 +20,6 @@ from twin.validate.figures import (
     residual_figure,
     step_figure,
 )
-from twin.validate.page import CSS, bullets, image, mark, paragraph, table, untested
 from twin.validate.residuals import Channel
 from twin.validate.steps import FIGURES, Compared
 from twin.validate.verdict import ClosedLoop, Validation
@@ -86,10 +86,7 @@ def to_html(result: Validation, *, title: str) -> str:
     body += ["<h2>3 Prediction error against the noise floor</h2>", _ahead(result)]
     body += ["<h2>4 Residuals</h2>", _residuals(result.channels)]
     body += ["<h2>5 Closed loop, simulated and measured (figures 11 and 12)</h2>", _loop(result)]
-    return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        f"<style>{CSS}</style></head><body>{''.join(body)}</body></html>\n"
-    )
+    return whole(title, body)
 
 
 def _amplifier(result: Validation) -> str:

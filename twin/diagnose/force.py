@@ -1,0 +1,254 @@
+"""The force and the current that a model leaves unexplained, as functions of the state.
+
+Residual force: m (measured acceleration - acceleration of (6)).  A parabola through 30 ms of readings gives the
+acceleration; the model's is averaged with the same weights, so that a right model leaves 0 however fast things move.
+Residual current: what the filter did not foresee of i_c, one sample ahead.
+
+Rule 1: the model's acceleration starts from the filter's estimate at each sample and sees the current go to where the
+        next sample has it: what u_c should have done to the current does not enter the force.  A current taken as it
+        stands at the samples would be half an interval late, which looks like a drag.
+Rule 2: sensor effects that the model has are taken out of the readings first.
+Rule 3: a periodic force is left in the residual: its phase is nobody's function of the state.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.campaign import Plant
+from twin.compiled import Packed, kernel
+from twin.diagnose.estimate import Theta
+from twin.diagnose.evidence import Evidence
+from twin.diagnose.filter import OUT_COLUMNS, run_extended
+from twin.diagnose.regimes import Blocks, Estimate, by_edges, estimate, even_edges, means, shared_edges, solid
+from twin.identify.innovations import FLIES, FOLLOWS, USE_I, USE_X
+from twin.identify.record import FloatArray
+from twin.model.causes import periodic_disturbance, position_sensor_lag
+from twin.model.causes.catalogue import CATALOGUE
+from twin.model.extended import I_C, STATES, Base, V, X, advance, position_of_reading
+
+WINDOW_S = 0.03
+FEWEST = 7  # readings in a window
+GROUPS = 10
+_SPEED_SHARES = (0.002, 0.02, 0.08, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92, 0.98, 0.998)
+_INPUT_SHARES = tuple(float(share) for share in np.linspace(0.0, 1.0, 11))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Point:
+    """Mean residual of both models in one group of samples."""
+
+    at: float
+    baseline: Estimate
+    extended: Estimate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Curve:
+    """A mean residual over one quantity."""
+
+    name: str  # of the quantity
+    title: str
+    unit: str  # of `at`
+    residual_unit: str
+    points: tuple[Point, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Filtered:
+    """One model along a series."""
+
+    state: FloatArray  # shape (n, 6), NaN where the ball is not in the air
+    unforeseen_i_a: FloatArray  # i_c - predicted, one sample ahead, shape (n,)
+    force_n: FloatArray  # residual, shape (n,)
+    slope_m_s: FloatArray  # of the parabola: the filter's speed shares its noise with the residual, this one does not
+
+
+def filtered(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float) -> Filtered:
+    """The residuals of one model."""
+    s = evidence.series
+    state, out = np.empty((len(s), STATES)), np.empty((len(s), OUT_COLUMNS))
+    noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, tick_s)
+    base, c = tuple(theta.base(plant)), theta.vector()
+    c[periodic_disturbance.AMPLITUDE] = 0.0
+    stops = (theta.stop_low_m, theta.stop_high_m)
+    run_extended(base, c, noise, stops, evidence.t, s.step, s.u, s.i, s.x, s.flags, out, state)
+    modelled, seen = np.empty(len(s)), np.empty(len(s))
+    quiet = c.copy()
+    for cause in CATALOGUE:
+        if cause.family == "amplifier":
+            for parameter in cause.parameters:
+                quiet[parameter.place] = parameter.neutral
+    _along(base, quiet, state, s.x, s.step, s.flags, evidence.t, modelled, seen)
+    flies = (s.flags & FLIES != 0) & (s.flags & USE_X != 0) & np.isfinite(seen)
+    force, slope = np.full(len(s), np.nan), np.full(len(s), np.nan)
+    for piece in _recordings(s.recording):
+        force[piece], slope[piece] = _residual(
+            modelled[piece], seen[piece], s.step[piece], s.flags[piece], flies[piece]
+        )
+    known = np.isfinite(out[:, 0]) & (s.flags & USE_I != 0)
+    return Filtered(
+        state=state,
+        unforeseen_i_a=np.where(known, out[:, 0], np.nan),
+        force_n=plant.mass_kg * force,
+        slope_m_s=slope,
+    )
+
+
+@kernel
+def _along(
+    base: Packed,
+    c: NDArray[np.float64],
+    state: NDArray[np.float64],
+    reading: NDArray[np.float64],
+    step: NDArray[np.float64],
+    flags: NDArray[np.uint8],
+    t: NDArray[np.float64],
+    modelled: NDArray[np.float64],
+    seen: NDArray[np.float64],
+) -> None:
+    """Mean acceleration around each sample by the model, m/s^2, and the position behind each reading, m; shape (n,).
+
+    The second difference of x at sample k is T v' + p_k+1 - p_k, where v' is what the speed gains from k - 1 to k, and
+    p_k what x gains in that interval over x + T x'.
+    """
+    p = Base(*base)
+    y = np.empty(STATES)
+    gained, moved = np.nan, np.nan  # speed and position over the interval before
+    for n in range(len(reading)):
+        modelled[n] = np.nan
+        seen[n] = np.nan
+        if np.isnan(state[n, V]):
+            gained = np.nan
+            continue
+        prompt = reading[n] + c[position_sensor_lag.TAU] * state[n, V]
+        seen[n] = position_of_reading(p, c, prompt, state[n, I_C])
+        if n + 1 >= len(reading) or flags[n + 1] & FOLLOWS == 0 or np.isnan(state[n + 1, V]):
+            gained = np.nan
+            continue
+        T_s = step[n + 1]
+        for k in range(STATES):
+            y[k] = state[n, k]
+        left = math.exp(-T_s / p.T_A)
+        target = (state[n + 1, I_C] - state[n, I_C] * left) / (1.0 - left)
+        advance(base, c, y, target / p.K_A, t[n], T_s, False)
+        further = y[X] - state[n, X] - T_s * state[n, V]
+        if not np.isnan(gained):
+            modelled[n] = (T_s * gained + further - moved) / (T_s * T_s)
+        gained, moved = y[V] - state[n, V], further
+
+
+def _recordings(recording: NDArray[np.int32]) -> list[slice]:
+    edges = np.flatnonzero(np.diff(recording)) + 1
+    starts, stops = [0, *edges.tolist()], [*edges.tolist(), len(recording)]
+    return [slice(a, b) for a, b in zip(starts, stops, strict=True) if b > a]
+
+
+def _residual(
+    modelled: FloatArray, seen: FloatArray, step: FloatArray, flags: NDArray[np.uint8], flies: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray]:
+    """Measured - modelled acceleration in m/s^2 and speed in m/s at the middle of each unbroken window, shape (n,)."""
+    result, slope = np.full(len(seen), np.nan), np.full(len(seen), np.nan)
+    known = step[flies & (step > 0.0)]
+    if not len(known):
+        return result, slope
+    T_s = float(np.median(known))
+    half = max(round(0.5 * WINDOW_S / T_s), FEWEST // 2)
+    width = 2 * half + 1
+    if len(seen) < width:
+        return result, slope
+    inclined, weights = parabola(half, T_s)
+    # x'' of a ball that has a_k at sample k: each a_k enters the parabola with the double sum of the weights.
+    spread = np.cumsum(np.cumsum(weights))[:-2] * T_s * T_s
+    known_too = np.isfinite(modelled)
+    measured = np.convolve(np.where(flies, seen, 0.0), weights[::-1], "valid")
+    expected = np.convolve(np.where(known_too, modelled, 0.0)[1:-1], spread[::-1], "valid")
+    whole = np.convolve(flies, np.ones(width), "valid") >= width - 0.5
+    whole &= np.convolve(known_too[1:-1], np.ones(width - 2), "valid") >= width - 2.5
+    linked = np.convolve((flags & FOLLOWS != 0)[1:], np.ones(width - 1), "valid") >= width - 1.5
+    even = np.convolve(np.abs(step - T_s)[1:] > 0.05 * T_s, np.ones(width - 1), "valid") < 0.5
+    rises = np.convolve(np.where(flies, seen, 0.0), inclined[::-1], "valid")
+    good = whole & linked & even
+    result[half : half + len(measured)] = np.where(good, measured - expected, np.nan)
+    slope[half : half + len(measured)] = np.where(good, rises, np.nan)
+    return result, slope
+
+
+def parabola(half: int, T_s: float) -> tuple[FloatArray, FloatArray]:
+    """Weights of the readings in first (1/s) and second (1/s^2) derivative of their parabola, shape (2 half + 1,)."""
+    k = np.arange(-half, half + 1, dtype=np.float64)
+    rows = np.linalg.pinv(np.vander(k, 3, increasing=True))
+    return np.asarray(rows[1] / T_s), np.asarray(2.0 * rows[2] / T_s**2)
+
+
+def force_curves(models: tuple[Filtered, Filtered], evidence: Evidence, blocks: Blocks) -> list[Curve]:
+    """Residual force of baseline and extended model over x, x' and i_c."""
+    s = evidence.series
+    x, v, i = s.x, models[1].slope_m_s, s.i
+    flown = np.isfinite(models[0].force_n) & np.isfinite(models[1].force_n)
+    inside = [np.where(flown, values, np.nan) for values in (x, v, i)]
+    return [
+        curve
+        for curve in (
+            _curve("x", "position x", "m", "N", inside[0], even_edges(inside[0], GROUPS), models, blocks),
+            _curve("v", "speed x'", "m/s", "N", inside[1], shared_edges(inside[1], _SPEED_SHARES), models, blocks),
+            _curve("i", "current i_c", "A", "N", inside[2], even_edges(inside[2], GROUPS), models, blocks),
+        )
+        if curve is not None
+    ]
+
+
+def current_curves(models: tuple[Filtered, Filtered], evidence: Evidence, tick_s: float, blocks: Blocks) -> list[Curve]:
+    """Unforeseen current of both models over u_c, and over the change of u_c that came with it."""
+    s = evidence.series
+    u = np.concatenate(([np.nan], s.u[:-1]))
+    change = np.concatenate(([np.nan, np.nan], np.diff(s.u)[:-1]))
+    linked = s.flags & FOLLOWS != 0
+    usual = linked & (s.step > 0.5 * tick_s)
+    before = np.concatenate(([False], linked[:-1]))
+    known = usual & np.isfinite(models[0].unforeseen_i_a) & np.isfinite(models[1].unforeseen_i_a)
+    u, change = np.where(known, u, np.nan), np.where(known & before, change, np.nan)
+    return [
+        curve
+        for curve in (
+            _curve("u", "input u_c", "V", "A", u, shared_edges(u, _INPUT_SHARES), models, blocks),
+            _curve("du", "change of u_c", "V", "A", change, shared_edges(change, _SPEED_SHARES), models, blocks),
+        )
+        if curve is not None
+    ]
+
+
+def _curve(
+    name: str,
+    title: str,
+    unit: str,
+    residual_unit: str,
+    values: FloatArray,
+    edges: FloatArray,
+    models: tuple[Filtered, Filtered],
+    blocks: Blocks,
+) -> Curve | None:
+    if len(edges) < 3:
+        return None
+    labels, groups = by_edges(values, edges), len(edges) - 1
+    where, _, samples, pieces = means(np.where(labels >= 0, values, 0.0), labels, groups, blocks)
+    sides = []
+    for model in models:
+        residual = model.force_n if residual_unit == "N" else model.unforeseen_i_a
+        mean, drawn, _, _ = means(np.where(labels >= 0, residual, 0.0), labels, groups, blocks)
+        sides.append((mean, drawn))
+    points = tuple(
+        Point(
+            at=float(where[k]),
+            baseline=estimate(float(sides[0][0][k]), sides[0][1][:, k]),
+            extended=estimate(float(sides[1][0][k]), sides[1][1][:, k]),
+        )
+        for k in np.flatnonzero(solid(samples, pieces))
+    )
+    if len(points) < 2:
+        return None
+    return Curve(name=name, title=title, unit=unit, residual_unit=residual_unit, points=points)

@@ -1,0 +1,124 @@
+"""The part of the report that names: the search round by round, each cause with what to do, what was not the cause."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping
+
+from twin.diagnose.figures import round_figure
+from twin.diagnose.result import Diagnosis, Finding, Proposal
+from twin.diagnose.select import THRESHOLD
+from twin.diagnose.words import quantity
+from twin.model.causes.catalogue import BY_NAME
+from twin.model.parameters import Parameter
+from twin.page import drawing, figures, folded, paragraph, table
+
+
+def ranking(found: Diagnosis) -> str:
+    """Each round of the search as bars."""
+    rounds = found.selection.rounds
+    drawings = [
+        drawing(round_figure(step, number, THRESHOLD), f"Round {number}: {step.why}")
+        for number, step in enumerate(rounds, start=1)
+        if step.scores
+    ]
+    if not drawings:
+        return paragraph("No cause was tried.")
+    text = (
+        "By how much each cause would improve the log-likelihood of all recordings for fitting together. Dark: fitted, "
+        "with everything else fitted again; pale: estimated by its score; green with a tick: taken. The dotted line is "
+        f"what a cause must gain at least ({THRESHOLD:g}, so that chance hardly ever brings in one of two dozen). "
+        "Causes that these recordings cannot show are left out. The search ends when nothing earns its place."
+    )
+    return figures(drawings) + paragraph(text)
+
+
+def causes(found: Diagnosis) -> str:
+    """A card for each cause."""
+    return "".join(_card(finding, number, len(found.causes)) for number, finding in enumerate(found.causes, start=1))
+
+
+def _card(finding: Finding, number: int, count: int) -> str:
+    known = BY_NAME[finding.name]
+    head = f"{number}. {finding.name}" if count > 1 else finding.name
+    share = f"{100 * finding.share_of_excess_explained:.0f} % of what the baseline lacks"
+    entries = [
+        ("Equation", f"{known.equation} ({known.acts_on})"),
+        ("Where it comes from", known.source),
+        ("What it leaves in recordings", known.signature),
+        ("Where it shows", ", ".join(known.shows_in)),
+        ("How to confirm it by hand", known.confirm),
+        ("What to do about it", known.cure),
+    ]
+    listed = "".join(f"<dt>{name}</dt><dd>{html.escape(_sentence(text))}</dd>" for name, text in entries if text)
+    return (
+        f'<div class="card"><h3>{html.escape(head)}</h3><p><b>{html.escape(_sentence(finding.sentence))}</b> '
+        f"It explains {share}; confidence {100 * finding.confidence:.0f} %.</p>"
+        f"<p>{_parameters(finding.name, finding.parameters)}</p><dl>{listed}</dl>{_class(finding)}</div>"
+    )
+
+
+def _parameters(cause: str, parameters: Mapping[str, Parameter]) -> str:
+    parts = []
+    for entry in BY_NAME[cause].parameters:
+        parameter = parameters[entry.name]
+        text = f"{entry.symbol} = {quantity(parameter.value, entry.unit)}"
+        if parameter.ci95 is not None:
+            low, high = (quantity(end, entry.unit) for end in parameter.ci95)
+            text += f" (95 %: {low} to {high})"
+        parts.append(text)
+    return html.escape("; ".join(parts))
+
+
+def _class(finding: Finding) -> str:
+    members = finding.indistinguishable_from
+    if not members:
+        return paragraph("No other cause of the catalogue explains these recordings as well.")
+    rows = [
+        [
+            html.escape(finding.name),
+            html.escape(BY_NAME[finding.name].title),
+            _parameters(finding.name, finding.parameters),
+        ]
+    ]
+    rows += [
+        [html.escape(one.name), html.escape(BY_NAME[one.name].title), _parameters(one.name, one.parameters)]
+        for one in members
+    ]
+    text = "These recordings cannot tell it from the following; each explains them as well, with these sizes:"
+    return paragraph(text) + table(["cause", "", "size"], rows, words=True) + _next(finding.next_experiment)
+
+
+def _next(proposal: Proposal | None) -> str:
+    if proposal is None:
+        return paragraph("No experiment was computed that would tell them apart.")
+    text = f"Next experiment: {_sentence(proposal.what)}"
+    if proposal.command:
+        text += f" It separates them by {proposal.separation_z:.0f} standard errors."
+    command = f"<pre>{html.escape(proposal.command)}</pre>" if proposal.command else ""
+    return paragraph(text) + command
+
+
+def not_the_cause(found: Diagnosis) -> str:
+    """What was ruled out, and what could not be tested."""
+    parts = []
+    if found.ruled_out:
+        rows = [[entry.name, BY_NAME[entry.name].title, entry.why] for entry in found.ruled_out]
+        parts.append(
+            paragraph("Tried, and ruled out but for a size that these recordings would not show:")
+            + table(["cause", "", "at most"], [[html.escape(cell) for cell in row] for row in rows], words=True)
+        )
+    if found.not_testable:
+        rows = [[entry.name, BY_NAME[entry.name].title, entry.why] for entry in found.not_testable]
+        parts.append(
+            folded(
+                f"Not testable with these recordings: {len(rows)}",
+                table(["cause", "", "why"], [[html.escape(cell) for cell in row] for row in rows], words=True),
+            )
+        )
+    return "".join(parts) or paragraph("Every cause of the catalogue is named above.")
+
+
+def _sentence(text: str) -> str:
+    text = text[:1].upper() + text[1:]
+    return text if text.endswith((".", "!", "?")) else text + "."
