@@ -90,13 +90,15 @@ def propose(
         rivals: those that the recordings cannot tell from it, fitted.
         controller: of the board; None: LQI designed for the rig.
     """
+    if not rivals:
+        return []
     ranked = rank(criterion, fit, controller, [trial.fit for trial in rivals])
     now = [math.sqrt(2.0 * max(fit.loglik - trial.fit.loglik, 0.0)) for trial in rivals]
     best = [max((zs[k] for _, zs in ranked), default=0.0) for k in range(len(rivals))]
     can = [z >= ENOUGH_Z for z in best]
     proposals = []
     lift_off_v = lift_off_input(fit.theta, criterion.plant)
-    for item, zs in ranked if rivals else []:
+    for item, zs in ranked:
         pairs = tuple(
             Pair(
                 own=own,
