@@ -5,17 +5,19 @@ Rule: what is judged is what the board will hold, the gains after rounding to it
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import DataError
-from twin.control import linearise
+from twin.control import equilibrium, linearise
 from twin.design.board import Converters, QuantisedGain, from_order_of, quantise
 from twin.design.gains import Law, OperatingPoint, Weights, bryson, design_gains, in_order_of, operating_point
 from twin.design.loop import (
     Controller,
+    Gains,
     Noise,
     backward,
     closed_loop,
@@ -23,10 +25,14 @@ from twin.design.loop import (
     kalman_gain,
     noise_rms,
     observer,
+    radius,
 )
 from twin.design.margins import Margins, margins
 from twin.design.robust import Robustness, over_intervals, plant_at, stable_range_m
+from twin.linear import delay_s
+from twin.model.extension import sentences
 from twin.model.parameters import Model
+from twin.simulate import left_out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,6 +70,7 @@ class Design:
     observer_robustness: Robustness | None
     stable_range_m: tuple[float, float]
     warnings: tuple[str, ...]
+    causes: tuple[str, ...] = ()  # those of the model, and what they change
 
     @property
     def board(self) -> Judged:
@@ -129,7 +136,33 @@ def design(
         observer_robustness=None if filter_gain is None else robustness(candidates[-1][1]),
         stable_range_m=stable_range_m(model, on_board, point.x_m, sample_time_s),
         warnings=_unsure(model) + _warnings(loops[2], box, point, u_max_v),
+        causes=_changes(model, point, weights, K, sample_time_s, law),
     )
+
+
+def _changes(
+    model: Model, point: OperatingPoint, weights: Weights, K: Gains, sample_time_s: float, law: Law
+) -> tuple[str, ...]:
+    """What the causes of the model are, and what the design would have been without them."""
+    if not model.causes:
+        return ()
+    plain = dataclasses.replace(model, causes=())
+    i, u = equilibrium(plain, point.x_m)
+    without = design_gains(
+        plain, OperatingPoint(i_a=i, x_m=point.x_m, u_v=u), weights, sample_time_s=sample_time_s, law=law
+    )
+    plant = plant_at(model, point.x_m, sample_time_s)
+    said = sentences(model) + left_out(model)
+    said.append(f"without them: i_c = {i:.4f} A and u_c = {u:.4f} V would hold the ball there")
+    said.append(
+        "gains without them: "
+        + ", ".join(f"{gain:.6g}" for gain in in_order_of(law, without))
+        + f"; on this model their largest |pole| is {radius(plant, backward(without, sample_time_s)):.4f},"
+        + f" that of the design {radius(plant, backward(K, sample_time_s)):.4f}"
+    )
+    if any(cause.name == "coulomb-friction" for cause in model.causes):
+        said.append("dry friction is left out of the linear design: at rest it holds the ball, in motion it brakes")
+    return tuple(said)
 
 
 def require_known(model: Model) -> None:
@@ -166,12 +199,13 @@ def _judge(
 ) -> Judged:
     plant = plant_at(model, point.x_m, sample_time_s)
     poles = np.linalg.eigvals(closed_loop(plant, controller)).astype(np.complex128)
+    own_delay_s = delay_s(model) if model.causes else 0.0
     x, u = noise_rms(plant, controller, noise)
     x_analog, u_analog = noise_rms(plant, controller, _noise(model, sample_time_s, None))
     return Judged(
         name=name,
         poles=poles[np.argsort(-np.abs(poles), kind="stable")],
-        margins=margins(*linearise(model, point.x_m), controller, sample_time_s),
+        margins=margins(*linearise(model, point.x_m), controller, sample_time_s, own_delay_s=own_delay_s),
         x_rms_m=x,
         u_rms_v=u,
         x_rms_analog_m=x_analog,

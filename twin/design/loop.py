@@ -23,7 +23,7 @@ Gains = tuple[float, float, float, float]  # [k_i, k_x, k_v, k_int] of the law u
 class Plant(NamedTuple):
     """(15)."""
 
-    phi: NDArray[np.float64]  # (3, 3)
+    phi: NDArray[np.float64]  # (3, 3); with causes and delays more, the first three as they read
     gamma: NDArray[np.float64]  # (3, 1)
 
 
@@ -67,45 +67,65 @@ def backward(K: Gains, sample_time_s: float) -> Controller:
 
 
 def kalman_gain(plant: Plant, noise: Noise) -> NDArray[np.float64]:
-    """Stationary filter gain L of p(k|k) = p(k|k-1) + L (y - p(k|k-1)), shape (3, 2), from i_c and x.
+    """Stationary gain L of p(k|k) = p(k|k-1) + L (y - p(k|k-1)), shape (n, 2) for n states, from i_c and x.
 
     Solved in units of the noise: squares of amperes and of micrometres side by side cost the solver its digits.
     """
     phi, gamma = plant
-    scale = np.array([np.sqrt(noise.i), np.sqrt(noise.x), np.sqrt(noise.x) * abs(phi[2, 1])])
+    n = len(phi)
+    scale = np.ones(n)
+    pull = np.max(np.abs(phi[2, 1:]) * (np.arange(1, n) != 2))  # of a position on the speed, 1/s
+    scale[:3] = np.sqrt(noise.i), np.sqrt(noise.x), np.sqrt(noise.x) * pull
     A = phi * scale[None, :] / scale[:, None]
-    process = noise.u * gamma @ gamma.T + np.diag([noise.process_i, 0.0, noise.process_v])
-    H = np.eye(2, 3)
+    process = noise.u * gamma @ gamma.T
+    process[0, 0] += noise.process_i
+    process[2, 2] += noise.process_v
+    H = np.eye(2, n)
     P = solve_discrete_are(A.T, H.T, process / np.outer(scale, scale), np.eye(2))
     gain = np.linalg.solve(H @ P @ H.T + np.eye(2), H @ P).T
     return np.asarray(gain * scale[:, None] / scale[None, :2])
 
 
 def observer(K: Gains, plant: Plant, filter_gain: NDArray[np.float64], sample_time_s: float) -> Controller:
-    """LQG: K on the filtered state; z = [i_c, x, x' predicted for this tick, s]."""
+    """LQG: K on the filtered state; z = [i_c, x, x' (and what follows them) predicted for this tick, s]."""
     phi, gamma = plant
-    K_p = np.array([K[:3]])
-    gain = np.hstack([filter_gain, np.zeros((3, 1))])
-    read = np.hstack([-K_p @ (np.eye(3) - gain), [[-K[3]]]])
+    n = len(phi)
+    K_p = np.zeros((1, n))
+    K_p[0, :3] = K[:3]
+    gain = np.zeros((n, n))  # of y = p: only i_c and x are measured
+    gain[:, :2] = filter_gain
+    read = np.hstack([-K_p @ (np.eye(n) - gain), [[-K[3]]]])
     direct = -K_p @ gain
-    A, B = np.zeros((4, 4)), np.zeros((4, 3))
-    A[:3, :3] = phi @ (np.eye(3) - gain)
-    A[:3] += gamma @ read
-    A[3, 3] = 1.0
-    B[:3] = phi @ gain + gamma @ direct
-    B[3, 1] = -sample_time_s
+    A, B = np.zeros((n + 1, n + 1)), np.zeros((n + 1, n))
+    A[:n, :n] = phi @ (np.eye(n) - gain)
+    A[:n] += gamma @ read
+    A[n, n] = 1.0
+    B[:n] = phi @ gain + gamma @ direct
+    B[n, 1] = -sample_time_s
     return Controller(A, B, read, direct)
 
 
+def seeing(plant: Plant, controller: Controller) -> Controller:
+    """The controller on a plant of more states (causes, delays) than it was written for: none sees more than three."""
+    n = len(plant.phi)
+    if n == controller.B.shape[1]:
+        return controller
+    B, direct = np.zeros((len(controller.A), n)), np.zeros((1, n))
+    B[:, :3], direct[:, :3] = controller.B[:, :3], controller.D[:, :3]
+    return controller._replace(B=B, D=direct)
+
+
 def closed_loop(plant: Plant, controller: Controller) -> NDArray[np.float64]:
-    """F of [p, z](k+1) = F [p, z](k), shape (3 + n, 3 + n)."""
+    """F of [p, z](k+1) = F [p, z](k), shape (states of the plant + n,) * 2."""
     phi, gamma = plant
-    A, B, read, direct = controller
+    A, B, read, direct = seeing(plant, controller)
     return np.block([[phi + gamma @ direct, gamma @ read], [B, A]])
 
 
 def radius(plant: Plant, controller: Controller) -> float:
-    """Largest |pole|; stable below 1."""
+    """Largest |pole|; stable below 1; infinite where the plant has no equilibrium to linearise at."""
+    if not np.isfinite(plant.phi).all():
+        return np.inf
     return float(np.max(np.abs(np.linalg.eigvals(closed_loop(plant, controller)))))
 
 
@@ -114,11 +134,11 @@ def noise_rms(plant: Plant, controller: Controller, noise: Noise) -> tuple[float
     if radius(plant, controller) >= 1.0:
         return np.inf, np.inf
     gamma = plant.gamma
-    B, read, direct = controller.B, controller.C, controller.D
-    n = len(controller.A)
-    G = np.zeros((3 + n, 5))  # of [n_i, n_x, n_u, w_i, w_v]
-    G[:3, :2], G[3:, :2] = gamma @ direct[:, :2], B[:, :2]
-    G[:3, 2:3] = gamma
+    _, B, read, direct = seeing(plant, controller)
+    m, n = len(gamma), len(controller.A)
+    G = np.zeros((m + n, 5))  # of [n_i, n_x, n_u, w_i, w_v]
+    G[:m, :2], G[m:, :2] = gamma @ direct[:, :2], B[:, :2]
+    G[:m, 2:3] = gamma
     G[0, 3] = G[2, 4] = 1.0
     P = discrete_lyapunov(closed_loop(plant, controller), G @ np.diag(noise) @ G.T)
     H = np.hstack([direct, read])

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
-from twin.design.loop import Controller, Plant, radius
+from twin.design.loop import Controller, Plant, radius, seeing
+from twin.linear import late
 
 GAIN_MAX = 1000.0
 DELAY_MAX_TICKS = 25
@@ -32,19 +32,32 @@ class Margins:
 
 
 def margins(
-    A: NDArray[np.float64], B: NDArray[np.float64], controller: Controller, sample_time_s: float
+    A: NDArray[np.float64],
+    B: NDArray[np.float64],
+    controller: Controller,
+    sample_time_s: float,
+    *,
+    own_delay_s: float = 0.0,
 ) -> Margins | None:
-    """Margins of `controller` on the continuous plant (14) `A`, `B`; None where the loop is unstable as it is."""
-    plant = delayed_plant(A, B, 0.0, sample_time_s)
-    if _radius(plant, controller) >= 1.0:
+    """Margins of `controller` on the continuous plant (14) `A`, `B`; None where the loop is unstable as it is.
+
+    Args:
+        A: shape (n, n).
+        B: shape (n, 1).
+        controller: on the first three states.
+        sample_time_s: T_s.
+        own_delay_s: of the model; the delay margin is what may come on top.
+    """
+    plant = delayed_plant(A, B, own_delay_s, sample_time_s)
+    if radius(plant, controller) >= 1.0:
         return None
 
     def with_gain(factor: float) -> bool:
         scaled = controller._replace(C=controller.C * factor, D=controller.D * factor)
-        return _radius(plant, scaled) < 1.0
+        return radius(plant, scaled) < 1.0
 
     def with_delay(delay_s: float) -> bool:
-        return _radius(delayed_plant(A, B, delay_s, sample_time_s), controller) < 1.0
+        return radius(delayed_plant(A, B, own_delay_s + delay_s, sample_time_s), controller) < 1.0
 
     factors = np.geomspace(1.0, GAIN_MAX, 150)[1:].tolist()
     low = _first_loss(lambda inverse: with_gain(1.0 / inverse), 1.0, factors)
@@ -62,36 +75,7 @@ def delayed_plant(A: NDArray[np.float64], B: NDArray[np.float64], delay_s: float
 
     States [i_c, x, x', u(k-1), u(k-2), ..]; the first three are what the controller measures.
     """
-    whole, part_s = divmod(delay_s, sample_time_s)
-    held, n = int(whole), len(A)
-    phi = expm(A * sample_time_s)
-
-    def integral(duration_s: float) -> NDArray[np.float64]:
-        block = np.zeros((n + 1, n + 1))
-        block[:n, :n], block[:n, n:] = A, B
-        return np.asarray(expm(block * duration_s)[:n, n:])
-
-    new = integral(sample_time_s - part_s)
-    old = expm(A * (sample_time_s - part_s)) @ integral(part_s)
-    taps = [new if age == held else old if age == held + 1 else np.zeros((n, 1)) for age in range(held + 2)]
-    if delay_s == 0.0:
-        return Plant(phi, new)
-    size = n + held + 1
-    F, G = np.zeros((size, size)), np.zeros((size, 1))
-    F[:n, :n] = phi
-    F[:n, n:] = np.hstack(taps[1:])
-    F[n + 1 :, n:-1] = np.eye(held)
-    G[:n], G[n, 0] = taps[0], 1.0
-    return Plant(F, G)
-
-
-def _radius(plant: Plant, controller: Controller) -> float:
-    extra = len(plant.phi) - 3
-    blind = np.zeros((len(controller.A), extra))
-    return radius(
-        plant,
-        controller._replace(B=np.hstack([controller.B, blind]), D=np.hstack([controller.D, np.zeros((1, extra))])),
-    )
+    return Plant(*late(A, B, delay_s, sample_time_s))
 
 
 def _first_loss(holds: Callable[[float], bool], start: float, values: Iterable[float]) -> float:
@@ -124,7 +108,7 @@ def phase_margin_deg(plant: Plant, controller: Controller) -> float:
 def _loop_gain(plant: Plant, controller: Controller, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
     """L at `omega` rad per tick, shape of `omega`."""
     z = np.exp(1j * omega)[:, None, None]
-    A, B, read, direct = controller
+    A, B, read, direct = seeing(plant, controller)
     y = np.linalg.solve(z * np.eye(len(plant.phi)) - plant.phi, plant.gamma[None].astype(complex))
     u = read @ np.linalg.solve(z * np.eye(len(A)) - A, B @ y) + direct @ y
     return np.asarray(-u[:, 0, 0])

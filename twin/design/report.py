@@ -41,6 +41,7 @@ def everything(design: Design) -> dict[str, Any]:
         "robustness": _box(design.robustness),
         "observer_robustness": None if design.observer_robustness is None else _box(design.observer_robustness),
         "stable": design.board.stable,
+        "causes": list(design.causes),
         "warnings": list(design.warnings),
     }
 
@@ -81,6 +82,8 @@ def table(design: Design) -> str:
     if design.observer_robustness is not None:
         lines.append(f"  with the Kalman filter: {_said(design.observer_robustness)}")
         lines.append("the Kalman filter is for comparison: the board has no observer and cannot run it")
+    if design.causes:
+        lines += ["", "causes in this model:", *(f"  {line}" for line in design.causes)]
     return "\n".join(lines + [f"! {warning}" for warning in design.warnings])
 
 

@@ -15,12 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.control import c2d, linearise
+from twin.control import discrete
 from twin.design.loop import Controller, Plant, radius
-from twin.model.parameters import PARAMETERS, Model
+from twin.model.parameters import PARAMETERS, Model, Parameter
 
 SAMPLES = 400
 POSITIONS = 39
+CORNERS = 256  # eight parameters; of more, not every corner
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,9 +47,16 @@ def over_intervals(
             low, high = sorted(min(max(end, lowest), highest) for end in parameter.ci95)
             if high > low:
                 box[name] = (low, high)
-    fixed = tuple(name for name in model.parameters if name not in box)
+    causes = {f"{cause.name}.{name}": p for cause in model.causes for name, p in cause.parameters.items()}
+    for name, parameter in causes.items():
+        if parameter.ci95 is not None:
+            low, high = (within_range(name, end) for end in sorted(parameter.ci95))
+            if high > low:
+                box[name] = (low, high)
+    fixed = tuple(name for name in (*model.parameters, *causes) if name not in box)
     rng = np.random.default_rng(seed)
-    plants = [dict(zip(box, corner, strict=True)) for corner in itertools.product(*box.values())]  # [{}] without a box
+    ends = list(itertools.islice(itertools.product(*box.values()), CORNERS))  # [()] without a box
+    plants = [dict(zip(box, corner, strict=True)) for corner in ends]
     if box:
         plants += [{name: float(rng.uniform(*ends)) for name, ends in box.items()} for _ in range(samples)]
     radii = [radius(plant_at(_with(model, values), x_m, sample_time_s), controller) for values in plants]
@@ -80,10 +88,26 @@ def stable_range_m(model: Model, controller: Controller, x_m: float, sample_time
 
 
 def plant_at(model: Model, x_m: float, sample_time_s: float) -> Plant:
-    """(14) and (15) at `x_m`."""
-    return Plant(*c2d(*linearise(model, x_m), sample_time_s))
+    """(14) and (15) at `x_m`, with the model's delays."""
+    return Plant(*discrete(model, x_m, sample_time_s))
+
+
+def within_range(name: str, value: float) -> float:
+    """`cause.parameter`, moved into its physical range."""
+    from twin.model.causes.catalogue import BY_NAME
+
+    cause, _, parameter = name.partition(".")
+    known = next(one for one in BY_NAME[cause].parameters if one.name == parameter)
+    return min(max(value, known.low), known.high)
 
 
 def _with(model: Model, values: Mapping[str, float]) -> Model:
-    changed = {name: dataclasses.replace(model.parameters[name], value=value) for name, value in values.items()}
-    return dataclasses.replace(model, parameters={**model.parameters, **changed})
+    def changed(prefix: str, parameters: Mapping[str, Parameter]) -> dict[str, Parameter]:
+        return {
+            name: dataclasses.replace(p, value=values.get(prefix + name, p.value)) for name, p in parameters.items()
+        }
+
+    causes = tuple(
+        dataclasses.replace(cause, parameters=changed(f"{cause.name}.", cause.parameters)) for cause in model.causes
+    )
+    return dataclasses.replace(model, parameters=changed("", model.parameters), causes=causes)
