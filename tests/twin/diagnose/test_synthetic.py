@@ -34,9 +34,9 @@ from twin.diagnose.playback import Converters, converters_of
 from twin.diagnose.synthetic import Schedule, input_limit, resimulate, simulate
 from twin.identify.innovations import FLIES
 from twin.identify.record import Record
-from twin.model.causes.catalogue import CATALOGUE
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 
-STRENGTHS = {
+STRENGTHS = {  # clear effects under which the loop still holds the ball; others: their first probe
     "amplifier-gain-drift": 0.05,
     "current-limit": 0.75,
     "slew-rate-limit": 300.0,
@@ -66,13 +66,9 @@ STRENGTHS = {
 }
 
 
-def test_every_cause_has_a_strength_here() -> None:
-    assert set(STRENGTHS) == {cause.name for cause in CATALOGUE}
-
-
-@pytest.mark.parametrize("cause", sorted(STRENGTHS))
+@pytest.mark.parametrize("cause", [cause.name for cause in CATALOGUE])
 def test_a_rig_with_a_cause_surprises_the_filter_that_knows_it_no_more_than_noise_does(cause: str) -> None:
-    theta = strong(cause, STRENGTHS[cause])
+    theta = strong(cause, STRENGTHS.get(cause, BY_NAME[cause].strength.probes[0]))
     records = [*narrow(theta, seconds=4.0), *made(ITEMS["multisine"], theta)]
     criterion = criterion_of(records)
 
