@@ -38,6 +38,7 @@ from twin.model.extended import (
 
 _DELTA = (1e-5, 1e-7, 1e-5)  # A, m, m/s
 _MOST_V = 1e3
+_SETTLING, _SETTLING_STEP_S = 2000, 5e-3
 
 
 def carrying_current(theta: Theta, plant: Plant, x_m: float) -> float:
@@ -52,15 +53,21 @@ def carrying_current(theta: Theta, plant: Plant, x_m: float) -> float:
     return _bisected(lambda i: acceleration(p, c, i, x_m, 0.0, 0.0) > 0.0, top)
 
 
-def settled_current(theta: Theta, plant: Plant, u_v: float, warmth_a2: float | None = None) -> float:
-    """What i_c comes to under a constant u_c, A; the coil as warm as that current makes it, unless told."""
-    p, c = theta.base(plant), theta.vector()
-    if warmth_a2 is not None:
-        return drive(p, c, u_v, warmth_a2)
-    i = 0.0
-    for _ in range(50):
-        i = drive(p, c, u_v, i * i)
-    return i
+def settled_current(theta: Theta, plant: Plant, u_v: float, x_m: float = 0.0) -> float:
+    """What i_c comes to under a constant u_c, A, the ball held at x and the coil as warm as that current makes it.
+
+    Played, not solved: whatever bends the amplifier's response is in the equations of motion alone.
+    """
+    base, c = tuple(theta.base(plant)), theta.vector()
+    y = np.zeros(STATES)
+    y[I_C] = y[FIELD] = drive(theta.base(plant), c, u_v, 0.0)
+    for _ in range(_SETTLING):
+        before = float(y[I_C])
+        y[X], y[V], y[WARMTH] = x_m, 0.0, before**2
+        advance(base, c, y, u_v, 0.0, _SETTLING_STEP_S, True)
+        if abs(y[I_C] - before) <= 1e-12:
+            break
+    return float(y[I_C])
 
 
 def carrying_input(theta: Theta, plant: Plant, i_a: float, warmth_a2: float | None = None) -> float:
