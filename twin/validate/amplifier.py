@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.identify.record import FloatArray, intervals, runs
 from twin.model.parameters import Model
+from twin.validate.extended import current
 from twin.validate.source import Source, chosen
 from twin.validate.steps import FIGURES, SMALLEST_SIGMAS, Compared, Step, compared, measure
 
@@ -135,20 +136,28 @@ def _traces(source: Source, model: Model) -> list[AmplifierTrace]:
     chain = known.copy()
     chain[1:] &= follows[1:] | ~known[:-1]
     for piece in runs(np.asarray(chain), 50):
-        traces.append(
-            _trace(record.name, record.u_c[piece], record.i_c[piece], step[piece], float(record.i_c[piece][0]), model)
-        )
+        u, i, x = record.u_c[piece], record.i_c[piece], np.nan_to_num(record.x[piece])
+        traces.append(_trace(record.name, u, i, step[piece], float(i[0]), model, x))
     return traces
 
 
 def _trace(
-    name: str, u: FloatArray, measured: FloatArray, step: FloatArray, start: float, model: Model
+    name: str,
+    u: FloatArray,
+    measured: FloatArray,
+    step: FloatArray,
+    start: float,
+    model: Model,
+    x: FloatArray | None = None,
 ) -> AmplifierTrace:
-    simulated = np.empty(len(u))
-    simulated[0] = i = start
-    decay = np.exp(-step / model.T_A)
-    for k in range(1, len(u)):
-        e = model.K_A * u[k - 1]
-        simulated[k] = i = e + (i - e) * decay[k]
+    if model.causes:
+        simulated = current(u, step, start, np.zeros(len(u)) if x is None else x, model)
+    else:
+        simulated = np.empty(len(u))
+        simulated[0] = i = start
+        decay = np.exp(-step / model.T_A)
+        for k in range(1, len(u)):
+            e = model.K_A * u[k - 1]
+            simulated[k] = i = e + (i - e) * decay[k]
     t = np.concatenate(([0.0], np.cumsum(step[1:])))
     return AmplifierTrace(name=name, t_s=t, u_c_v=u, measured_a=measured, simulated_a=simulated)

@@ -15,13 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from twin.control import c2d, linearise
+from twin.control import discrete
 from twin.identify.fit import Point, physics
 from twin.identify.horizon import HORIZONS_S, predict
 from twin.identify.innovations import FLIES, FOLLOWS
 from twin.identify.record import BoolArray, FloatArray, runs
 from twin.identify.transition import Physics, moments, transit
 from twin.model.parameters import Model
+from twin.validate.extended import predictions, window
 from twin.validate.source import Filtered, plant_of
 
 SETTLE_S = 0.1  # the filter's own start
@@ -77,6 +78,9 @@ def multi_step(runs_: Sequence[Filtered], model: Model) -> tuple[Ahead, ...]:
             s = run.series
             settle = max(round(SETTLE_S / tick_s), 2)
             predict(numbers, run.state, s.step, s.u, s.x, s.flags, ahead, settle, error, still)
+            if run.full is not None:
+                there = np.isfinite(still)
+                error = np.where(there, s.x - predictions(s, run.full, model, ahead, settle), np.nan)
             good = np.isfinite(error)
             if good.any():
                 errors.append(error)
@@ -124,21 +128,23 @@ def _effective(error: FloatArray, count: int) -> float:
 
 def _floor2(model: Model, point: Point, x: FloatArray, tick_s: float, ahead: int) -> float:
     """Mean variance of the prediction error of a right model over these positions, m^2."""
-    H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     R = np.diag([point.sigma_i_c_a**2, point.sigma_x_m**2])
-    push = np.array([[0.0], [0.5 * tick_s**2], [tick_s]]) * point.process_a_m_s2
-    Q = push @ push.T + np.diag([point.process_i_c_a**2, 0.0, 0.0])
-    Q += np.diag([1e-14, 1e-18, 1e-14])  # a model without process noise still has a filter
+    push = np.array([0.0, 0.5 * tick_s**2, tick_s]) * point.process_a_m_s2
     values = []
     for position in np.percentile(x, np.linspace(5.0, 95.0, POSITIONS)):
-        A, B = linearise(model, float(np.clip(position, 0.0, 0.98 * model.plant.travel_m)))
-        F, _ = c2d(A, B, tick_s)
+        F, _ = discrete(model, float(np.clip(position, 0.0, 0.98 * model.plant.travel_m)), tick_s)
+        if not np.isfinite(F).all():
+            continue  # the model's ball cannot rest there
+        H = np.eye(2, len(F))
+        Q = np.diag([1e-14, 1e-18, 1e-14, *np.full(len(F) - 3, 1e-14)])  # without process noise, still a filter
+        Q[:3, :3] += np.outer(push, push)
+        Q[0, 0] += point.process_i_c_a**2
         P = solve_discrete_are(F.T, H.T, Q, R)
         P = P - P @ H.T @ np.linalg.solve(H @ P @ H.T + R, H @ P)
         for _ in range(ahead):
             P = F @ P @ F.T + Q
         values.append(float(P[1, 1]) + point.sigma_x_m**2)
-    return float(np.mean(values))
+    return float(np.mean(values)) if values else float("nan")
 
 
 def windows(runs_: Sequence[Filtered], model: Model, *, shown_s: float = 0.8) -> Windows | None:
@@ -188,6 +194,8 @@ def _chains(run: Filtered) -> list[slice]:
 
 
 def _window(run: Filtered, model: Model, begin: int, length: int) -> FloatArray:
+    if run.full is not None:
+        return window(run.series, run.full, model, begin, length)
     p = Physics(*physics(run.point, plant_of(model)))
     out, m, at = np.full(length, np.nan), np.empty(9), -1.0
     i, x, v = (float(value) for value in run.state[begin])

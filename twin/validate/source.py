@@ -29,6 +29,7 @@ from twin.identify.reading import read_recording
 from twin.identify.record import FloatArray, Record, runs
 from twin.model.parameters import Model
 from twin.recordings import LogReader, parse
+from twin.validate.extended import as_shown, filter_extended
 
 FLYING = ("closed-loop", "prbs", "free")
 WILD_MOST = 0.01  # of the readings: more are no accidents of reading but the model's, or the sensor's, everyday
@@ -62,6 +63,7 @@ class Filtered:
     state: FloatArray  # corrected i_c, x, x', shape (n, 3)
     point: Point
     wild: int  # readings left out
+    full: FloatArray | None = None  # corrected states of `extended.py`, shape (n, 6), of a model with causes
 
 
 def plant_of(model: Model) -> Plant:
@@ -136,6 +138,15 @@ def filtered(source: Source, model: Model) -> Filtered | None:
         return None
     series, _ = prepare([record], plant)
     point = point_of(model, record)
+    if model.causes:
+        white, full = filter_extended(series, point, model, record.interval_s)
+        gated, dropped = gate(series, white, 1)
+        if 0 < dropped[0] <= WILD_MOST * len(series):
+            series = gated
+            white, full = filter_extended(series, point, model, record.interval_s)
+        source, wild = _without_wild(source, series)
+        shown = as_shown(full, model)
+        return Filtered(source=source, series=series, white=white, state=shown, point=point, wild=wild, full=full)
     likelihood = Likelihood(series, plant, record.interval_s)
     gated, dropped = gate(series, likelihood.white(point), 1)
     if 0 < dropped[0] <= WILD_MOST * len(series):

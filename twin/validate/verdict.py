@@ -14,6 +14,7 @@ import numpy as np
 from protocol.campaign import Campaign
 from protocol.errors import DataError
 from twin.model.parameters import Model
+from twin.simulate import left_out
 from twin.validate.amplifier import Amplifier, amplifier, fit_percent
 from twin.validate.ball import Ahead, Windows, multi_step, windows
 from twin.validate.loop import LoopRun, closed_loops, measured_only
@@ -175,7 +176,7 @@ def validate_sources(
     say: Callable[[str], None] = lambda _: None,
 ) -> Validation:
     """All parts on recordings in memory; `said` heads the notes."""
-    notes = [*said, *(note for source in sources for note in source.record.notes)]
+    notes = [*said, *(note for source in sources for note in source.record.notes), *left_out(model)]
     notes += [
         f"{name} = {p.value:.4g} {p.unit} is not identified: {p.method or 'the model gives no interval'}"
         for name, p in model.parameters.items()
