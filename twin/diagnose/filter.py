@@ -173,6 +173,8 @@ def run_extended(
     h_i, h_x, K = np.zeros(m), np.zeros(m), np.zeros(m)
     gain_i = c[current_sensor_gain.GAIN]
     h_i[0] = gain_i
+    # A ball that is held does not move within an interval either: the weight of a house, and no gravity.
+    held_base = (p.K_A, p.T_A, p.K_c, p.b, 1e12, 0.0, p.x_max_m, p.travel_m)
     in_flight = False
     first = 0
     for n in range(len(u)):
@@ -229,8 +231,8 @@ def run_extended(
                     moved[k] = y[k]
                 y[X], y[V], moved[X], moved[V] = held, 0.0, held, 0.0
                 moved[I_C] += _DELTA[I_C]
-                drive_over(base, c, moved, u, n, first, t[n - 1], T_s, False)
-                drive_over(base, c, y, u, n, first, t[n - 1], T_s, False)
+                drive_over(held_base, c, moved, u, n, first, t[n - 1], T_s, False)
+                drive_over(held_base, c, y, u, n, first, t[n - 1], T_s, False)
                 f_ii = (moved[I_C] - y[I_C]) / _DELTA[I_C]
                 if heats:
                     f_iw = -p.K_A * c[amplifier_gain_drift.LOSS] * u[n - 1] * (1.0 - f_ii)

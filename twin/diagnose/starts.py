@@ -22,13 +22,14 @@ from twin.model.causes.cause import Cause
 
 _REACH = 20.0  # probes: farther the signature is another
 _LEAST = 0.05
+_PARTS = (1.0, 0.3, 0.1)  # of the linear step: where the likelihood is far from a parabola the whole one overshoots
 _STEADY = 5  # samples of the same u_c
 
 
 def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
     """The best of the starts by the likelihood itself."""
     cause = BY_NAME[score.cause]
-    starts = [_linear(criterion, theta, score, cause)]
+    starts = [_linear(criterion, theta, score, cause, part) for part in _PARTS]
     if cause.family == "amplifier":
         gains, times = {theta.K_A}, {theta.T_A}
         robust = robust_gain(criterion.evidence.records)
@@ -41,8 +42,6 @@ def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
             for T_A in sorted(times):
                 for probe in probes_of(cause, criterion.evidence.series):
                     starts.append(probed(replace(theta, K_A=K_A, T_A=T_A), cause, probe))
-    if len(starts) == 1:
-        return starts[0]
     return starts[int(np.argmax(criterion.values(starts)))]
 
 
@@ -91,12 +90,12 @@ def quickest(records: Sequence[Record]) -> float | None:
     return min(found) if found else None
 
 
-def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause) -> Theta:
+def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause, part: float) -> Theta:
     strength = cause.strength
     reach = min(max(score.step, -_REACH), _REACH)
     reach = reach if abs(reach) > _LEAST else 0.3
     shorter = min([1.0, *(most_step(name) / max(abs(by * reach), 1e-300) for name, by in score.beside)])
-    reach *= max(shorter, _LEAST / abs(reach))
+    reach *= max(shorter, _LEAST / abs(reach)) * part
     for name, by in score.beside:
         if name in PARAMETERS:  # noise levels find their own way: falling ones overshoot
             theta = moved(theta, name, by * reach, criterion.plant)

@@ -36,6 +36,7 @@ from twin.model.causes import (
     current_sensor_offset,
     eddy_current_lag,
     force_exponent,
+    freewheel_diode,
     motional_emf,
     periodic_disturbance,
     position_dependent_inductance,
@@ -152,11 +153,13 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
     for substep in range(fine if coarse else fine * len(PARTS)):
         h = (duration if coarse else duration * PARTS[substep // fine]) / fine
         i, x, v, f, s = y[I_C], y[X], y[V], y[FIELD], y[SENSOR]
-        target = drive(p, c, u, y[WARMTH])
+        target = drive(p, c, u, y[WARMTH]) - p.K_A * freewheel_diode.lost_v(c, u, i, p.K_A)
         if shaped:
             gap = max(plane - x, GAP_MIN_SHARE * p.travel_m)
             T_A = position_dependent_inductance.time_constant(c, p.T_A, gap, plane, gap_mid)
-            target = max(motional_emf.pushed(c, target, i, v, gap, gap_mid), 0.0)
+            target = motional_emf.pushed(c, target, i, v, gap, gap_mid)
+            if c[freewheel_diode.DROP] == 0.0:
+                target = max(target, 0.0)
             i_half = current_limit.limited(c, slew_rate_limit.relaxed(c, i, target, T_A, 0.5 * h))
             i_next = current_limit.limited(c, slew_rate_limit.relaxed(c, i_half, target, T_A, 0.5 * h))
         else:

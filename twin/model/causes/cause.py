@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 Family = Literal["amplifier", "force", "motion", "sensing", "timing"]
 Vector: TypeAlias = NDArray[np.float64]  # of all parameters of all causes, shape (PLACES,)
-PLACES = 28
+PLACES = 29
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
