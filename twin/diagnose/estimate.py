@@ -196,7 +196,7 @@ class Criterion:
     def outputs(
         self, theta: Theta, state: NDArray[np.float64] = _NO_STATE, shift_s: FloatArray | None = None
     ) -> FloatArray:
-        """Innovations and their covariance, shape (n, 5); `shift_s` of time for periodic causes, else `self.shift_s`."""
+        """Innovations and their covariance, shape (n, 5); `shift_s` as `self.shift_s`, for once."""
         s = self.evidence.series
         out = np.empty((len(s), OUT_COLUMNS))
         noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, self.tick_s)

@@ -27,6 +27,7 @@ HELD_SAMPLES = 25  # 50 ms: four times the time constant of the unstable pole
 HELD_SCALES = 10.0  # of the sensor noise, largest spread while held
 NEAR_SHARE = 0.25  # of the travel: as far as a stop may seem displaced
 AGREE_SHARE = 0.06  # of the travel: by this much the same stop may differ between recordings (crosstalk, drift)
+TRIM_SAMPLES = 2
 EDGE_SAMPLES = 4  # left out at both ends of a rest: the ball rocks
 END_SHARE = 0.15  # of readings within 50 ms at the converter's end: the noise is cut off there, and its mean is not 0
 _LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
@@ -94,6 +95,8 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         if n:
             own = flags[:n]
             own[at_converter_end(record.i_c)] &= np.uint8(~USE_I & 0xFF)
+            if told.kind in _OPEN_LOOP:
+                _trim(own)
             own[still & (own & FLIES != 0)] &= np.uint8(~(FLIES | USE_X) & 0xFF)
             for mask, bit in zip(on_stop, (RESTS_LOW, RESTS_HIGH), strict=True):
                 free = own & FLIES == 0
@@ -116,6 +119,13 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
 def _on_platform(record: Record, still: BoolArray, low: float | None, plant: Plant) -> bool:
     """Whether a sawtooth lifts the ball off something else than the lower stop."""
     return record.kind == "sawtooth" and not _on(record, still, low, None, plant)[0].any()
+
+
+def _trim(flags: np.ndarray[tuple[int], np.dtype[np.uint8]]) -> None:
+    """Take TRIM_SAMPLES off both ends of each flight between stops: a slow or late sensor sees the impact later."""
+    for piece in runs(np.asarray(flags & FLIES != 0)):
+        for part in (slice(piece.start, piece.start + TRIM_SAMPLES), slice(piece.stop - TRIM_SAMPLES, piece.stop)):
+            flags[part] &= np.uint8(~(FLIES | USE_X) & 0xFF)
 
 
 def held_samples(record: Record, plant: Plant) -> BoolArray:

@@ -1,10 +1,10 @@
 """Prediction errors of the extended model along a whole campaign: the criterion of the diagnosis.
 
-The filter of `twin/identify/innovations.py`, for the state of `twin/model/extended.py`: what is predicted comes from the
-extended model alone, the sensitivities are its differences.
+The filter of `twin/identify/innovations.py`, for the state of `twin/model/extended.py`: what is predicted comes from
+the extended model alone, the sensitivities are its differences.
 
-Rule 1: the flags are those of `innovations.py`, and RESTS_LOW, RESTS_HIGH: the ball lies at a stop, whose place is known.
-        There the position sensor is tested alone: its offset, scale and crosstalk show without any force.
+Rule 1: the flags are those of `innovations.py`, and RESTS_LOW, RESTS_HIGH: the ball lies at a stop, whose place is
+        known.  There the position sensor is tested alone: its offset, scale and crosstalk show without any force.
 Rule 2: only the states that the causes at hand give a life of their own are in the covariance: with the paper's model
         three, so that a candidate costs what it needs.
 Rule 3: warmth at the start of a recording is unknown, and the filter finds it.
@@ -31,6 +31,7 @@ from twin.model.extended import (
     FIELD,
     I_C,
     SENSOR,
+    SHORT_S,
     STATES,
     WARMTH,
     Base,
@@ -45,6 +46,8 @@ from twin.model.extended import (
 
 RESTS_LOW, RESTS_HIGH = 16, 32
 OUT_COLUMNS = 5  # nu_i, nu_x, S_ii, S_ix, S_xx; NaN where nothing was predicted
+UNKNOWN_INPUTS = 2  # samples after a start whose u_c may not be in force yet; not a matter of the model at hand
+_ACCELERATION_M_S2 = 15.0  # of a flight's beginning
 _WARMTH = (0.25, 0.3)  # A^2: of a recording's start, mean and standard deviation
 _DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4])  # of the states, for differences
 
@@ -247,6 +250,11 @@ def run_extended(
         else:
             in_flight = False
 
+        if follows and use_i and step[n] > SHORT_S and n - first <= UNKNOWN_INPUTS:
+            # Nobody recorded what was in force before the first sample: for a late input the current is measured anew.
+            _clear(P, 0)
+            y[I_C], P[0, 0] = current_of_reading(c, y_i[n]), r_i / (gain_i * gain_i)
+            use_i = False
         if not follows:
             _clear(P, 0)
             if use_i:
@@ -273,7 +281,9 @@ def run_extended(
                 if lags:
                     # The sensor lags a ball of unknown speed: where x is depends on it.
                     tau = c[position_sensor_lag.TAU]
-                    P[1, 1] += (tau * SPEED_STD_M_S) ** 2
+                    P[1, 1] += (tau * SPEED_STD_M_S) ** 2 + (tau * tau * _ACCELERATION_M_S2) ** 2
+                    P[1, k_sensor] = r_x
+                    P[k_sensor, 1] = r_x
                     P[1, 2] = tau * SPEED_STD_M_S**2
                     P[2, 1] = P[1, 2]
                     P[k_sensor, k_sensor] = r_x

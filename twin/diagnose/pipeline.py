@@ -26,11 +26,12 @@ from twin.diagnose.confidence import confidence_of
 from twin.diagnose.consistency import beginnings, contradictions
 from twin.diagnose.estimate import BASE, STOPS, Criterion, Fit, Theta, climb, most_drag, spreads
 from twin.diagnose.evidence import Evidence, gather
+from twin.diagnose.experiments import propose
 from twin.diagnose.floor import Floor, floor_of
 from twin.diagnose.lost import Lost, lost_samples
 from twin.diagnose.measure import HORIZONS_S, Gain, gain
 from twin.diagnose.models import model_of
-from twin.diagnose.result import Diagnosis, Finding, Member, NotTestable, RuledOut, Verdict, fit_parameters
+from twin.diagnose.result import Diagnosis, Finding, Member, NotTestable, Proposal, RuledOut, Verdict, fit_parameters
 from twin.diagnose.select import Selection, Trial, select
 from twin.diagnose.words import bound_sentence, finding_sentence, summary_sentence
 from twin.identify.checks import inspect
@@ -125,6 +126,8 @@ def diagnose_records(
                 f"{late.cause} is not there from the start: it begins in {late.recording} at about {late.t_s:.0f} s"
                 for late in began
             ]
+        with _timed(stages, "next experiments"):
+            proposals = {} if quick else _proposals(criterion, found, campaign, say)
     finally:
         criterion.close()
     lost = lost_samples([*records, *judges])
@@ -132,7 +135,7 @@ def diagnose_records(
         before, after = base.theta, found.fit.theta
         gains = _gains(judge, before, after, floor, plant, tick_s, seed)
     at_20_ms = next((one for one in gains if abs(one.horizon_s - 0.02) < 0.5 * tick_s), None)
-    findings = _findings(found, floor, spread, fine, quick, lost)
+    findings = _findings(found, floor, spread, proposals, fine, quick, lost)
     verdict: Verdict = "causes-found" if findings else "model-adequate"
     if not fine:
         verdict = "unknown-cause"
@@ -203,7 +206,7 @@ def start_theta(records: Sequence[Record], plant: Plant) -> Theta:
         sigma_i_c_a=max(amplifier.sigma_i_c_a, 1e-5),
         sigma_x_m=1e-5,
         process_i_c_a=max(0.3 * amplifier.sigma_i_c_a, 1e-5),
-        process_a_m_s2=0.3,
+        process_a_m_s2=3.0,  # too little at the start, and the ball's errors are booked as sensor noise for good
     )
 
 
@@ -240,7 +243,13 @@ def _gains(
 
 
 def _findings(
-    found: Selection, floor: Floor, spread: dict[str, float], fine: bool, quick: bool, lost: Lost | None
+    found: Selection,
+    floor: Floor,
+    spread: dict[str, float],
+    proposals: dict[str, Proposal],
+    fine: bool,
+    quick: bool,
+    lost: Lost | None,
 ) -> list[Finding]:
     total = max(floor.excess(found.base.loglik), base_gain(found), 1e-9)
     findings = []
@@ -256,6 +265,7 @@ def _findings(
                 indistinguishable_from=tuple(_member(trial) for trial in near),
                 share_of_excess_explained=min(found.gains[cause] / total, 1.0),
                 loglik_gain=found.gains[cause],
+                next_experiment=proposals.get(cause),
             )
         )
     if lost is not None:
@@ -272,6 +282,33 @@ def _findings(
             )
         )
     return findings
+
+
+def _proposals(criterion: Criterion, found: Selection, campaign: Campaign, say: Say) -> dict[str, Proposal]:
+    """For each cause with a class, the experiment that splits it best, or why none can."""
+    result = {}
+    for cause in found.causes:
+        near = found.classes.get(cause, ())
+        if not near:
+            continue
+        say(f"which experiment tells {cause} from {', '.join(trial.cause for trial in near)}?")
+        ranked = propose(criterion, found.fit, cause, near, campaign.controller)
+        if not ranked:
+            continue
+        best = ranked[0]
+        outside = tuple(
+            f"{pair.own} and {pair.rival}: no experiment on this rig tells them apart; {pair.measurement}"
+            for pair in best.pairs
+            if not pair.separable
+        )
+        result[cause] = Proposal(
+            what=best.what if best.separable else " ".join(outside) or best.what,
+            separation_z=best.separation_z,
+            command=best.command if best.separable else "",
+            outside=outside,
+            others=tuple((one.name, one.separation_z) for one in ranked[1:4]),
+        )
+    return result
 
 
 def _member(trial: Trial) -> Member:

@@ -1,4 +1,4 @@
-"""Where the screen looks at each cause: small values of it, and for limits the values at which these data would show one.
+"""Where the screen looks at each cause: small values, and for limits those at which these data would show one.
 
 A limit far above what was recorded does nothing, one far below contradicts everything: only near the largest current,
 the fastest change that was recorded is its signature anything like the effect.

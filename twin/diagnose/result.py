@@ -32,6 +32,8 @@ class Proposal:
     what: str
     separation_z: float
     command: str = ""
+    outside: tuple[str, ...] = ()  # pairs that no experiment separates, with the measurement that would
+    others: tuple[tuple[str, float], ...] = ()  # next best experiments and their z
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,6 +119,8 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
                     "what": cause.next_experiment.what,
                     "separation_z": _number(cause.next_experiment.separation_z),
                     "command": cause.next_experiment.command,
+                    "not_separable_here": list(cause.next_experiment.outside),
+                    "others": [{"name": name, "separation_z": _number(z)} for name, z in cause.next_experiment.others],
                 },
             }
             for cause in found.causes

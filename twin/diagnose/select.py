@@ -25,12 +25,13 @@ from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
 
 THRESHOLD = 10.0  # of log-likelihood: z = 4.5, and more than the most of 30 candidates reaches by chance
+TRIFLE = 0.005  # of what the causes found so far gain together: below, it mends how they are written, not the rig
 SHARE = 0.2  # of the excess that is left
 MARGIN = 4.5
 MOST_CAUSES = 4
 FEW = 5  # candidates that are fitted in a round
 _SHORT = 2  # passes of a first fit
-_HEATS = ((4, 0.2, 4), (PASSES, 0.5, 3))  # then: passes, least share of the best gain, most candidates that go on
+_HEATS = ((4, 0.2, 5), (PASSES, 0.5, 4))  # then: passes, least share of the best gain, most candidates that go on
 Say = Callable[[str], None]
 
 
@@ -79,7 +80,8 @@ def select(
     """Forward, backward, classes; `quick` leaves out the search for stand-ins beyond what was fitted anyway."""
     found = Selection(base=base, fit=base)
     while len(found.causes) < MOST_CAUSES:
-        step = _forward(criterion, found.fit, floor, candidates, few, say)
+        gained = found.fit.loglik - base.loglik
+        step = _forward(criterion, found.fit, floor, candidates, few, gained, say)
         found.rounds.append(step)
         if not step.taken:
             break
@@ -99,7 +101,9 @@ def select(
     return found
 
 
-def _forward(criterion: Criterion, at: Fit, floor: Floor, candidates: Sequence[Cause], few: int, say: Say) -> Round:
+def _forward(
+    criterion: Criterion, at: Fit, floor: Floor, candidates: Sequence[Cause], few: int, gained: float, say: Say
+) -> Round:
     scores = screen(criterion, at.theta, at.free, candidates)
     if any(cause.name == periodic.CAUSE.name for cause in candidates):
         scores = _with_line(criterion, at, scores)
@@ -118,6 +122,8 @@ def _forward(criterion: Criterion, at: Fit, floor: Floor, candidates: Sequence[C
         why = f"{best.cause} would be best, with a gain of {best.gain:.1f}: chance does that"
     elif not possible:
         why = f"{best.cause} would be best, but outside its physical range"
+    elif best.gain < TRIFLE * gained:
+        why = f"{best.cause} would be best, but is a trifle beside what was found"
     elif floor.material(at.loglik) and share < SHARE:
         why = f"{best.cause} would be best, but explains {100 * share:.0f} % of what is left"
     else:
