@@ -1,0 +1,93 @@
+"""Model files with causes: round trip, and what is refused by name."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from protocol.errors import DataError
+from tests.twin.model.true_model import cause, true_model
+from twin.model.causes.catalogue import CATALOGUE, neutral
+from twin.model.extension import sentences, vector
+from twin.model.parameters import load_model, model_from_dict, model_to_dict
+
+Data = dict[str, Any]
+
+
+def test_every_cause_survives_the_round_trip(tmp_path: Path) -> None:
+    effects = {one.name: 0.5 * (one.strength.low + one.strength.high) for one in CATALOGUE}
+    model = true_model(effects=effects)
+    path = tmp_path / "extended_model.json"
+    path.write_text(json.dumps(model_to_dict(model)))
+
+    again = load_model(path)
+
+    assert again == model
+    assert [one.name for one in again.causes] == list(effects)
+    c = vector(again.causes)
+    for one in CATALOGUE:
+        assert c[one.strength.place] == effects[one.name]
+
+
+def test_without_causes_the_vector_is_neutral() -> None:
+    assert np.array_equal(vector(true_model().causes), neutral())
+
+
+def test_sentences_name_cause_and_number() -> None:
+    assert sentences(true_model(effects={"air-gap-offset": 2.4e-3})) == [
+        "air-gap-offset: the coil's plane is higher than x_max (d = 0.0024 m)"
+    ]
+
+
+def changed(**entry: object) -> Callable[[Data], None]:
+    def change(data: Data) -> None:
+        data["causes"][0]["parameters"]["d_m"].update(entry)
+
+    return change
+
+
+def renamed(data: Data) -> None:
+    data["causes"][0]["name"] = "gremlins"
+
+
+def without(data: Data) -> None:
+    del data["causes"][1]["parameters"]["tau_s"]
+
+
+def more(data: Data) -> None:
+    data["causes"][0]["parameters"]["e_m"] = {}
+
+
+def twice(data: Data) -> None:
+    data["causes"].append(cause("air-gap-offset", 1e-3))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (renamed, "causes[0] is 'gremlins', not in the catalogue"),
+        (without, "causes[1] (amplifier-gain-drift).parameters lacks 'tau_s'"),
+        (more, "causes[0] (air-gap-offset) has no parameter 'e_m'"),
+        (twice, "causes[2] is air-gap-offset, which is there already"),
+        (changed(unit="mm"), "d_m.unit is 'mm'"),
+        (changed(value=0.8), "d_m.value = 0.8 is outside -0.002 .. 0.03"),
+        (changed(value=None), "d_m.value is None"),
+        (changed(verdict="sure"), "d_m.verdict is 'sure'"),
+        (changed(ci95=[1.0]), "d_m.ci95 is [1.0]"),
+    ],
+)
+def test_a_cause_that_is_not_one_is_refused_by_name(change: Callable[[Data], None], says: str) -> None:
+    data = copy.deepcopy(model_to_dict(true_model(effects={"air-gap-offset": 8e-4, "amplifier-gain-drift": 0.05})))
+    change(data)
+
+    with pytest.raises(DataError) as refused:
+        model_from_dict(data, where="x.json")
+
+    assert str(refused.value).startswith("x.json: ")
+    assert says in str(refused.value)
