@@ -31,6 +31,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", metavar="MODEL.json", help="the simulation to judge (default: the paper's, fitted)")
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of recordings not beside the campaign")
     parser.add_argument("--quick", action="store_true", help="under 10 s; confidence figures are not calibrated then")
+    parser.add_argument(
+        "--share",
+        type=float,
+        default=0.2,
+        metavar="S",
+        help="least part of what is left that a cause must explain (0.2); less, down to 0.01, lists smaller ones beside"
+        " a rest that nothing explains: confidence is not calibrated then",
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the bootstrap (0)")
     parser.add_argument("--workers", type=int, default=2, help="threads (2); the result does not depend on it")
     parser.add_argument("--json", action="store_true", help="print diagnosis.json instead of a summary")
@@ -53,6 +61,8 @@ def run(args: argparse.Namespace) -> int:
         if not args.quiet:
             print(f"[{time.monotonic() - began:5.1f} s] {line}", file=sys.stderr, flush=True)
 
+    if not 0.0 < args.share <= 1.0:
+        raise DataError(f"--share is {args.share:g}", remedy="Give a part of 1, as 0.2")
     campaign = load(args.campaign)
     if rests_alone(campaign):
         model = load_model(args.model) if args.model else None
@@ -64,6 +74,7 @@ def run(args: argparse.Namespace) -> int:
         data=args.data,
         model=load_model(args.model) if args.model else None,
         quick=args.quick,
+        share=args.share,
         seed=args.seed,
         workers=args.workers,
         say=say,

@@ -32,7 +32,7 @@ from twin.diagnose.lost import Lost, lost_samples
 from twin.diagnose.measure import HORIZONS_S, Gain, gain
 from twin.diagnose.models import model_of
 from twin.diagnose.result import Diagnosis, Finding, Member, NotTestable, Proposal, RuledOut, Verdict, fit_parameters
-from twin.diagnose.select import Selection, Trial, select
+from twin.diagnose.select import SHARE, Selection, Trial, select
 from twin.diagnose.words import bound_sentence, finding_sentence, summary_sentence
 from twin.identify.checks import inspect
 from twin.identify.reading import read_campaign
@@ -53,6 +53,7 @@ def diagnose(
     data: Path | None = None,
     model: Model | None = None,
     quick: bool = False,
+    share: float = SHARE,
     seed: int = 0,
     workers: int = 2,
     say: Say = lambda line: None,
@@ -64,6 +65,7 @@ def diagnose(
         data: folder of recordings that are not beside the campaign.
         model: the simulation to be judged; default: the paper's model, identified from the campaign itself.
         quick: fewer candidates are fitted, and none is asked for a stand-in: confidence is not calibrated.
+        share: least part of what is left that a cause must explain; with a smaller one confidence is not calibrated.
         seed: of the bootstrap.
         workers: threads.
         say: takes lines of progress.
@@ -79,7 +81,9 @@ def diagnose(
             f'{campaign.where}: no recording has use = "fit"',
             remedy='Give at least one [[recording]] with use = "fit"; choosing on judge recordings would spoil them',
         )
-    return diagnose_records(campaign, records, judges, model=model, quick=quick, seed=seed, workers=workers, say=say)
+    return diagnose_records(
+        campaign, records, judges, model=model, quick=quick, share=share, seed=seed, workers=workers, say=say
+    )
 
 
 def diagnose_records(
@@ -89,6 +93,7 @@ def diagnose_records(
     *,
     model: Model | None = None,
     quick: bool = False,
+    share: float = SHARE,
     seed: int = 0,
     workers: int = 2,
     say: Say = lambda line: None,
@@ -115,7 +120,8 @@ def diagnose_records(
             say(f"lacks {max(floor.excess(base.loglik), 0.0):.0f} of log-likelihood against sensor noise alone")
         with _timed(stages, "search"):
             candidates = testable_causes(records)
-            found = select(criterion, base, floor, candidates=candidates, few=3 if quick else 6, quick=quick, say=say)
+            few = 3 if quick else 6
+            found = select(criterion, base, floor, candidates=candidates, few=few, quick=quick, share=share, say=say)
         with _timed(stages, "what is left"):
             fine, why_not = adequate(criterion, found.fit, floor)
             where = "" if fine else where_left(criterion, found.fit)
@@ -157,7 +163,7 @@ def diagnose_records(
         baseline=baseline,
         extended=extended,
         warnings=tuple(dict.fromkeys(warnings)),
-        quick=quick,
+        quick=quick or share < SHARE,
         stages_s=stages,
         selection=found,
         floor=floor,

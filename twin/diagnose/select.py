@@ -75,13 +75,25 @@ def select(
     candidates: Sequence[Cause] = CATALOGUE,
     few: int = FEW,
     quick: bool = False,
+    share: float = SHARE,
     say: Say = lambda line: None,
 ) -> Selection:
-    """Forward, backward, classes; `quick` leaves out the search for stand-ins beyond what was fitted anyway."""
+    """Forward, backward, classes.
+
+    Args:
+        criterion: of the recordings for fitting.
+        base: the model without causes, at its best.
+        floor: what sensor noise alone leaves.
+        candidates: the causes to try.
+        few: candidates that are fitted in a round.
+        quick: leaves out the search for stand-ins beyond what was fitted anyway.
+        share: least part of what is left that a cause must explain; below SHARE more causes are taken, too.
+        say: takes lines of progress.
+    """
     found = Selection(base=base, fit=base)
-    while len(found.causes) < MOST_CAUSES:
+    while len(found.causes) < (MOST_CAUSES if share >= SHARE else len(candidates)):
         gained = found.fit.loglik - base.loglik
-        step = _forward(criterion, found.fit, floor, candidates, few, gained, say)
+        step = _forward(criterion, found.fit, floor, candidates, few, gained, share, say)
         found.rounds.append(step)
         if not step.taken:
             break
@@ -102,7 +114,14 @@ def select(
 
 
 def _forward(
-    criterion: Criterion, at: Fit, floor: Floor, candidates: Sequence[Cause], few: int, gained: float, say: Say
+    criterion: Criterion,
+    at: Fit,
+    floor: Floor,
+    candidates: Sequence[Cause],
+    few: int,
+    gained: float,
+    least: float,
+    say: Say,
 ) -> Round:
     scores = screen(criterion, at.theta, at.free, candidates)
     if any(cause.name == periodic.CAUSE.name for cause in candidates):
@@ -122,9 +141,9 @@ def _forward(
         why = f"{best.cause} would be best, with a gain of {best.gain:.1f}: chance does that"
     elif not possible:
         why = f"{best.cause} would be best, but outside its physical range"
-    elif best.gain < TRIFLE * gained:
+    elif best.gain < min(TRIFLE, least) * gained:
         why = f"{best.cause} would be best, but is a trifle beside what was found"
-    elif floor.material(at.loglik) and share < SHARE:
+    elif floor.material(at.loglik) and share < least:
         why = f"{best.cause} would be best, but explains {100 * share:.0f} % of what is left"
     else:
         taken = best.cause
