@@ -13,6 +13,7 @@ import json
 import logging
 import math
 import signal
+import sys
 import threading
 import time
 from pathlib import Path
@@ -165,6 +166,7 @@ def _login() -> str:
 
 def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints: tuple[str, ...]) -> int:
     from twin.mirror.service import TwinService
+    from twin.simulate import left_out
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     stop = threading.Event()
@@ -174,6 +176,8 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
     deadline = time.monotonic() + args.duration if args.duration else math.inf
     with TwinService(model, site=args.site, board=args.board, endpoints=endpoints, settings=settings) as service:
         log.info("twin of model %s on %s/%s via %s", model.plant.name, args.site, args.board or "*", endpoints[0])
+        for line in left_out(model):
+            log.info("%s", line)
         counted: dict[str, int] = {}
         told = time.monotonic()
         while not stop.wait(0.2) and time.monotonic() < deadline and service.failure is None:
@@ -201,8 +205,11 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
 def _over_log(args: argparse.Namespace, model: Model, settings: Settings) -> int:
     from twin.mirror.handover import believe
     from twin.mirror.offline import run_log
+    from twin.simulate import left_out
 
     started = time.perf_counter()
+    for line in left_out(model):
+        print(f"! {line}", file=sys.stderr)
     runs, complete = run_log(args.log, model, settings=settings, board=args.board, out=args.out)
     elapsed = time.perf_counter() - started
     summaries = [run.summary() for run in runs]
