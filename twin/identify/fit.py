@@ -191,6 +191,7 @@ def physics(point: Point, plant: Plant) -> Physics:
         gravity_m_s2=plant.gravity_m_s2,
         x_max_m=plant.x_max_m,
         gap_min_m=GAP_MIN_SHARE * plant.travel_m,
+        travel_m=plant.travel_m,
     )
 
 

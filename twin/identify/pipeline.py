@@ -23,6 +23,7 @@ from twin.identify.checks import inspect
 from twin.identify.dead import without_dead
 from twin.identify.delay import delayed, input_delay
 from twin.identify.fit import FLOORS, NAMES, NOISES, PARAMETERS, Fit, Likelihood, Point, fit, gate, most_drag, sandwich
+from twin.identify.horizon import Horizon, horizons
 from twin.identify.innovations import FLIES, USE_I, USE_X
 from twin.identify.intervals import Interval, quadratic_or_profile
 from twin.identify.levels import Levels, Shape, find_levels, find_shape
@@ -35,6 +36,13 @@ from twin.identify.whiteness import Whiteness, whiteness
 from twin.model.parameters import Model, Parameter
 
 PARSIMONY = 2.0  # of log-likelihood: a process noise that gains less than that is not there
+# Of the travel: nearer to x_max, (3) changes by a fifth to a half over the error of one prediction (10 to 50 um).  The
+# filter, linear in that error, then follows nothing, and where a reading is missing, too, its derivatives by the
+# parameters reach a million standard errors: three such samples outvote a campaign.  No ball is there, but where x_max
+# lies below the coil's real plane.
+NEAR_SHARE = 0.05
+AHEAD_S = 20e-3  # one and a half e-folds of the ball: what a bad force law cannot hide
+NEEDED = 0.1  # relative standard error of a noise: its variance is five of its standard errors from 0
 HAC_S = 0.1  # memory of the residuals that the sandwich covers
 # Much unexplained acceleration: from little of it, a model that lacks something climbs to a far lower maximum, in which
 # all its error counts as noise of the position sensor (250 um instead of 4).
@@ -55,6 +63,7 @@ class Identification:
     force: ForceConstant | None
     fit: Fit | None
     whiteness: Whiteness | None
+    ahead: Horizon | None  # prediction over AHEAD_S on these recordings, where the residuals are coloured
     tick_s: float  # interval that the process noise refers to
 
     @property
@@ -113,7 +122,7 @@ def identify_records(
     ball = ball_start(records, plant, amplifier)
     say("start values: " + _start_line(amplifier, ball, force, plant.mass_kg))
 
-    series, usages = prepare(records, plant)
+    series, usages = prepare(records, plant, gap_least_m=NEAR_SHARE * plant.travel_m)
     for usage, samples in zip(usages, delays, strict=True):
         usage.input_delay = samples
     tick_s = _tick(records)
@@ -153,14 +162,22 @@ def identify_records(
             )
     warnings += _left_out(usages)
 
-    if white is not None and not white.white:
+    coloured = white is not None and not white.white
+    ahead: Horizon | None = None
+    if white is not None and coloured:
         warnings.append(
             f"the residuals are not white (autocorrelation up to {white.worst:.2f}): the model is not the whole story. "
             "The intervals are those of its best approximation, and b is the first to be wrong; board51 diagnose looks "
             "for the cause"
         )
+        ahead = _ahead(records, campaign, found, tick_s)
+        if ahead is not None and ahead.rmse_m > ahead.still_m:
+            warnings.append(
+                f"{ahead.horizon_s * 1e3:.0f} ms ahead the model misses x by {ahead.rmse_m * 1e6:.0f} um rms, 'x stays "
+                f"where it is' by {ahead.still_m * 1e6:.0f} um: it is no model to "
+                "predict with. board51 diagnose extends it by what is missing"
+            )
     intervals: dict[str, Interval] = {}
-    coloured = white is not None and not white.white
     if found is not None:
         intervals = quadratic_or_profile(likelihood, found, robust=coloured)
     parameters = {
@@ -180,8 +197,17 @@ def identify_records(
         force=force,
         fit=found,
         whiteness=white,
+        ahead=ahead,
         tick_s=tick_s,
     )
+
+
+def _ahead(records: list[Record], campaign: Campaign, found: Fit | None, tick_s: float) -> Horizon | None:
+    flown = [record for record in records if record.kind in ("closed-loop", "prbs", "free") and record.has("x", "u_c")]
+    if found is None or not flown or "K_c" not in found.free:
+        return None
+    (ahead,) = horizons(flown, campaign.plant, found.point, tick_s, wanted_s=(AHEAD_S,))
+    return ahead if ahead.count else None
 
 
 def grouped(said: list[str], names: list[str]) -> list[str]:
@@ -203,6 +229,11 @@ def _left_out(usages: list[Usage]) -> list[str]:
         ([u.outliers for u in usages], "wild readings were left out"),
         ([u.gaps for u in usages], "gaps; the filter starts anew behind each"),
         ([u.clipped for u in usages], "readings of i_c at the converter's end were left out"),
+        (
+            [u.steep_samples for u in usages],
+            "samples so near to x_max that the force (3) is too steep to follow were left out; if the coil's plane is "
+            "higher than that on this rig, correct x_max_m",
+        ),
     ):
         where = [f"{usage.name} {n}" for usage, n in zip(usages, count, strict=True) if n]
         if where:
@@ -262,7 +293,10 @@ def _parsimonious(likelihood: Likelihood, found: Fit) -> Fit:
     from current noise at all where T_A is far below the sampling interval.
     """
     for name in NOISES[2:]:
-        if name not in found.free:
+        # Known that well, it is there, and a fit without it would only wander where nothing explains the flights.
+        if name not in found.free or (
+            found.converged and 0.0 < found.std(name, 1.0) < NEEDED * getattr(found.point, name)
+        ):
             continue
         without = replace(found.point, **{name: FLOORS[name]})
         free = tuple(other for other in found.free if other != name)

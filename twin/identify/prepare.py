@@ -42,6 +42,7 @@ class Usage:
     flights: int = 0  # stretches away from the stops
     flight_samples: int = 0
     contact_samples: int = 0
+    steep_samples: int = 0  # free of the stops, but nearer to x_max than the fit goes
     clipped: int = 0
     cut: int = 0  # readings of i_c beside zero, where the converter cuts the noise in half
     outliers: int = 0
@@ -50,8 +51,14 @@ class Usage:
     input_delay: int = 0  # samples by which u_c acts later than recorded; corrected
 
 
-def prepare(records: list[Record], plant: Plant) -> tuple[Series, list[Usage]]:
-    """The series of all recordings that have u_c and i_c, and what was done to each."""
+def prepare(records: list[Record], plant: Plant, *, gap_least_m: float = 0.0) -> tuple[Series, list[Usage]]:
+    """The series of all recordings that have u_c and i_c, and what was done to each.
+
+    Args:
+        records: of `read_campaign`.
+        plant: mass, travel, x_max.
+        gap_least_m: flights end where the ball is nearer to x_max than that.
+    """
     parts: list[Series] = []
     usages: list[Usage] = []
     for number, record in enumerate(records):
@@ -60,7 +67,7 @@ def prepare(records: list[Record], plant: Plant) -> tuple[Series, list[Usage]]:
         if record.kind == "equilibria":
             continue
         if record.has("u_c", "i_c") and len(record.t) > 1:
-            parts.append(_series(record, plant, usage, number))
+            parts.append(_series(record, plant, usage, number, gap_least_m))
         parts.extend(_captures(record, number))
     if not parts:
         empty = np.empty(0)
@@ -131,7 +138,7 @@ def scatter(values: FloatArray) -> float:
     return float(1.4826 * np.median(np.abs(third - np.median(third))) / np.sqrt(20.0))
 
 
-def _series(record: Record, plant: Plant, usage: Usage, number: int) -> Series:
+def _series(record: Record, plant: Plant, usage: Usage, number: int, gap_least_m: float) -> Series:
     step, follows = intervals(record.t)
     n = len(step)
     u_known = np.isfinite(record.u_c)
@@ -154,6 +161,12 @@ def _series(record: Record, plant: Plant, usage: Usage, number: int) -> Series:
         use_x &= ~wild
         free = in_flight(np.where(wild, np.nan, record.x), plant)
         usage.contact_samples = int(np.count_nonzero(~free))
+        steep = np.asarray(plant.x_max_m - np.where(free, record.x, -np.inf) < gap_least_m)
+        steep[1:] |= steep[:-1].copy()  # an interval with one end there is there
+        steep[:-1] |= steep[1:].copy()
+        steep &= free
+        usage.steep_samples = int(np.count_nonzero(steep))
+        free &= ~steep
         for piece in runs(free, FLIGHT_SAMPLES):
             for part in _split(follows[piece], FLIGHT_SAMPLES):
                 flies[piece.start + part.start : piece.start + part.stop] = True

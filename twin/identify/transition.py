@@ -33,6 +33,7 @@ class Physics(NamedTuple):
     gravity_m_s2: float
     x_max_m: float
     gap_min_m: float
+    travel_m: float  # the top stop: for predictions that reach it
 
 
 @kernel

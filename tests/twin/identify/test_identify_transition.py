@@ -29,7 +29,7 @@ def fine(p: Physics, T_s: float, i: float, x: float, v: float, u: float) -> tupl
 @pytest.mark.parametrize("T_A", [2e-5, 3e-4, 2e-3, 3e-2])
 @pytest.mark.parametrize("T_s", [5e-4, 2e-3, 3e-3])
 def test_one_interval_is_the_solution_of_the_equations(T_A: float, T_s: float) -> None:
-    p = Physics(K_A=0.3, T_A=T_A, k=6.8e-4, d=2.5, gravity_m_s2=9.81, x_max_m=8.1e-3, gap_min_m=5.7e-5)
+    p = Physics(K_A=0.3, T_A=T_A, k=6.8e-4, d=2.5, gravity_m_s2=9.81, x_max_m=8.1e-3, gap_min_m=5.7e-5, travel_m=5.7e-3)
     m = np.empty(9)
     moments(T_s, T_A, m)
 
