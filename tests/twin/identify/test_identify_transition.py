@@ -64,7 +64,7 @@ def test_compiled_and_plain_filter_agree() -> None:
     flags[10] &= ~USE_X & 0xFF
     flags[20] &= ~USE_I & 0xFF
     flags[30:34] &= ~FLIES & 0xFF
-    numbers = (0.3, 3e-4, 6.8e-4, 2.5, 9.81, 8.1e-3, 5.7e-5)
+    numbers = (0.3, 3e-4, 6.8e-4, 2.5, 9.81, 8.1e-3, 5.7e-5, 5.7e-3)
     inputs = (
         numbers,
         (2e-3, 5e-6, 1e-4, 0.02, 2e-3),
