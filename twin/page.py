@@ -14,7 +14,7 @@ CSS = (
     "td:first-child,th:first-child{text-align:left}img{max-width:100%}"
     ".no{color:#c0392b;font-weight:600}.yes{color:#2a7f3f}.untested{color:#777;font-style:italic}"
     ".wide{overflow-x:auto}.figures{display:flex;flex-wrap:wrap;gap:4px 16px;align-items:flex-start}"
-    ".figures figure{margin:6px 0;flex:1 1 320px;max-width:540px;min-width:0}.figures img{width:100%}"
+    ".figures figure{margin:6px 0;flex:1 1 430px;max-width:540px;min-width:0}.figures img{width:100%}"
     "figcaption{font-size:13px;color:#555}"
     ".found{border-color:#1f77b4}.warn{border-left:6px solid #b8860b;background:#fdf6e3;padding:6px 14px}"
     ".card{border:1px solid #ccc;border-radius:6px;padding:4px 16px 10px;margin:14px 0}"

@@ -29,7 +29,7 @@ from twin.identify.record import FloatArray
 BASELINE, EXTENDED, FLOOR = TWIN, "#2a7f3f", REFERENCE
 MOST_BARS = 8
 _SCALES = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "N": (1e3, "mN")}
-_SETTINGS: Any = {"svg.hashsalt": "board51", "svg.fonttype": "path", "font.size": 10, "path.simplify_threshold": 0.3}
+_SETTINGS: Any = {"svg.hashsalt": "board51", "svg.fonttype": "path", "font.size": 11, "path.simplify_threshold": 0.3}
 
 
 def ahead_figure(rows: Sequence[Ahead]) -> bytes:
@@ -46,7 +46,7 @@ def ahead_figure(rows: Sequence[Ahead]) -> bytes:
     _decades(ax)
     ax.set_xlabel("predicted so far ahead [ms]")
     ax.set_ylabel("rms error of x [µm]")
-    ax.legend(fontsize=9)
+    ax.legend(fontsize=9.5)
     return _svg(figure)
 
 
@@ -60,7 +60,7 @@ def piece_figure(piece: Piece) -> bytes:
     ax.plot(t, piece.x_m * 1e3, color=MEASURED, lw=1.0, label="measured")
     ax.set_xlabel("time [s]")
     ax.set_ylabel("position x [mm]")
-    ax.legend(fontsize=9)
+    ax.legend(fontsize=9.5)
     return _svg(figure)
 
 
@@ -75,7 +75,7 @@ def error_figure(piece: Piece, floor_m: float) -> bytes:
         ax.plot(t, (piece.extended_m - piece.x_m) * 1e6, color=EXTENDED, lw=0.9, label="extended")
     ax.set_xlabel("time [s]")
     ax.set_ylabel("predicted - measured [µm]")
-    ax.legend(fontsize=9)
+    ax.legend(fontsize=9.5)
     return _svg(figure)
 
 
@@ -83,7 +83,7 @@ def regime_figure(regime: Regime, floor_m: float) -> bytes:
     """Errors in each group."""
     named = not regime.unit
     count = len(regime.bins)
-    figure, ax = _panel(height=max(3.3, 1.3 + 0.32 * count) if named else 3.3, left=0.34 if named else 0.14)
+    figure, ax = _panel(height=max(2.2, 1.0 + 0.34 * count) if named else 3.2, left=0.36 if named else 0.15)
     factor, unit = _SCALES.get(regime.unit, (1.0, regime.unit))
     sides = _sides([one.baseline for one in regime.bins], [one.extended for one in regime.bins])
     for place, (name, colour, own) in enumerate(sides):
@@ -111,7 +111,7 @@ def regime_figure(regime: Regime, floor_m: float) -> bytes:
         ax.set_ylim(bottom=0.0)
         ax.set_xlabel(f"{regime.title} [{unit}]")
         ax.set_ylabel("rms error 20 ms ahead [µm]")
-    ax.legend(fontsize=9)
+    ax.legend(fontsize=9.5)
     return _svg(figure)
 
 
@@ -126,7 +126,7 @@ def curve_figure(curve: Curve) -> bytes:
         _bars(ax, at, own, up, name, colour, joined=True)
     ax.set_xlabel(f"{curve.title} [{unit}]")
     ax.set_ylabel(what)
-    ax.legend(fontsize=9)
+    ax.legend(fontsize=9.5)
     return _svg(figure)
 
 
@@ -143,7 +143,7 @@ def spectrum_figure(found: Spectrum) -> bytes:
     _decades(ax)
     ax.set_xlabel("frequency [Hz]")
     ax.set_ylabel("error one sample ahead [µm/√Hz]")
-    ax.legend(fontsize=9)
+    ax.legend(fontsize=9.5)
     return _svg(figure)
 
 
@@ -160,7 +160,7 @@ def steps_figure(steps: Steps) -> bytes:
         ax.plot(t, own, color=colour, lw=1.3, label=name)
     ax.set_xlabel("time from the change of the reference [ms]")
     ax.set_ylabel("share of the step [-]")
-    ax.legend(fontsize=9, loc="lower right")
+    ax.legend(fontsize=9.5, loc="lower right")
     return _svg(figure)
 
 
@@ -176,7 +176,7 @@ def step_difference_figure(steps: Steps) -> bytes:
         ax.plot(t, 100.0 * (steps.rig - own), color=colour, lw=1.2, label=name)
     ax.set_xlabel("time from the change of the reference [ms]")
     ax.set_ylabel("difference [% of the step]")
-    ax.legend(fontsize=9)
+    ax.legend(fontsize=9.5)
     return _svg(figure)
 
 
@@ -186,18 +186,21 @@ def round_figure(step: Round, number: int, threshold: float) -> bytes:
     rows = [(cause, gain, True) for cause, gain in fitted.items()]
     rows += [(s.cause, s.gain, False) for s in step.scores if s.cause not in fitted and s.testable]
     rows = sorted(rows, key=lambda row: -row[1])[:MOST_BARS]
-    figure, ax = _panel(height=1.4 + 0.3 * max(len(rows), 3), left=0.36)
+    figure, ax = _panel(height=1.3 + 0.28 * max(len(rows), 3), left=0.4, top=0.35)
     for place, (cause, gain, own) in enumerate(rows):
         colour = EXTENDED if cause == step.taken else BASELINE if own else FLOOR
         ax.barh(place, max(gain, 0.0), height=0.7, color=colour, alpha=1.0 if own else 0.35)
     ax.axvline(threshold, color="black", lw=0.8, ls=":")
-    ax.set_yticks(range(len(rows)), [cause + (" ✓" if cause == step.taken else "") for cause, _, _ in rows])
+    names = [cause + (" ✓" if cause == step.taken else "") for cause, _, _ in rows]
+    ax.set_yticks(range(len(rows)), names, fontsize=9.5)
+    ax.set_axisbelow(True)
     ax.invert_yaxis()
     ax.set_xscale("symlog", linthresh=threshold)
     ax.set_xlim(0.0, 1.6 * max([gain for _, gain, _ in rows], default=threshold) + threshold)
     ax.xaxis.set_minor_locator(matplotlib.ticker.NullLocator())
+    ax.xaxis.set_major_formatter("{x:g}")
     ax.set_xlabel("gain of log-likelihood")
-    ax.set_title(f"round {number}: " + (f"{step.taken} taken" if step.taken else "nothing taken"), fontsize=10)
+    ax.set_title(f"round {number}: " + (f"{step.taken} taken" if step.taken else "nothing taken"), fontsize=11)
     return _svg(figure)
 
 
@@ -255,10 +258,11 @@ def _short(label: str) -> str:
     return label if len(label) <= 24 else label[:11] + "…" + label[-12:]
 
 
-def _panel(*, height: float = 3.3, left: float = 0.14) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(5.6, height))
-    figure.subplots_adjust(left=left, right=0.97, top=1.0 - 0.3 / height, bottom=0.55 / height)
-    ax = figure.subplots()
+def _panel(*, height: float = 3.2, left: float = 0.15, top: float = 0.12) -> tuple[Figure, Axes]:
+    with matplotlib.rc_context(_SETTINGS):
+        figure = Figure(figsize=(5.6, height))
+        figure.subplots_adjust(left=left, right=0.97, top=1.0 - top / height, bottom=0.6 / height)
+        ax = figure.subplots()
     ax.grid(alpha=0.3)
     return figure, ax
 

@@ -29,7 +29,7 @@ from twin.diagnose.report_causes import causes, not_the_cause, ranking
 from twin.diagnose.response import Steps
 from twin.diagnose.result import Diagnosis
 from twin.diagnose.show import HORIZON_S, Show
-from twin.diagnose.words import quantity
+from twin.diagnose.words import measured, percent, quantity
 from twin.identify.prepare import Usage
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Parameter
@@ -130,9 +130,9 @@ def _before_after(found: Diagnosis, show: Show) -> str:
     rows = [
         [
             f"{one.horizon_s * 1e3:.3g} ms",
-            f"{one.baseline.value * 1e6:.4g} ({one.baseline.low * 1e6:.4g} .. {one.baseline.high * 1e6:.4g})",
-            f"{one.extended.value * 1e6:.4g} ({one.extended.low * 1e6:.4g} .. {one.extended.high * 1e6:.4g})",
-            f"{one.floor_m * 1e6:.4g}",
+            f"{one.baseline.value * 1e6:.3g} ({one.baseline.low * 1e6:.3g} .. {one.baseline.high * 1e6:.3g})",
+            f"{one.extended.value * 1e6:.3g} ({one.extended.low * 1e6:.3g} .. {one.extended.high * 1e6:.3g})",
+            f"{one.floor_m * 1e6:.3g}",
             f"{one.ratio[0]:.3f} .. {one.ratio[1]:.3f}",
             _removed(one.removed, one.baseline.value, one.floor_m),
             f"{one.count}",
@@ -143,15 +143,22 @@ def _before_after(found: Diagnosis, show: Show) -> str:
         "Root mean square of predicted - measured position, each prediction from the readings up to so many "
         "milliseconds before and the measured input since. Intervals: 95 %, bootstrap over blocks of half a second. "
         "The floor is what sensor noise alone leaves of a right model; removed: share of the mean square above it. "
-        "An error grows by e every 12 to 16 ms, because the ball is unstable: small causes show at long horizons."
+        f"The ball is unstable: in the middle of its travel an error grows by e every {_growth_s(found) * 1e3:.0f} ms, "
+        "so that small causes show at long horizons."
     )
     return figures(drawings) + table(head, rows) + paragraph(text) + _worse(found, show) + _cost(found)
+
+
+def _growth_s(found: Diagnosis) -> float:
+    """Time constant of the unstable pole of (6) in the middle of the travel, s: sqrt(gap / 2 g)."""
+    plant = found.baseline.plant
+    return math.sqrt((plant.x_max_m - 0.5 * plant.travel_m) / (2.0 * plant.gravity_m_s2))
 
 
 def _removed(share: float, baseline_m: float, floor_m: float) -> str:
     if not math.isfinite(share) or baseline_m < 1.02 * floor_m:
         return "nothing to remove"
-    return f"{100 * share:.1f} %"
+    return f"{100 * share:.3g} %"
 
 
 def _worse(found: Diagnosis, show: Show) -> str:
@@ -183,6 +190,14 @@ def _where(found: Diagnosis, show: Show) -> str:
         )
         drawings.append(drawing(spectrum_figure(show.spectrum), caption))
     parts = [figures(drawings)]
+    if drawings:
+        parts.append(
+            paragraph(
+                "Each point: root mean square over the samples predicted in that group, bars as above. In the spectrum "
+                "a wrong model may lie under the floor: its filter follows the readings more closely than a right one "
+                "would, and pays for it at other frequencies and at longer horizons."
+            )
+        )
     if isinstance(show.steps, Steps):
         parts.append(
             "<h3>Is the rig slower than the simulation?</h3>" + _steps(show.steps, found.before == found.after)
@@ -281,8 +296,8 @@ def _left(found: Diagnosis, show: Show) -> str:
     else:
         parts.append(
             paragraph(
-                f"Sensor noise: {100 * found.unexplained_share:.1f} % of what the baseline lacks is left, and it is "
-                "white."
+                "What is left is as white as noise; against sensor noise alone "
+                f"{percent(found.unexplained_share)} of what the baseline lacks is still missing."
                 if found.causes
                 else "Sensor noise: what is left is as large as at rest, and white."
             )
@@ -354,10 +369,8 @@ def _of(parameter: Parameter) -> str:
 
 
 def _value(parameter: Parameter) -> str:
-    text = quantity(parameter.value, parameter.unit)
-    if parameter.ci95 is not None:
-        text += f" ({quantity(parameter.ci95[0], parameter.unit)} .. {quantity(parameter.ci95[1], parameter.unit)})"
-    return html.escape(text)
+    number, interval = measured(parameter.value, parameter.ci95, parameter.unit)
+    return html.escape(f"{number} ({interval})" if interval else number)
 
 
 def _use(found: Diagnosis) -> str:

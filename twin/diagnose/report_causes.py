@@ -1,17 +1,15 @@
-"""The part of the report that names: the search round by round, each cause with what to do, what was not the cause."""
+"""The part of the report that names: the search by rounds, each cause with what to do, what was not the cause."""
 
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping
 
 from twin.diagnose.figures import round_figure
 from twin.diagnose.result import Diagnosis, Finding, Proposal
 from twin.diagnose.select import THRESHOLD
-from twin.diagnose.words import quantity
+from twin.diagnose.words import capital, percent, sizes
 from twin.model.causes.catalogue import BY_NAME
-from twin.model.parameters import Parameter
-from twin.page import drawing, figures, folded, paragraph, table
+from twin.page import bullets, drawing, figures, folded, paragraph, table
 
 
 def ranking(found: Diagnosis) -> str:
@@ -41,33 +39,21 @@ def causes(found: Diagnosis) -> str:
 def _card(finding: Finding, number: int, count: int) -> str:
     known = BY_NAME[finding.name]
     head = f"{number}. {finding.name}" if count > 1 else finding.name
-    share = f"{100 * finding.share_of_excess_explained:.0f} % of what the baseline lacks"
+    share = f"{percent(finding.share_of_excess_explained)} of what the baseline lacks"
     entries = [
-        ("Equation", f"{known.equation} ({known.acts_on})"),
-        ("Where it comes from", known.source),
-        ("What it leaves in recordings", known.signature),
-        ("Where it shows", ", ".join(known.shows_in)),
-        ("How to confirm it by hand", known.confirm),
-        ("What to do about it", known.cure),
+        ("Equation", f"{known.equation} (in the {known.acts_on})"),
+        ("Where it comes from", _sentence(known.source)),
+        ("What it leaves in recordings", _sentence(known.signature)),
+        ("Experiments that show it", ", ".join(known.shows_in)),
+        ("How to confirm it by hand", _sentence(known.confirm)),
+        ("What to do about it", _sentence(known.cure)),
     ]
-    listed = "".join(f"<dt>{name}</dt><dd>{html.escape(_sentence(text))}</dd>" for name, text in entries if text)
+    listed = "".join(f"<dt>{name}</dt><dd>{html.escape(text)}</dd>" for name, text in entries if text)
     return (
         f'<div class="card"><h3>{html.escape(head)}</h3><p><b>{html.escape(_sentence(finding.sentence))}</b> '
         f"It explains {share}; confidence {100 * finding.confidence:.0f} %.</p>"
-        f"<p>{_parameters(finding.name, finding.parameters)}</p><dl>{listed}</dl>{_class(finding)}</div>"
+        f"<p>{html.escape(sizes(finding.name, finding.parameters))}</p><dl>{listed}</dl>{_class(finding)}</div>"
     )
-
-
-def _parameters(cause: str, parameters: Mapping[str, Parameter]) -> str:
-    parts = []
-    for entry in BY_NAME[cause].parameters:
-        parameter = parameters[entry.name]
-        text = f"{entry.symbol} = {quantity(parameter.value, entry.unit)}"
-        if parameter.ci95 is not None:
-            low, high = (quantity(end, entry.unit) for end in parameter.ci95)
-            text += f" (95 %: {low} to {high})"
-        parts.append(text)
-    return html.escape("; ".join(parts))
 
 
 def _class(finding: Finding) -> str:
@@ -78,11 +64,11 @@ def _class(finding: Finding) -> str:
         [
             html.escape(finding.name),
             html.escape(BY_NAME[finding.name].title),
-            _parameters(finding.name, finding.parameters),
+            html.escape(sizes(finding.name, finding.parameters)),
         ]
     ]
     rows += [
-        [html.escape(one.name), html.escape(BY_NAME[one.name].title), _parameters(one.name, one.parameters)]
+        [html.escape(one.name), html.escape(BY_NAME[one.name].title), html.escape(sizes(one.name, one.parameters))]
         for one in members
     ]
     text = "These recordings cannot tell it from the following; each explains them as well, with these sizes:"
@@ -92,11 +78,19 @@ def _class(finding: Finding) -> str:
 def _next(proposal: Proposal | None) -> str:
     if proposal is None:
         return paragraph("No experiment was computed that would tell them apart.")
-    text = f"Next experiment: {_sentence(proposal.what)}"
-    if proposal.command:
-        text += f" It separates them by {proposal.separation_z:.0f} standard errors."
-    command = f"<pre>{html.escape(proposal.command)}</pre>" if proposal.command else ""
-    return paragraph(text) + command
+    if not proposal.command:
+        return paragraph(f"No experiment on this rig tells them apart. {_sentence(proposal.what)}")
+    text = (
+        f"Next experiment: {_sentence(proposal.what)} With it they would be {proposal.separation_z:.0f} standard errors "
+        "apart; 3 are enough."
+    )
+    others = ", ".join(f"{name} ({z:.0f})" for name, z in proposal.others)
+    return (
+        paragraph(text)
+        + f"<pre>{html.escape(proposal.command)}</pre>"
+        + (paragraph(f"Next best: {others}.") if others else "")
+        + (bullets([_sentence(one) for one in proposal.outside]) if proposal.outside else "")
+    )
 
 
 def not_the_cause(found: Diagnosis) -> str:
@@ -120,5 +114,5 @@ def not_the_cause(found: Diagnosis) -> str:
 
 
 def _sentence(text: str) -> str:
-    text = text[:1].upper() + text[1:]
+    text = capital(text)
     return text if text.endswith((".", "!", "?")) else text + "."

@@ -28,7 +28,7 @@ class Steps:
     rig: FloatArray  # shape (n,)
     baseline: FloatArray
     extended: FloatArray
-    count: int
+    count: int  # of the steps in the mean
     figures: tuple[tuple[Compared, Compared], ...]  # (against baseline, against extended)
 
 
@@ -72,16 +72,18 @@ def step_responses(
     shares = [responses(runs, sigma) for runs in loops]
     if not shares[0]:
         return "the reference has no step after which it stays for 0.15 s"
-    n = min(len(one.t_s) for one in shares[0])
-    curves = [np.nanmean([one.rig[:n] for one in shares[0]], axis=0)]
-    curves += [np.nanmean([one.simulation[:n] for one in each], axis=0) for each in shares]
+    # The shortest steps would cut all others short: the mean is of those that last as long as three quarters do.
+    n = int(np.quantile([len(one.t_s) for one in shares[0]], 0.25))
+    long = [[one for one in each if len(one.t_s) >= n] for each in shares]
+    curves = [np.nanmean([one.rig[:n] for one in long[0]], axis=0)]
+    curves += [np.nanmean([one.simulation[:n] for one in each], axis=0) for each in long]
     figures = zip(*(compare_steps(runs, sigma) for runs in loops), strict=True)
     return Steps(
-        t_s=shares[0][0].t_s[:n],
+        t_s=long[0][0].t_s[:n],
         rig=curves[0],
         baseline=curves[1],
         extended=curves[2],
-        count=len(shares[0]),
+        count=len(long[0]),
         figures=tuple((first, second) for first, second in figures),
     )
 

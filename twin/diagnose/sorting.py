@@ -40,7 +40,7 @@ def sorted_errors(errors_m: FloatArray, evidence: Evidence, model: Filtered, blo
         _numeric("current", "current i_c", "A", i, even_edges(i, _GROUPS), errors_m, blocks),
         _named("direction", "direction of motion", *_direction(v), errors_m, blocks),
         _named("after-step", "time after a reference step", *_after_steps(evidence), errors_m, blocks),
-        _numeric("time", "time over the campaign", "s", along, even_edges(along, _TIMES), errors_m, blocks),
+        _numeric("time", "time over the recordings", "s", along, even_edges(along, _TIMES), errors_m, blocks),
         _named(
             "recording",
             "recording",

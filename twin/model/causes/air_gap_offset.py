@@ -14,16 +14,19 @@ CAUSE = Cause(
     name="air-gap-offset",
     family="force",
     title="the coil's plane is higher than x_max",
+    sentence="the coil sits {d_m} higher than the model has it",
+    opposite="the coil sits {d_m} lower than the model has it",
     acts_on="magnetic force (3)",
     equation="F_m = K_c i_c^2 / (x_max + d - x)^2",
-    source="four published equilibria of a CE 152 ask for d = 2.4 mm",
+    source="(3) counts the gap from x_max, taken for the top of the travel; four published equilibria of a CE "
+    "152 ask for d = 2.4 mm",
     parameters=(
         CauseParameter(name="d_m", symbol="d", unit="m", place=D, neutral=0.0, low=-0.002, high=0.03, probes=(0.0002,)),
     ),
-    signature="the current that holds the ball is a straight line in x that does not pass through 0 at x_max",
+    signature="the current that holds the ball is a straight line in x that meets 0 A at x_max + d, not at x_max",
     shows_in=("holds", "lift-off", "wide-steps"),
-    confirm="note i_c at six heights and draw the line",
-    cure="use x_max + d in the model, and in the design",
+    confirm="hold the ball at six heights, plot i_c over x and draw the line on to 0 A; or measure from rest to core",
+    cure="x_max + d in place of x_max, in the model and in the design",
 )
 
 

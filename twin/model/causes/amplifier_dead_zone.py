@@ -14,18 +14,19 @@ CAUSE = Cause(
     name="amplifier-dead-zone",
     family="amplifier",
     title="the amplifier does nothing below a certain input",
+    sentence="the amplifier does nothing below an input of {width_v}",
     acts_on="input of (1)",
     equation="K_A max(u_c - u_0, 0)",
-    source="threshold of the output stage; the duty table of the INTECO rig shows one of 5 %",
+    source="threshold of the output stage; the duty table of an INTECO rig shows one of 5 %",
     parameters=(
         CauseParameter(
             name="width_v", symbol="u_0", unit="V", place=WIDTH, neutral=0.0, low=0.0, high=2.0, probes=(0.05, 0.2)
         ),
     ),
-    signature="i_c is 0 up to some u_c, then a line that misses the origin",
+    signature="i_c is 0 up to some u_c and a straight line from there, which misses the origin",
     shows_in=("amplifier-steps", "lift-off"),
-    confirm="ramp u_c from 0 and note where i_c begins",
-    cure="add the width to u_c on the board",
+    confirm="ramp u_c up slowly from 0 and note where i_c begins",
+    cure="add the width to every u_c above 0 on the board",
     needs=("u_c", "i_c"),
 )
 

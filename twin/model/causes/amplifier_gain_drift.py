@@ -15,9 +15,11 @@ CAUSE = Cause(
     name="amplifier-gain-drift",
     family="amplifier",
     title="the amplifier's gain falls as the coil heats",
+    sentence="the amplifier's gain falls as the coil heats: by {loss_1_a2:%} at a lasting 1 A, within {tau_s}",
+    opposite="the amplifier's gain grows as the coil heats: by {loss_1_a2:%} at a lasting 1 A, within {tau_s}",
     acts_on="target current of (1)",
     equation="K_A (1 - loss w), tau w' + w = i_c^2",
-    source="coil heating, which the paper neglects on purpose",
+    source="the coil's resistance grows by 0.4 % per kelvin; the paper neglects it on purpose",
     parameters=(
         CauseParameter(
             name="loss_1_a2", symbol="loss", unit="1/A^2", place=LOSS, neutral=0.0, low=-0.05, high=0.3, probes=(0.02,)
@@ -26,9 +28,9 @@ CAUSE = Cause(
             name="tau_s", symbol="tau", unit="s", place=TAU, neutral=30.0, low=5.0, high=600.0, probes=(30.0,)
         ),
     ),
-    signature="i_c / u_c falls over minutes of high current and recovers in pauses",
+    signature="i_c / u_c falls over tens of seconds of high current and recovers in pauses",
     shows_in=("warm-run", "steps"),
-    confirm="hold the ball low for a minute and watch i_c at constant u_c",
+    confirm="hold the ball low for a minute at constant u_c and watch i_c fall; let the coil cool and compare",
     cure="a current loop in the amplifier, or K_A scheduled with the mean square of i_c",
 )
 

@@ -14,6 +14,8 @@ CAUSE = Cause(
     name="amplifier-offset",
     family="amplifier",
     title="the amplifier adds a constant current",
+    sentence="the amplifier gives {offset_a} more than K_A u_c",
+    opposite="the amplifier gives {offset_a} less than K_A u_c",
     acts_on="target current of (1)",
     equation="K_A u_c + i_offset, not below 0",
     source="offset of the output stage; an INTECO rig gives 0.043 A at zero input",
@@ -22,10 +24,10 @@ CAUSE = Cause(
             name="offset_a", symbol="i_offset", unit="A", place=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
         ),
     ),
-    signature="i_c is not 0 at u_c = 0, and the coil does pull then",
+    signature="i_c is not 0 at u_c = 0 (or begins late), and the coil does pull then",
     shows_in=("rest", "amplifier-steps"),
-    confirm="measure the coil with a clamp meter at u_c = 0",
-    cure="trim the amplifier, or subtract the offset from u_c",
+    confirm="measure the coil's current with a clamp meter at u_c = 0 and at one large u_c",
+    cure="trim the amplifier, or take the offset off u_c on the board",
     needs=("u_c", "i_c"),
 )
 

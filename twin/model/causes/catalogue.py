@@ -6,6 +6,7 @@ A cause is added with its file, its line here, and its call in `twin/model/exten
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.model.causes import (
     actuation_delay,
@@ -36,7 +37,7 @@ from twin.model.causes import (
     sensor_crosstalk,
     slew_rate_limit,
 )
-from twin.model.causes.cause import PLACES, Cause, Vector
+from twin.model.causes.cause import PLACES, Cause
 
 CATALOGUE: tuple[Cause, ...] = (
     amplifier_gain_drift.CAUSE,
@@ -70,7 +71,7 @@ CATALOGUE: tuple[Cause, ...] = (
 BY_NAME = {cause.name: cause for cause in CATALOGUE}
 
 
-def neutral() -> Vector:
+def neutral() -> NDArray[np.float64]:
     """The vector c of the paper's model, shape (PLACES,)."""
     c = np.zeros(PLACES)
     for cause in CATALOGUE:

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Literal, Protocol
 
 Family = Literal["amplifier", "force", "motion", "sensing", "timing"]
-Vector: TypeAlias = NDArray[np.float64]  # of all parameters of all causes, shape (PLACES,)
 PLACES = 29
+
+
+class Vector(Protocol):
+    """The parameters of all causes, an array of shape (PLACES,), as the kernels read it."""
+
+    def __getitem__(self, place: int, /) -> float: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +51,7 @@ class Cause:
 
     name: str
     family: Family
-    title: str  # plain words, as in "the coil's plane is {d_m} above where the model has it"
+    title: str  # plain words, without a size
     acts_on: str
     equation: str
     source: str
@@ -60,6 +62,9 @@ class Cause:
     cure: str
     needs: tuple[str, ...] = ("u_c", "i_c", "x")  # channels without which it cannot be tested
     not_testable: str = ""  # why no recording of this rig can show it
+    # With sizes: {parameter} is its magnitude with unit, {parameter:%} its distance from neutral in percent.
+    sentence: str = ""
+    opposite: str = ""  # the same where the strength is below neutral, for those that have a sign
 
     @property
     def strength(self) -> CauseParameter:

@@ -14,17 +14,19 @@ CAUSE = Cause(
     name="constant-force",
     family="motion",
     title="a constant force acts on the ball",
+    sentence="a constant force of {force_n} pushes the ball up",
+    opposite="a constant force of {force_n} pulls the ball down",
     acts_on="net force of (6)",
     equation="m x'' = ... + F_0",
-    source="wrong mass, a tilted rig, a draught",
+    source="a wrong mass in [plant], a tilted rig, a draught",
     parameters=(
         CauseParameter(
             name="force_n", symbol="F_0", unit="N", place=FORCE, neutral=0.0, low=-0.05, high=0.05, probes=(0.001,)
         ),
     ),
-    signature="free fall is slower or faster than g",
+    signature="free fall is slower or faster than g, by the same at every height",
     shows_in=("prbs-open-loop", "holds"),
-    confirm="weigh the ball; drop it with the coil off",
+    confirm="weigh the ball; let it drop with the coil off and time it",
     cure="the right mass in [plant]; level the rig",
 )
 
@@ -32,4 +34,4 @@ CAUSE = Cause(
 @kernel
 def force_n(c: Vector) -> float:
     """The force upwards, N."""
-    return float(c[FORCE])
+    return c[FORCE]

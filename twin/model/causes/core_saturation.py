@@ -16,18 +16,19 @@ CAUSE = Cause(
     name="core-saturation",
     family="force",
     title="the iron saturates: the force grows less than with i^2",
+    sentence="the iron saturates: at {i_s_a} it pulls half as hard as i^2 says",
     acts_on="magnetic force (3)",
     equation="i -> i / sqrt(1 + (i / i_s)^2)",
-    source="iron saturates",
+    source="from about 1.5 T on iron takes up less and less field",
     parameters=(
         CauseParameter(
             name="i_s_a", symbol="i_s", unit="A", place=I_S, neutral=math.inf, low=0.2, high=100.0, probes=(6.0, 3.0)
         ),
     ),
-    signature="low positions need more current than the law says; jerks upwards are weaker",
+    signature="low positions need more current than (3) says; large pulls upwards are weaker than small ones promise",
     shows_in=("holds", "lift-off", "prbs-open-loop"),
-    confirm="note i_c at six heights; the line bends up at large gaps",
-    cure="less current: a lighter ball or a smaller gap; or a table of the force",
+    confirm="note i_c at six heights: the line bends up where the gap is large",
+    cure="less current (a lighter ball, a smaller gap), or a table of the force in place of (3)",
 )
 
 

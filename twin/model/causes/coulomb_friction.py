@@ -17,6 +17,7 @@ CAUSE = Cause(
     name="coulomb-friction",
     family="motion",
     title="dry friction holds and brakes the ball",
+    sentence="dry friction of {force_n} holds and brakes the ball",
     acts_on="net force of (6)",
     equation="F_f sign(x'), and up to F_f at rest",
     source="a ball that touches its guide",
@@ -25,9 +26,9 @@ CAUSE = Cause(
             name="force_n", symbol="F_f", unit="N", place=FORCE, neutral=0.0, low=0.0, high=0.05, probes=(0.0005,)
         ),
     ),
-    signature="the ball sticks and slips under a slow reference; i_c differs between rising and sinking",
+    signature="the ball sticks and slips under a slow reference; i_c at one height differs between rising and sinking",
     shows_in=("slow-ramp", "multisine"),
-    confirm="move the reference slowly up and down and compare i_c at one height",
+    confirm="move the reference slowly up and down and compare i_c at the same height",
     cure="free the ball from its guide, level the rig",
 )
 

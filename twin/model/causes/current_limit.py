@@ -16,9 +16,10 @@ CAUSE = Cause(
     name="current-limit",
     family="amplifier",
     title="the amplifier gives no more than a certain current",
+    sentence="the amplifier gives no more than {limit_a}",
     acts_on="target current of (1)",
     equation="i_c <= i_limit",
-    source="a power supply smaller than the rig's",
+    source="a power supply, or a protection, smaller than the rig asks for",
     parameters=(
         CauseParameter(
             name="limit_a",
@@ -33,8 +34,8 @@ CAUSE = Cause(
     ),
     signature="i_c stays flat at one value while u_c still rises",
     shows_in=("lift-off", "amplifier-steps"),
-    confirm="turn u_c up slowly with the ball held and watch i_c stop",
-    cure="a larger supply, or u_max on the board set below the limit",
+    confirm="block the ball, turn u_c up slowly and watch where i_c stops rising",
+    cure="a larger supply; until then u_max on the board below the limit, so that the integral does not wind up",
     needs=("u_c", "i_c"),
 )
 

@@ -14,6 +14,8 @@ CAUSE = Cause(
     name="current-sensor-gain",
     family="sensing",
     title="i_c reads in the wrong scale",
+    sentence="i_c reads {gain:%} too large",
+    opposite="i_c reads {gain:%} too small",
     acts_on="current sensor",
     equation="i_measured = gain i_c",
     source="tolerance of the shunt",
@@ -22,7 +24,7 @@ CAUSE = Cause(
     ),
     signature="none: K_A and K_c take it up exactly",
     shows_in=(),
-    confirm="a clamp meter beside the sensor",
+    confirm="put a clamp meter beside the sensor at a large constant current",
     cure="calibrate the shunt",
     not_testable="absorbed by K_A and K_c: a reading gain times too high gives K_A gain times and K_c 1/gain^2 times "
     "the true one, and the same motion",

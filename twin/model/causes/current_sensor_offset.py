@@ -14,9 +14,11 @@ CAUSE = Cause(
     name="current-sensor-offset",
     family="sensing",
     title="i_c reads too high by a constant",
+    sentence="i_c reads {offset_a} too high",
+    opposite="i_c reads {offset_a} too low",
     acts_on="current sensor",
     equation="i_measured = i_c + offset",
-    source="an unzeroed shunt amplifier; an INTECO rig drifts by tens of mA",
+    source="an amplifier of the shunt that was not zeroed; that of an INTECO rig drifts by tens of mA",
     parameters=(
         CauseParameter(
             name="offset_a", symbol="offset", unit="A", place=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
@@ -25,7 +27,7 @@ CAUSE = Cause(
     signature="i_c is not 0 with the coil off, and the coil does not pull then",
     shows_in=("rest", "holds"),
     confirm="read i_c with the coil unplugged",
-    cure="zero the sensor with the coil off",
+    cure="zero the sensor with the coil off, before each run",
 )
 
 

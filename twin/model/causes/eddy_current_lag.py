@@ -16,18 +16,19 @@ CAUSE = Cause(
     name="eddy-current-lag",
     family="force",
     title="the force follows the current late",
+    sentence="the force follows the current {tau_s} late",
     acts_on="magnetic force (3)",
     equation="tau f' + f = i_c, F_m = K_c f^2 / gap^2",
-    source="eddy currents in a solid core",
+    source="eddy currents in a solid core hold the field back",
     parameters=(
         CauseParameter(
             name="tau_s", symbol="tau", unit="s", place=TAU, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
         ),
     ),
-    signature="the acceleration lags the measured current, more at high frequency",
+    signature="the acceleration lags the measured current, the more the faster the current changes",
     shows_in=("prbs-reference", "prbs-open-loop"),
-    confirm="a search coil on the core, beside i_c",
-    cure="a laminated core, or a lead term in the law",
+    confirm="put a search coil on the core and compare its integrated voltage with i_c",
+    cure="a laminated core, or a lead of that time in the law",
 )
 
 

@@ -9,12 +9,13 @@ from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 
 DROP = 28
-_FADES = 0.2  # of K_A V_D: nearer to the current of rest conduction is not continuous, and the loss ends with it
+_FADES = 1.0  # of K_A V_D: nearer to the current of rest conduction is not continuous, and the loss ends with it
 
 CAUSE = Cause(
     name="freewheel-diode",
     family="amplifier",
     title="while the driver is off, the coil's current flows on through a diode, which brakes it",
+    sentence="while the driver is off, the coil's current flows on through a diode that takes {drop_v} off its voltage",
     acts_on="input of (1)",
     equation="T_A i_c' + i_c = K_A (u_c - max(V_D - u_c, 0)) while i_c > K_A u_c",
     source="a PWM driver gives duty (V_s + V_D) - V_D on average while current flows, but no less than 0 at rest",

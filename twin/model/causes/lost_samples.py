@@ -13,9 +13,10 @@ CAUSE = Cause(
     name="lost-samples",
     family="timing",
     title="samples are lost between board and log",
+    sentence="{probability:%} of the samples are missing",
     acts_on="transmission",
     equation="each sample is missing with a probability",
-    source="an overrun buffer, a loaded line",
+    source="an overrun buffer, a loaded or noisy line",
     parameters=(
         CauseParameter(
             name="probability",
@@ -28,9 +29,9 @@ CAUSE = Cause(
             probes=(0.01,),
         ),
     ),
-    signature="gaps in the sequence numbers or in t",
+    signature="gaps in the sequence numbers, or in t",
     shows_in=("rest",),
-    confirm="board51 info LOG",
-    cure="a faster line or a larger stream divider",
+    confirm="board51 info LOG lists the gaps",
+    cure="a faster line, a larger stream divider, or less load on the host",
     needs=("u_c",),
 )

@@ -14,6 +14,9 @@ CAUSE = Cause(
     name="motional-emf",
     family="amplifier",
     title="a moving ball induces a voltage that pushes the current",
+    sentence="the moving ball induces a voltage that pushes the current: {coupling_s_m:%} of it per m/s of rise, "
+    "in the middle",
+    opposite="the moving ball pushes the current the wrong way: {coupling_s_m:%} of it per m/s of fall, in the middle",
     acts_on="rate of the current in (1)",
     equation="T_A i_c' + i_c = K_A u_c - coupling i_c x' (gap_mid / gap)^2",
     source="i x' dL/dx over the resistance, with dL/dx = 2 K_c / gap^2; about 0.04 s/m at 10 ohm",
@@ -29,10 +32,10 @@ CAUSE = Cause(
             probes=(0.05,),
         ),
     ),
-    signature="i_c dips while the ball rises and swells while it falls, at constant u_c",
+    signature="at constant u_c, i_c dips while the ball rises and swells while it falls",
     shows_in=("prbs-open-loop", "wide-steps"),
-    confirm="lift the ball by hand at constant u_c and watch i_c",
-    cure="a current loop",
+    confirm="move the ball quickly by hand at constant u_c and watch i_c",
+    cure="a current loop in the amplifier",
 )
 
 

@@ -17,9 +17,10 @@ CAUSE = Cause(
     name="periodic-disturbance",
     family="motion",
     title="a periodic force shakes the ball",
+    sentence="a periodic force of {amplitude_n} at {frequency_hz} shakes the ball",
     acts_on="net force of (6)",
     equation="m x'' = ... + F sin(2 pi f t + phase)",
-    source="floor vibration, a fan",
+    source="floor vibration, a fan, a motor on the same table",
     parameters=(
         CauseParameter(
             name="amplitude_n", symbol="F", unit="N", place=AMPLITUDE, neutral=0.0, low=0.0, high=0.05, probes=(0.0005,)
@@ -28,10 +29,10 @@ CAUSE = Cause(
             name="frequency_hz", symbol="f", unit="Hz", place=FREQUENCY, neutral=7.0, low=0.5, high=100.0, probes=(7.0,)
         ),
     ),
-    signature="one line in the spectrum of the innovations, in every recording",
+    signature="one line in the spectrum of the prediction errors, at the same frequency in every recording",
     shows_in=("steps", "multisine", "holds"),
-    confirm="put the rig on another table, switch fans off",
-    cure="a notch in the law, or a quiet table",
+    confirm="switch off what turns nearby, or put the rig on another table, and see whether the line goes",
+    cure="a quiet table; else a notch, or a resonator at that frequency in the law",
 )
 
 

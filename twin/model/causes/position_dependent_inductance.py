@@ -14,18 +14,20 @@ CAUSE = Cause(
     name="position-dependent-inductance",
     family="amplifier",
     title="the current follows more slowly the nearer the ball is to the coil",
+    sentence="the current follows more slowly the nearer the ball is: T_A is {growth:%} longer with the ball in "
+    "the middle than at the bottom",
     acts_on="time constant of (1)",
     equation="T_A (1 + growth (1/gap - 1/gap_bottom) / (1/gap_mid - 1/gap_bottom))",
-    source="L = L_0 + 2 K_c / gap goes with (3) by energy; the paper neglects it on purpose",
+    source="L = L_0 + 2 K_c / gap follows from (3) by energy; the paper neglects it on purpose",
     parameters=(
         CauseParameter(
             name="growth", symbol="growth", unit="", place=GROWTH, neutral=0.0, low=0.0, high=10.0, probes=(0.3,)
         ),
     ),
-    signature="T_A of i_c is longer with the ball high than with the ball low",
+    signature="i_c settles more slowly with the ball high than with the ball low, at the same step of u_c",
     shows_in=("blocked-ball", "wide-steps"),
-    confirm="the same u_c step with the ball at the bottom and blocked at the top",
-    cure="a current loop, or T_A scheduled with x",
+    confirm="the same u_c step at 25 kHz with the ball at the bottom and with the ball blocked at the top",
+    cure="a current loop in the amplifier, or T_A scheduled with x",
 )
 
 

@@ -16,6 +16,7 @@ CAUSE = Cause(
     name="position-sensor-lag",
     family="sensing",
     title="x is read through a slow sensor",
+    sentence="x is read through a sensor that lags by {tau_s}",
     acts_on="position sensor",
     equation="tau s' + s = x",
     source="demodulator and anti-alias filter",
@@ -24,10 +25,10 @@ CAUSE = Cause(
             name="tau_s", symbol="tau", unit="s", place=TAU, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
         ),
     ),
-    signature="impacts at the stops are rounded; x lags what the forces say, i_c does not",
+    signature="x lags what the forces say while i_c does not; impacts at the stops are rounded",
     shows_in=("prbs-open-loop", "prbs-reference"),
-    confirm="tap the ball and compare x with a microphone",
-    cure="a faster filter, or its pole in the observer",
+    confirm="tap the ball against its stop and compare x with a microphone",
+    cure="a faster filter, or its pole in the observer and in the design",
 )
 
 

@@ -14,9 +14,11 @@ CAUSE = Cause(
     name="position-sensor-offset",
     family="sensing",
     title="x reads too high by a constant",
+    sentence="x reads {offset_m} too high",
+    opposite="x reads {offset_m} too low",
     acts_on="position sensor",
     equation="x_measured = x + offset",
-    source="a sensor that was zeroed with something in between",
+    source="a sensor that was zeroed with something in between, or that has moved since",
     parameters=(
         CauseParameter(
             name="offset_m",
@@ -31,8 +33,8 @@ CAUSE = Cause(
     ),
     signature="x is not 0 with the ball on its rest, and off by the same at the top stop",
     shows_in=("rest", "lift-off"),
-    confirm="read x with the ball on the rest",
-    cure="zero the sensor with the ball on the rest",
+    confirm="read x with the ball on its rest, the coil off",
+    cure="zero the sensor with the ball on its rest",
 )
 
 

@@ -14,18 +14,19 @@ CAUSE = Cause(
     name="quadratic-drag",
     family="motion",
     title="the ball feels a drag that grows with the square of its speed",
+    sentence="the ball feels a drag of {c_n_s2_m2} times the square of its speed",
     acts_on="drag (5)",
     equation="F_d = b x' + c |x'| x'",
-    source="the paper neglects it on purpose; air alone gives 4e-5, a guide tube far more",
+    source="the paper neglects it on purpose; air alone gives 4e-5 N s^2/m^2, a narrow guide tube far more",
     parameters=(
         CauseParameter(
             name="c_n_s2_m2", symbol="c", unit="N s^2/m^2", place=C, neutral=0.0, low=0.0, high=20.0, probes=(0.2,)
         ),
     ),
-    signature="fast flights are braked more than slow ones",
+    signature="fast flights are braked more than b of slow ones says, by the square of the speed",
     shows_in=("prbs-open-loop", "wide-steps"),
-    confirm="drop the ball with the coil off and time it",
-    cure="a wider guide",
+    confirm="let the ball drop with the coil off and time it; once more without the guide tube",
+    cure="a wider or vented guide; for control the term hardly matters near an equilibrium",
 )
 
 

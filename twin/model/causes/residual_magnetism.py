@@ -14,6 +14,8 @@ CAUSE = Cause(
     name="residual-magnetism",
     family="force",
     title="the iron keeps a field that the current sensor does not see",
+    sentence="the iron keeps a field, as if {i_r_a} more flowed than the current sensor shows",
+    opposite="the iron keeps a field against the coil's, as if {i_r_a} less flowed than the current sensor shows",
     acts_on="magnetic force (3)",
     equation="i -> i_c + i_r",
     source="remanence of core and ball",
@@ -22,10 +24,10 @@ CAUSE = Cause(
             name="i_r_a", symbol="i_r", unit="A", place=I_R, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
         ),
     ),
-    signature="the ball needs a constant current less than the law says, at every height",
+    signature="the ball needs a constant current less (or more) than (3) says, at every height alike",
     shows_in=("holds", "lift-off"),
-    confirm="a compass needle at the core with the coil off",
-    cure="demagnetise the core, or add i_r in the law",
+    confirm="hold a compass needle to the core with the coil off; demagnetise and measure again",
+    cure="demagnetise the core, or add i_r to the current in the model and in the operating point",
 )
 
 

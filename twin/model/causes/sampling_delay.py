@@ -13,17 +13,18 @@ CAUSE = Cause(
     name="sampling-delay",
     family="timing",
     title="both sensors show what was some time ago",
+    sentence="both sensors show what was {delay_s} ago",
     acts_on="sampling",
     equation="i_measured(t) = i_c(t - delay), x_measured(t) = x(t - delay)",
-    source="sample-and-hold and multiplexing before conversion",
+    source="sample-and-hold and multiplexing before conversion, or a filter in front of both",
     parameters=(
         CauseParameter(
             name="delay_s", symbol="delay", unit="s", place=DELAY, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
         ),
     ),
-    signature="as actuation-delay",
+    signature="u_c seems to act late, on i_c and on x alike: from the samples alone it is an actuation delay",
     shows_in=("amplifier-steps", "prbs-reference"),
-    confirm="trigger an oscilloscope on the converter's start",
-    cure="convert right before the computation, or predict by that time",
+    confirm="trigger an oscilloscope on the start of the converter and compare with the sampled value",
+    cure="convert right before the computation, or predict the state by that time in the law",
     needs=("u_c", "i_c"),
 )

@@ -14,9 +14,11 @@ CAUSE = Cause(
     name="sensor-crosstalk",
     family="sensing",
     title="the coil's current shows in x",
+    sentence="the coil's current shows in x: each ampere raises the reading by {coupling_m_a}",
+    opposite="the coil's current shows in x: each ampere lowers the reading by {coupling_m_a}",
     acts_on="position sensor",
     equation="x_measured = x + coupling i_c",
-    source="an inductive sensor in the coil's stray field",
+    source="an inductive sensor in the coil's stray field, or a common ground wire",
     parameters=(
         CauseParameter(
             name="coupling_m_a",
@@ -31,8 +33,8 @@ CAUSE = Cause(
     ),
     signature="x of the resting ball moves with i_c",
     shows_in=("rest", "lift-off"),
-    confirm="ramp the current below lift-off and watch x",
-    cure="shield the sensor, or subtract coupling i_c on the board",
+    confirm="raise the current slowly, stop below lift-off, and watch x of the ball at rest",
+    cure="shield the sensor, part the grounds, or take coupling i_c off the reading on the board",
 )
 
 

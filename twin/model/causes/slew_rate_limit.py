@@ -16,9 +16,10 @@ CAUSE = Cause(
     name="slew-rate-limit",
     family="amplifier",
     title="the current cannot change faster than a certain rate",
+    sentence="the current cannot change faster than {rate_a_s}",
     acts_on="rate of the current in (1)",
     equation="|di_c/dt| <= r",
-    source="coil voltage is finite: di/dt <= U / L",
+    source="the voltage at the coil is finite: |di_c/dt| <= U / L",
     parameters=(
         CauseParameter(
             name="rate_a_s",
@@ -33,8 +34,9 @@ CAUSE = Cause(
     ),
     signature="large steps of i_c are ramps of one slope, small ones exponentials; T_A seems to grow with the step",
     shows_in=("amplifier-steps", "prbs-open-loop"),
-    confirm="compare the 25 kHz responses to a small and a large step",
-    cure="a higher supply voltage, or smaller steps of u_c",
+    confirm="compare the 25 kHz responses to a small and to a large step of u_c: the large one is a straight "
+    "line at first",
+    cure="a higher supply voltage, or a law that asks for smaller steps of u_c",
     needs=("u_c", "i_c"),
 )
 
