@@ -156,7 +156,7 @@ def diagnose_records(
         causes=tuple(findings),
         not_testable=tuple(_not_testable(found, records)),
         ruled_out=tuple(_ruled_out(found, findings)),
-        unexplained_share=min(left, 1.0),
+        unexplained_share=0.0 if fine else min(left, 1.0),
         unexplained_where=where,
         gains=tuple(gains),
         gain=at_20_ms,

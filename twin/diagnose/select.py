@@ -31,7 +31,9 @@ MARGIN = 4.5
 MOST_CAUSES = 4
 FEW = 5  # candidates that are fitted in a round
 _SHORT = 2  # passes of a first fit
-_HEATS = ((4, 0.2, 5), (PASSES, 0.5, 4))  # then: passes, least share of the best gain, most candidates that go on
+# Then: passes, least share of the best gain, most candidates that go on.
+_HEATS = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))
+_FAVOURITES = 2  # best of the screen: they go through the first heat, however slowly they begin to climb
 Say = Callable[[str], None]
 
 
@@ -189,9 +191,12 @@ def _fitted(criterion: Criterion, at: Fit, scores: Sequence[Score]) -> list[Tria
         for score in scores
     ]
     trials.sort(key=lambda trial: -trial.gain)
-    for passes, hopeless, most in _HEATS:
+    favourites = {score.cause for score in scores[:_FAVOURITES]}
+    for heat, (passes, hopeless, most) in enumerate(_HEATS):
+        least = hopeless * trials[0].gain if trials else 0.0
         for place, trial in enumerate(trials):
-            if place < most and not trial.fit.converged and trial.gain >= hopeless * trials[0].gain:
+            goes_on = (place < most and trial.gain >= least) or (heat == 0 and trial.cause in favourites)
+            if goes_on and not trial.fit.converged:
                 fit = climb(criterion, trial.fit.theta, trial.fit.free, passes=passes)
                 trials[place] = replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
         trials.sort(key=lambda trial: -trial.gain)
