@@ -44,7 +44,7 @@ AMPLIFIER = ("amplifier-offset", "amplifier-dead-zone")  # where i_c is not a me
 FEWEST = 3  # points: K_c, one cause, and one to be wrong about
 LEVEL = 0.05
 _MOST_A = 1e3
-_STARTS = (-30.0, -5.0, -1.0, 1.0, 5.0, 30.0)  # times the first probe
+_STARTS = (-8.0, -1.0, 1.0, 8.0)  # times the first probe
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,11 +179,28 @@ def fit_static(points: Points, plant: Plant, cause: str = "") -> StaticFit:
     return min(fits, key=lambda one: one.rss_a2)
 
 
+def refit(points: Points, plant: Plant, near: StaticFit) -> StaticFit:
+    """The same to other points, from a fit that is near."""
+    begin: tuple[float, ...] = (math.log(near.theta.K_c),)
+    if near.cause:
+        strength = BY_NAME[near.cause].strength
+        begin += (strength.coordinate(near.theta.value(_coordinate(near.cause))) / _unit(near.cause),)
+    return _climb(points, plant, near.theta, near.cause, begin)
+
+
 def fit_held(points: Points, plant: Plant, cause: str, value: float, near: Theta) -> StaticFit:
     """K_c alone, the cause's strength held at `value`."""
     at = near.having(_coordinate(cause), value)
     fit = _climb(points, plant, at, cause, (math.log(near.K_c),))
     return replace(fit, freedom=len(points) - 2)
+
+
+def is_absorbed(points: Points, plant: Plant, base: StaticFit, cause: str) -> bool:
+    """Whether K_c makes up for any strength of this cause: the points then say nothing of it."""
+    strength = BY_NAME[cause].strength
+    values = [strength.value(step * _unit(cause)) for step in (-10.0, 10.0)]
+    held = [fit_held(points, plant, cause, value, base.theta).rss_a2 for value in values if value != _neutral(cause)]
+    return all(abs(rss - base.rss_a2) < 0.01 * base.rss_a2 for rss in held)
 
 
 def interval(points: Points, plant: Plant, fit: StaticFit) -> tuple[float, float]:
@@ -239,11 +256,11 @@ def f_test(base: StaticFit, fit: StaticFit) -> tuple[float, float]:
     return ratio, float(f_distribution.sf(max(ratio, 0.0), 1, fit.freedom))
 
 
-def left_out(points: Points, plant: Plant, cause: str) -> FloatArray:
+def left_out(points: Points, plant: Plant, whole: StaticFit) -> FloatArray:
     """i_c measured - predicted of each point by the model fitted to the others, A, shape (n,)."""
     errors = np.full(len(points), np.nan)
     for row in range(len(points)):
-        fit = fit_static(points.without(row), plant, cause)
+        fit = refit(points.without(row), plant, whole)
         errors[row] = points.i_c_a[row] - holding_currents(fit.theta, plant, points.x_m[row : row + 1])[0]
     return errors
 
@@ -252,7 +269,7 @@ def rounding(values: FloatArray) -> float:
     """The step to which these numbers are rounded; 0 where no decimal step of six digits fits them."""
     for digits in range(7):
         scaled = values * 10.0**digits
-        if np.all(np.abs(scaled - np.round(scaled)) < 1e-6 * np.maximum(np.abs(scaled), 1.0)):
+        if np.all(np.abs(scaled - np.round(scaled)) < 1e-6 + 1e-12 * np.abs(scaled)):
             return float(10.0**-digits)
     return 0.0
 

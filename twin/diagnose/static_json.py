@@ -149,6 +149,8 @@ def why_not(found: StaticDiagnosis, one: Explanation) -> str:
         return (
             f"{left} even with {strength.symbol} at the end of its physical range, {quantity(one.value, strength.unit)}"
         )
+    if found.base.rss_a2 - one.fit.rss_a2 < 1e-3 * found.base.rss_a2:
+        return "any size of it makes the balance worse"
     best = found.members[0].fit if found.members else None
     if best is None:
         return f"{left}; chance does that in {100 * one.p:.2g} % of such campaigns, and others were tried too"

@@ -32,6 +32,7 @@ from twin.diagnose.static import (
     fit_static,
     holding_currents,
     interval,
+    is_absorbed,
     left_out,
     points_of,
     rounding,
@@ -128,7 +129,7 @@ def diagnose_points(
     for name in names:
         say(f"trying {name}")
         fit = fit_static(points, plant, name)
-        if base.rss_a2 - fit.rss_a2 < ABSORBED * base.rss_a2:
+        if base.rss_a2 - fit.rss_a2 < ABSORBED * base.rss_a2 and is_absorbed(points, plant, base, name):
             absorbed.append(name)
             continue
         explained.append(_explanation(points, plant, base, fit))
@@ -154,7 +155,7 @@ def diagnose_points(
         plant=plant,
         points=points,
         base=base,
-        base_left_out_a=left_out(points, plant, ""),
+        base_left_out_a=left_out(points, plant, base),
         base_off_m=base.residual_a / slope,
         given_off_a=given,
         members=tuple(members),
@@ -208,6 +209,13 @@ def proposal_for(one: Explanation, other: Explanation) -> tuple[str, float, str]
 
 def _explanation(points: Points, plant: Plant, base: StaticFit, fit: StaticFit) -> Explanation:
     F, p = f_test(base, fit)
+    if p > LEVEL or fit.at_bound:
+        # It will not be named: nobody asks how large it is.
+        nan = math.nan
+        nothing = np.full(len(points), nan)
+        return Explanation(
+            name=fit.cause, fit=fit, low=nan, high=nan, F=F, p=p, left_out_a=nothing, pole_per_s=nan, pole_std_per_s=nan
+        )
     low, high = interval(points, plant, fit)
     middle = 0.5 * plant.travel_m
     coordinate = f"{fit.cause}.{BY_NAME[fit.cause].strength.name}"
@@ -221,7 +229,7 @@ def _explanation(points: Points, plant: Plant, base: StaticFit, fit: StaticFit) 
         high=high,
         F=F,
         p=p,
-        left_out_a=left_out(points, plant, fit.cause),
+        left_out_a=left_out(points, plant, fit),
         pole_per_s=here,
         pole_std_per_s=abs(beside - here) * 10.0 if math.isfinite(beside - here) else 0.0,
     )

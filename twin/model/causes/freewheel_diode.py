@@ -9,7 +9,7 @@ from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 
 DROP = 28
-_FADES = 1.0  # of K_A V_D: nearer to the current of rest conduction is not continuous, and the loss ends with it
+_FADES = 0.5  # of K_A V_D: nearer to the current of rest conduction is not continuous, and the loss ends with it
 
 CAUSE = Cause(
     name="freewheel-diode",
