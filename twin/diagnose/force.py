@@ -4,9 +4,10 @@ Residual force: m (measured acceleration - acceleration of (6)).  A parabola thr
 acceleration; the model's is averaged with the same weights, so that a right model leaves 0 however fast things move.
 Residual current: what the filter did not foresee of i_c, one sample ahead.
 
-Rule 1: the model's acceleration starts from the filter's estimate at each sample and sees the current go to where the
-        next sample has it: what u_c should have done to the current does not enter the force.  A current taken as it
-        stands at the samples would be half an interval late, which looks like a drag.
+Rule 1: the model's acceleration is taken at the readings of x and at the filter's current and speed.  The current goes
+        to where the next sample has it: what u_c should have done to it does not enter the force.  Taken as it stands
+        at the samples it would be half an interval late, which looks like a drag; the filter's x of a wrong model is
+        wrong by more than a reading.
 Rule 2: sensor effects that the model has are taken out of the readings first.
 Rule 3: a periodic force is left in the residual: its phase is nobody's function of the state.
 """
@@ -83,13 +84,16 @@ def filtered(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float) -> F
         if cause.family == "amplifier":
             for parameter in cause.parameters:
                 quiet[parameter.place] = parameter.neutral
-    _along(base, quiet, state, s.x, s.step, s.flags, evidence.t, modelled, seen)
+    _behind(base, quiet, state, s.x, seen)
     flies = (s.flags & FLIES != 0) & (s.flags & USE_X != 0) & np.isfinite(seen)
+    _along(base, quiet, state, seen, s.step, s.flags, evidence.t, modelled)
     force, slope = np.full(len(s), np.nan), np.full(len(s), np.nan)
     for piece in _recordings(s.recording):
-        force[piece], slope[piece] = _residual(
-            modelled[piece], seen[piece], s.step[piece], s.flags[piece], flies[piece]
-        )
+        window = windows(s.step[piece], s.flags[piece], flies[piece])
+        if window is not None:
+            positions = np.where(flies[piece], seen[piece], 0.0)
+            slope[piece] = window.slope(positions)
+            force[piece] = window.left(positions, modelled[piece])
     known = np.isfinite(out[:, 0]) & (s.flags & USE_I != 0)
     return Filtered(
         state=state,
@@ -100,18 +104,34 @@ def filtered(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float) -> F
 
 
 @kernel
-def _along(
+def _behind(
     base: Packed,
     c: NDArray[np.float64],
     state: NDArray[np.float64],
     reading: NDArray[np.float64],
+    seen: NDArray[np.float64],
+) -> None:
+    """The position behind each reading of a flying ball, m, shape (n,)."""
+    p = Base(*base)
+    for n in range(len(reading)):
+        seen[n] = np.nan
+        if not np.isnan(state[n, V]):
+            prompt = reading[n] + c[position_sensor_lag.TAU] * state[n, V]
+            seen[n] = position_of_reading(p, c, prompt, state[n, I_C])
+
+
+@kernel
+def _along(
+    base: Packed,
+    c: NDArray[np.float64],
+    state: NDArray[np.float64],
+    x: NDArray[np.float64],
     step: NDArray[np.float64],
     flags: NDArray[np.uint8],
     t: NDArray[np.float64],
     modelled: NDArray[np.float64],
-    seen: NDArray[np.float64],
 ) -> None:
-    """Mean acceleration around each sample by the model, m/s^2, and the position behind each reading, m; shape (n,).
+    """Mean acceleration around each sample by the model, m/s^2, shape (n,), NaN where it has no neighbours.
 
     The second difference of x at sample k is T v' + p_k+1 - p_k, where v' is what the speed gains from k - 1 to k, and
     p_k what x gains in that interval over x + T x'.
@@ -119,24 +139,20 @@ def _along(
     p = Base(*base)
     y = np.empty(STATES)
     gained, moved = np.nan, np.nan  # speed and position over the interval before
-    for n in range(len(reading)):
+    for n in range(len(x)):
         modelled[n] = np.nan
-        seen[n] = np.nan
-        if np.isnan(state[n, V]):
-            gained = np.nan
-            continue
-        prompt = reading[n] + c[position_sensor_lag.TAU] * state[n, V]
-        seen[n] = position_of_reading(p, c, prompt, state[n, I_C])
-        if n + 1 >= len(reading) or flags[n + 1] & FOLLOWS == 0 or np.isnan(state[n + 1, V]):
+        last = n + 1 >= len(x) or flags[n + 1] & FOLLOWS == 0 or np.isnan(state[n + 1, V])
+        if np.isnan(x[n]) or last:
             gained = np.nan
             continue
         T_s = step[n + 1]
         for k in range(STATES):
             y[k] = state[n, k]
+        y[X] = x[n]
         left = math.exp(-T_s / p.T_A)
         target = (state[n + 1, I_C] - state[n, I_C] * left) / (1.0 - left)
         advance(base, c, y, target / p.K_A, t[n], T_s, False)
-        further = y[X] - state[n, X] - T_s * state[n, V]
+        further = y[X] - x[n] - T_s * state[n, V]
         if not np.isnan(gained):
             modelled[n] = (T_s * gained + further - moved) / (T_s * T_s)
         gained, moved = y[V] - state[n, V], further
@@ -148,34 +164,51 @@ def _recordings(recording: NDArray[np.int32]) -> list[slice]:
     return [slice(a, b) for a, b in zip(starts, stops, strict=True) if b > a]
 
 
-def _residual(
-    modelled: FloatArray, seen: FloatArray, step: FloatArray, flags: NDArray[np.uint8], flies: NDArray[np.bool_]
-) -> tuple[FloatArray, FloatArray]:
-    """Measured - modelled acceleration in m/s^2 and speed in m/s at the middle of each unbroken window, shape (n,)."""
-    result, slope = np.full(len(seen), np.nan), np.full(len(seen), np.nan)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Windows:
+    """Unbroken windows of one recording, each with a parabola."""
+
+    half: int
+    T_s: float
+    whole: NDArray[np.bool_]  # whether the ball flies, sampled evenly, in the window around each sample, shape (n,)
+
+    def slope(self, seen: FloatArray) -> FloatArray:
+        """Speed in the middle of each window, m/s, shape (n,)."""
+        return self._placed(np.convolve(seen, parabola(self.half, self.T_s)[0][::-1], "valid"))
+
+    def left(self, seen: FloatArray, modelled: FloatArray) -> FloatArray:
+        """Measured - modelled acceleration in the middle of each window, m/s^2, shape (n,)."""
+        weights = parabola(self.half, self.T_s)[1]
+        # x'' of a ball that has a_k at sample k: each a_k enters the parabola with the double sum of the weights.
+        spread = np.cumsum(np.cumsum(weights))[:-2] * self.T_s * self.T_s
+        known = np.isfinite(modelled)
+        expected = np.convolve(np.where(known, modelled, 0.0)[1:-1], spread[::-1], "valid")
+        all_known = np.convolve(known[1:-1], np.ones(len(spread)), "valid") >= len(spread) - 0.5
+        measured = np.convolve(seen, weights[::-1], "valid")
+        return self._placed(np.where(all_known, measured - expected, np.nan))
+
+    def _placed(self, values: FloatArray) -> FloatArray:
+        result = np.full(len(self.whole), np.nan)
+        result[self.half : self.half + len(values)] = values
+        return np.where(self.whole, result, np.nan)
+
+
+def windows(step: FloatArray, flags: NDArray[np.uint8], flies: NDArray[np.bool_]) -> Windows | None:
+    """The windows of one recording; None where it is too short for one."""
     known = step[flies & (step > 0.0)]
     if not len(known):
-        return result, slope
+        return None
     T_s = float(np.median(known))
     half = max(round(0.5 * WINDOW_S / T_s), FEWEST // 2)
-    width = 2 * half + 1
-    if len(seen) < width:
-        return result, slope
-    inclined, weights = parabola(half, T_s)
-    # x'' of a ball that has a_k at sample k: each a_k enters the parabola with the double sum of the weights.
-    spread = np.cumsum(np.cumsum(weights))[:-2] * T_s * T_s
-    known_too = np.isfinite(modelled)
-    measured = np.convolve(np.where(flies, seen, 0.0), weights[::-1], "valid")
-    expected = np.convolve(np.where(known_too, modelled, 0.0)[1:-1], spread[::-1], "valid")
-    whole = np.convolve(flies, np.ones(width), "valid") >= width - 0.5
-    whole &= np.convolve(known_too[1:-1], np.ones(width - 2), "valid") >= width - 2.5
-    linked = np.convolve((flags & FOLLOWS != 0)[1:], np.ones(width - 1), "valid") >= width - 1.5
-    even = np.convolve(np.abs(step - T_s)[1:] > 0.05 * T_s, np.ones(width - 1), "valid") < 0.5
-    rises = np.convolve(np.where(flies, seen, 0.0), inclined[::-1], "valid")
-    good = whole & linked & even
-    result[half : half + len(measured)] = np.where(good, measured - expected, np.nan)
-    slope[half : half + len(measured)] = np.where(good, rises, np.nan)
-    return result, slope
+    width, n = 2 * half + 1, len(step)
+    if n < width:
+        return None
+    uneven = (np.abs(step - T_s) > 0.05 * T_s) | (flags & FOLLOWS == 0)
+    good = np.convolve(flies, np.ones(width), "valid") >= width - 0.5
+    good &= np.convolve(uneven[1:], np.ones(width - 1), "valid") < 0.5
+    whole = np.zeros(n, np.bool_)
+    whole[half : half + len(good)] = good
+    return Windows(half=half, T_s=T_s, whole=whole)
 
 
 def parabola(half: int, T_s: float) -> tuple[FloatArray, FloatArray]:

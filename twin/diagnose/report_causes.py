@@ -79,10 +79,10 @@ def _next(proposal: Proposal | None) -> str:
     if proposal is None:
         return paragraph("No experiment was computed that would tell them apart.")
     if not proposal.command:
-        return paragraph(f"No experiment on this rig tells them apart. {_sentence(proposal.what)}")
+        return paragraph(_sentence(proposal.what))
     text = (
-        f"Next experiment: {_sentence(proposal.what)} With it they would be {proposal.separation_z:.0f} standard errors "
-        "apart; 3 are enough."
+        f"Next experiment: {_sentence(proposal.what)} With it they would be {proposal.separation_z:.0f} standard "
+        "errors apart; 3 are enough."
     )
     others = ", ".join(f"{name} ({z:.0f})" for name, z in proposal.others)
     return (

@@ -1,0 +1,190 @@
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from tests.twin.diagnose.known_diagnosis import diagnosis
+from tests.twin.diagnose.simulated_rig import controller
+from twin.diagnose.report import to_html
+from twin.diagnose.result import Diagnosis, Proposal
+from twin.diagnose.show import shown
+from twin.diagnose.words import finding_sentence, measured, quantity, summary_sentence
+from twin.model.causes.catalogue import CATALOGUE
+from twin.model.causes.cause import Cause
+from twin.model.parameters import Parameter
+
+PICTURE = "data:image/svg+xml;base64,"
+
+
+def page(found: Diagnosis) -> str:
+    show = shown(found, controller(), quick=found.quick)
+    return to_html(found, show, campaign=Path("runs/monday"), out=Path("diagnosis"))
+
+
+@cache
+def found_gap() -> Diagnosis:
+    return diagnosis("air-gap-offset", 5e-4)
+
+
+@cache
+def gap_page() -> str:
+    return page(found_gap())
+
+
+def text_of(html: str) -> str:
+    return re.sub(r"<[^>]+>", " ", re.sub(r"<style>.*?</style>|src=\"[^\"]*\"", "", html))
+
+
+def test_the_sentence_comes_first_then_pictures_of_before_and_after() -> None:
+    html = gap_page()
+
+    assert html.index("The coil sits 0.50") < html.index(PICTURE) < html.index("Which cause")
+    assert "by a factor of" in html
+
+
+def test_the_page_needs_nothing_else_and_is_small() -> None:
+    html = gap_page()
+
+    assert not re.findall(r"(?:src|href)=\"(?!data:)", html)
+    assert "http" not in re.sub(r"src=\"[^\"]*\"", "", html)
+    assert len(html) < 3_000_000
+
+
+def test_every_part_of_the_argument_is_there() -> None:
+    text = text_of(gap_page())
+
+    for part in (
+        "Before and after",
+        "Where the simulation is wrong",
+        "Is the rig slower than the simulation?",
+        "force",
+        "Which cause",
+        "How to confirm it by hand",
+        "What to do about it",
+        "cannot tell",
+        "position-sensor-gain",
+        "Next experiment: Raise u_c slowly",
+        "board51 campaign run FOLDER --experiment lift-off",
+        "What is left",
+        "The model's numbers",
+        "coulomb-friction",
+        "F_f is at most 3 µN",
+        "Not testable",
+        "How the campaign was used",
+        "board51 predict",
+    ):
+        assert part in text, part
+    assert gap_page().count(PICTURE) >= 15
+
+
+def test_a_pair_that_no_experiment_separates_has_no_command() -> None:
+    found = found_gap()
+    why = "air-gap-offset and position-sensor-gain: no experiment on this rig tells them apart; a shim would"
+    (cause,) = found.causes
+    found = replace(found, causes=(replace(cause, next_experiment=Proposal(what=why, separation_z=0.3)),))
+
+    text = text_of(page(found))
+
+    assert "a shim would" in text
+    assert "Next experiment" not in text
+
+
+def test_an_unknown_cause_says_how_much_is_left_and_where_and_offers_a_correction_as_no_cause() -> None:
+    text = text_of(page(diagnosis("air-gap-offset", 5e-4, extended=False)))
+
+    assert "none of the known causes explains it" in text
+    assert "100 % is left" in text
+    assert "position x:" in text
+    assert "For prediction only, not a cause" in text
+    assert "It helps" in text
+
+
+def test_an_adequate_model_says_so_and_shows_one_model() -> None:
+    found = diagnosis("air-gap-offset", 5e-4, extended=False)
+    found = replace(found, verdict="model-adequate", unexplained_share=0.0)
+    found = replace(found, sentence=summary_sentence(found))
+
+    html = page(found)
+
+    assert "The model is adequate" in html
+    assert "What got worse" not in html
+    assert "The causes, and what to do" not in html
+    assert "For prediction only" not in html
+
+
+def test_quick_says_that_it_is_not_calibrated_and_draws_less() -> None:
+    html = page(diagnosis("air-gap-offset", 5e-4, quick=True))
+
+    assert "not calibrated" in html
+    assert html.count(PICTURE) < gap_page().count(PICTURE)
+
+
+def test_without_judge_recordings_the_page_says_that_errors_flatter() -> None:
+    assert "they flatter" in page(diagnosis("air-gap-offset", 5e-4, judged=False, quick=True))
+
+
+def test_the_same_diagnosis_gives_the_same_bytes() -> None:
+    found = found_gap()
+
+    assert page(found) == gap_page()
+
+
+def test_the_page_is_made_in_time() -> None:
+    gap_page()  # compiled
+    began = time.process_time()
+
+    page(found_gap())
+
+    assert time.process_time() - began < 6.0
+
+
+def test_names_of_files_cannot_break_the_page() -> None:
+    found = found_gap()
+    record = replace(found.fit_evidence.records[0], name="<script>x</script>")
+    usages = found.fit_evidence.usages
+    usages[0].name = record.name
+    evidence = replace(found.fit_evidence, records=(record,))
+
+    html = page(replace(found, fit_evidence=evidence, warnings=("<b>",)))
+
+    usages[0].name = "steps_1"
+    assert "<script>" not in html
+    assert "<li>&lt;b&gt;</li>" in html
+
+
+@pytest.mark.parametrize("cause", CATALOGUE, ids=lambda cause: cause.name)
+def test_every_cause_has_a_sentence_with_its_size(cause: Cause) -> None:
+    assert cause.sentence
+    for side in ("above", "below"):
+        values = {}
+        for entry in cause.parameters:
+            value = entry.probes[0]
+            if entry is cause.strength and entry.neutral not in (float("inf"),):
+                value = 2.0 * entry.neutral - value if side == "below" else value
+            values[entry.name] = Parameter(value=value, unit=entry.unit)
+        sentence = finding_sentence(cause.name, values)
+
+        assert "{" not in sentence
+        assert re.search(r"\d", sentence)
+        assert not sentence.endswith(".")
+
+
+def test_a_sign_changes_the_words_and_not_the_number() -> None:
+    def offset(value: float) -> str:
+        ci95 = (value - 1e-6, value + 1e-6)
+        return finding_sentence("position-sensor-offset", {"offset_m": Parameter(value=value, unit="m", ci95=ci95)})
+
+    assert offset(1.2e-4).startswith("x reads 0.1200 mm too high (offset = 0.1190 to 0.1210 mm")
+    assert offset(-1.2e-4).startswith("x reads 0.1200 mm too low (offset = -0.1210 to -0.1190 mm")
+
+
+def test_numbers_have_the_digits_that_their_interval_leaves() -> None:
+    assert measured(2.4003e-3, (2.21e-3, 2.59e-3), "m") == ("2.40 mm", "2.21 to 2.59 mm")
+    assert measured(99.98, (99.9, 100.06), "A/s") == ("99.98 A/s", "99.90 to 100.06 A/s")
+    assert measured(0.5, None, "N") == ("0.5 N", "")
+    assert quantity(2e-5, "m/A") == "20 µm/A"
