@@ -22,6 +22,7 @@ import numpy as np
 from protocol.campaign import Campaign, Plant
 from protocol.errors import DataError
 from twin.diagnose.adequacy import adequate, where_left
+from twin.diagnose.change import find_change, late_finding
 from twin.diagnose.confidence import confidence_of
 from twin.diagnose.consistency import beginnings, contradictions
 from twin.diagnose.estimate import BASE, STOPS, Criterion, Fit, Theta, climb, most_drag, spreads
@@ -124,10 +125,28 @@ def diagnose_records(
             found = select(criterion, base, floor, candidates=candidates, few=few, quick=quick, share=share, say=say)
         with _timed(stages, "what is left"):
             fine, why_not = adequate(criterion, found.fit, floor)
+        with _timed(stages, "change"):
+            change = (
+                None
+                if fine
+                else find_change(
+                    criterion, found, floor, candidates=candidates, few=3 if quick else 6, workers=workers, say=say
+                )
+            )
+            if change is not None:
+                criterion.close()
+                criterion, found, fine, why_not = change.criterion, change.selection, True, ""
+                warnings.append(change.sentence)
+                stops = evidence.low_m, evidence.high_m
+                evidence = gather([one for one in records if one.name in change.recordings], plant, stops)
+                if judge is not None and (later := change.of(judges)):
+                    judge = gather(later, plant, stops)
+        with _timed(stages, "what is left"):
             where = "" if fine else where_left(criterion, found.fit)
             spread = spreads(criterion, found.fit)
             warnings += contradictions(criterion, found.fit)
-            began = beginnings(criterion, found.fit, [name for name in found.causes if name != PERIODIC])
+            always = [name for name in found.causes if name != PERIODIC and change is None]
+            began = beginnings(criterion, found.fit, always)
             warnings += [
                 f"{late.cause} is not there from the start: it begins in {late.recording} at about {late.t_s:.0f} s"
                 for late in began
@@ -142,6 +161,8 @@ def diagnose_records(
         gains = _gains(judge, before, after, floor, plant, tick_s, seed)
     at_20_ms = next((one for one in gains if abs(one.horizon_s - 0.02) < 0.5 * tick_s), None)
     findings = _findings(found, floor, spread, proposals, fine, quick, lost)
+    if change is not None:
+        findings = [late_finding(one, change) for one in findings]
     verdict: Verdict = "causes-found" if findings else "model-adequate"
     if not fine:
         verdict = "unknown-cause"

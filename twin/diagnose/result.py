@@ -48,6 +48,8 @@ class Finding:
     share_of_excess_explained: float
     loglik_gain: float
     next_experiment: Proposal | None = None
+    begins_in: str = ""  # the recording with which it begins, where it is not there from the first
+    ends_after: str = ""  # the last recording that has it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,6 +115,8 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
                 ],
                 "share_of_excess_explained": _number(cause.share_of_excess_explained),
                 "log_likelihood_gain": _number(cause.loglik_gain),
+                "begins_in": cause.begins_in or None,
+                "ends_after": cause.ends_after or None,
                 "next_experiment": None
                 if cause.next_experiment is None
                 else {
