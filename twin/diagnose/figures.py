@@ -133,7 +133,7 @@ def curve_figure(curve: Curve) -> bytes:
 def spectrum_figure(found: Spectrum) -> bytes:
     """Densities of the error one sample ahead."""
     figure, ax = _panel()
-    for name, colour, density in (("baseline", BASELINE, found.baseline), ("extended", EXTENDED, found.extended)):
+    for name, colour, density in _traces(found.baseline, found.extended):
         low, high = (density * factor * 1e6 for factor in found.spread)
         ax.fill_between(found.frequency_hz, low, high, color=colour, alpha=0.2, lw=0)
         ax.plot(found.frequency_hz, density * 1e6, color=colour, lw=1.0, label=name)
@@ -152,11 +152,7 @@ def steps_figure(steps: Steps) -> bytes:
     figure, ax = _panel()
     t = steps.t_s * 1e3
     ax.axhline(1.0, color=REFERENCE, lw=0.8, ls=":")
-    for name, colour, own in (
-        ("rig", MEASURED, steps.rig),
-        ("baseline", BASELINE, steps.baseline),
-        ("extended", EXTENDED, steps.extended),
-    ):
+    for name, colour, own in (("rig", MEASURED, steps.rig), *_traces(steps.baseline, steps.extended)):
         ax.plot(t, own, color=colour, lw=1.3, label=name)
     ax.set_xlabel("time from the change of the reference [ms]")
     ax.set_ylabel("share of the step [-]")
@@ -169,11 +165,8 @@ def step_difference_figure(steps: Steps) -> bytes:
     figure, ax = _panel()
     t = steps.t_s * 1e3
     ax.axhline(0.0, color="black", lw=0.6)
-    for name, colour, own in (
-        ("rig - baseline", BASELINE, steps.baseline),
-        ("rig - extended", EXTENDED, steps.extended),
-    ):
-        ax.plot(t, 100.0 * (steps.rig - own), color=colour, lw=1.2, label=name)
+    for name, colour, own in _traces(steps.baseline, steps.extended):
+        ax.plot(t, 100.0 * (steps.rig - own), color=colour, lw=1.2, label=f"rig - {name}")
     ax.set_xlabel("time from the change of the reference [ms]")
     ax.set_ylabel("difference [% of the step]")
     ax.legend(fontsize=9.5)
@@ -219,6 +212,13 @@ def correction_figure(found: Correction) -> bytes:
 def _sides(baseline: Sequence[Estimate], extended: Sequence[Estimate]) -> list[tuple[str, str, Sequence[Estimate]]]:
     """Both models, or the one that there is where nothing was added."""
     if list(baseline) == list(extended):
+        return [("model", BASELINE, baseline)]
+    return [("baseline", BASELINE, baseline), ("extended", EXTENDED, extended)]
+
+
+def _traces(baseline: FloatArray, extended: FloatArray) -> list[tuple[str, str, FloatArray]]:
+    """As `_sides`, of traces."""
+    if np.array_equal(baseline, extended):
         return [("model", BASELINE, baseline)]
     return [("baseline", BASELINE, baseline), ("extended", EXTENDED, extended)]
 

@@ -139,6 +139,9 @@ def _before_after(found: Diagnosis, show: Show) -> str:
         ]
         for one in show.ahead
     ]
+    if found.before == found.after:
+        head = ["ahead", "error [µm]", "noise floor [µm]", "samples"]
+        rows = [[row[0], row[1], row[3], row[6]] for row in rows]
     text = (
         "Root mean square of predicted - measured position, each prediction from the readings up to so many "
         "milliseconds before and the measured input since. Intervals: 95 %, bootstrap over blocks of half a second. "
@@ -215,8 +218,8 @@ def _where(found: Diagnosis, show: Show) -> str:
             + paragraph(
                 "Force: mass times (measured acceleration - that of the model). The measured one is the curvature of a "
                 "parabola through 30 ms of readings, the model's is averaged with the same weights, from the measured "
-                "current. Up to 0.1 mN near standstill are no force: there the loop answers the noise that the "
-                "parabola sees. Current: what equation (1) did not foresee from one sample to the next. Means "
+                "current. Speeds of a ball at rest are one group: there the parabola sees noise. Current: what "
+                "equation (1) did not foresee from one sample to the next. Means "
                 f"over groups of the {len(found.fit_evidence.records)} recordings for fitting, which fly further than "
                 "those that judge; bars: 95 %, bootstrap over blocks of half a second."
             )
@@ -357,7 +360,10 @@ def _numbers(found: Diagnosis) -> str:
         ("current left to chance", found.before.process_i_c_a, found.after.process_i_c_a, "A"),
     ]
     rows += [[name, quantity(a, unit), quantity(b, unit)] for name, a, b, unit in noise]
-    return table(["", "baseline", "extended"], rows) + paragraph(
+    head = ["", "baseline", "extended"]
+    if found.before == found.after:
+        head, rows = ["", "model"], [[row[0], row[2]] for row in rows]
+    return table(head, rows) + paragraph(
         "In brackets 95 % intervals of maximum likelihood, where they were computed. Sensor noise of the ball at rest: "
         f"{quantity(found.floor.sigma_x_m, 'm')} and {quantity(found.floor.sigma_i_c_a, 'A')}"
         + ("." if found.floor.measured else ", taken from the fit: it never rested long enough.")

@@ -115,7 +115,8 @@ def summary_sentence(found: Diagnosis) -> str:
     worth = _worth(found)
     if found.verdict == "causes-found":
         return _named(found.causes, whole=True) + _apart(found.causes) + worth
-    rest = f" What is left shows {found.unexplained_where}." if found.unexplained_where else ""
+    where = found.unexplained_where.removeprefix("most ")
+    rest = f" What is left is largest {where}." if where else ""
     if not found.causes:
         return f"The model is wrong, and none of the known causes explains it.{rest}"
     return (
