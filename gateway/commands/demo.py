@@ -1,9 +1,10 @@
-"""The whole line on an emulated board: fly, measure, identify, validate, and fly on with the identified model.
+"""The whole line on an emulated board: fly, measure, identify, diagnose, and fly on with a model that has the cause.
 
 Starts emulator, gateway and twin as a user would, each in its own process; flies a staircase with the nominal model in
-the twin; measures a campaign, identifies a model from it and validates it; hands that model to the running twin; flies
-the staircase again.  Leaves an MCAP log, a campaign, a model, a report and a picture; stops everything again.  Nothing
-is installed and no port stays open.
+the twin; measures a campaign, identifies a model from it, hands it to the running twin and flies the staircase again;
+validates it and diagnoses the campaign: which physical cause is left over?  Hands the extended model over and flies a
+third time.  Leaves an MCAP log, a campaign, models, reports and a picture; stops everything again.  Nothing is
+installed and no port stays open.
 """
 
 from __future__ import annotations
@@ -23,14 +24,15 @@ from types import FrameType
 
 from gateway.client import open_bus
 from gateway.demo.bus import BusView
-from gateway.demo.findings import Flight, gather, sentence, table
-from gateway.demo.processes import call, free_port, listens, running, wait
+from gateway.demo.findings import Flight, conclusion, gather, sentence, table
+from gateway.demo.processes import call, finish, free_port, listens, running, wait
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import ServiceError, UsageError
 
 BOARD = "demo"
 HOLD_S = 2.0  # at each reference: the slowest closed-loop mode has long decayed
-REFERENCES_M = (2.85e-3, 1.5e-3, 3.0e-3, 4.5e-3, 2.85e-3)
+REFERENCES_M = (2.85e-3, 1.5e-3, 3.0e-3, 4.5e-3)
+DIAGNOSIS_LIMIT_S = 120.0
 EXPERIMENT = re.compile(r"\[\d+/\d+\]")  # how a campaign's line about an experiment begins
 NOT_ALL = (0, 1)  # exit codes of work that was done and says no: shown, not the end of the demo
 
@@ -45,7 +47,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 if the ball flew on both models and everything was written."""
+    """0 if the ball flew on all models and everything was written."""
     try:
         args.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -67,7 +69,9 @@ def run(args: argparse.Namespace) -> int:
 def _demo(out: Path, effects: list[str]) -> int:
     began = time.monotonic()
     stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
-    campaign, model, report = out / f"campaign-{stamp}", out / "model.json", out / "report"
+    campaign, model, report, diagnosis = (
+        out / name for name in (f"campaign-{stamp}", "model.json", "report", "diagnosis")
+    )
     with tempfile.TemporaryDirectory(prefix="board51-") as scratch, contextlib.ExitStack() as processes:
         port = free_port()
         endpoint, tty, folder = f"tcp/127.0.0.1:{port}", str(Path(scratch) / "ttyBoard51"), Path(scratch) / "logs"
@@ -87,7 +91,7 @@ def _demo(out: Path, effects: list[str]) -> int:
         wait(lambda: bus.count("twin/state") > 10, twin, "the twin")
 
         _step(began, "2/8 lift the ball, follow a reference")
-        before = _fly(bus, "nominal")
+        flights = [_fly(bus, "nominal")]
 
         _step(began, "3/8 measure: a quick campaign of the paper's experiments")
         _, shown = call(
@@ -97,7 +101,8 @@ def _demo(out: Path, effects: list[str]) -> int:
         if not (campaign / "campaign.toml").exists():
             raise ServiceError(f"The campaign recorded nothing: {shown[-1].rstrip('.')}", remedy="Try another --effect")
 
-        _step(began, "4/8 identify")
+        _step(began, "4/8 identify; diagnose begins in the background")
+        diagnose = processes.enter_context(running(out, "diagnose", str(campaign), "--quick", "--out", str(diagnosis)))
         refused, lines = call(out, "identify", str(campaign), "--out", str(model), good=NOT_ALL)
         _show_model(model)
         if refused:
@@ -106,20 +111,20 @@ def _demo(out: Path, effects: list[str]) -> int:
                 if line.startswith("! "):
                     _wrap(line)
 
-        _step(began, "5/8 validate: what the model leaves unexplained")
+        _step(began, "5/8 hand the identified model to the running twin, the same references again")
+        _hand_over(out, model, endpoint)
+        flights.append(_fly(bus, "identified"))
+
+        _step(began, "6/8 validate: what the model leaves unexplained")
         _, answer = call(out, "validate", str(campaign), "--model", str(model), "--out", str(report), good=NOT_ALL)
         _wrap(answer[0])
 
-        _step(began, "6/8 hand the identified model to the running twin")
-        _, lines = call(
-            out, "twin", "--hand-over", str(model), "--board", BOARD, "--connect", endpoint, "--who", "demo",
-            log="hand-over",
-        )  # fmt: skip
-        for line in lines:
-            _wrap(line)
-
-        _step(began, "7/8 the same reference again")
-        after = _fly(bus, "identified")
+        _step(began, "7/8 diagnose: which physical cause is it? the extended model to the twin, a third flight")
+        finish(diagnose, out, "diagnose", good=NOT_ALL, limit_s=DIAGNOSIS_LIMIT_S)
+        found = json.loads((diagnosis / "diagnosis.json").read_text(encoding="utf-8"))
+        _wrap(found["sentence"])
+        _hand_over(out, diagnosis / "extended_model.json", endpoint)
+        flights.append(_fly(bus, "extended"))
         bus.hold(0.3)
         processes.close()
 
@@ -127,21 +132,29 @@ def _demo(out: Path, effects: list[str]) -> int:
         logs = [Path(shutil.move(path, out / path.name)) for path in sorted(folder.glob("*.mcap"))]
     if not logs:
         raise ServiceError("The gateway left no log", remedy=f"Its messages are in {out / 'gateway.log'}")
-    gather(logs[-1], [before, after])
+    gather(logs[-1], flights)
     picture = out / "measured-vs-twin.png"
-    spans = [
-        f"--span={flight.from_t_s:.3f}:{flight.to_t_s:.3f}=twin on the {flight.name} model"
-        for flight in (before, after)
-    ]
+    spans = [f"--span={flight.from_t_s:.3f}:{flight.to_t_s:.3f}=twin on the {flight.name} model" for flight in flights]
     call(out, "plot", str(logs[-1]), "--out", str(picture), *spans)
-    print(f"\n{table(before, after)}\n")
-    print(textwrap.fill(sentence(before, after), 100, initial_indent="  ", subsequent_indent="  "))
+    print(f"\n{table(flights)}\n")
+    for text in (sentence(flights), conclusion(found)):
+        print(textwrap.fill(text, 100, initial_indent="  ", subsequent_indent="  "))
     for name, path in {
-        "log": logs[-1], "campaign": campaign, "model": model, "report": report / "report.html", "picture": picture
+        "log": logs[-1], "campaign": campaign, "model": model, "extended": diagnosis / "extended_model.json",
+        "reports": f"{report / 'report.html'}, {diagnosis / 'report.html'}", "picture": picture,
     }.items():  # fmt: skip
         print(f"{name:<9}{path}")
     print(f"{time.monotonic() - began:.0f} s")
     return 0
+
+
+def _hand_over(out: Path, model: Path, endpoint: str) -> None:
+    _, lines = call(
+        out, "twin", "--hand-over", str(model), "--board", BOARD, "--connect", endpoint, "--who", "demo",
+        log="hand-over",
+    )  # fmt: skip
+    for line in lines:
+        _wrap(line)
 
 
 def _fly(bus: BusView, name: str) -> Flight:

@@ -1,15 +1,17 @@
-"""Two flights of one log, each with its own model in the twin: what the second model improved, and what is left over.
+"""Flights of one log, each with its own model in the twin: what every model improved, and what is left over.
 
-Rule: measured is said, causes are not named.
+Rule: measured is said; naming causes is left to `board51 diagnose`.
 """
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from gateway.record.reader import read
 from protocol.bus import board51_pb2 as pb
@@ -78,52 +80,64 @@ def gather(log: Path, flights: list[Flight]) -> None:
             flight.alarms.append(message.name)
 
 
-def table(before: Flight, after: Flight) -> str:
-    """Both twins against the rig, for people."""
-    one, two = before.currents(), after.currents()
+def table(flights: Sequence[Flight]) -> str:
+    """Every twin against the rig, for people."""
+    currents = [flight.currents() for flight in flights]
     lines = [
-        f"  {'held at':>10}{'rig':>9}   {'twin, ' + before.name:^22}   {'twin, ' + after.name:^22}",
-        f"  {'x_ref [mm]':>10}{'i_c [A]':>9}   {'i_c [A]':>10}{'error [A]':>12}   {'i_c [A]':>10}{'error [A]':>12}",
+        f"  {'held at':>10}{'rig':>9}" + "".join(f"   {'twin, ' + flight.name:^22}" for flight in flights),
+        f"  {'x_ref [mm]':>10}{'i_c [A]':>9}" + f"   {'i_c [A]':>10}{'error [A]':>12}" * len(flights),
     ]
-    for x_ref in sorted(one.keys() & two.keys()):
-        (rig, twin), (rig_2, twin_2) = one[x_ref], two[x_ref]
-        lines.append(
-            f"  {x_ref:>10.2f}{rig:>9.3f}   {twin:>10.3f}{rig - twin:>+12.3f}   {twin_2:>10.3f}{rig_2 - twin_2:>+12.3f}"
-        )
+    for x_ref in sorted(set.intersection(*(set(one) for one in currents))):
+        cells = "".join(f"   {twin:>10.3f}{rig - twin:>+12.3f}" for rig, twin in (one[x_ref] for one in currents))
+        lines.append(f"  {x_ref:>10.2f}{currents[0][x_ref][0]:>9.3f}{cells}")
 
-    def row(what: str, first: str, second: str) -> None:
-        lines.append(f"  {what:<19}   {first:>22}   {second:>22}")
+    def row(what: str, cells: list[str]) -> None:
+        lines.append(f"  {what:<19}" + "".join(f"   {cell:>22}" for cell in cells))
 
-    (x, i, nis), (x_2, i_2, nis_2) = before.innovation(), after.innovation()
-    row("innovation of x", f"{x * 1e6:.1f} um", f"{x_2 * 1e6:.1f} um")
-    row("innovation of i_c", f"{i * 1e3:.2f} mA", f"{i_2 * 1e3:.2f} mA")
-    row("called noise, x''", f"{before.allowed_m_s2:.2g} m/s^2", f"{after.allowed_m_s2:.2g} m/s^2")
-    row("mean NIS (right: 2)", f"{nis:.3g}", f"{nis_2:.3g}")
-    row("alarms raised", str(len(before.alarms)), str(len(after.alarms)))
+    innovations = [flight.innovation() for flight in flights]
+    row("innovation of x", [f"{x * 1e6:.1f} um" for x, _, _ in innovations])
+    row("innovation of i_c", [f"{i * 1e3:.2f} mA" for _, i, _ in innovations])
+    row("called noise, x''", [f"{flight.allowed_m_s2:.2g} m/s^2" for flight in flights])
+    row("mean NIS (right: 2)", [f"{nis:.3g}" for _, _, nis in innovations])
+    row("alarms raised", [str(len(flight.alarms)) for flight in flights])
     return "\n".join(lines)
 
 
-def sentence(before: Flight, after: Flight) -> str:
-    """What identification fixed, and what is left over."""
-    errors = [[rig - twin for rig, twin in flight.currents().values()] for flight in (before, after)]
+def sentence(flights: Sequence[Flight]) -> str:
+    """What each step after the first flight did to the error, and what is left over after the last."""
+    errors = [[rig - twin for rig, twin in flight.currents().values()] for flight in flights]
     if not all(errors):
         return "A flight without a twin in step: nothing can be compared."
-    was, now = (math.sqrt(sum(e * e for e in some) / len(some)) for some in errors)
-    verb = "cut" if now < 0.9 * was else "raised" if now > 1.1 * was else "left"
-    said = (
-        f"Identification {verb} the error of the twin's current at rest from {was * 1e3:.0f} to {now * 1e3:.0f} mA rms"
-    )
-    left = errors[1]
+    rms = [math.sqrt(sum(e * e for e in some) / len(some)) for some in errors]
+    steps = [
+        f"the {flight.name} model {_verb(was, now)} from {was * 1e3:.0f} to {now * 1e3:.0f} mA rms"
+        for flight, was, now in zip(flights[1:], rms, rms[1:], strict=False)
+    ]
+    said = f"Error of the twin's current at rest: {'; '.join(steps)}"
+    last, left = flights[-1], errors[-1]
     if max(map(abs, left)) < NOTABLE_A:
         over = f"What is left there is below {NOTABLE_A * 1e3:.0f} mA"
     else:
         over = f"Left over: {min(left) * 1e3:+.0f} to {max(left) * 1e3:+.0f} mA{_trend(left)}"
-    names = ", ".join(dict.fromkeys(after.alarms))
-    alarms = f"the {after.name} twin still raises {names}" if names else f"the {after.name} twin raises no alarm"
-    if after.allowed_m_s2 > 10.0 * before.allowed_m_s2:
+    names = ", ".join(dict.fromkeys(last.alarms))
+    alarms = f"the {last.name} twin still raises {names}" if names else f"the {last.name} twin raises no alarm"
+    if last.allowed_m_s2 > 10.0 * flights[0].allowed_m_s2:
         # Without this, "no alarm" would read as "right".
-        alarms += f", counting {after.allowed_m_s2:.2g} m/s^2 of acceleration as noise"
+        alarms += f", counting {last.allowed_m_s2:.2g} m/s^2 of acceleration as noise"
     return f"{said}. {over}; {alarms}."
+
+
+def conclusion(diagnosis: Mapping[str, Any]) -> str:
+    """The causes that a diagnosis.json names, in one sentence; its own sentence where it names none."""
+    names = [f"{cause['name']} ({cause['sentence']})" for cause in diagnosis["causes"]]
+    if not names:
+        return f"Cause: {diagnosis['sentence']}"
+    rest = " Something else is left that no known cause explains." if diagnosis["verdict"] == "unknown-cause" else ""
+    return f"Cause: {'; '.join(names)}.{rest}"
+
+
+def _verb(was: float, now: float) -> str:
+    return "cuts it" if now < 0.9 * was else "raises it" if now > 1.1 * was else "leaves it"
 
 
 def _trend(errors: list[float]) -> str:

@@ -28,7 +28,7 @@ def board51() -> list[str]:
 
 @contextlib.contextmanager
 def running(out: Path, name: str, *words: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A service that talks into OUT/NAME.log; terminated, and after 15 s killed, on the way out."""
+    """A service, or background work, talking into OUT/NAME.log; stopped, after 15 s killed, on the way out."""
     with (out / f"{name}.log").open("wb") as log:
         process = subprocess.Popen([*board51(), name, *words], stdout=log, stderr=log, start_new_session=True)
     try:
@@ -79,6 +79,29 @@ def call(
             remedy=f"All it said is in {path}",
         )
     return code, lines
+
+
+def finish(process: subprocess.Popen[bytes], out: Path, name: str, *, good: tuple[int, ...], limit_s: float) -> int:
+    """Wait for work that `running` began; its exit code.
+
+    Raises:
+        ServiceError: it takes longer than `limit_s`, or ended with an exit code that is not `good`.
+    """
+    path = out / f"{name}.log"
+    try:
+        code = process.wait(timeout=limit_s)
+    except subprocess.TimeoutExpired:
+        raise ServiceError(
+            f"board51 {name} is not done after {limit_s:.0f} s more",
+            remedy=f"What it did so far is in {path}; run it alone on the same campaign",
+        ) from None
+    if code not in good:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        raise ServiceError(
+            f"board51 {name} ended with exit code {code}: {lines[-1] if lines else 'it said nothing'}".rstrip("."),
+            remedy=f"All it said is in {path}",
+        )
+    return code
 
 
 def _stop(process: subprocess.Popen[bytes] | subprocess.Popen[str], with_signal: signal.Signals) -> None:

@@ -1,4 +1,4 @@
-"""What the demo says about two flights, from a log that is made here with errors known beforehand."""
+"""What the demo says about flights, from a log that is made here with errors known beforehand."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.demo.findings import NOTABLE_A, REST_SAMPLES, Flight, gather, sentence, table
+from gateway.demo.findings import NOTABLE_A, REST_SAMPLES, Flight, conclusion, gather, sentence, table
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 
@@ -67,7 +67,7 @@ def log(tmp_path: Path) -> Log:
 def found(log: Log, *flights: Flight) -> tuple[str, str]:
     log.writer.close()
     gather(log.writer.path, list(flights))
-    return table(*flights), sentence(*flights)
+    return table(flights), sentence(flights)
 
 
 def test_the_errors_at_rest_of_both_flights_are_in_the_table(log: Log) -> None:
@@ -85,7 +85,7 @@ def test_the_errors_at_rest_of_both_flights_are_in_the_table(log: Log) -> None:
     assert "30.0 um" in shown
     assert shown.splitlines()[-1].split() == ["alarms", "raised", "2", "0"]
     # rms of 50, 100, 200 is 132.3; of 20, 0, 30 is 20.8
-    assert "cut the error of the twin's current at rest from 132 to 21 mA rms" in said
+    assert "current at rest: the identified model cuts it from 132 to 21 mA rms" in said
     assert "Left over: -20 to +30 mA, rising with the height of the ball" in said
     assert said.endswith("the identified twin raises no alarm.")
 
@@ -106,7 +106,7 @@ def test_a_worse_model_is_said_to_be_worse(log: Log) -> None:
 
     _, said = found(log, before, after)
 
-    assert "raised the error" in said
+    assert "raises it from 50 to 100 mA" in said
     assert said.endswith("the identified twin still raises divergence-i_c.")
 
 
@@ -124,3 +124,31 @@ def test_a_flight_without_a_twin_is_said_so(log: Log) -> None:
     nothing = Flight(name="identified", from_t_s=1e3, to_t_s=1e3 + 1.0)
 
     assert "nothing can be compared" in found(log, flown, nothing)[1]
+
+
+def test_every_model_after_the_first_is_compared_with_the_one_before(log: Log) -> None:
+    flights = [
+        log.fly("nominal", (0.10, 0.10, 0.10), noise_m_s2=0.02, alarms=("innovation",)),
+        log.fly("identified", (0.06, 0.06, 0.06), noise_m_s2=4.0, alarms=("innovation",)),
+        log.fly("extended", (1e-3, 0.0, -1e-3), noise_m_s2=0.02),
+    ]
+
+    shown, said = found(log, *flights)
+
+    assert "the identified model cuts it from 100 to 60 mA rms; the extended model cuts it from 60 to 1 mA" in said
+    assert said.endswith("below 5 mA; the extended twin raises no alarm.")
+    rows = {line.split()[0]: line.split()[1:] for line in shown.splitlines()}
+    assert rows["3.00"][2::2] == ["+0.100", "+0.060", "+0.000"]
+    assert rows["alarms"] == ["raised", "1", "1", "0"]
+
+
+def test_the_causes_of_a_diagnosis_are_named() -> None:
+    cause = {"name": "air-gap-offset", "sentence": "the coil sits 2.4 mm higher than the model has it"}
+
+    named = conclusion({"verdict": "causes-found", "sentence": "", "causes": [cause]})
+    part = conclusion({"verdict": "unknown-cause", "sentence": "", "causes": [cause]})
+    none = conclusion({"verdict": "model-adequate", "sentence": "The model is adequate.", "causes": []})
+
+    assert named == "Cause: air-gap-offset (the coil sits 2.4 mm higher than the model has it)."
+    assert part.endswith("no known cause explains.")
+    assert none == "Cause: The model is adequate."
