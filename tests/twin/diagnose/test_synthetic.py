@@ -193,8 +193,8 @@ def test_rest_is_where_forces_balance() -> None:
         assert THETA.K_c * i**2 / (PLANT.x_max_m - x) ** 2 == pytest.approx(weight, rel=1e-9)
         assert carrying_input(THETA, PLANT, i) == pytest.approx(i / THETA.K_A, rel=1e-9)
         assert settled_current(THETA, PLANT, i / THETA.K_A) == pytest.approx(i, rel=1e-9)
-    # Below the diode's drop u_c loses what it lacks to it: 0.4 - (0.5 - 0.4) V are left.
-    assert settled_current(strong("freewheel-diode", 0.5), PLANT, 0.4) == pytest.approx(0.3 * THETA.K_A, rel=1e-6)
+    # A diode brakes what flows above the current of rest, not that itself.
+    assert settled_current(strong("freewheel-diode", 0.5), PLANT, 0.4) == pytest.approx(0.4 * THETA.K_A, rel=1e-6)
     warm = settled_current(strong("amplifier-gain-drift", 0.05), PLANT, 2.0)
     assert warm == pytest.approx(2.0 * THETA.K_A * (1.0 - 0.05 * warm**2), rel=1e-6)
     limited = strong("current-limit", 0.5)
