@@ -14,6 +14,8 @@ from twin.diagnose.words import quantity
 from twin.identify.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 
+NEARLY = 0.9  # of the squares: a cause that takes so much away is worth mentioning though too few points hold it
+
 
 def sentence_of(found: StaticDiagnosis) -> str:
     """The answer, first."""
@@ -29,7 +31,15 @@ def sentence_of(found: StaticDiagnosis) -> str:
         off_ma = 1e3 * rms(found.base.residual_a)
         return f"These {n} points of rest do not contradict (3): it is off by {off_ma:.3g} mA rms."
     if found.verdict == "unknown-cause":
-        return f"{wrong}; no single cause of the catalogue explains it."
+        nearest = next((one for one in found.others if not one.fit.at_bound), None)
+        taken = 0.0 if nearest is None else 1.0 - nearest.fit.rss_a2 / found.base.rss_a2
+        if nearest is None or taken < NEARLY:
+            return f"{wrong}; no single cause of the catalogue explains it."
+        by_chance = 100 * min(nearest.p * len(found.others), 1.0)
+        return (
+            f"{wrong}. {nearest.name} would take {100 * taken:.0f} % of the squares away, but {n} points are too few"
+            f" to name it: of {len(found.others)} causes one does as much by chance in {by_chance:.0f} % of campaigns."
+        )
     first = found.members[0]
     strength = BY_NAME[first.name].strength
     size = f"{strength.symbol} = {quantity(first.value, strength.unit)}"

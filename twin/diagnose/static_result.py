@@ -262,7 +262,9 @@ def _remarks(points: Points, computed: float | None, members: Sequence[Explanati
             " looks like one of the current sensor"
         )
     if len(points) - 2 < 5:
-        remarks.append(f"{len(points)} points leave {len(points) - 2} degrees of freedom: no second cause can be shown")
+        remarks.append(
+            f"{len(points)} points leave {len(points) - 2} for doubt beside K_c and one cause: a second cannot be shown"
+        )
     return remarks
 
 

@@ -133,6 +133,20 @@ def test_a_bent_balance_is_no_shifted_coil(tmp_path: Path) -> None:
     assert "air-gap-offset" in {entry["name"] for entry in found["ruled_out"]}
 
 
+def test_three_points_name_nothing_but_say_what_is_near(tmp_path: Path) -> None:
+    x = heights(3)
+    bend = (2e-3, -4e-3, 2e-3)
+
+    code, found = diagnosed(
+        tmp_path, x, [round(balance(at, d_m=2e-3) + off, 3) for at, off in zip(x, bend, strict=True)]
+    )
+
+    assert code == 1
+    assert found["verdict"] == "unknown-cause"
+    assert found["causes"] == []
+    assert "too few" in found["sentence"]
+
+
 def test_what_cannot_show_at_rest_is_said_so(tmp_path: Path) -> None:
     x = heights(6)
 
