@@ -21,7 +21,7 @@ from twin.diagnose.estimate import PASSES, Criterion, Fit, climb, coordinates_of
 from twin.diagnose.floor import Floor
 from twin.diagnose.screen import Score, screen
 from twin.diagnose.starts import start_of
-from twin.model.causes.catalogue import CATALOGUE
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 
 THRESHOLD = 10.0  # of log-likelihood: z = 4.5, and more than the most of 30 candidates reaches by chance
@@ -33,6 +33,8 @@ FEW = 5  # candidates that are fitted in a round
 _SHORT = 2  # passes of a first fit
 # Then: passes, least share of the best gain, most candidates that go on.
 _HEATS = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))
+_FAR_BEHIND = 0.02  # of the best gain on the screen: such a candidate will not be the best
+_COMPARABLE = 0.2  # of the cause's own gain on the screen: what stands in for it shows there, too
 _FAVOURITES = 2  # best of the screen: they go through the first heat, however slowly they begin to climb
 Say = Callable[[str], None]
 
@@ -128,7 +130,10 @@ def _forward(
     scores = screen(criterion, at.theta, at.free, candidates)
     if any(cause.name == periodic.CAUSE.name for cause in candidates):
         scores = _with_line(criterion, at, scores)
-    worth = [score for score in scores if score.testable and score.gain - score.chance > 0.5 * THRESHOLD][:few]
+    least = max(
+        0.5 * THRESHOLD, 0.3 * TRIFLE * gained, _FAR_BEHIND * max((score.gain for score in scores), default=0.0)
+    )
+    worth = [score for score in scores if score.testable and score.gain - score.chance > least][:few]
     say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
     trials = _fitted(criterion, at, worth)
     if not trials:
@@ -250,10 +255,12 @@ def _rivals(
         at, known = _without(criterion, found.fit, cause), {}
     own = Trial(cause=cause, fit=found.fit, gain=found.fit.loglik - at.loglik)
     others = [entry for entry in candidates if entry.name not in found.causes]
+    scores = screen(criterion, at.theta, at.free, [*others, BY_NAME[cause]])
+    comparable = _COMPARABLE * max((score.gain for score in scores if score.cause == cause), default=0.0)
     scores = [
         score
-        for score in screen(criterion, at.theta, at.free, others)
-        if score.cause not in known and score.testable and score.gain > 0.3 * THRESHOLD
+        for score in scores
+        if score.cause not in (*known, cause) and score.testable and score.gain > max(0.3 * THRESHOLD, comparable)
     ][: max(few - len(known), 2)]
     trials = [trial for trial in known.values() if trial.cause != cause] + _fitted(criterion, at, scores)
     trials = sorted((trial for trial in trials if inside(trial)), key=lambda trial: -trial.gain)
