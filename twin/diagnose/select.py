@@ -130,10 +130,10 @@ def _forward(
     scores = screen(criterion, at.theta, at.free, candidates)
     if any(cause.name == periodic.CAUSE.name for cause in candidates):
         scores = _with_line(criterion, at, scores)
-    least = max(
+    gain_least = max(
         0.5 * THRESHOLD, 0.3 * TRIFLE * gained, _FAR_BEHIND * max((score.gain for score in scores), default=0.0)
     )
-    worth = [score for score in scores if score.testable and score.gain - score.chance > least][:few]
+    worth = [score for score in scores if score.testable and score.gain - score.chance > gain_least][:few]
     say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
     trials = _fitted(criterion, at, worth)
     if not trials:
