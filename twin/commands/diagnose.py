@@ -48,6 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Diagnose, print, write."""
     # Imported here: --help must not wait for numba and scipy.
+    from twin.diagnose.given import check_plant
     from twin.diagnose.pipeline import diagnose
     from twin.diagnose.report import to_html
     from twin.diagnose.result import to_json
@@ -66,6 +67,8 @@ def run(args: argparse.Namespace) -> int:
     campaign = load(args.campaign)
     if rests_alone(campaign):
         model = load_model(args.model) if args.model else None
+        if model is not None:
+            check_plant(model, campaign.plant)
         code, answer = run_static(campaign, data=args.data, model=model, out=args.out, as_json=args.json, say=say)
         print(answer)
         return code

@@ -1,10 +1,14 @@
 """Is what is left noise?
 
 Rule 1: a model is adequate if its innovations are as large as the sensor noise makes them, and white.
-Rule 2: small departures are nobody's physics: converters round, the filter linearises.  What counts is stated here once.
+Rule 2: small departures are nobody's physics: converters round, the filter linearises.  What counts is stated
+        here once.
 """
 
 from __future__ import annotations
+
+import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -14,6 +18,7 @@ from twin.identify.innovations import FLIES
 from twin.identify.whiteness import whiteness
 
 COLOURED = 0.06  # autocorrelation of innovations: four times what identify calls small
+_SURE = 4.0  # standard errors, 1 / sqrt(n): the largest of 50 autocorrelations
 LOUD = 1.5  # mean square of whitened innovations, of one recording against all
 
 
@@ -26,7 +31,9 @@ def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
         return False, (
             f"what is left is larger than the sensor noise: {per_reading:.2f} of log-likelihood per reading are missing"
         )
-    if colour.worst > COLOURED:
+    counts = [count for count in np.isfinite(white).sum(axis=0).tolist() if count]
+    chance = _SURE / math.sqrt(min(counts)) if counts else math.inf
+    if colour.worst > max(COLOURED, chance):
         return False, f"what is left is not white: its autocorrelation reaches {colour.worst:.2f}"
     return True, ""
 
@@ -51,7 +58,7 @@ def where_left(criterion: Criterion, fit: Fit) -> str:
     if flying.sum() > 500:
         x, w = series.x[flying], white[flying, 1] ** 2
         edges = np.quantile(x, np.linspace(0.0, 1.0, 6))
-        means = [float(w[(x >= a) & (x <= b)].mean()) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        means = [float(w[(x >= a) & (x <= b)].mean()) for a, b in pairwise(edges)]
         place = int(np.argmax(means))
         if means[place] > LOUD * min(means):
             parts.append(f"with the ball at {edges[place] * 1e3:.2f} to {edges[place + 1] * 1e3:.2f} mm")

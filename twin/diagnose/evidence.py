@@ -225,9 +225,25 @@ def _join(parts: list[Series]) -> Series:
 
 def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
     """Standard deviations (i_c in A, x in m) at rest, where no model is needed; None where nothing rested for long."""
+    squares = _rest_squares(evidence)
+    result = [float(np.sqrt(total / count)) if count > 300 and total > 0 else None for total, count in squares]
+    if None in result:
+        clamped = _clamped_noise(evidence)
+        result = [here if here is not None else other for here, other in zip(result, clamped, strict=True)]
+    return result[0], result[1]
+
+
+def noise_error(evidence: Evidence) -> float:
+    """Standard error of ln sigma, averaged over both channels: sqrt(1 / 2n) each."""
+    counts = [count for _, count in _rest_squares(evidence) if count > 300]
+    return 0.5 * float(np.sqrt(sum(0.5 / count for count in counts)))
+
+
+def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
+    """Sum of squares around straight lines at rest, and its degrees of freedom: i_c, x."""
     series = evidence.series
     rest = series.flags & (RESTS_LOW | RESTS_HIGH) != 0
-    squares = [[0.0, 0], [0.0, 0]]
+    squares = [(0.0, 0), (0.0, 0)]
     for piece in runs(rest, 2 * HELD_SAMPLES):
         for start in range(piece.start, piece.stop - HELD_SAMPLES + 1, HELD_SAMPLES):
             window = slice(start, start + HELD_SAMPLES)
@@ -237,13 +253,9 @@ def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
                     continue
                 line = np.polynomial.polynomial.polyfit(_LINE, values, 1)
                 residual = values - np.polynomial.polynomial.polyval(_LINE, line)
-                squares[place][0] += float(residual @ residual)
-                squares[place][1] += HELD_SAMPLES - 2
-    result = [float(np.sqrt(total / count)) if count > 300 and total > 0 else None for total, count in squares]
-    if None in result:
-        clamped = _clamped_noise(evidence)
-        result = [here if here is not None else other for here, other in zip(result, clamped, strict=True)]
-    return result[0], result[1]
+                total, count = squares[place]
+                squares[place] = total + float(residual @ residual), count + HELD_SAMPLES - 2
+    return squares
 
 
 def _clamped_noise(evidence: Evidence) -> tuple[float | None, float | None]:

@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.diagnose.estimate import FLOORS, Criterion, Theta
-from twin.diagnose.evidence import sensor_noise
+from twin.diagnose.evidence import noise_error, sensor_noise
 from twin.identify.record import FloatArray
 
 MATERIAL = 0.02  # of log-likelihood per reading: what a 2 % error of the noise level makes
+_SURE = 2.5  # standard errors of the noise level, where the ball rested too shortly for 2 %
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +27,7 @@ class Floor:
     measured: bool  # at rest; else the smallest that any fit has asked for
     loglik: float  # of a right model
     readings: int
+    error: float = 0.0  # standard error of `loglik` per reading: that of the noise level
 
     def excess(self, loglik: float) -> float:
         """Log-likelihood that a model lacks."""
@@ -33,7 +35,7 @@ class Floor:
 
     def material(self, loglik: float) -> bool:
         """Whether that is more than the noise level's own error."""
-        return self.excess(loglik) > MATERIAL * self.readings
+        return self.excess(loglik) > max(MATERIAL, _SURE * self.error) * self.readings
 
 
 def floor_of(criterion: Criterion, theta: Theta) -> Floor:
@@ -55,6 +57,7 @@ def floor_of(criterion: Criterion, theta: Theta) -> Floor:
         measured=measured,
         loglik=loglik,
         readings=readings,
+        error=noise_error(criterion.evidence) if measured else 0.0,
     )
 
 

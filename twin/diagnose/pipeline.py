@@ -29,22 +29,26 @@ from twin.diagnose.estimate import BASE, STOPS, Criterion, Fit, Theta, climb, mo
 from twin.diagnose.evidence import Evidence, gather
 from twin.diagnose.experiments import propose
 from twin.diagnose.floor import Floor, floor_of
+from twin.diagnose.given import check_plant, off_sentence, theta_of
 from twin.diagnose.lost import Lost, lost_samples
 from twin.diagnose.measure import HORIZONS_S, Gain, gain
 from twin.diagnose.models import model_of
+from twin.diagnose.odd import Odd, odd_one
 from twin.diagnose.result import Diagnosis, Finding, Member, NotTestable, Proposal, RuledOut, Verdict, fit_parameters
 from twin.diagnose.select import SHARE, Selection, Trial, select
 from twin.diagnose.words import bound_sentence, finding_sentence, summary_sentence
 from twin.identify.checks import inspect
+from twin.identify.innovations import FLIES, FOLLOWS
 from twin.identify.reading import read_campaign
 from twin.identify.record import Record
-from twin.identify.start import amplifier_start, ball_start
+from twin.identify.start import AmplifierStart, amplifier_start, ball_start
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 from twin.model.parameters import Model, Parameter
 
 Say = Callable[[str], None]
 LOST = "lost-samples"
+FLIGHT_LEAST_S = 2.0  # 120 time constants of the unstable pole
 PERIODIC = "periodic-disturbance"
 
 
@@ -97,10 +101,13 @@ def diagnose_records(
     share: float = SHARE,
     seed: int = 0,
     workers: int = 2,
+    look_for_odd: bool = True,
     say: Say = lambda line: None,
 ) -> Diagnosis:
-    """As `diagnose`, on recordings in memory."""
+    """As `diagnose`, on recordings in memory; one that contradicts all others is left out, where asked for."""
     plant = campaign.plant
+    if model is not None:
+        check_plant(model, plant)
     warnings = [note for record in records for note in record.notes]
     warnings += inspect(list(records), plant, campaign.controller)
     stages: dict[str, float] = {}
@@ -109,8 +116,11 @@ def diagnose_records(
         judge = gather(judges, plant, (evidence.low_m, evidence.high_m)) if judges else None
         warnings += evidence.notes
         tick_s = tick_of(records)
+        enough(evidence)
     if not judges:
         warnings.append('no recording has use = "judge": the gain cannot be measured on data that were not used')
+    if not any(record.has("x") for record in records):
+        warnings.append("no recording has x: only the amplifier was judged; K_c and b of the model files are guesses")
     start = start_theta(records, plant)
     criterion = Criterion(evidence, plant, tick_s, workers=workers)
     try:
@@ -141,6 +151,22 @@ def diagnose_records(
                 evidence = gather([one for one in records if one.name in change.recordings], plant, stops)
                 if judge is not None and (later := change.of(judges)):
                     judge = gather(later, plant, stops)
+        if not fine and look_for_odd and (odd := odd_one(criterion, base, floor)) is not None:
+            say(f"{odd.name} contradicts the others: once more without it")
+            rest = diagnose_records(
+                campaign,
+                [record for place, record in enumerate(records) if place != odd.recording],
+                judges,
+                model=model,
+                quick=quick,
+                share=share,
+                seed=seed,
+                workers=workers,
+                look_for_odd=False,
+                say=say,
+            )
+            if rest.verdict != "unknown-cause":
+                return without_odd(rest, odd)
         with _timed(stages, "what is left"):
             where = "" if fine else where_left(criterion, found.fit)
             spread = spreads(criterion, found.fit)
@@ -157,9 +183,14 @@ def diagnose_records(
         criterion.close()
     lost = lost_samples([*records, *judges])
     with _timed(stages, "gain"):
-        before, after = base.theta, found.fit.theta
+        before, after = base.theta if model is None else theta_of(model, base.theta), found.fit.theta
         gains = _gains(judge, before, after, floor, plant, tick_s, seed)
-    at_20_ms = next((one for one in gains if abs(one.horizon_s - 0.02) < 0.5 * tick_s), None)
+        at_20_ms = next((one for one in gains if abs(one.horizon_s - 0.02) < 0.5 * tick_s), None)
+        off = ""
+        if model is not None and judge is not None and at_20_ms is not None:
+            anew = gain(judge, base.theta, after, floor, plant, tick_s, at_20_ms.samples, seed)
+            off = off_sentence(model, base.theta, at_20_ms, anew)
+            warnings += [off] if off else []
     findings = _findings(found, floor, spread, proposals, fine, quick, lost)
     if change is not None:
         findings = [late_finding(one, change) for one in findings]
@@ -194,7 +225,17 @@ def diagnose_records(
         after=after,
         tick_s=tick_s,
     )
-    return replace(diagnosis, sentence=summary_sentence(diagnosis))
+    sentence = summary_sentence(diagnosis)
+    if not any(record.has("x") for record in records):
+        sentence = f"Of the amplifier alone, as no recording has x: {sentence}"
+    if off and diagnosis.verdict == "model-adequate":
+        sentence = f"The form of the model is adequate, but {off}."
+    return replace(diagnosis, sentence=sentence)
+
+
+def without_odd(rest: Diagnosis, odd: Odd) -> Diagnosis:
+    """The diagnosis of the others, with what was left out."""
+    return replace(rest, sentence=f"{rest.sentence} But {odd.sentence}.", warnings=(odd.sentence, *rest.warnings))
 
 
 def tick_of(records: Sequence[Record]) -> float:
@@ -205,6 +246,21 @@ def tick_of(records: Sequence[Record]) -> float:
         if good:
             return float(np.median(good))
     return 2e-3
+
+
+def enough(evidence: Evidence) -> None:
+    """Whether the flights are long enough to tell one cause from another.
+
+    Raises:
+        DataError: with what there is and what is asked for.
+    """
+    series = evidence.series
+    flown_s = float(series.step[series.flags & (FLIES | FOLLOWS) == FLIES | FOLLOWS].sum())
+    if any(record.has("x") for record in evidence.records) and flown_s < FLIGHT_LEAST_S:
+        raise DataError(
+            f"the recordings for fitting hold {flown_s:.2g} s of flight: too little to tell one cause from another",
+            remedy=f"Record at least {FLIGHT_LEAST_S:g} s with the ball in flight, better a minute with steps of x_ref",
+        )
 
 
 def start_theta(records: Sequence[Record], plant: Plant) -> Theta:
@@ -219,17 +275,25 @@ def start_theta(records: Sequence[Record], plant: Plant) -> Theta:
             "no recording shows i_c following u_c",
             remedy="Record a step or a ramp of u_c with i_c, and map both columns",
         )
+    if not any(record.has("x") for record in records):
+        # Nothing says where the ball is: the amplifier alone is asked about, and any K_c will do.
+        weight, half = plant.mass_kg * plant.gravity_m_s2, plant.x_max_m - 0.5 * plant.travel_m
+        return _start(amplifier, weight * half**2 / 0.25, 0.0)
     ball = ball_start(list(records), plant, amplifier)
     if ball is None or ball.k <= 0.0:
         raise DataError(
             "no recording shows the ball in flight for long enough",
             remedy="Record closed-loop flights or an open-loop prbs with x: without them only the amplifier is known",
         )
+    return _start(amplifier, ball.k * plant.mass_kg, min(max(ball.d * plant.mass_kg, 0.0), 0.9 * most_drag(plant)))
+
+
+def _start(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:
     return Theta(
         K_A=amplifier.K_A,
         T_A=amplifier.T_A,
-        K_c=ball.k * plant.mass_kg,
-        b=min(max(ball.d * plant.mass_kg, 0.0), 0.9 * most_drag(plant)),
+        K_c=K_c,
+        b=b,
         sigma_i_c_a=max(amplifier.sigma_i_c_a, 1e-5),
         sigma_x_m=1e-5,
         process_i_c_a=max(0.3 * amplifier.sigma_i_c_a, 1e-5),

@@ -98,7 +98,8 @@ def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause, part
     reach *= max(shorter, _LEAST / abs(reach)) * part
     for name, by in score.beside:
         if name in PARAMETERS:  # noise levels find their own way: falling ones overshoot
-            theta = moved(theta, name, by * reach, criterion.plant)
+            most = most_step(name)  # what nothing in the data holds would run away
+            theta = moved(theta, name, min(max(by * reach, -most), most), criterion.plant)
     theta = probed(theta, cause, strength.value(strength.coordinate(score.probe) * reach))
     for name, value in score.others:
         theta = theta.having(name, value)

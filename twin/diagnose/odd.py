@@ -1,0 +1,98 @@
+"""The odd one out: a recording of another rig, or of another day, among recordings that agree.
+
+Asked only where no cause, and no change between recordings, leaves noise.
+
+Rule 1: it is the odd one if the paper's law with other numbers explains it alone down to its noise, and these numbers
+        differ by more than drift makes of a rig.  A recording that alone shows an unknown effect is not: no numbers
+        explain that.
+Rule 2: the others must then be explained without it; who calls decides that by diagnosing them alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.diagnose.adequacy import adequate
+from twin.diagnose.consistency import MATTERS
+from twin.diagnose.estimate import BASE, FLOORS, Criterion, Fit, climb, inverse
+from twin.diagnose.evidence import gather
+from twin.diagnose.floor import Floor, expected
+from twin.identify.innovations import FLIES, information
+from twin.identify.record import runs
+
+CLEAR = 50.0  # of log-likelihood, by numbers of its own
+_FLOWN = 500  # samples in flight: fewer do not fix four numbers
+_FEWEST = 4  # recordings: of two that disagree nobody knows which is the odd one
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Odd:
+    """The recording and what it asks for."""
+
+    recording: int
+    name: str
+    moves: tuple[tuple[str, float], ...]  # (parameter, relative change from what the others ask for)
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        asked = " and ".join(f"{name} {100.0 * by:+.0f} %" for name, by in self.moves)
+        return (
+            f"{self.name} contradicts the others and was left out: alone it is explained by {asked}, as by another "
+            "rig. Check where it comes from"
+        )
+
+
+def odd_one(criterion: Criterion, base: Fit, floor: Floor) -> Odd | None:
+    """The recording that contradicts all others; None where none does.
+
+    Args:
+        criterion: of the recordings for fitting.
+        base: the paper's model, fitted to all of them.
+        floor: what sensor noise alone leaves.
+    """
+    evidence = criterion.evidence
+    series, names = evidence.series, BASE[:4]
+    if len(np.unique(series.recording[series.flags & FLIES != 0])) < _FEWEST:
+        return None
+    out, change = criterion.derivatives(base.theta, names)
+    best: tuple[float, int] = (CLEAR, -1)
+    for number in range(len(evidence.records)):
+        own = np.asarray(series.recording == number)
+        if np.count_nonzero(series.flags[own] & FLIES) < _FLOWN:
+            continue
+        (piece,) = runs(own)
+        each, fisher = np.empty((piece.stop - piece.start, len(names))), np.zeros((len(names), len(names)))
+        information(out[piece], np.ascontiguousarray(change[:, piece]), each, fisher)
+        score = each.sum(axis=0)
+        gain = 0.5 * float(score @ inverse(fisher) @ score)
+        best = max(best, (gain, number))
+    number = best[1]
+    if number < 0:
+        return None
+    record = evidence.records[number]
+    rest = [one for place, one in enumerate(evidence.records) if place != number]
+    stops = evidence.low_m, evidence.high_m
+    alone = Criterion(gather([record], criterion.plant, stops), criterion.plant, criterion.tick_s)
+    others = Criterion(gather(rest, criterion.plant, stops), criterion.plant, criterion.tick_s)
+    try:
+        fit, agreed = climb(alone, base.theta, BASE), climb(others, base.theta, base.free)
+        quiet = replace(
+            fit.theta,
+            sigma_i_c_a=floor.sigma_i_c_a,
+            sigma_x_m=floor.sigma_x_m,
+            process_i_c_a=FLOORS["process_i_c_a"],
+            process_a_m_s2=FLOORS["process_a_m_s2"],
+        )
+        loglik, readings = expected(alone.outputs(quiet))
+        if not adequate(alone, fit, replace(floor, loglik=loglik, readings=readings))[0]:
+            return None
+        moves = {name: math.log(fit.theta.value(name) / agreed.theta.value(name)) for name in MATTERS}
+    finally:
+        alone.close()
+        others.close()
+    large = tuple((name, math.expm1(by)) for name, by in moves.items() if abs(by) > MATTERS[name])
+    return Odd(recording=number, name=record.name, moves=large) if large else None
