@@ -63,6 +63,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="with --log, --hand-over: print the outcome as JSON")
     parser.add_argument("--fail-on-alarm", action="store_true", help="with --log: exit code 1 where the model is wrong")
     parser.add_argument("--duration", type=float, metavar="S", help="live: stop after so many seconds")
+    parser.add_argument(
+        "--diagnosis-after",
+        type=float,
+        default=Settings().diagnosis_after_s,
+        metavar="S",
+        help="live: alarms that last so long raise diagnosis-wanted (%(default)s; 0: never)",
+    )
 
 
 def add_model_options(parser: argparse.ArgumentParser) -> None:
@@ -101,7 +108,10 @@ def chosen_settings(args: argparse.Namespace) -> Settings:
     rate = args.false_alarms_per_day
     if not (math.isfinite(rate) and 1e-6 <= rate <= 1e4):
         raise UsageError(f"--false-alarms-per-day {rate:g} is outside 1e-6 .. 1e4", remedy="Use 0.1: one in ten days")
-    return Settings(window_s=args.window, false_alarms_per_day=rate)
+    after_s = getattr(args, "diagnosis_after", Settings().diagnosis_after_s)  # `plot` has no live twin
+    if not 0.0 <= after_s <= 86400.0:
+        raise UsageError(f"--diagnosis-after {after_s:g} is outside 0 .. 86400 s", remedy="Use 30 s, or 0 for never")
+    return Settings(window_s=args.window, false_alarms_per_day=rate, diagnosis_after_s=after_s)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -17,6 +17,7 @@ from protocol.bus import encoding, topics
 from twin.mirror.handover import Belief, refusal
 from twin.mirror.mirror import Mirror
 from twin.mirror.output import Output
+from twin.mirror.request import DiagnosisRequest
 from twin.mirror.settings import Settings
 
 SILENT_S = 1.0
@@ -58,6 +59,12 @@ class Watched:
             )
             for topic, message in _MESSAGES.items()
         }
+        self._request = DiagnosisRequest(
+            after_s=self.mirror.settings.diagnosis_after_s,
+            command=f"board51 diagnose --live 2 --board {board}"
+            + (f" --site {site}" if site != topics.DEFAULT_SITE else "")
+            + " --out diagnosis",
+        )
         self._newest: pb.State | None = None
         self._since: tuple[int, int] | None = None  # session and tick of the first sample under the belief
         self._heard_s = 0.0  # both monotonic
@@ -78,6 +85,8 @@ class Watched:
         self._publish("twin/divergence", output.divergence)
         for alarm in output.alarms:
             self._alarm(alarm)
+        if (wanted := self._request.sample(state)) is not None:
+            self._alarm(wanted)
         return output
 
     def use(self, belief: Belief, now_s: float) -> pb.CommandReply:
@@ -127,6 +136,8 @@ class Watched:
             alarm.host_time_ns = self._newest.host_time_ns
         log.warning("board %s: alarm %s %s (%s)", self.board, alarm.name, "on" if alarm.active else "off", alarm.text)
         self._publish("twin/alarm", alarm)
+        if (answered := self._request.heard(alarm)) is not None:
+            self._alarm(answered)
 
     def _publish(self, topic: str, message: Message) -> None:
         self._publishers[topic].put(message.SerializeToString())

@@ -1,0 +1,95 @@
+"""`diagnosis-wanted`: asked for once per episode, after the time that was chosen, and taken back."""
+
+from __future__ import annotations
+
+from protocol.bus import board51_pb2 as pb
+from tests.twin.test_service_handover import alarms, ask, command, divergences, offset_rig, right_model
+from tests.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait_for_count
+from twin.mirror.request import NAME, DiagnosisRequest
+from twin.mirror.service import TwinService
+from twin.mirror.settings import Settings
+from twin.model.nominal import nominal
+
+HELD = 2.85e-3
+
+
+def alarm(name: str, *, active: bool) -> pb.Alarm:
+    return pb.Alarm(name=name, active=active, text="back to what noise explains")
+
+
+def asked(request: DiagnosisRequest, from_s: float, to_s: float) -> list[pb.Alarm]:
+    said = [request.sample(pb.State(t_s=0.5 * k, tick=k)) for k in range(round(2 * from_s), round(2 * to_s))]
+    return [one for one in said if one is not None]
+
+
+def test_it_is_asked_once_per_episode_and_after_the_whole_time() -> None:
+    request = DiagnosisRequest(after_s=30.0, command="board51 diagnose --live 2")
+
+    request.heard(alarm("innovation", active=True))
+    request.heard(alarm("divergence-x", active=True))
+    first = asked(request, 10, 100)
+    one_left = request.heard(alarm("innovation", active=False))
+    end = request.heard(alarm("divergence-x", active=False))
+    quiet = asked(request, 100, 200)
+    request.heard(alarm("innovation", active=True))
+    second = asked(request, 200, 300)
+
+    assert [(one.name, one.active, one.tick, one.value) for one in first] == [(NAME, True, 80, 30.0)]
+    assert first[0].text.startswith("innovation, divergence-x for 30 s")
+    assert "board51 diagnose --live 2" in first[0].text
+    assert one_left is None
+    assert end is not None
+    assert (end.name, end.active) == (NAME, False)
+    assert quiet == []
+    assert [one.tick for one in second] == [460]
+
+
+def test_alarms_that_come_and_go_and_a_lost_rig_ask_for_nothing() -> None:
+    request = DiagnosisRequest(after_s=30.0, command="")
+
+    for k in range(10):
+        request.heard(alarm("innovation", active=True))
+        assert asked(request, 20 * k, 20 * k + 19) == []
+        assert request.heard(alarm("innovation", active=False)) is None
+    request.heard(alarm("out-of-step", active=True))
+
+    assert asked(request, 300, 400) == []
+
+
+def test_time_begins_anew_with_a_board_that_was_reset() -> None:
+    request = DiagnosisRequest(after_s=30.0, command="")
+    request.heard(alarm("innovation", active=True))
+
+    assert asked(request, 1000, 1020) == []
+    assert [one.tick for one in asked(request, 0, 100)] == [60]
+
+
+def test_zero_means_never() -> None:
+    request = DiagnosisRequest(after_s=0.0, command="")
+    request.heard(alarm("innovation", active=True))
+
+    assert asked(request, 0, 1000) == []
+
+
+def test_on_the_bus_a_lasting_alarm_asks_and_the_right_model_takes_it_back() -> None:
+    endpoint, rig = free_endpoint(), offset_rig()
+    settings = Settings(window_s=0.25, diagnosis_after_s=1.0)
+    with router(endpoint) as session:
+        heard = Heard(session, "lab")
+        with TwinService(nominal(), site="lab", endpoints=(endpoint,), settings=settings) as service:
+            introduce(session, service, rig)
+            publish(session, list(rig.run(1500, HELD)))
+            wait_for_count(lambda: len(divergences(heard)), 1500, "divergence")
+            before = [one for one in alarms(heard) if one.name == NAME]
+            ask(session, "lab/rig/twin/command", command(right_model()))
+            publish(session, list(rig.run(1000, HELD)))
+            wait_for_count(lambda: len(divergences(heard)), 2500, "divergence")
+            after = [one for one in alarms(heard) if one.name == NAME][len(before) :]
+    first = min(one.tick for one in alarms(heard) if one.active)
+
+    (wanted,) = before
+    assert wanted.active
+    assert wanted.tick == first + 500, "one second of 2 ms after the first alarm"
+    assert "board51 diagnose --live 2 --board rig --site lab" in wanted.text
+    assert [one.active for one in after] == [False]
+    assert "another model" in after[0].text
