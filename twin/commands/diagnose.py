@@ -2,7 +2,8 @@
 
 Takes campaign.toml or its folder, tries every cause of the catalogue on all recordings together, and writes
 diagnosis.json, report.html and extended_model.json.  It says so when the model is adequate, when no known cause
-explains the data, and which causes these data cannot tell apart.
+explains the data, and which causes these data cannot tell apart.  With --live it makes the campaign itself from what
+a board has just done: the flights, their last quarter to judge.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pathlib import Path
 
 from protocol.campaign import load
 from protocol.errors import DataError
+from twin.live.shell import check_options, configure_live, give_to_twin, record_live
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -23,10 +25,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n"
         "  board51 diagnose runs/monday --out diagnosis\n"
         "  board51 diagnose runs/monday --model model.json --quick --out diagnosis\n"
+        "  board51 diagnose --live 2 --board rig1 --out diagnosis --hand-over    the last two minutes of a board\n"
         "\nexit code 0: causes found, or the model is adequate; 1: the model is wrong and no known cause explains it;\n"
         "2: bad input"
     )
-    parser.add_argument("campaign", type=Path, metavar="CAMPAIGN", help="campaign.toml or the folder that holds it")
+    parser.add_argument("campaign", type=Path, nargs="?", metavar="CAMPAIGN", help="campaign.toml, or its folder")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for diagnosis.json, report.html, models")
     parser.add_argument("--model", metavar="MODEL.json", help="the simulation to judge (default: the paper's, fitted)")
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of recordings not beside the campaign")
@@ -43,6 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, default=2, help="threads (2); the result does not depend on it")
     parser.add_argument("--json", action="store_true", help="print diagnosis.json instead of a summary")
     parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
+    configure_live(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -64,6 +68,10 @@ def run(args: argparse.Namespace) -> int:
 
     if not 0.0 < args.share <= 1.0:
         raise DataError(f"--share is {args.share:g}", remedy="Give a part of 1, as 0.2")
+    check_options(args)
+    board = ""
+    if args.live is not None:
+        args.campaign, board = record_live(args, say)
     campaign = load(args.campaign)
     if rests_alone(campaign):
         model = load_model(args.model) if args.model else None
@@ -114,4 +122,11 @@ def run(args: argparse.Namespace) -> int:
             print(f"  ! {warning}")
         if args.out is not None:
             print(f"report   {args.out / 'report.html'}\nmodel    {args.out / 'extended_model.json'}")
+    if args.hand_over and found.causes:
+        # To stderr beside --json: what is parsed stays one object.
+        taken = give_to_twin(args, args.out / "extended_model.json", board, say if args.json else print)
+        if not taken:
+            return 1
+    elif args.hand_over:
+        say("no cause was found: the twin keeps its model")
     return 1 if found.verdict == "unknown-cause" else 0

@@ -1,0 +1,98 @@
+"""A campaign folder from what was heard: one MCAP per recording, `campaign.toml` around them.
+
+Rule: a new folder each time; nothing is overwritten, and what was diagnosed can be diagnosed again.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recording
+from protocol.campaign_text import emit
+from protocol.errors import DataError
+from twin.live.pieces import Piece
+from twin.live.source import Heard
+from twin.model.nominal import nominal
+from twin.model.parameters import model_from_dict
+from twin.recordings import TwinLog
+
+
+def write(heard: Heard, pieces: Sequence[Piece], plant: Plant, out: Path, *, site: str, board: str) -> Path:
+    """The folder, below `out`.  Raises DataError where it cannot be written."""
+    folder = out / f"live-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise DataError(f"{folder} cannot be made ({error.strerror})", remedy="Give another --out") from None
+    for piece in pieces:
+        with TwinLog(folder / f"{piece.name}.mcap") as log:
+            if heard.parameters:
+                session = piece.states[0].session if piece.states else heard.parameters[-1].session
+                known = [one for one in heard.parameters if one.session == session] or heard.parameters
+                at_ns = piece.states[0].host_time_ns if piece.states else known[-1].host_time_ns
+                log.write(
+                    topics.key(site, board, "parameters"), known[-1], message_type=pb.Parameters, log_time_ns=at_ns
+                )
+            for state in piece.states:
+                log.write(
+                    topics.key(site, board, "state"), state, message_type=pb.State, log_time_ns=state.host_time_ns
+                )
+            for capture in piece.captures:
+                log.write(
+                    topics.key(site, board, "capture"), capture,
+                    message_type=pb.CaptureRecord, log_time_ns=capture.host_time_ns,
+                )  # fmt: skip
+    campaign = Campaign(
+        where=str(folder / "campaign.toml"),
+        folder=folder,
+        plant=plant,
+        controller=controller_of(heard.parameters),
+        recordings=tuple(Recording(file=f"{piece.name}.mcap", kind=piece.kind, use=piece.use) for piece in pieces),
+    )
+    comments = [f"Made by `board51 diagnose --live` from {heard.where}, board {site}/{board}."]
+    if campaign.controller is None:
+        comments.append("No [controller]: the board's gains changed, or were not heard.")
+    (folder / "campaign.toml").write_text(emit(campaign, comments=comments), encoding="utf-8")
+    return folder
+
+
+def plant_of(heard: Heard) -> Plant:
+    """Of the model that the live twin runs on; of the nominal CE 152 where no twin is heard."""
+    model = (
+        model_from_dict(json.loads(heard.model_json), where="the live twin's model") if heard.model_json else nominal()
+    )
+    return Plant(
+        name=model.plant.name,
+        mass_kg=model.plant.mass_kg,
+        travel_m=model.plant.travel_m,
+        x_max_m=model.plant.x_max_m,
+        gravity_m_s2=model.plant.gravity_m_s2,
+    )
+
+
+def controller_of(parameters: Sequence[pb.Parameters]) -> Controller | None:
+    """The law, where one set of gains was in force throughout."""
+    laws = {(one.law, tuple(one.gains), one.i_0_a, one.x_0_m, one.u_0_v) for one in parameters}
+    if len(laws) != 1:
+        return None
+    law, gains, i_c_a, x_m, u_c_v = laws.pop()
+    if len(gains) != 4:
+        return None
+    return Controller(
+        kind="pid" if law == pb.LAW_PID else "lqi",
+        gains=(gains[0], gains[1], gains[2], gains[3]),
+        operating_point=OperatingPoint(i_c_a=i_c_a, x_m=x_m, u_c_v=u_c_v),
+    )
+
+
+def changes_of(parameters: Sequence[pb.Parameters]) -> list[tuple[int, int]]:
+    """(session, tick) from which other values were in force."""
+    return [
+        (after.session, after.from_tick) for before, after in pairwise(parameters) if after.session == before.session
+    ]

@@ -1,0 +1,104 @@
+"""`board51 diagnose --live`: options, the campaign that they ask for, and the hand-over afterwards.
+
+Rule: this file and `source.py` have the clock and the bus; cutting and writing are elsewhere.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
+from protocol.bus.topics import DEFAULT_SITE, check_name
+from protocol.errors import UsageError
+
+LONGEST_MIN = 60.0  # 500 Hz of it are 2 million samples
+_LIVE_ONLY = ("board", "connect", "plant", "hand_over")
+
+
+def configure_live(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    live = parser.add_argument_group("live data, in place of CAMPAIGN")
+    live.add_argument(
+        "--live", type=float, metavar="MINUTES", help="the newest minutes of a board, from the gateway's log or the bus"
+    )
+    live.add_argument("--board", help="which (default: the only one)")
+    live.add_argument("--site", default=DEFAULT_SITE, help="first chunk of the keys (%(default)s)")
+    live.add_argument(
+        "--connect", action="append", metavar="ENDPOINT", help=f"where the gateway listens (default {DEFAULT_ENDPOINT})"
+    )
+    live.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="the gateway's log folder (logs)")
+    live.add_argument("--plant", type=Path, metavar="FILE", help="file with a [plant] (default: as the live twin has)")
+    live.add_argument("--hand-over", action="store_true", help="give the extended model to the running twin")
+
+
+def check_options(args: argparse.Namespace) -> None:
+    """Either a campaign or --live, and what belongs to it.  Raises UsageError."""
+    if args.live is None:
+        if args.campaign is None:
+            raise UsageError("there is nothing to diagnose", remedy="Name a CAMPAIGN, or give --live MINUTES")
+        for name in _LIVE_ONLY:
+            if getattr(args, name):
+                raise UsageError(f"--{name.replace('_', '-')} is for live data", remedy="Add --live MINUTES")
+        return
+    if args.campaign is not None:
+        raise UsageError("CAMPAIGN and --live exclude each other", remedy="Leave one of them out")
+    if not (math.isfinite(args.live) and 0.1 <= args.live <= LONGEST_MIN):
+        raise UsageError(f"--live {args.live:g} is outside 0.1 .. {LONGEST_MIN:g} minutes", remedy="Try --live 2")
+    if args.out is None:
+        raise UsageError("--live writes recordings and needs a place", remedy="Give --out DIR")
+    check_name(args.site, what="--site")
+    if args.board:
+        check_name(args.board, what="--board")
+    endpoints_of(args)
+
+
+def endpoints_of(args: argparse.Namespace) -> tuple[str, ...]:
+    """Where the router listens.  Raises ConfigError."""
+    return tuple(check_endpoint(one, where="--connect") for one in args.connect or [DEFAULT_ENDPOINT])
+
+
+def record_live(args: argparse.Namespace, say: Callable[[str], None]) -> tuple[Path, str]:
+    """Make the campaign; its folder, and the board's name.
+
+    Raises:
+        Board51Error: no gateway, no samples, too little flight, a folder that cannot be written.
+    """
+    from protocol.campaign import load_plant
+    from twin.live.folder import changes_of, plant_of, write
+    from twin.live.pieces import cut, moves
+    from twin.live.source import find_board, from_bus, from_log, open_client
+
+    plant = load_plant(args.plant) if args.plant else None
+    span_s = 60.0 * args.live
+    with open_client(endpoints_of(args)) as session:
+        board, status = find_board(session, args.site, args.board)
+        heard = from_log(status, args.logs, args.site, board, span_s)
+        if heard is None:
+            heard = from_bus(session, args.site, board, span_s, say)
+    pieces = cut(list(heard.states), heard.captures, changes_of(heard.parameters))
+    folder = write(heard, pieces, plant or plant_of(heard), args.out, site=args.site, board=board)
+    listed = ", ".join(f"{piece.name} {piece.duration_s:.0f} s" for piece in pieces)
+    say(f"{args.site}/{board}, from {heard.where}: {listed}")
+    if not moves(pieces):
+        say("! the reference hardly moves: force and drag are told from noise alone; fly steps of it")
+    say(f"recordings in {folder}")
+    return folder, board
+
+
+def give_to_twin(args: argparse.Namespace, model: Path, board: str, tell: Callable[[str], None]) -> bool:
+    """Hand the model over and tell what the twin makes of it; False where it was refused."""
+    from twin.live.source import open_client
+    from twin.live.twin_heard import hand_over_and_compare
+    from twin.mirror.handover import believe
+    from twin.model.parameters import load_model
+
+    endpoints = endpoints_of(args)
+    belief = believe(load_model(model), who="diagnose")
+    with open_client(endpoints) as session:
+        taken, lines = hand_over_and_compare(session, belief, site=args.site, board=board, endpoints=endpoints)
+    for line in lines:
+        tell(line)
+    return taken

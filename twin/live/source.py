@@ -1,0 +1,179 @@
+"""The newest minutes of a board: out of the gateway's log where it lies on this machine, else from the bus.
+
+Rule 1: which log is being written, the gateway says (`Status.log_file`); a file of that name that does not hold this
+        board's session is another one's and is not used.
+Rule 2: an unfinished log is read as far as it goes; what was before its part is taken from the parts before it.
+Rule 3: no more than the minutes asked for are in memory.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import zenoh
+
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.bus.encoding import parse
+from protocol.bus.endpoint import zenoh_config
+from protocol.errors import ServiceError, UsageError
+from twin.recordings import LogReader
+
+STATUS_WAIT_S = 3.5  # it comes once a second
+PROGRESS_S = 10.0
+TOPICS = ("state", "parameters", "capture", "twin/model")
+_PART = re.compile(r"(?P<run>.+)-(?P<number>\d{3,})\.mcap")
+Say = Callable[[str], None]
+
+
+@dataclass(slots=True)
+class Heard:
+    """Of one board, in the order of time."""
+
+    states: deque[pb.State] = field(default_factory=deque)
+    captures: list[pb.CaptureRecord] = field(default_factory=list)
+    parameters: list[pb.Parameters] = field(default_factory=list)
+    model_json: str = ""  # that the live twin runs on
+    where: str = ""
+
+    def take(self, topic: str, data: bytes) -> None:
+        """One message; what is no message is left out."""
+        if topic == "state":
+            if (state := parse(pb.State, data)) is not None:
+                self.states.append(state)
+        elif topic == "capture":
+            if (capture := parse(pb.CaptureRecord, data)) is not None:
+                self.captures.append(capture)
+        elif topic == "parameters":
+            parameters = parse(pb.Parameters, data)
+            if parameters is not None and not (self.parameters and _same(parameters, self.parameters[-1])):
+                self.parameters.append(parameters)
+        elif topic == "twin/model" and (model := parse(pb.TwinModel, data)) is not None:
+            self.model_json = model.model_json
+
+    def newest(self, span_s: float) -> None:
+        """Forget what is older than that, on the host's clock."""
+        if not self.states:
+            return
+        since_ns = self.states[-1].host_time_ns - round(span_s * 1e9)
+        while self.states and self.states[0].host_time_ns < since_ns:
+            self.states.popleft()
+        self.captures = [one for one in self.captures if one.host_time_ns >= since_ns]
+
+
+def open_client(endpoints: tuple[str, ...]) -> zenoh.Session:
+    """A session on the bus.  Raises ServiceError where no router answers."""
+    try:
+        return zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=endpoints)))
+    except zenoh.ZError:
+        raise ServiceError(
+            f"No router answers at {', '.join(endpoints)}",
+            remedy="Start `board51 gateway`, or give its endpoint with --connect",
+        ) from None
+
+
+def find_board(session: zenoh.Session, site: str, board: str | None) -> tuple[str, pb.Status]:
+    """The board that is meant, and what its gateway says of it.
+
+    Raises:
+        ServiceError: no gateway reports it.
+        UsageError: there are several, and none was named.
+    """
+    found: dict[str, pb.Status] = {}
+
+    def arrived(sample: zenoh.Sample) -> None:
+        place = topics.split(str(sample.key_expr))
+        status = parse(pb.Status, sample.payload.to_bytes())
+        if place is not None and status is not None:
+            found[place[1]] = status
+
+    subscriber = session.declare_subscriber(topics.key(site, board or "*", "status"), arrived)
+    deadline = time.monotonic() + STATUS_WAIT_S
+    while time.monotonic() < deadline and not (board and found):
+        time.sleep(0.05)
+    subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no types
+    if not found:
+        raise ServiceError(
+            f"No gateway reports {site}/{board or '*'}",
+            remedy="Start `board51 gateway`, or check --site and --board",
+        )
+    if len(found) > 1:
+        raise UsageError(f"There are boards {', '.join(sorted(found))}", remedy="Choose one with --board")
+    return next(iter(found.items()))
+
+
+def from_log(status: pb.Status, folder: Path, site: str, board: str, span_s: float) -> Heard | None:
+    """The newest `span_s` out of the log that the gateway is writing; None where it does not lie in `folder`.
+
+    Raises:
+        DataError: the file is there and cannot be read.
+    """
+    current = folder / status.log_file
+    if not status.log_file or not current.is_file():
+        return None
+    files = [current]
+    if part := _PART.fullmatch(current.name):
+        older = [folder / f"{part['run']}-{number:03d}.mcap" for number in range(int(part["number"]))]
+        files = [path for path in older if path.is_file()] + files
+    heard = Heard(where=str(current))
+    # Backwards until the parts cover the span: an older part is read only where it is needed.
+    for first in reversed(range(len(files))):
+        heard = Heard(where=str(current))
+        for path in files[first:]:
+            for entry in LogReader(path, topics=TOPICS, board=board):
+                if entry.site != site:
+                    continue
+                heard.take(entry.topic, entry.data)
+                if entry.topic == "state" and len(heard.states) % 1000 == 0:
+                    heard.newest(span_s)
+        whole_s = 1e-9 * (heard.states[-1].host_time_ns - heard.states[0].host_time_ns) if heard.states else 0.0
+        if whole_s >= 0.99 * span_s:
+            break
+    heard.newest(span_s)
+    if not heard.states or heard.states[-1].session != status.session:
+        return None
+    return heard
+
+
+def from_bus(session: zenoh.Session, site: str, board: str, span_s: float, say: Say) -> Heard:
+    """Listen for `span_s`.  Raises ServiceError where nothing comes."""
+    heard = Heard(where="the bus")
+    queue: deque[tuple[str, bytes]] = deque()
+
+    def arrived(sample: zenoh.Sample) -> None:
+        place = topics.split(str(sample.key_expr))
+        if place is not None and place[2] in TOPICS:
+            queue.append((place[2], sample.payload.to_bytes()))
+
+    subscriber = session.declare_subscriber(f"{site}/{board}/**", arrived)
+    began = told = time.monotonic()
+    say(f"the gateway's log is not on this machine: listening for {span_s:.0f} s")
+    while (now := time.monotonic()) - began < span_s:
+        time.sleep(0.05)
+        while queue:
+            heard.take(*queue.popleft())
+        if now - told >= PROGRESS_S:
+            told = now
+            say(f"{now - began:.0f} of {span_s:.0f} s, {len(heard.states)} samples")
+    subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no types
+    if not heard.states:
+        raise ServiceError(
+            f"No sample of {site}/{board} came within {span_s:.0f} s", remedy="See `board51 watch --topic status`"
+        )
+    return heard
+
+
+def _same(one: pb.Parameters, other: pb.Parameters) -> bool:
+    return (one.session, one.law, list(one.gains), one.i_0_a, one.x_0_m, one.u_0_v) == (
+        other.session,
+        other.law,
+        list(other.gains),
+        other.i_0_a,
+        other.x_0_m,
+        other.u_0_v,
+    )

@@ -1,0 +1,87 @@
+"""How surprised the live twin is: rms of its one-step innovations, before and after another model.
+
+Rule: only what the twin itself calls valid, and after a hand-over only ticks that the new model answered.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from dataclasses import dataclass
+
+import zenoh
+
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.bus.encoding import parse
+from twin.mirror.client import hand_over
+from twin.mirror.handover import Belief
+
+SPAN_S = 3.0
+SAMPLES = 1000
+PATIENCE_S = 15.0  # the twin settles after a hand-over
+
+
+@dataclass(frozen=True, slots=True)
+class Surprise:
+    """Rms of the innovations; NaN where there was none."""
+
+    x_m: float
+    i_c_a: float
+    samples: int
+
+    def __str__(self) -> str:
+        if not self.samples:
+            return "none (the ball does not fly)"
+        return f"x {self.x_m * 1e6:.3g} um, i_c {self.i_c_a * 1e3:.3g} mA rms over {self.samples} samples"
+
+
+def hand_over_and_compare(
+    session: zenoh.Session, belief: Belief, *, site: str, board: str, endpoints: tuple[str, ...]
+) -> tuple[bool, list[str]]:
+    """Hand `belief` to the twin of the board; whether it was taken, and what to tell.
+
+    Raises:
+        ServiceError: no twin answers.
+    """
+    heard: deque[pb.Divergence] = deque(maxlen=50_000)
+
+    def arrived(sample: zenoh.Sample) -> None:
+        if (message := parse(pb.Divergence, sample.payload.to_bytes())) is not None:
+            heard.append(message)
+
+    subscriber = session.declare_subscriber(topics.key(site, board, "twin/divergence"), arrived)
+    try:
+        time.sleep(SPAN_S)
+        answers = hand_over(belief, site=site, board=board, endpoints=endpoints)
+        lines = [
+            f"{site}/{one.board}: {one.reply.text}"
+            if one.reply.accepted
+            else f"{site}/{one.board}: refused: {one.reply.reason}: {one.reply.text}"
+            for one in answers
+        ]
+        if not all(one.reply.accepted for one in answers):
+            return False, lines
+        tick = answers[0].reply.tick
+        before = surprise([one for one in list(heard) if one.tick < tick])
+        deadline, after = time.monotonic() + PATIENCE_S, surprise([])
+        while after.samples < SAMPLES and time.monotonic() < deadline:
+            time.sleep(0.1)
+            after = surprise([one for one in list(heard) if one.tick >= tick])
+    finally:
+        subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no types
+    return True, [*lines, f"innovation before: {before}", f"innovation after:  {after}"]
+
+
+def surprise(messages: list[pb.Divergence]) -> Surprise:
+    """Of the valid ones."""
+    valid = [one for one in messages if one.innovation_valid]
+    n = len(valid)
+    if not n:
+        return Surprise(math.nan, math.nan, 0)
+    return Surprise(
+        math.sqrt(sum(one.innovation_x_m**2 for one in valid) / n),
+        math.sqrt(sum(one.innovation_i_c_a**2 for one in valid) / n),
+        n,
+    )
