@@ -262,12 +262,14 @@ def _clamped_noise(evidence: Evidence) -> tuple[float | None, float | None]:
     """As `sensor_noise`, from a clamped ball at the heights that are flown: some sensors' noise grows with the gap."""
     series = evidence.series
     flown = series.x[series.flags & FLIES != 0]
-    if not len(flown):
+    amplifier_only = not any(record.has("x") for record in evidence.records)
+    if not len(flown) and not amplifier_only:
         return None, None
-    low, high = np.quantile(flown, (0.01, 0.99))
+    low, high = np.quantile(flown, (0.01, 0.99)) if len(flown) else (np.inf, -np.inf)
+    needed = ("u_c", "i_c") if amplifier_only else ("u_c", "i_c", "x")
     found: list[list[float]] = [[], []]
     for record in evidence.records:
-        if record.kind != "amplifier-step" or not record.has("u_c", "i_c", "x"):
+        if record.kind != "amplifier-step" or not record.has(*needed):
             continue
         for start in range(HELD_SAMPLES, len(record.t) - HELD_SAMPLES + 1, HELD_SAMPLES):
             window, settled = slice(start, start + HELD_SAMPLES), slice(start - HELD_SAMPLES, start + HELD_SAMPLES)

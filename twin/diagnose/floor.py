@@ -12,6 +12,7 @@ import numpy as np
 
 from twin.diagnose.estimate import FLOORS, Criterion, Theta
 from twin.diagnose.evidence import noise_error, sensor_noise
+from twin.identify.innovations import USE_X
 from twin.identify.record import FloatArray
 
 MATERIAL = 0.02  # of log-likelihood per reading: what a 2 % error of the noise level makes
@@ -41,7 +42,8 @@ class Floor:
 def floor_of(criterion: Criterion, theta: Theta) -> Floor:
     """The floor, at the covariances of the filter of `theta`."""
     sigma_i, sigma_x = sensor_noise(criterion.evidence)
-    measured = sigma_i is not None and sigma_x is not None
+    asks_x = bool((criterion.evidence.series.flags & USE_X).any())
+    measured = sigma_i is not None and (sigma_x is not None or not asks_x)
     quiet = replace(
         theta,
         sigma_i_c_a=sigma_i or theta.sigma_i_c_a,

@@ -17,10 +17,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from twin.diagnose import periodic
-from twin.diagnose.estimate import PASSES, Criterion, Fit, climb, coordinates_of, parameter_of
+from twin.diagnose.estimate import PASSES, Criterion, Fit, climb, coordinates_of, parameter_of, roused
 from twin.diagnose.floor import Floor
 from twin.diagnose.screen import Score, screen
-from twin.diagnose.starts import start_of
+from twin.diagnose.starts import beside, start_of
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 
@@ -228,7 +228,7 @@ def inside(trial: Trial) -> bool:
 
 def _without(criterion: Criterion, fit: Fit, cause: str, passes: int = PASSES) -> Fit:
     free = tuple(name for name in fit.free if not name.startswith(cause + "."))
-    return climb(criterion, fit.theta.without(cause), free, passes=passes)
+    return climb(criterion, roused(fit.theta.without(cause)), free, passes=passes)
 
 
 def _backward(criterion: Criterion, found: Selection, say: Say) -> None:
@@ -263,6 +263,7 @@ def _rivals(
         if score.cause not in (*known, cause) and score.testable and score.gain > max(0.3 * THRESHOLD, comparable)
     ][: max(few - len(known), 2)]
     trials = [trial for trial in known.values() if trial.cause != cause] + _fitted(criterion, at, scores)
+    trials = [_again(criterion, own, trial) for trial in trials]
     trials = sorted((trial for trial in trials if inside(trial)), key=lambda trial: -trial.gain)
     if trials and trials[0].gain > own.gain + MARGIN:
         say(f"{trials[0].cause} explains more than {cause} beside the others: it takes its place")
@@ -277,3 +278,17 @@ def _rivals(
     found.classes[cause] = near
     found.runner_up[cause] = own.gain - max(far, default=0.0)
     found.gains[cause] = own.gain
+
+
+def _again(criterion: Criterion, own: Trial, rival: Trial) -> Trial:
+    """A rival of the same family that is behind, fitted from the numbers that came out beside `own`."""
+    cause = BY_NAME[rival.cause]
+    if own.gain - rival.gain < MARGIN or cause.family != BY_NAME[own.cause].family:
+        return rival
+    start = beside(criterion, own.fit.theta.without(own.cause), cause)
+    if criterion.value(start) <= rival.fit.loglik:
+        return rival
+    fit = climb(criterion, start, rival.fit.free)
+    if fit.loglik <= rival.fit.loglik:
+        return rival
+    return replace(rival, fit=fit, gain=rival.gain + fit.loglik - rival.fit.loglik)

@@ -23,6 +23,7 @@ from twin.model.causes.cause import Cause
 _REACH = 20.0  # probes: farther the signature is another
 _LEAST = 0.05
 _PARTS = (1.0, 0.3, 0.1)  # of the linear step: where the likelihood is far from a parabola the whole one overshoots
+_GRID = (0.5, 0.7, 0.85, 1.0, 1.4, 2.0, 3.0, 5.0)  # of the probes
 _STEADY = 5  # samples of the same u_c
 
 
@@ -42,6 +43,18 @@ def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
             for T_A in sorted(times):
                 for probe in probes_of(cause, criterion.evidence.series):
                     starts.append(probed(replace(theta, K_A=K_A, T_A=T_A), cause, probe))
+    return starts[int(np.argmax(criterion.values(starts)))]
+
+
+def beside(criterion: Criterion, theta: Theta, cause: Cause) -> Theta:
+    """The best strength of `cause` with the numbers of `theta`, a rival's without the rival.
+
+    From the bent numbers of the model without either, one of two causes that do the same may never get there.
+    """
+    strength = cause.strength
+    at = [strength.coordinate(probe) * factor for probe in strength.probes for factor in _GRID]
+    both = [*at, *(-one for one in at)] if strength.low < strength.neutral < strength.high else at
+    starts = [probed(theta, cause, strength.value(one)) for one in both]
     return starts[int(np.argmax(criterion.values(starts)))]
 
 
