@@ -93,6 +93,13 @@ def test_the_list_of_commands_answers_without_importing_them() -> None:
         (["identify", "absent.toml"], "absent.toml"),
         (["validate", "absent.toml", "--model", "ce152", "--out", "v"], "absent.toml"),
         (["design", "absent.json"], "absent.json"),
+        (["diagnose", "absent.toml"], "absent.toml"),
+        (["diagnose"], "there is nothing to diagnose"),
+        (["diagnose", "--live", "0", "--out", "d"], "outside 0.1 .. 60 minutes"),
+        (["diagnose", "--live", "1"], "--out DIR"),
+        (["diagnose", "absent.toml", "--live", "1", "--out", "d"], "exclude each other"),
+        (["diagnose", "absent.toml", "--hand-over"], "--hand-over is for live data"),
+        (["twin", "--diagnosis-after", "-1"], "--diagnosis-after -1 is outside"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
