@@ -1,0 +1,143 @@
+"""Where the minutes come from: the gateway's log and the parts before it, or the bus; what is said where neither."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from protocol.bus import board51_pb2 as pb
+from protocol.campaign import load
+from protocol.errors import ServiceError, UsageError
+from tests.twin.twin_bus import free_endpoint, router
+from twin.live.folder import changes_of, controller_of, plant_of, write
+from twin.live.pieces import cut
+from twin.live.source import Heard, find_board, from_bus, from_log, open_client
+from twin.model.nominal import nominal
+from twin.recordings import TwinLog
+
+T_NS = 2_000_000
+GAINS = (0.49, 1700.0, 17.7, -17600.0)
+
+
+def state(tick: int, *, session: int = 7) -> pb.State:
+    x_ref = 1e-3 if tick // 1000 % 2 else 3e-3
+    return pb.State(
+        session=session, tick=tick, t_s=tick * 2e-3, host_time_ns=10**18 + tick * T_NS, mode=pb.MODE_CLOSED_LOOP,
+        x_m=x_ref, x_ref_m=x_ref, i_c_a=0.6, u_c_v=2.0,
+    )  # fmt: skip
+
+
+def parameters(*, session: int = 7, gains: tuple[float, ...] = GAINS, from_tick: int = 0) -> pb.Parameters:
+    return pb.Parameters(session=session, gains=gains, i_0_a=0.6, x_0_m=2.85e-3, u_0_v=2.1, from_tick=from_tick)
+
+
+def write_part(path: Path, ticks: range, *, board: str = "rig") -> None:
+    with TwinLog(path) as log:
+        log.write(f"lab/{board}/parameters", parameters(), message_type=pb.Parameters, log_time_ns=10**18)
+        for tick in ticks:
+            log.write(f"lab/{board}/state", state(tick), message_type=pb.State, log_time_ns=10**18 + tick * T_NS)
+
+
+def test_the_span_is_taken_from_as_many_parts_as_it_needs(tmp_path: Path) -> None:
+    (tmp_path / "log-000.mcap").write_bytes(b"not read: the span does not reach so far")
+    write_part(tmp_path / "log-001.mcap", range(0, 5000))
+    write_part(tmp_path / "log-002.mcap", range(5000, 9000))
+    status = pb.Status(session=7, log_file="log-002.mcap")
+
+    short = from_log(status, tmp_path, "lab", "rig", 4.0)
+    long = from_log(status, tmp_path, "lab", "rig", 16.0)
+
+    assert short is not None
+    assert long is not None
+    assert [one.tick for one in short.states] == list(range(8999 - 2000, 9000))
+    assert [one.tick for one in long.states] == list(range(8999 - 8000, 9000))
+    assert len(long.parameters) == 1, "what repeats the same values is no change"
+
+
+def test_a_log_of_another_machine_is_not_taken_for_ours(tmp_path: Path) -> None:
+    write_part(tmp_path / "log-000.mcap", range(100))
+
+    assert from_log(pb.Status(session=8, log_file="log-000.mcap"), tmp_path, "lab", "rig", 60.0) is None
+    assert from_log(pb.Status(session=7, log_file="log-000.mcap"), tmp_path, "lab", "other", 60.0) is None
+    assert from_log(pb.Status(session=7, log_file="log-001.mcap"), tmp_path, "lab", "rig", 60.0) is None
+    assert from_log(pb.Status(session=7, log_file=""), tmp_path, "lab", "rig", 60.0) is None
+
+
+def test_the_folder_is_a_campaign_that_reads_back(tmp_path: Path) -> None:
+    write_part(tmp_path / "log-000.mcap", range(8000))
+    heard = from_log(pb.Status(session=7, log_file="log-000.mcap"), tmp_path, "lab", "rig", 60.0)
+    assert heard is not None
+    pieces = cut(list(heard.states), heard.captures, changes_of(heard.parameters))
+
+    campaign = load(write(heard, pieces, plant_of(heard), tmp_path / "out", site="lab", board="rig"))
+
+    assert [(one.kind, one.use) for one in campaign.recordings] == [("closed-loop", "fit"), ("closed-loop", "judge")]
+    assert all(campaign.path_of(one).is_file() for one in campaign.recordings)
+    assert campaign.controller is not None
+    assert campaign.controller.gains == GAINS
+    assert campaign.plant.mass_kg == nominal().plant.mass_kg
+
+
+def test_a_change_of_gains_is_where_recordings_end_and_leaves_no_single_law() -> None:
+    heard = Heard()
+    for message in (parameters(), parameters(), parameters(gains=(1.0, 2.0, 3.0, 4.0), from_tick=500)):
+        heard.take("parameters", message.SerializeToString())
+
+    assert changes_of(heard.parameters) == [(7, 500)]
+    assert controller_of(heard.parameters) is None
+
+
+@contextmanager
+def gateway(session: zenoh.Session, *boards: str) -> Iterator[None]:
+    """Publishes a status and a sample of each board, over and over."""
+    end = threading.Event()
+
+    def work() -> None:
+        tick = 0
+        while not end.wait(0.01):
+            for board in boards:
+                session.put(f"lab/{board}/status", pb.Status(session=7).SerializeToString())
+                session.put(f"lab/{board}/state", state(tick).SerializeToString())
+            tick += 1
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        end.set()
+        thread.join()
+
+
+def test_without_a_log_here_the_bus_is_listened_to() -> None:
+    endpoint, said = free_endpoint(), list[str]()
+    with router(endpoint) as own, gateway(own, "rig"), open_client((endpoint,)) as session:
+        board, status = find_board(session, "lab", None)
+        heard = from_bus(session, "lab", board, 0.5, said.append)
+
+    assert (board, status.session) == ("rig", 7)
+    ticks = [one.tick for one in heard.states]
+    assert ticks == list(range(ticks[0], ticks[0] + len(ticks)))
+    assert len(ticks) > 5
+    assert "not on this machine" in said[0]
+
+
+def test_several_boards_must_be_told_apart_and_none_is_an_error() -> None:
+    endpoint = free_endpoint()
+    with router(endpoint) as own, open_client((endpoint,)) as session:
+        with pytest.raises(ServiceError, match=r"No gateway reports lab/\*.*Start `board51 gateway`"):
+            find_board(session, "lab", None)
+        with gateway(own, "one", "two"):
+            with pytest.raises(UsageError, match=r"boards one, two\. Choose one with --board"):
+                find_board(session, "lab", None)
+            assert find_board(session, "lab", "two")[0] == "two"
+
+
+def test_a_router_that_is_not_there_is_said() -> None:
+    with pytest.raises(ServiceError, match="No router answers"):
+        open_client((free_endpoint(),))
