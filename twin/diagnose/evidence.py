@@ -28,6 +28,7 @@ HELD_SCALES = 10.0  # of the sensor noise, largest spread while held
 NEAR_SHARE = 0.25  # of the travel: as far as a stop may seem displaced
 AGREE_SHARE = 0.06  # of the travel: by this much the same stop may differ between recordings (crosstalk, drift)
 TRIM_SAMPLES = 2
+POLE_SHARE = 0.06  # of the travel below x_max, where (3) has its pole: no flight is judged there
 EDGE_SAMPLES = 4  # left out at both ends of a rest: the ball rocks
 END_SHARE = 0.15  # of readings within 50 ms at the converter's end: the noise is cut off there, and its mean is not 0
 _LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
@@ -98,6 +99,11 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
             if told.kind in _OPEN_LOOP:
                 _trim(own)
             own[still & (own & FLIES != 0)] &= np.uint8(~(FLIES | USE_X) & 0xFF)
+            # One such sample had a score of 32 000 in K_c, any other at most 60: where the paper's model has the
+            # coil too low it decided the fit, and the screen after it named anything.
+            own[(plant.x_max_m - record.x < POLE_SHARE * plant.travel_m) & (own & FLIES != 0)] &= np.uint8(
+                ~(FLIES | USE_X) & 0xFF
+            )
             for mask, bit in zip(on_stop, (RESTS_LOW, RESTS_HIGH), strict=True):
                 free = own & FLIES == 0
                 own[mask & free & np.isfinite(record.x)] |= np.uint8(bit | USE_X)
