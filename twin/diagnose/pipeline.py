@@ -116,12 +116,12 @@ def diagnose_records(
         judge = gather(judges, plant, (evidence.low_m, evidence.high_m)) if judges else None
         warnings += evidence.notes
         tick_s = tick_of(records)
-        enough(evidence)
     if not judges:
         warnings.append('no recording has use = "judge": the gain cannot be measured on data that were not used')
     if not any(record.has("x") for record in records):
         warnings.append("no recording has x: only the amplifier was judged; K_c and b of the model files are guesses")
     start = start_theta(records, plant)
+    enough(evidence)
     criterion = Criterion(evidence, plant, tick_s, workers=workers)
     try:
         with _timed(stages, "base fit"):

@@ -1,0 +1,70 @@
+"""How long `diagnose` takes on a campaign of 90 s, full and quick, and which stage takes which share.
+
+Wall time is what a user waits for; processor time is what it costs where other programs have the cores.  Targets: 60 s
+full and 10 s quick, on two free cores.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from protocol.campaign import load
+from tests.twin.diagnose.hidden_campaign import make_campaign
+from twin.diagnose.pipeline import diagnose
+from twin.diagnose.show import shown
+
+EFFECT = {"quadratic-drag": 1.0}
+SEED = 104
+TARGETS_S = {"full": 60.0, "quick": 10.0}
+
+
+def run(quick: bool | None = None) -> list[dict[str, Any]]:
+    """The rows of the benchmark.
+
+    Args:
+        quick: Only `--quick`.
+    """
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory(prefix="speed-") as scratch:
+        folder, short = Path(scratch) / "campaign", Path(scratch) / "short"
+        make_campaign(folder, effects=EFFECT, seed=SEED, plant="independent")
+        make_campaign(short, effects=EFFECT, seed=SEED, plant="independent", quick=True)
+        diagnose(load(short), quick=True)  # compiles, or loads the compiled kernels
+        for mode in ("quick",) if quick else ("quick", "full"):
+            rows += _rows(folder, mode)
+    return rows
+
+
+def _rows(folder: Path, mode: str) -> list[dict[str, Any]]:
+    campaign = load(folder)
+    wall, cpu = time.perf_counter(), time.process_time()
+    found = diagnose(campaign, quick=mode == "quick")
+    between = time.perf_counter()
+    shown(found, campaign.controller, quick=mode == "quick", seed=0)
+    wall_s, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
+    stages = {**found.stages_s, "pictures": time.perf_counter() - between}
+    target = TARGETS_S[mode]
+    shares = ", ".join(f"{name} {100.0 * took / wall_s:.0f} %" for name, took in stages.items())
+    named = ", ".join(cause.name for cause in found.causes) or found.verdict
+    return [
+        {
+            "name": f"diagnose {mode}: {what}",
+            "value": value,
+            "unit": "s",
+            "baseline": target,
+            "ratio": target / value,
+            "note": note,
+        }
+        for what, value, note in (
+            ("wall time", wall_s, f"baseline is the target; {named}; {shares}"),
+            ("processor time", cpu_s, "of all threads: half of it on two free cores, where the work is shared"),
+        )
+    ]
+
+
+if __name__ == "__main__":
+    for row in run():
+        print(row)
