@@ -34,7 +34,8 @@ PARAMETERS = ("K_A", "T_A", "K_c", "b")
 NOISES = ("sigma_i_c_a", "sigma_x_m", "process_i_c_a", "process_a_m_s2")
 STOPS = ("stop_low_m", "stop_high_m")
 BASE = PARAMETERS + NOISES
-FLOORS = {"sigma_i_c_a": 1e-6, "sigma_x_m": 1e-8, "process_i_c_a": 1e-6, "process_a_m_s2": 1e-3}
+FLOORS = {"process_i_c_a": 1e-6, "process_a_m_s2": 1e-3}
+_ROUSED_M_S2 = 0.3
 STOP_STD_M = 2e-5  # how well anybody knows where a stop is
 STOP_UNIT_M = 1e-5
 DONE = 0.02  # of a standard error
@@ -59,6 +60,8 @@ class Theta:
     stop_low_m: float = 0.0
     stop_high_m: float = 0.0
     causes: tuple[tuple[str, float], ...] = ()  # (coordinate, value), in the order of acceptance
+    least_i_c_a: float = 1e-6  # the sensors are not better than this: a noise level at 0 finds no way back
+    least_x_m: float = 1e-8
 
     def value(self, name: str) -> float:
         """One number; a cause's that is not in `causes` is neutral."""
@@ -165,7 +168,20 @@ def moved(theta: Theta, name: str, by: float, plant: Plant) -> Theta:
         return replace(theta, b=min(max(value + by * plant.mass_kg, 0.0), most_drag(plant)))
     if name in STOPS:
         return theta.having(name, value + by * STOP_UNIT_M)
-    return theta.having(name, max(value * math.exp(by), FLOORS.get(name, 0.0)))
+    return theta.having(name, max(value * math.exp(by), _floor(theta, name)))
+
+
+def _floor(theta: Theta, name: str) -> float:
+    return {"sigma_i_c_a": theta.least_i_c_a, "sigma_x_m": theta.least_x_m}.get(name, FLOORS.get(name, 0.0))
+
+
+def roused(theta: Theta) -> Theta:
+    """With process noise to climb from: at its floor the likelihood is flat, a model made worse would stay there."""
+    return replace(
+        theta,
+        process_i_c_a=max(theta.process_i_c_a, 0.3 * theta.sigma_i_c_a),
+        process_a_m_s2=max(theta.process_a_m_s2, _ROUSED_M_S2),
+    )
 
 
 def most_drag(plant: Plant) -> float:
@@ -327,10 +343,14 @@ def climb(criterion: Criterion, start: Theta, free: Sequence[str], *, passes: in
             converged = True
             break
         most = np.array([most_step(name) for name in free])
-        shorter = min(1.0, *(most / np.maximum(np.abs(step), 1e-300)))  # one factor: the direction stays
+        # One factor for the physics: the direction stays.  A noise level near its floor has no slope and asks for any
+        # step: it is cut by itself, or it would hold back all the others.
+        physics = np.array([name not in NOISES for name in free])
+        shorter = min([1.0, *(most / np.maximum(np.abs(step), 1e-300))[physics]])
+        step = np.where(physics, step * shorter, np.clip(step, -most, most))
         trial = theta
         for place, name in enumerate(free):
-            trial = moved(trial, name, step[place] * shorter, plant)
+            trial = moved(trial, name, step[place], plant)
         out = criterion.outputs(trial)
         value = criterion.loglik(out) + criterion.outside(trial)
         if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):

@@ -28,6 +28,8 @@ HELD_SCALES = 10.0  # of the sensor noise, largest spread while held
 NEAR_SHARE = 0.25  # of the travel: as far as a stop may seem displaced
 AGREE_SHARE = 0.06  # of the travel: by this much the same stop may differ between recordings (crosstalk, drift)
 TRIM_SAMPLES = 2
+LIFTS_SHARE = 0.97  # of the current at which the ball left its rest
+STAYS_S = 3e-3  # after that current is reached: it has risen 10 um by then
 POLE_SHARE = 0.06  # of the travel below x_max, where (3) has its pole: no flight is judged there
 EDGE_SAMPLES = 4  # left out at both ends of a rest: the ball rocks
 END_SHARE = 0.15  # of readings within 50 ms at the converter's end: the noise is cut off there, and its mean is not 0
@@ -74,6 +76,8 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
     times: list[FloatArray] = []
     usages: list[Usage] = []
     platform: list[Record] = []
+    departures = [point.i_c_a for point in lift_offs(list(records), plant)]
+    lifts_at = LIFTS_SHARE * min(departures) if departures else None
     for number, (record, still) in enumerate(zip(records, held, strict=True)):
         if record.kind == "equilibria":
             continue
@@ -107,6 +111,11 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
             for mask, bit in zip(on_stop, (RESTS_LOW, RESTS_HIGH), strict=True):
                 free = own & FLIES == 0
                 own[mask & free & np.isfinite(record.x)] |= np.uint8(bit | USE_X)
+            if told.kind in _OPEN_LOOP:
+                # Between bounces nobody knows the speed, and with it what a moving ball does to the current.
+                own[own & (FLIES | RESTS_LOW | RESTS_HIGH) == 0] &= np.uint8(~USE_I & 0xFF)
+        if record.kind == "amplifier-step" and lifts_at is not None:
+            _until_lifted(flags, series, lifts_at)
         parts.append(replace(series, flags=flags, x=x, recording=np.full(len(series), number, np.int32)))
         times.append(t)
     statics = [*equilibria(list(records), plant), *lift_offs(platform, plant)]
@@ -125,6 +134,17 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
 def _on_platform(record: Record, still: BoolArray, low: float | None, plant: Plant) -> bool:
     """Whether a sawtooth lifts the ball off something else than the lower stop."""
     return record.kind == "sawtooth" and not _on(record, still, low, None, plant)[0].any()
+
+
+def _until_lifted(flags: np.ndarray[tuple[int], np.dtype[np.uint8]], series: Series, lifts_at: float) -> None:
+    """Leave out what follows once a step of the amplifier has lifted the ball: nobody recorded how it moved."""
+    chain = chains(series)
+    for number in np.unique(chain):
+        own = np.flatnonzero(chain == number)
+        over = np.flatnonzero(series.i[own] > lifts_at)
+        if len(over):
+            gone = own[np.cumsum(series.step[own]) > series.step[own][: over[0] + 1].sum() + STAYS_S]
+            flags[gone] &= np.uint8(~USE_I & 0xFF)
 
 
 def _trim(flags: np.ndarray[tuple[int], np.dtype[np.uint8]]) -> None:

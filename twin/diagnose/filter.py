@@ -232,7 +232,9 @@ def run_extended(
                 held = min(max(y_x[n - 1], 0.0), p.travel_m)
                 for k in range(STATES):
                     moved[k] = y[k]
-                y[X], y[V], moved[X], moved[V] = held, 0.0, held, 0.0
+                # Between bounces it moves: its readings say how fast, near enough for what a moving ball induces.
+                speed = 0.0 if rests or step[n] < SHORT_S else (y_x[n] - y_x[n - 1]) / T_s
+                y[X], y[V], moved[X], moved[V] = held, speed, held, speed
                 moved[I_C] += _DELTA[I_C]
                 drive_over(held_base, c, moved, u, n, first, t[n - 1], T_s, False)
                 drive_over(held_base, c, y, u, n, first, t[n - 1], T_s, False)
@@ -250,8 +252,10 @@ def run_extended(
         else:
             in_flight = False
 
-        if follows and use_i and step[n] > SHORT_S and n - first <= UNKNOWN_INPUTS:
-            # Nobody recorded what was in force before the first sample: for a late input the current is measured anew.
+        blind = follows and not in_flight and flags[n - 1] & USE_I == 0
+        if follows and use_i and step[n] > SHORT_S and (blind or n - first <= UNKNOWN_INPUTS):
+            # Nobody recorded what was in force before the first sample, nor how the ball moved where i_c is not used:
+            # the current is measured anew.
             _clear(P, 0)
             y[I_C], P[0, 0] = current_of_reading(c, y_i[n]), r_i / (gain_i * gain_i)
             use_i = False

@@ -26,7 +26,7 @@ from twin.diagnose.change import find_change, late_finding
 from twin.diagnose.confidence import confidence_of
 from twin.diagnose.consistency import beginnings, contradictions
 from twin.diagnose.estimate import BASE, STOPS, Criterion, Fit, Theta, climb, most_drag, spreads
-from twin.diagnose.evidence import Evidence, gather
+from twin.diagnose.evidence import Evidence, gather, sensor_noise
 from twin.diagnose.experiments import propose
 from twin.diagnose.floor import Floor, floor_of
 from twin.diagnose.given import check_plant, off_sentence, theta_of
@@ -48,6 +48,7 @@ from twin.model.parameters import Model, Parameter
 
 Say = Callable[[str], None]
 LOST = "lost-samples"
+_LEAST_NOISE = 0.7  # of the sensor noise at rest
 FLIGHT_LEAST_S = 2.0  # 120 time constants of the unstable pole
 PERIODIC = "periodic-disturbance"
 
@@ -120,7 +121,7 @@ def diagnose_records(
         warnings.append('no recording has use = "judge": the gain cannot be measured on data that were not used')
     if not any(record.has("x") for record in records):
         warnings.append("no recording has x: only the amplifier was judged; K_c and b of the model files are guesses")
-    start = start_theta(records, plant)
+    start = no_better(start_theta(records, plant), evidence)
     enough(evidence)
     criterion = Criterion(evidence, plant, tick_s, workers=workers)
     try:
@@ -298,6 +299,16 @@ def _start(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:
         sigma_x_m=1e-5,
         process_i_c_a=max(0.3 * amplifier.sigma_i_c_a, 1e-5),
         process_a_m_s2=3.0,  # too little at the start, and the ball's errors are booked as sensor noise for good
+    )
+
+
+def no_better(theta: Theta, evidence: Evidence) -> Theta:
+    """With sensors that are at best somewhat better than at rest."""
+    sigma_i, sigma_x = sensor_noise(evidence)
+    return replace(
+        theta,
+        least_i_c_a=_LEAST_NOISE * sigma_i if sigma_i else theta.least_i_c_a,
+        least_x_m=_LEAST_NOISE * sigma_x if sigma_x else theta.least_x_m,
     )
 
 

@@ -107,7 +107,9 @@ def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause, part
     strength = cause.strength
     reach = min(max(score.step, -_REACH), _REACH)
     reach = reach if abs(reach) > _LEAST else 0.3
-    shorter = min([1.0, *(most_step(name) / max(abs(by * reach), 1e-300) for name, by in score.beside)])
+    shorter = min(
+        [1.0, *(most_step(name) / max(abs(by * reach), 1e-300) for name, by in score.beside if name in PARAMETERS)]
+    )
     reach *= max(shorter, _LEAST / abs(reach)) * part
     for name, by in score.beside:
         if name in PARAMETERS:  # noise levels find their own way: falling ones overshoot

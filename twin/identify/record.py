@@ -73,7 +73,8 @@ def intervals(t: FloatArray) -> tuple[FloatArray, BoolArray]:
     if not good.any():
         return np.where(good, step, 0.0), good
     median = float(np.median(step[good]))
-    near = np.abs(step - median) <= REGULAR_SHARE * median
+    # A lost sample leaves twice the interval: a clock that beats regularly all the same.
+    near = np.abs(step - np.maximum(np.rint(step / median), 1.0) * median) <= REGULAR_SHARE * median
     regular = np.count_nonzero(near & good) >= 0.9 * np.count_nonzero(good)
     follows = good & (step <= (GAP_REGULAR if regular else GAP_IRREGULAR) * median)
     step = np.where(np.abs(step - median) <= 1e-3 * median, median, step)

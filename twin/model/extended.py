@@ -88,7 +88,7 @@ def magnetic_force(p: Base, c: Vector, field: float, x: float) -> float:
 
 @kernel
 def acceleration(p: Base, c: Vector, field: float, x: float, v: float, t: float) -> float:
-    """x'' of (6) away from the stops, m/s^2."""
+    """Acceleration x'' of (6) away from the stops, m/s^2."""
     force = magnetic_force(p, c, field, x) - p.b * v - quadratic_drag.drag_n(c, v) - coulomb_friction.friction_n(c, v)
     force += constant_force.force_n(c) + periodic_disturbance.force_n(c, t)
     return force / p.mass_kg - p.gravity_m_s2
