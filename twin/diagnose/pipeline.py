@@ -34,6 +34,7 @@ from twin.diagnose.lost import Lost, lost_samples
 from twin.diagnose.measure import HORIZONS_S, Gain, gain
 from twin.diagnose.models import model_of
 from twin.diagnose.odd import Odd, odd_one
+from twin.diagnose.quick import shortened
 from twin.diagnose.result import Diagnosis, Finding, Member, NotTestable, Proposal, RuledOut, Verdict, fit_parameters
 from twin.diagnose.select import SHARE, Selection, Trial, select
 from twin.diagnose.words import bound_sentence, finding_sentence, summary_sentence
@@ -111,6 +112,9 @@ def diagnose_records(
         check_plant(model, plant)
     warnings = [note for record in records for note in record.notes]
     warnings += inspect(list(records), plant, campaign.controller)
+    if quick:
+        records, said = shortened(records)
+        warnings += [said] if said else []
     stages: dict[str, float] = {}
     with _timed(stages, "evidence"):
         evidence = gather(records, plant)
