@@ -232,9 +232,7 @@ def run_extended(
                 held = min(max(y_x[n - 1], 0.0), p.travel_m)
                 for k in range(STATES):
                     moved[k] = y[k]
-                # Between bounces it moves: its readings say how fast, near enough for what a moving ball induces.
-                speed = 0.0 if rests or step[n] < SHORT_S else (y_x[n] - y_x[n - 1]) / T_s
-                y[X], y[V], moved[X], moved[V] = held, speed, held, speed
+                y[X], y[V], moved[X], moved[V] = held, 0.0, held, 0.0
                 moved[I_C] += _DELTA[I_C]
                 drive_over(held_base, c, moved, u, n, first, t[n - 1], T_s, False)
                 drive_over(held_base, c, y, u, n, first, t[n - 1], T_s, False)

@@ -181,7 +181,7 @@ def test_a_right_model_leaves_white_innovations(flown: Criterion) -> None:
 def test_for_a_small_effect_the_score_test_says_what_a_fit_gains(name: str) -> None:
     """Both are 0.5 z^2 up to terms of third order: a tenth of it, for effects of 5 to 15 standard errors."""
     plant = BALL.campaign.plant
-    heavy = replace(BALL, g=1.012 * BALL.g) if name == "constant-force" else BALL
+    heavy = replace(BALL, g=1.02 * BALL.g) if name == "constant-force" else BALL
     record = heavy.closed_loop(wandering(3, 6000, span=1.2e-3), 6000, seed=8)
     if name == "current-sensor-offset":
         record = replace(record, i_c=record.i_c + 1e-3)

@@ -44,6 +44,8 @@ def leaks(touched: list[tuple[str, str, str]], allowed: tuple[Path, ...]) -> set
         if event in ("open", "os.listdir", "os.scandir", "glob.glob"):
             # A folder on the way to an import is listed by the import system: names, no contents.
             importing = event in ("os.listdir", "os.scandir") and what == str(ROOT)
+            # An editable installation puts a name on sys.path that is no file; the import system tries it all the same.
+            importing |= Path(what).name.startswith("__editable__.") and not Path(what).exists()
             if not importing and not any(what == path or what.startswith(path + os.sep) for path in inside):
                 found.add(f"{event} {what}")
         elif not (event == "subprocess.Popen" and Path(what).resolve() == Path(sys.executable).resolve()):
