@@ -17,7 +17,7 @@ import numpy as np
 
 from twin.diagnose.adequacy import adequate
 from twin.diagnose.consistency import MATTERS
-from twin.diagnose.estimate import BASE, FLOORS, Criterion, Fit, climb, inverse
+from twin.diagnose.estimate import BASE, FLOORS, PASSES, Criterion, Fit, climb, inverse, roused
 from twin.diagnose.evidence import gather
 from twin.diagnose.floor import Floor, expected
 from twin.identify.innovations import FLIES, information
@@ -79,11 +79,10 @@ def odd_one(criterion: Criterion, base: Fit, floor: Floor) -> Odd | None:
     alone = Criterion(gather([record], criterion.plant, stops), criterion.plant, criterion.tick_s)
     others = Criterion(gather(rest, criterion.plant, stops), criterion.plant, criterion.tick_s)
     try:
-        fit, agreed = climb(alone, base.theta, BASE), climb(others, base.theta, base.free)
+        fit, agreed = climb(alone, roused(base.theta), BASE, passes=2 * PASSES), climb(others, base.theta, base.free)
+        # With the noise of its own sensors: another rig has others.
         quiet = replace(
             fit.theta,
-            sigma_i_c_a=floor.sigma_i_c_a,
-            sigma_x_m=floor.sigma_x_m,
             process_i_c_a=FLOORS["process_i_c_a"],
             process_a_m_s2=FLOORS["process_a_m_s2"],
         )

@@ -39,6 +39,7 @@ from twin.diagnose.result import Diagnosis, Finding, Member, NotTestable, Propos
 from twin.diagnose.select import SHARE, Selection, Trial, select
 from twin.diagnose.words import bound_sentence, finding_sentence, summary_sentence
 from twin.identify.checks import inspect
+from twin.identify.dead import without_dead
 from twin.identify.innovations import FLIES, FOLLOWS
 from twin.identify.reading import read_campaign
 from twin.identify.record import Record
@@ -112,6 +113,11 @@ def diagnose_records(
         check_plant(model, plant)
     warnings = [note for record in records for note in record.notes]
     warnings += inspect(list(records), plant, campaign.controller)
+    alive, dead = without_dead(list(records), plant)
+    records = [
+        live if record.kind in ("closed-loop", "prbs") else record for live, record in zip(alive, records, strict=True)
+    ]
+    warnings += dead
     if quick:
         records, said = shortened(records)
         warnings += [said] if said else []
