@@ -33,7 +33,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for diagnosis.json, report.html, models")
     parser.add_argument("--model", metavar="MODEL.json", help="the simulation to judge (default: the paper's, fitted)")
     parser.add_argument("--data", type=Path, metavar="DIR", help="folder of recordings not beside the campaign")
-    parser.add_argument("--quick", action="store_true", help="under 10 s; confidence figures are not calibrated then")
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="fewer candidates, the first seconds of each flight; confidence means less then",
+    )
     parser.add_argument(
         "--share",
         type=float,

@@ -1,7 +1,7 @@
-"""How sure is a name?  A figure that is right as often as it says.
+"""How sure is a name?  A figure that grows with the lead over the rivals; not calibrated yet.
 
-The lead of a cause is the log-likelihood by which it beats the best rival outside its class.  `board51 bench diagnosis`
-measures how often a name was right at each figure; the map below is read off that table (twin/diagnose/README.md).
+The lead of a cause is the log-likelihood by which it beats the best rival outside its class.  How often a name is right
+at each figure is what `board51 bench diagnosis` measures; the map below was not fitted to it.
 """
 
 from __future__ import annotations
