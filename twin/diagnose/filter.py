@@ -7,7 +7,8 @@ Rule 1: the flags are those of `innovations.py`, and RESTS_LOW, RESTS_HIGH: the 
         known.  There the position sensor is tested alone: its offset, scale and crosstalk show without any force.
 Rule 2: only the states that the causes at hand give a life of their own are in the covariance: with the paper's model
         three, so that a candidate costs what it needs.
-Rule 3: warmth at the start of a recording is unknown, and the filter finds it.
+Rule 3: the first reading that tells the speed of a flight corrects the state and is not counted as predicted.
+Rule 4: warmth at the start of a recording is unknown, and the filter finds it.
 """
 
 from __future__ import annotations
@@ -178,7 +179,7 @@ def run_extended(
     h_i[0] = gain_i
     # A ball that is held does not move within an interval either: the weight of a house, and no gravity.
     held_base = (p.K_A, p.T_A, p.K_c, p.b, 1e12, 0.0, p.x_max_m, p.travel_m)
-    in_flight = False
+    in_flight, speed_seen = False, False
     first = 0
     for n in range(len(u)):
         flag = flags[n]
@@ -274,6 +275,7 @@ def run_extended(
                     if k != 0 and k != k_warm:
                         _clear(P, k)
                 y[X], y[V], in_flight = position_of_reading(p, c, y_x[n], y[I_C]), 0.0, True
+                speed_seen = False
                 y[SENSOR] = y_x[n]
                 P[1, 1], P[2, 2] = r_x, SPEED_STD_M_S**2
                 if eddies:
@@ -321,6 +323,11 @@ def run_extended(
                 for b in range(m):
                     s_xx += h_x[a] * P[a, b] * h_x[b]
             out[n, 4] = s_xx
+            if not speed_seen:
+                # It tells how fast the ball was, which nobody predicted: a model with friction would predict it better
+                # only because friction narrows any guess.
+                out[n, 1], out[n, 3], out[n, 4] = np.nan, np.nan, np.nan
+                speed_seen = True
         if use_i:
             s = _gain(P, h_i, r_i, m, K)
             out[n, 0], out[n, 2] = n_i, s

@@ -2,9 +2,9 @@
 
 Asked only where no cause, and no change between recordings, leaves noise.
 
-Rule 1: it is the odd one if the paper's law with other numbers explains it alone down to its noise, and these numbers
-        differ by more than drift makes of a rig.  A recording that alone shows an unknown effect is not: no numbers
-        explain that.
+Rule 1: it is the odd one if the paper's law with other numbers, x_max among them, explains it alone down to its noise,
+        and these numbers differ by more than drift makes of a rig.  A recording that alone shows an unknown effect is
+        not: no numbers explain that.
 Rule 2: the others must then be explained without it; who calls decides that by diagnosing them alone.
 """
 
@@ -15,7 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from protocol.errors import DataError
 from twin.diagnose.adequacy import adequate
+from twin.diagnose.begin import no_better, start_theta
 from twin.diagnose.consistency import MATTERS
 from twin.diagnose.estimate import BASE, FLOORS, PASSES, Criterion, Fit, climb, inverse, roused
 from twin.diagnose.evidence import gather
@@ -23,6 +25,7 @@ from twin.diagnose.floor import Floor, expected
 from twin.identify.innovations import FLIES, information
 from twin.identify.record import runs
 
+GAP = "air-gap-offset.d_m"
 CLEAR = 50.0  # of log-likelihood, by numbers of its own
 _FLOWN = 500  # samples in flight: fewer do not fix four numbers
 _FEWEST = 4  # recordings: of two that disagree nobody knows which is the odd one
@@ -75,11 +78,17 @@ def odd_one(criterion: Criterion, base: Fit, floor: Floor) -> Odd | None:
         return None
     record = evidence.records[number]
     rest = [one for place, one in enumerate(evidence.records) if place != number]
-    stops = evidence.low_m, evidence.high_m
-    alone = Criterion(gather([record], criterion.plant, stops), criterion.plant, criterion.tick_s)
-    others = Criterion(gather(rest, criterion.plant, stops), criterion.plant, criterion.tick_s)
+    plant, stops = criterion.plant, (evidence.low_m, evidence.high_m)
     try:
-        fit, agreed = climb(alone, roused(base.theta), BASE, passes=2 * PASSES), climb(others, base.theta, base.free)
+        start = no_better(start_theta([record], plant), evidence)
+    except DataError:
+        return None  # alone it says too little
+    alone = Criterion(gather([record], plant, stops), plant, criterion.tick_s)
+    others = Criterion(gather(rest, plant, stops), plant, criterion.tick_s)
+    try:
+        # Another rig has its coil at another height, too.
+        fit = climb(alone, start.having(GAP, 0.0), (*BASE, GAP), passes=2 * PASSES)
+        agreed = climb(others, roused(base.theta), base.free)
         # With the noise of its own sensors: another rig has others.
         quiet = replace(
             fit.theta,

@@ -22,11 +22,12 @@ import numpy as np
 from protocol.campaign import Campaign, Plant
 from protocol.errors import DataError
 from twin.diagnose.adequacy import adequate, where_left
+from twin.diagnose.begin import no_better, start_theta
 from twin.diagnose.change import find_change, late_finding
 from twin.diagnose.confidence import confidence_of
 from twin.diagnose.consistency import beginnings, contradictions
-from twin.diagnose.estimate import BASE, STOPS, Criterion, Fit, Theta, climb, most_drag, spreads
-from twin.diagnose.evidence import Evidence, gather, sensor_noise
+from twin.diagnose.estimate import BASE, STOPS, Criterion, Fit, Theta, climb, spreads
+from twin.diagnose.evidence import Evidence, gather
 from twin.diagnose.experiments import propose
 from twin.diagnose.floor import Floor, floor_of
 from twin.diagnose.given import check_plant, off_sentence, theta_of
@@ -43,14 +44,12 @@ from twin.identify.dead import without_dead
 from twin.identify.innovations import FLIES, FOLLOWS
 from twin.identify.reading import read_campaign
 from twin.identify.record import Record
-from twin.identify.start import AmplifierStart, amplifier_start, ball_start
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 from twin.model.parameters import Model, Parameter
 
 Say = Callable[[str], None]
 LOST = "lost-samples"
-_LEAST_NOISE = 0.7  # of the sensor noise at rest
 FLIGHT_LEAST_S = 2.0  # 120 time constants of the unstable pole
 PERIODIC = "periodic-disturbance"
 
@@ -272,54 +271,6 @@ def enough(evidence: Evidence) -> None:
             f"the recordings for fitting hold {flown_s:.2g} s of flight: too little to tell one cause from another",
             remedy=f"Record at least {FLIGHT_LEAST_S:g} s with the ball in flight, better a minute with steps of x_ref",
         )
-
-
-def start_theta(records: Sequence[Record], plant: Plant) -> Theta:
-    """Where the fit of the paper's model begins; no guess is needed.
-
-    Raises:
-        DataError: no recording has u_c and i_c that move.
-    """
-    amplifier = amplifier_start(list(records))
-    if amplifier is None or amplifier.K_A <= 0.0:
-        raise DataError(
-            "no recording shows i_c following u_c",
-            remedy="Record a step or a ramp of u_c with i_c, and map both columns",
-        )
-    if not any(record.has("x") for record in records):
-        # Nothing says where the ball is: the amplifier alone is asked about, and any K_c will do.
-        weight, half = plant.mass_kg * plant.gravity_m_s2, plant.x_max_m - 0.5 * plant.travel_m
-        return _start(amplifier, weight * half**2 / 0.25, 0.0)
-    ball = ball_start(list(records), plant, amplifier)
-    if ball is None or ball.k <= 0.0:
-        raise DataError(
-            "no recording shows the ball in flight for long enough",
-            remedy="Record closed-loop flights or an open-loop prbs with x: without them only the amplifier is known",
-        )
-    return _start(amplifier, ball.k * plant.mass_kg, min(max(ball.d * plant.mass_kg, 0.0), 0.9 * most_drag(plant)))
-
-
-def _start(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:
-    return Theta(
-        K_A=amplifier.K_A,
-        T_A=amplifier.T_A,
-        K_c=K_c,
-        b=b,
-        sigma_i_c_a=max(amplifier.sigma_i_c_a, 1e-5),
-        sigma_x_m=1e-5,
-        process_i_c_a=max(0.3 * amplifier.sigma_i_c_a, 1e-5),
-        process_a_m_s2=3.0,  # too little at the start, and the ball's errors are booked as sensor noise for good
-    )
-
-
-def no_better(theta: Theta, evidence: Evidence) -> Theta:
-    """With sensors that are at best somewhat better than at rest."""
-    sigma_i, sigma_x = sensor_noise(evidence)
-    return replace(
-        theta,
-        least_i_c_a=_LEAST_NOISE * sigma_i if sigma_i else theta.least_i_c_a,
-        least_x_m=_LEAST_NOISE * sigma_x if sigma_x else theta.least_x_m,
-    )
 
 
 def testable_causes(records: Sequence[Record]) -> tuple[Cause, ...]:

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 from twin.diagnose import periodic
 from twin.diagnose.estimate import PASSES, Criterion, Fit, climb, coordinates_of, parameter_of, roused
 from twin.diagnose.floor import Floor
+from twin.diagnose.payoff import removed
 from twin.diagnose.screen import Score, screen
 from twin.diagnose.starts import beside, start_of
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
@@ -26,7 +27,9 @@ from twin.model.causes.cause import Cause
 
 THRESHOLD = 10.0  # of log-likelihood: z = 4.5, and more than the most of 30 candidates reaches by chance
 TRIFLE = 0.005  # of what the causes found so far gain together: below, it mends how they are written, not the rig
+BESIDE_NOISE = 0.1  # the same, once what is left is hardly more than noise
 SHARE = 0.2  # of the excess that is left
+PAYS = 0.5  # of the mean square error of x 20 ms ahead: a smaller share will do for a cause that removes so much
 MARGIN = 4.5
 MOST_CAUSES = 4
 FEW = 5  # candidates that are fitted in a round
@@ -35,6 +38,7 @@ _SHORT = 2  # passes of a first fit
 _HEATS = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))
 _FAR_BEHIND = 0.02  # of the best gain on the screen: such a candidate will not be the best
 _COMPARABLE = 0.2  # of the cause's own gain on the screen: what stands in for it shows there, too
+_ALIKE = 0.8  # of the cause's own gain on the screen: it may do the same, and have begun to climb at a worse place
 _FAVOURITES = 2  # best of the screen: they go through the first heat, however slowly they begin to climb
 Say = Callable[[str], None]
 
@@ -150,7 +154,9 @@ def _forward(
         why = f"{best.cause} would be best, but outside its physical range"
     elif best.gain < min(TRIFLE, least) * gained:
         why = f"{best.cause} would be best, but is a trifle beside what was found"
-    elif floor.material(at.loglik) and share < least:
+    elif not floor.material(at.loglik) and best.gain < BESIDE_NOISE * gained:
+        why = f"{best.cause} would be best, but hardly more than noise is left, and it is a trifle"
+    elif floor.material(at.loglik) and share < least and removed(criterion, at.theta, best.fit.theta) < PAYS:
         why = f"{best.cause} would be best, but explains {100 * share:.0f} % of what is left"
     else:
         taken = best.cause
@@ -256,14 +262,17 @@ def _rivals(
     own = Trial(cause=cause, fit=found.fit, gain=found.fit.loglik - at.loglik)
     others = [entry for entry in candidates if entry.name not in found.causes]
     scores = screen(criterion, at.theta, at.free, [*others, BY_NAME[cause]])
-    comparable = _COMPARABLE * max((score.gain for score in scores if score.cause == cause), default=0.0)
+    shown = {score.cause: score.gain for score in scores}
+    comparable = _COMPARABLE * shown.get(cause, 0.0)
+    alike = {name for name, gain in shown.items() if gain > _ALIKE * shown.get(cause, 0.0)}
+    alike |= {entry.name for entry in candidates if entry.family == BY_NAME[cause].family}
     scores = [
         score
         for score in scores
         if score.cause not in (*known, cause) and score.testable and score.gain > max(0.3 * THRESHOLD, comparable)
     ][: max(few - len(known), 2)]
     trials = [trial for trial in known.values() if trial.cause != cause] + _fitted(criterion, at, scores)
-    trials = [_again(criterion, own, trial) for trial in trials]
+    trials = [_again(criterion, own, trial) if trial.cause in alike else trial for trial in trials]
     trials = sorted((trial for trial in trials if inside(trial)), key=lambda trial: -trial.gain)
     if trials and trials[0].gain > own.gain + MARGIN:
         say(f"{trials[0].cause} explains more than {cause} beside the others: it takes its place")
@@ -281,11 +290,10 @@ def _rivals(
 
 
 def _again(criterion: Criterion, own: Trial, rival: Trial) -> Trial:
-    """A rival of the same family that is behind, fitted from the numbers that came out beside `own`."""
-    cause = BY_NAME[rival.cause]
-    if own.gain - rival.gain < MARGIN or cause.family != BY_NAME[own.cause].family:
+    """A rival that is behind, fitted from the numbers that came out beside `own`."""
+    if own.gain - rival.gain < MARGIN:
         return rival
-    start = beside(criterion, own.fit.theta.without(own.cause), cause)
+    start = beside(criterion, own.fit.theta.without(own.cause), BY_NAME[rival.cause])
     if criterion.value(start) <= rival.fit.loglik:
         return rival
     fit = climb(criterion, start, rival.fit.free)

@@ -147,31 +147,36 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         or c[motional_emf.COUPLING] != 0.0
         or c[slew_rate_limit.RATE] < math.inf
     )
-    # Dry friction is stiff: a substep must be shorter than the ball takes to stop.
-    fine = 4 if c[coulomb_friction.FORCE] != 0.0 else 1
+    # Dry friction is stiff: a substep must be shorter than the ball takes to stop.  The induced voltage ties i_c to x'.
+    fine = 4 if c[coulomb_friction.FORCE] != 0.0 else 3 if c[motional_emf.COUPLING] != 0.0 else 1
     coarse = duration < SHORT_S
     for substep in range(fine if coarse else fine * len(PARTS)):
         h = (duration if coarse else duration * PARTS[substep // fine]) / fine
         i, x, v, f, s = y[I_C], y[X], y[V], y[FIELD], y[SENSOR]
+        a1 = acceleration(p, c, f, x, v, t)
+        v2 = v + 0.5 * h * a1
         target = drive(p, c, u, y[WARMTH]) - p.K_A * freewheel_diode.lost_v(c, u, i, p.K_A)
+        gap, T_A = plane - x, p.T_A
+        half_decay, late = 0.0, 0.0
         if shaped:
-            gap = max(plane - x, GAP_MIN_SHARE * p.travel_m)
+            gap = max(gap, GAP_MIN_SHARE * p.travel_m)
             T_A = position_dependent_inductance.time_constant(c, p.T_A, gap, plane, gap_mid)
-            target = motional_emf.pushed(c, target, i, v, gap, gap_mid)
             if c[freewheel_diode.DROP] == 0.0:
                 target = max(target, 0.0)
-            i_half = current_limit.limited(c, slew_rate_limit.relaxed(c, i, target, T_A, 0.5 * h))
-            i_next = current_limit.limited(c, slew_rate_limit.relaxed(c, i_half, target, T_A, 0.5 * h))
+            late = min(T_A, 0.25 * h)  # the induced voltage of then is in the current of now
+            lead = motional_emf.lead(c, v + (0.5 * h - late) * a1, gap, gap_mid)
+            i_half = current_limit.limited(c, slew_rate_limit.relaxed(c, i, target / lead, T_A / lead, 0.5 * h))
         else:
             half_decay = math.exp(-0.5 * h / p.T_A)
             i_half = target + (i - target) * half_decay
-            i_next = target + (i_half - target) * half_decay
         f_half = eddy_current_lag.lagged(c, f, i, i_half, 0.5 * h)
-        f_next = eddy_current_lag.lagged(c, f_half, i_half, i_next, 0.5 * h)
-
-        a1 = acceleration(p, c, f, x, v, t)
-        v2 = v + 0.5 * h * a1
         a2 = acceleration(p, c, f_half, x + 0.5 * h * v, v2, t + 0.5 * h)
+        if shaped:
+            lead = motional_emf.lead(c, v + (h - late) * a2, gap, gap_mid)
+            i_next = current_limit.limited(c, slew_rate_limit.relaxed(c, i_half, target / lead, T_A / lead, 0.5 * h))
+        else:
+            i_next = target + (i_half - target) * half_decay
+        f_next = eddy_current_lag.lagged(c, f_half, i_half, i_next, 0.5 * h)
         v3 = v + 0.5 * h * a2
         a3 = acceleration(p, c, f_half, x + 0.5 * h * v2, v3, t + 0.5 * h)
         v4 = v + h * a3

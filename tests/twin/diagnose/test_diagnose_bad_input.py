@@ -177,11 +177,6 @@ def test_a_model_of_another_plant_is_refused_by_its_field(
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)  # two searches in vain, then one without it
-@pytest.mark.xfail(
-    strict=True,
-    reason="alone, the other rig's recording is not explained well enough to be told from a wrong model: the verdict "
-    "is unknown-cause, with names that explain part of it",
-)
 def test_a_recording_of_another_rig_is_named_and_left_out(
     copy: Callable[[str], Path], campaigns: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -29,7 +29,7 @@ def record_through_gateway(folder: Path, effects: Mapping[str, float], *, seed: 
         tempfile.TemporaryDirectory(prefix="line-") as scratch,
         emulated_line(Path(scratch), speed=SPEED, effects=dict(effects)) as line,
     ):
-        process = line.start(folder, "--seed", str(seed % 1000 + 1), *(["--quick"] if quick else []))
+        process = line.start(folder, "--seed", str(seed % 600), *(["--quick"] if quick else []))
         try:
             _, err = process.communicate(timeout=TIMEOUT_S)
         except subprocess.TimeoutExpired:
