@@ -26,7 +26,7 @@ from twin.diagnose.floor import Floor
 from twin.diagnose.probes import probes_of
 from twin.diagnose.result import Finding
 from twin.diagnose.screen import probed
-from twin.diagnose.select import Selection, select
+from twin.diagnose.select import Selection, select, stand_ins
 from twin.identify.innovations import information
 from twin.identify.record import BoolArray, FloatArray, Record, runs
 from twin.model.causes.cause import Cause
@@ -34,6 +34,7 @@ from twin.model.extended import STATES
 
 CLEAR = 25.0  # of log-likelihood: the places that were tried make 6 of it by chance
 _AHEAD = 1.2  # of the gain without a change
+_SHARE = 0.4  # of what is left, of each cause: nothing but noise may remain
 _TRIED = 2  # places with a search of their own
 _PERIODIC = "periodic-disturbance"  # its phase is each recording's own anyway
 _NO_STATE = np.empty((0, STATES))
@@ -133,8 +134,11 @@ def find_change(
         side = second if begins else first
         say(f"did something change between {names[0]} and {names[1]}?")
         switched = Switched(criterion, [n in side for n in range(len(records))], workers=workers)
-        chosen = select(switched, found.base, floor, candidates=candidates, few=few, quick=True, say=say)
+        chosen = select(
+            switched, found.base, floor, candidates=candidates, few=few, share=_SHARE, classes=False, say=say
+        )
         if chosen.causes and adequate(switched, chosen.fit, floor)[0]:
+            stand_ins(switched, chosen, candidates=candidates, few=few, quick=True, say=say)
             always = climb(criterion, chosen.fit.theta, chosen.fit.free, passes=PASSES)
             gain = chosen.fit.loglik - max(always.loglik, found.fit.loglik)
             if gain > CLEAR:

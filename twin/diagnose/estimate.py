@@ -115,6 +115,7 @@ class Fit:
     free: tuple[str, ...]
     covariance: FloatArray  # of the coordinates
     converged: bool
+    ahead: float = 0.0  # log-likelihood that the slope here still promises, were it a parabola
 
     def std(self, name: str, plant: Plant) -> float:
         """Standard error in the number's own unit; inf where it was not free."""
@@ -372,12 +373,14 @@ def climb(criterion: Criterion, start: Theta, free: Sequence[str], *, passes: in
     covariance = np.zeros((len(free), len(free)))
     if active.any():
         covariance[np.ix_(active, active)] = inverse(fisher[np.ix_(active, active)])
+    _, left = _newton(score, fisher, active, damping)
     return Fit(
         theta=theta,
         loglik=loglik,
         free=tuple(free),
         covariance=covariance,
         converged=converged or decrement < NEAR,
+        ahead=0.5 * left * left,
     )
 
 

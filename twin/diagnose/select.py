@@ -29,6 +29,9 @@ THRESHOLD = 10.0  # of log-likelihood: z = 4.5, and more than the most of 30 can
 TRIFLE = 0.005  # of what the causes found so far gain together: below, it mends how they are written, not the rig
 BESIDE_NOISE = 0.1  # the same, once what is left is hardly more than noise
 SHARE = 0.2  # of the excess that is left
+SHARE_TOGETHER = 0.05  # of the same, where together with others it leaves nothing but noise
+SHARE_LAST = 0.8  # of the last of them
+MOST_TOGETHER = 3
 PAYS = 0.5  # of the mean square error of x 20 ms ahead: a smaller share will do for a cause that removes so much
 MARGIN = 4.5
 MOST_CAUSES = 4
@@ -36,6 +39,7 @@ FEW = 5  # candidates that are fitted in a round
 _SHORT = 2  # passes of a first fit
 # Then: passes, least share of the best gain, most candidates that go on.
 _HEATS = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))
+_STEEPER = 8.0  # the likelihood of a cause that is far away rises up to five times as much as its slope promises
 _FAR_BEHIND = 0.02  # of the best gain on the screen: such a candidate will not be the best
 _COMPARABLE = 0.2  # of the cause's own gain on the screen: what stands in for it shows there, too
 _ALIKE = 0.8  # of the cause's own gain on the screen: it may do the same, and have begun to climb at a worse place
@@ -84,6 +88,7 @@ def select(
     few: int = FEW,
     quick: bool = False,
     share: float = SHARE,
+    classes: bool = True,
     say: Say = lambda line: None,
 ) -> Selection:
     """Forward, backward, classes.
@@ -96,29 +101,83 @@ def select(
         few: candidates that are fitted in a round.
         quick: leaves out the search for stand-ins beyond what was fitted anyway.
         share: least part of what is left that a cause must explain; below SHARE more causes are taken, too.
+        classes: whether stand-ins are looked for; else `stand_ins` may be asked later.
         say: takes lines of progress.
     """
     found = Selection(base=base, fit=base)
-    while len(found.causes) < (MOST_CAUSES if share >= SHARE else len(candidates)):
-        gained = found.fit.loglik - base.loglik
-        step = _forward(criterion, found.fit, floor, candidates, few, gained, share, say)
-        found.rounds.append(step)
-        if not step.taken:
-            break
-        found.causes.append(step.taken)
-        found.fit = step.trials[0].fit
-        found.gains[step.taken] = step.trials[0].gain
-        if periodic.CAUSE.name in found.causes:
-            found.fit = periodic.rephased(criterion, found.fit, PASSES)
-        say(f"taken: {step.taken} ({step.why})")
-        if len(found.causes) > 1:
-            _backward(criterion, found, say)
+    most = MOST_CAUSES if share >= SHARE else len(candidates)
+    while len(found.causes) < most and _add(criterion, found, floor, candidates, few, share, say):
+        pass
+    if share == SHARE and floor.material(found.fit.loglik):
+        found = _together(criterion, found, floor, candidates, few, say)
+    if classes:
+        stand_ins(criterion, found, candidates=candidates, few=few, quick=quick, say=say)
+    return found
+
+
+def stand_ins(
+    criterion: Criterion,
+    found: Selection,
+    *,
+    candidates: Sequence[Cause] = CATALOGUE,
+    few: int = FEW,
+    quick: bool = False,
+    say: Say = lambda line: None,
+) -> None:
+    """The class of each cause that was found, and who comes next; the arguments are those of `select`."""
     for cause in list(found.causes):
         if quick and len(found.causes) > 1:
             found.runner_up[cause] = found.gains[cause]
             continue
         _rivals(criterion, found, cause, candidates, few, say)
-    return found
+
+
+def _add(
+    criterion: Criterion,
+    found: Selection,
+    floor: Floor,
+    candidates: Sequence[Cause],
+    few: int,
+    least: float,
+    say: Say,
+) -> bool:
+    """One step forward and what it makes superfluous; False where nothing earns its place."""
+    step = _forward(criterion, found.fit, floor, candidates, few, found.fit.loglik - found.base.loglik, least, say)
+    found.rounds.append(step)
+    if not step.taken:
+        return False
+    found.causes.append(step.taken)
+    found.fit = step.trials[0].fit
+    found.gains[step.taken] = step.trials[0].gain
+    if periodic.CAUSE.name in found.causes:
+        found.fit = periodic.rephased(criterion, found.fit, PASSES)
+    say(f"taken: {step.taken} ({step.why})")
+    if len(found.causes) > 1:
+        _backward(criterion, found, say)
+    return True
+
+
+def _together(
+    criterion: Criterion, found: Selection, floor: Floor, candidates: Sequence[Cause], few: int, say: Say
+) -> Selection:
+    """`found` with causes that alone explain too little and together leave nothing but noise; else `found` as it is.
+
+    Two causes of one size hide each other: without the second, the first explains a tenth.
+    """
+    refused = found.rounds[-1]
+    if not refused.trials or refused.trials[0].gain < SHARE_TOGETHER * floor.excess(found.fit.loglik):
+        return found
+    shift_s = criterion.shift_s
+    more = replace(found, causes=[*found.causes], gains={**found.gains}, rounds=found.rounds[:-1])
+    say("too little alone; does it, with others, leave nothing but noise?")
+    while len(more.causes) < MOST_TOGETHER and floor.material(more.fit.loglik):
+        least = SHARE_TOGETHER if len(more.causes) < MOST_TOGETHER - 1 else SHARE_LAST
+        if not _add(criterion, more, floor, candidates, few, least, say):
+            break
+    if floor.material(more.fit.loglik):
+        criterion.shift_s = shift_s
+        return found
+    return more
 
 
 def _forward(
@@ -138,11 +197,14 @@ def _forward(
         0.5 * THRESHOLD, 0.3 * TRIFLE * gained, _FAR_BEHIND * max((score.gain for score in scores), default=0.0)
     )
     worth = [score for score in scores if score.testable and score.gain - score.chance > gain_least][:few]
+    if least > SHARE:
+        worth = [score for score in worth if _STEEPER * score.gain > least * floor.excess(at.loglik)]
     say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
-    trials = _fitted(criterion, at, worth)
+    excess = floor.excess(at.loglik)
+    pays = PAYS if least <= SHARE else 1.0  # who asks for more of the whole is not content with a part of x
+    trials = _fitted(criterion, at, worth, least * excess if floor.material(at.loglik) else 0.0, pays)
     if not trials:
         return Round(scores=tuple(scores), trials=(), taken="", why="nothing in the catalogue gains anything")
-    excess = floor.excess(at.loglik)
     possible = [trial for trial in trials if inside(trial)]
     best = (possible or trials)[0]
     share = best.gain / excess if excess > 0.0 else 1.0
@@ -156,7 +218,7 @@ def _forward(
         why = f"{best.cause} would be best, but is a trifle beside what was found"
     elif not floor.material(at.loglik) and best.gain < BESIDE_NOISE * gained:
         why = f"{best.cause} would be best, but hardly more than noise is left, and it is a trifle"
-    elif floor.material(at.loglik) and share < least and removed(criterion, at.theta, best.fit.theta) < PAYS:
+    elif floor.material(at.loglik) and share < least and removed(criterion, at.theta, best.fit.theta) < pays:
         why = f"{best.cause} would be best, but explains {100 * share:.0f} % of what is left"
     else:
         taken = best.cause
@@ -187,8 +249,18 @@ def _with_line(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score
     return sorted([*scores, score], key=lambda found: -found.gain)
 
 
-def _fitted(criterion: Criterion, at: Fit, scores: Sequence[Score]) -> list[Trial]:
-    """Each candidate fitted, the leading ones to the end; best first."""
+def _fitted(
+    criterion: Criterion, at: Fit, scores: Sequence[Score], wanted: float = 0.0, pays: float = PAYS
+) -> list[Trial]:
+    """Each candidate fitted, the leading ones to the end; best first.
+
+    Args:
+        criterion: of the recordings for fitting.
+        at: the model without them.
+        scores: the candidates.
+        wanted: the gain below which none will be taken, unless it pays in prediction.
+        pays: share of the mean square error of a prediction that it must remove then.
+    """
     trials = [
         Trial(
             cause=score.cause,
@@ -205,13 +277,24 @@ def _fitted(criterion: Criterion, at: Fit, scores: Sequence[Score]) -> list[Tria
     favourites = {score.cause for score in scores[:_FAVOURITES]}
     for heat, (passes, hopeless, most) in enumerate(_HEATS):
         least = hopeless * trials[0].gain if trials else 0.0
+        overtaken = trials[0].gain - MARGIN if heat and trials else -math.inf
+        if trials and all(_promise(trial) < wanted for trial in trials):
+            least_pay = 0.5 * pays
+            if least_pay >= 0.5 or removed(criterion, at.theta, trials[0].fit.theta) < least_pay:
+                break
         for place, trial in enumerate(trials):
-            goes_on = (place < most and trial.gain >= least) or (heat == 0 and trial.cause in favourites)
+            goes_on = place < most and trial.gain >= least and _promise(trial) >= overtaken
+            goes_on = goes_on or (heat == 0 and trial.cause in favourites)
             if goes_on and not trial.fit.converged:
                 fit = climb(criterion, trial.fit.theta, trial.fit.free, passes=passes)
                 trials[place] = replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
         trials.sort(key=lambda trial: -trial.gain)
     return trials
+
+
+def _promise(trial: Trial) -> float:
+    """What a candidate may still reach."""
+    return trial.gain if trial.fit.converged else trial.gain + _STEEPER * trial.fit.ahead
 
 
 def _with(free: tuple[str, ...], cause: str) -> tuple[str, ...]:

@@ -168,18 +168,23 @@ def _worth(found: Diagnosis) -> str:
     numbers = (
         f"{gain.horizon_s * 1e3:.0f} ms prediction error on the judge recordings"
         if ratio < _HARDLY
-        else f"{gain.horizon_s * 1e3:.0f} ms prediction error by a factor of {ratio:.2g}"
+        else f"{gain.horizon_s * 1e3:.0f} ms prediction error by a factor of {_times(ratio)}"
     )
     change = "hardly changes the" if ratio < _HARDLY else "cuts the"
     if ratio < 1.0 / _HARDLY:
         change, numbers = (
             "makes the",
-            f"{gain.horizon_s * 1e3:.0f} ms prediction error {1.0 / ratio:.2g} times as large",
+            f"{gain.horizon_s * 1e3:.0f} ms prediction error {_times(1.0 / ratio)} times as large",
         )
     return (
         f" Extending the model {change} {numbers}: from {_um(gain.baseline_rmse_m)} to "
         f"{_um(gain.extended_rmse_m)}; noise alone makes {_um(gain.floor_m)}."
     )
+
+
+def _times(ratio: float) -> str:
+    """A prediction that has run off the travel is wrong by any factor: beyond a hundred the number says nothing."""
+    return "over 100" if ratio > 100.0 else f"{ratio:.2g}"
 
 
 def percent(share: float) -> str:
@@ -190,6 +195,8 @@ def percent(share: float) -> str:
 def _um(value_m: float) -> str:
     """To three digits, never with an exponent."""
     micro = value_m * 1e6
+    if micro >= 1e4:
+        return f"{micro / 1e3:.0f} mm"
     return f"{micro:.0f} µm" if micro >= 100.0 else f"{micro:.3g} µm"
 
 

@@ -42,7 +42,7 @@ CAUSE = Cause(
 
 @kernel
 def lead(c: Vector, v: float, gap: float, gap_mid: float) -> float:
-    """How many times faster the current settles, at its target over this, in a ball that rises: 1 + coupling x' (...)^2.
+    """By how much faster, and lower, the current settles in a ball that rises: 1 + coupling x' (gap_mid / gap)^2.
 
     The voltage is proportional to i_c itself, so that the equation is solved for it: with the current of a step's
     beginning a jump of u_c would meet the voltage of the old current.
