@@ -99,7 +99,7 @@ def select(
         floor: what sensor noise alone leaves.
         candidates: the causes to try.
         few: candidates that are fitted in a round.
-        quick: leaves out the search for stand-ins beyond what was fitted anyway.
+        quick: leaves out causes that only count together, and stand-ins for one of several.
         share: least part of what is left that a cause must explain; below SHARE more causes are taken, too.
         classes: whether stand-ins are looked for; else `stand_ins` may be asked later.
         say: takes lines of progress.
@@ -108,7 +108,7 @@ def select(
     most = MOST_CAUSES if share >= SHARE else len(candidates)
     while len(found.causes) < most and _add(criterion, found, floor, candidates, few, share, say):
         pass
-    if share == SHARE and floor.material(found.fit.loglik):
+    if share == SHARE and not quick and floor.material(found.fit.loglik):
         found = _together(criterion, found, floor, candidates, few, say)
     if classes:
         stand_ins(criterion, found, candidates=candidates, few=few, quick=quick, say=say)
@@ -376,7 +376,7 @@ def _again(criterion: Criterion, own: Trial, rival: Trial) -> Trial:
     """A rival that is behind, fitted from the numbers that came out beside `own`."""
     if own.gain - rival.gain < MARGIN:
         return rival
-    start = beside(criterion, own.fit.theta.without(own.cause), BY_NAME[rival.cause])
+    start = beside(criterion, own.fit.theta, BY_NAME[own.cause], BY_NAME[rival.cause])
     if criterion.value(start) <= rival.fit.loglik:
         return rival
     fit = climb(criterion, start, rival.fit.free)

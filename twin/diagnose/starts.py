@@ -46,15 +46,22 @@ def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
     return starts[int(np.argmax(criterion.values(starts)))]
 
 
-def beside(criterion: Criterion, theta: Theta, cause: Cause) -> Theta:
-    """The best strength of `cause` with the numbers of `theta`, a rival's without the rival.
+def beside(criterion: Criterion, theta: Theta, own: Cause, rival: Cause) -> Theta:
+    """The best strength of `rival` with the numbers of `theta`, in which it takes the place of `own`.
 
-    From the bent numbers of the model without either, one of two causes that do the same may never get there.
+    From the bent numbers of the model without either, one of two causes that do the same may never get there; two that
+    are measured in the same unit may even be of the same size.
     """
-    strength = cause.strength
+    strength = rival.strength
     at = [strength.coordinate(probe) * factor for probe in strength.probes for factor in _GRID]
-    both = [*at, *(-one for one in at)] if strength.low < strength.neutral < strength.high else at
-    starts = [probed(theta, cause, strength.value(one)) for one in both]
+    if strength.low < strength.neutral < strength.high:
+        at += [-one for one in at]
+    sizes = [strength.value(one) for one in at]
+    if own.strength.unit == strength.unit:
+        size = theta.value(f"{own.name}.{own.strength.name}")
+        sizes += [one for one in (size, -size) if strength.low <= one <= strength.high]
+    bare = theta.without(own.name)
+    starts = [probed(bare, rival, one) for one in sizes]
     return starts[int(np.argmax(criterion.values(starts)))]
 
 
