@@ -56,8 +56,12 @@ def _start(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:
 def no_better(theta: Theta, evidence: Evidence) -> Theta:
     """With sensors that are at best somewhat better than at rest."""
     sigma_i, sigma_x = sensor_noise(evidence)
+    least_i = _LEAST_NOISE * sigma_i if sigma_i else theta.least_i_c_a
+    least_x = _LEAST_NOISE * sigma_x if sigma_x else theta.least_x_m
     return replace(
         theta,
-        least_i_c_a=_LEAST_NOISE * sigma_i if sigma_i else theta.least_i_c_a,
-        least_x_m=_LEAST_NOISE * sigma_x if sigma_x else theta.least_x_m,
+        least_i_c_a=least_i,
+        least_x_m=least_x,
+        sigma_i_c_a=max(theta.sigma_i_c_a, least_i),
+        sigma_x_m=max(theta.sigma_x_m, least_x),
     )

@@ -32,6 +32,7 @@ LIFTS_SHARE = 0.97  # of the current at which the ball left its rest
 STAYS_S = 3e-3  # after that current is reached: it has risen 10 um by then
 POLE_SHARE = 0.06  # of the travel below x_max, where (3) has its pole: no flight is judged there
 EDGE_SAMPLES = 4  # left out at both ends of a rest: the ball rocks
+RESTLESS = 5.0  # of the median window's sum of squares: of ten thousand windows of noise none reaches it
 END_SHARE = 0.15  # of readings within 50 ms at the converter's end: the noise is cut off there, and its mean is not 0
 _LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
 _OPEN_LOOP = ("sawtooth", "prbs", "free")
@@ -266,10 +267,13 @@ def noise_error(evidence: Evidence) -> float:
 
 
 def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
-    """Sum of squares around straight lines at rest, and its degrees of freedom: i_c, x."""
+    """Sum of squares around straight lines at rest, and its degrees of freedom: i_c, x.
+
+    A window far noisier than the others is none of rest: a current that still settles when u_c stands, a touched rig.
+    """
     series = evidence.series
     rest = series.flags & (RESTS_LOW | RESTS_HIGH) != 0
-    squares = [(0.0, 0), (0.0, 0)]
+    squares: tuple[list[float], list[float]] = ([], [])
     for piece in runs(rest, 2 * HELD_SAMPLES):
         for start in range(piece.start, piece.stop - HELD_SAMPLES + 1, HELD_SAMPLES):
             window = slice(start, start + HELD_SAMPLES)
@@ -279,9 +283,13 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
                     continue
                 line = np.polynomial.polynomial.polyfit(_LINE, values, 1)
                 residual = values - np.polynomial.polynomial.polyval(_LINE, line)
-                total, count = squares[place]
-                squares[place] = total + float(residual @ residual), count + HELD_SAMPLES - 2
-    return squares
+                squares[place].append(float(residual @ residual))
+    result = []
+    for channel in squares:
+        middle = float(np.median(channel)) if channel else 0.0
+        usual = [one for one in channel if one <= RESTLESS * middle] if middle > 0.0 else channel
+        result.append((sum(usual), len(usual) * (HELD_SAMPLES - 2)))
+    return result
 
 
 def _clamped_noise(evidence: Evidence) -> tuple[float | None, float | None]:

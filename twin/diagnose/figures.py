@@ -255,6 +255,8 @@ def _decades(ax: Axes) -> None:
 
 
 def _short(label: str) -> str:
+    """A recording by its name alone, without folder and ending; both ends of what is still too long."""
+    label = label.rpartition("/")[2].removesuffix(".gz").removesuffix(".csv").removesuffix(".mcap")
     return label if len(label) <= 24 else label[:11] + "…" + label[-12:]
 
 
