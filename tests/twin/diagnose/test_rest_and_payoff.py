@@ -1,0 +1,91 @@
+"""What is called sensor noise, what a cause is worth for the prediction of x, where a rival begins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from protocol.campaign import Campaign, load
+from tests.twin.diagnose.hidden_campaign import make_campaign
+from twin.diagnose.begin import no_better, start_theta
+from twin.diagnose.estimate import BASE, STOPS, Criterion, Theta, climb
+from twin.diagnose.evidence import gather, sensor_noise
+from twin.diagnose.payoff import removed
+from twin.diagnose.starts import beside
+from twin.identify.reading import read_campaign
+from twin.model.causes.catalogue import BY_NAME
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
+    folder: Path = tmp_path_factory.mktemp("campaign") / "null"
+    make_campaign(folder, effects={}, seed=2024, plant="independent", quick=True)
+    return load(folder)
+
+
+@pytest.fixture(scope="module")
+def criterion(campaign: Campaign) -> Iterator[Criterion]:
+    made = Criterion(gather(read_campaign(campaign), campaign.plant), campaign.plant, 2e-3, workers=1)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def fitted(campaign: Campaign, criterion: Criterion) -> Theta:
+    start = no_better(start_theta(read_campaign(campaign), campaign.plant), criterion.evidence)
+    return climb(criterion, start, (*BASE, *STOPS)).theta
+
+
+def test_a_current_that_settles_is_no_noise_of_rest(campaign: Campaign) -> None:
+    records = read_campaign(campaign)
+    quiet_i, quiet_x = sensor_noise(gather(records, campaign.plant))
+    place = next(n for n, record in enumerate(records) if record.kind == "free" and record.has("x"))
+    decays = records[place].i_c.copy()
+    decays[400:460] += np.exp(-np.arange(60) / 10.0)
+    records[place] = replace(records[place], i_c=decays)
+
+    sigma_i, sigma_x = sensor_noise(gather(records, campaign.plant))
+
+    assert quiet_i is not None
+    assert sigma_i == pytest.approx(quiet_i, rel=0.03)
+    assert sigma_x == quiet_x
+
+
+def test_the_fit_begins_with_sensors_that_are_not_too_good(campaign: Campaign, criterion: Criterion) -> None:
+    """A noise level below what it may have would be a place that no step leaves."""
+    start = start_theta(read_campaign(campaign), campaign.plant)
+
+    theta = no_better(replace(start, sigma_i_c_a=1e-6, sigma_x_m=1e-9), criterion.evidence)
+
+    assert theta.sigma_i_c_a == theta.least_i_c_a > 1e-4
+    assert theta.sigma_x_m == theta.least_x_m > 1e-7
+
+
+def test_what_is_removed_of_the_prediction_error(criterion: Criterion, fitted: Theta) -> None:
+    wrong = replace(fitted, K_c=0.97 * fitted.K_c)
+
+    assert removed(criterion, wrong, fitted) > 0.3
+    assert removed(criterion, fitted, wrong) < -0.3
+    assert removed(criterion, fitted, fitted) == 0.0
+
+
+def test_a_rival_is_tried_at_the_size_of_the_cause_whose_place_it_takes(campaign: Campaign, fitted: Theta) -> None:
+    """A delay is right within microseconds or nowhere: no grid of sizes meets it."""
+    own, rival, size = BY_NAME["actuation-delay"], BY_NAME["sampling-delay"], 2e-3
+    flights = [record for record in read_campaign(campaign) if record.kind == "closed-loop"]
+    evidence = gather(flights, campaign.plant)
+    late = replace(evidence, series=replace(evidence.series, u=np.roll(evidence.series.u, -1)))
+    delayed = Criterion(late, campaign.plant, 2e-3, workers=1)
+    try:
+        found = beside(delayed, fitted.having("actuation-delay.delay_s", size), own, rival)
+        values = delayed.values([fitted.having("sampling-delay.delay_s", one) for one in (0.8 * size, size)])
+    finally:
+        delayed.close()
+
+    assert values[1] > values[0] + 1000.0
+    assert found.value("sampling-delay.delay_s") == size
+    assert found.value("actuation-delay.delay_s") == 0.0
