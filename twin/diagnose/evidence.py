@@ -33,6 +33,7 @@ STAYS_S = 3e-3  # after that current is reached: it has risen 10 um by then
 POLE_SHARE = 0.06  # of the travel below x_max, where (3) has its pole: no flight is judged there
 EDGE_SAMPLES = 4  # left out at both ends of a rest: the ball rocks
 RESTLESS = 5.0  # of the median window's sum of squares: of ten thousand windows of noise none reaches it
+CLIPPED_SHARE = 0.8  # of a rest
 END_SHARE = 0.15  # of readings within 50 ms at the converter's end: the noise is cut off there, and its mean is not 0
 _LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
 _OPEN_LOOP = ("sawtooth", "prbs", "free")
@@ -68,6 +69,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
     held = [held_samples(record, plant) for record in records]
     notes: list[str] = []
     low, high = _stops(records, held, plant, notes) if stops is None else stops
+    blind = _range_ends(records, held)
     lifted = [_on_platform(record, still, low, plant) for record, still in zip(records, held, strict=True)]
     if stops is None and any(lifted):
         # Wherever a ball ends that jumped off a platform, it is no stop of the other recordings.
@@ -101,6 +103,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         if n:
             own = flags[:n]
             own[at_converter_end(record.i_c)] &= np.uint8(~USE_I & 0xFF)
+            own[np.isin(record.x, blind)] &= np.uint8(~(FLIES | USE_X) & 0xFF)
             if told.kind in _OPEN_LOOP:
                 _trim(own)
             own[still & (own & FLIES != 0)] &= np.uint8(~(FLIES | USE_X) & 0xFF)
@@ -198,7 +201,8 @@ def _stops(
     """Readings at the lower and the upper stop, where the recordings agree on them."""
     found: tuple[list[float], list[float]] = ([], [])
     for record, still in zip(records, held, strict=True):
-        levels = [float(np.median(record.x[piece])) for piece in runs(still, HELD_SAMPLES)]
+        pieces = [piece for piece in runs(still, HELD_SAMPLES) if _clipped(record.x, piece) is None]
+        levels = [float(np.median(record.x[piece])) for piece in pieces]
         for side, stop in enumerate((0.0, plant.travel_m)):
             near = [level for level in levels if abs(level - stop) < NEAR_SHARE * plant.travel_m]
             if near:
@@ -213,6 +217,21 @@ def _stops(
     return places[0], places[1]
 
 
+def _clipped(x: FloatArray, piece: slice) -> float | None:
+    """The end of the converter's range that a resting ball is beyond: all its readings are that one, without noise."""
+    for end in (float(np.nanmin(x)), float(np.nanmax(x))):
+        if np.mean(x[piece] == end) > CLIPPED_SHARE and noise_of(x[np.isfinite(x) & (x != end)]) > 0.0:
+            return end
+    return None
+
+
+def _range_ends(records: Sequence[Record], held: Sequence[BoolArray]) -> list[float]:
+    """Readings beyond which the position sensor shows nothing."""
+    pairs = zip(records, held, strict=True)
+    found = {_clipped(record.x, piece) for record, still in pairs for piece in runs(still, HELD_SAMPLES)}
+    return sorted(end for end in found if end is not None)
+
+
 def _on(
     record: Record, still: BoolArray, low: float | None, high: float | None, plant: Plant
 ) -> tuple[BoolArray, BoolArray]:
@@ -221,7 +240,8 @@ def _on(
         mask = np.zeros(len(record.t), np.bool_)
         if stop is not None:
             for piece in runs(still, HELD_SAMPLES):
-                if abs(float(np.median(record.x[piece])) - stop) < AGREE_SHARE * plant.travel_m:
+                near = abs(float(np.median(record.x[piece])) - stop) < AGREE_SHARE * plant.travel_m
+                if near and _clipped(record.x, piece) is None:
                     mask[piece.start + EDGE_SAMPLES : piece.stop - EDGE_SAMPLES] = True
         masks.append(mask)
     return masks[0], masks[1]

@@ -43,7 +43,18 @@ def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
             for T_A in sorted(times):
                 for probe in probes_of(cause, criterion.evidence.series):
                     starts.append(probed(replace(theta, K_A=K_A, T_A=T_A), cause, probe))
+    starts = _with_stops(starts, cause)
     return starts[int(np.argmax(criterion.values(starts)))]
+
+
+def _with_stops(starts: list[Theta], cause: Cause) -> list[Theta]:
+    """Of a sensor's cause, also with the stops where everybody thinks they are.
+
+    Without it the model shifts the stops to where the sensor shows them; both at once is wrong twice.
+    """
+    if cause.family != "sensing":
+        return starts
+    return [*starts, *(replace(start, stop_low_m=0.0, stop_high_m=0.0) for start in starts)]
 
 
 def beside(criterion: Criterion, theta: Theta, own: Cause, rival: Cause) -> Theta:
@@ -61,7 +72,7 @@ def beside(criterion: Criterion, theta: Theta, own: Cause, rival: Cause) -> Thet
         size = theta.value(f"{own.name}.{own.strength.name}")
         sizes += [one for one in (size, -size) if strength.low <= one <= strength.high]
     bare = theta.without(own.name)
-    starts = [probed(bare, rival, one) for one in sizes]
+    starts = _with_stops([probed(bare, rival, one) for one in sizes], rival)
     return starts[int(np.argmax(criterion.values(starts)))]
 
 
