@@ -197,8 +197,6 @@ def _forward(
         0.5 * THRESHOLD, 0.3 * TRIFLE * gained, _FAR_BEHIND * max((score.gain for score in scores), default=0.0)
     )
     worth = [score for score in scores if score.testable and score.gain - score.chance > gain_least][:few]
-    if least > SHARE:
-        worth = [score for score in worth if _STEEPER * score.gain > least * floor.excess(at.loglik)]
     say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
     excess = floor.excess(at.loglik)
     pays = PAYS if least <= SHARE else 1.0  # who asks for more of the whole is not content with a part of x
@@ -277,8 +275,10 @@ def _fitted(
     favourites = {score.cause for score in scores[:_FAVOURITES]}
     for heat, (passes, hopeless, most) in enumerate(_HEATS):
         least = hopeless * trials[0].gain if trials else 0.0
-        overtaken = trials[0].gain - MARGIN if heat and trials else -math.inf
-        if trials and all(_promise(trial) < wanted for trial in trials):
+        # Not before: the likelihood of a delay is flat at 0 and rises fifty times as high as its slope there promises.
+        last = heat == len(_HEATS) - 1 and bool(trials)
+        overtaken = trials[0].gain - MARGIN if last else -math.inf
+        if last and all(_promise(trial) < wanted for trial in trials):
             least_pay = 0.5 * pays
             if least_pay >= 0.5 or removed(criterion, at.theta, trials[0].fit.theta) < least_pay:
                 break
