@@ -54,6 +54,7 @@ class AlarmBook:
         self.revision = 0
         self._board = board
         self._alarms: dict[str, Alarm] = {}
+        self._fault_at = (0, 0)  # session, tick
 
     def listed(self) -> tuple[Alarm, ...]:
         """Active or not acknowledged; the most urgent first: active, then faults, then not acknowledged, then new."""
@@ -74,19 +75,23 @@ class AlarmBook:
 
     def event(self, event: pb.Event, now_ns: int) -> None:
         """From `event`: faults come, and what ends them."""
-        if event.name in BOARD_FAULTS or event.name in _REFUSED_BOARD:
+        if event.name in BOARD_FAULTS:
+            self._fault_at = (event.session, event.tick)  # samples from before it may still be on their way
+            self._alarms.pop("fault", None)  # its name is known now
+            self.come(event.name, "fault", event.text, now_ns)
+        elif event.name in _REFUSED_BOARD:
             self.come(event.name, "fault", event.text, now_ns)
         elif event.name in ("log-disk-full", "log-failed"):
             self.come(LOG, "fault", event.text, now_ns)
         elif event.name == "log-resumed":
             self.go(LOG, now_ns)
 
-    def state(self, flags: int, now_ns: int) -> None:
+    def state(self, state: pb.State, now_ns: int) -> None:
         """From each `state`: the board's FAULT flag.  Faults have no end event; the flag is what ends them."""
-        if flags & Flag.FAULT:
-            if not any(a.active and a.name in BOARD_FAULTS for a in self._alarms.values()):
+        if state.flags & Flag.FAULT:
+            if not self.fault():
                 self.come("fault", "fault", "A fault is active and the coil is off; set a mode to clear it.", now_ns)
-        elif self._alarms:
+        elif self._alarms and (state.session != self._fault_at[0] or state.tick > self._fault_at[1]):
             for name in [a.name for a in self._alarms.values() if a.active and a.name in BOARD_FAULTS]:
                 self.go(name, now_ns)
 
@@ -159,6 +164,10 @@ class AlarmBook:
             del self._alarms[name]
         else:
             self._alarms[name] = replace(alarm, active=False, changed_ns=now_ns)
+
+    def fault(self) -> str:
+        """The fault that the board has latched; "fault" where it has not said which, empty where none."""
+        return next((a.name for a in self._alarms.values() if a.active and a.name in BOARD_FAULTS), "")
 
     def _is_active(self, name: str) -> bool:
         return name in self._alarms and self._alarms[name].active

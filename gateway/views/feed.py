@@ -161,6 +161,11 @@ class BoardFeed:
             self._judge()
             return self._book.revision
 
+    def fault(self) -> str:
+        """The fault that the board has latched, such as "sensor-fault"; empty where none."""
+        with self._lock:
+            return self._book.fault()
+
     def events(self) -> tuple[pb.Event, ...]:
         """The newest 200, oldest first."""
         with self._lock:
@@ -198,7 +203,7 @@ class BoardFeed:
             tap.push(message)
         if isinstance(message, pb.State):
             self._alive = True  # whatever became of the token: here is a sample
-            self._book.state(message.flags, now_ns)
+            self._book.state(message, now_ns)
         elif isinstance(message, pb.Event):
             self._events.append(message)
             self._book.event(message, now_ns)

@@ -58,18 +58,38 @@ def test_a_fault_of_the_board_lasts_as_long_as_its_flag() -> None:
     book = AlarmBook("rig")
 
     book.event(pb.Event(name="over-current", severity="fault", text="coil off"), 1)
-    book.state(Flag.FAULT, 2)
+    book.state(pb.State(flags=Flag.FAULT, tick=2), 2)
     during = names(book)
-    book.state(0, 3)
+    book.state(pb.State(tick=3), 3)
 
     assert during == [("over-current", True, False)]
     assert names(book) == [("over-current", False, False)]
 
 
+def test_a_sample_from_before_a_fault_does_not_end_it() -> None:
+    book = AlarmBook("rig")
+
+    book.event(pb.Event(name="sensor-fault", severity="fault", session=1, tick=100), 1)
+    book.state(pb.State(session=1, tick=99), 2)
+    late = book.fault()
+    book.state(pb.State(session=1, tick=101), 3)
+
+    assert (late, book.fault()) == ("sensor-fault", "")
+
+
+def test_an_event_gives_a_fault_its_name() -> None:
+    book = AlarmBook("rig")
+
+    book.state(pb.State(flags=Flag.FAULT, tick=5), 1)
+    book.event(pb.Event(name="over-current", severity="fault", tick=5), 2)
+
+    assert names(book) == [("over-current", True, False)]
+
+
 def test_a_flag_without_its_event_is_a_fault_too() -> None:
     book = AlarmBook("rig")
 
-    book.state(Flag.FAULT, 2)
+    book.state(pb.State(flags=Flag.FAULT, tick=2), 2)
 
     assert names(book) == [("fault", True, False)]
 
@@ -117,7 +137,7 @@ def test_names_from_the_bus_cannot_fill_the_memory() -> None:
 
 def test_the_revision_rises_with_what_is_shown_only() -> None:
     book = AlarmBook("rig")
-    book.state(0, 1)
+    book.state(pb.State(tick=1), 1)
     book.link("", 1)
     quiet = book.revision
 

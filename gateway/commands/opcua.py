@@ -1,0 +1,110 @@
+"""The rigs as an OPC UA server, for SCADA systems: reads, subscriptions, history, alarms; setpoints and methods.
+
+It joins the bus like any other client: nothing that an OPC UA client does can hold up the gateway.  Without --security
+it serves this machine only, and everybody may look; with it, sessions are encrypted and people have roles.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import ipaddress
+import logging
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gateway.client import add_bus_arguments, open_bus
+from protocol.errors import ConfigError, UsageError
+
+if TYPE_CHECKING:  # asyncua takes a second to import: --help answers at once
+    from gateway.views.opcua.server import Settings
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Where, how fast, who."""
+    parser.epilog = (
+        "examples:\n  board51 opcua                                   opc.tcp://127.0.0.1:4840/board51/\n"
+        "  board51 opcua --security /etc/board51 --listen 0.0.0.0:4840 --rate 50"
+    )
+    add_bus_arguments(parser)
+    parser.add_argument("--listen", default="127.0.0.1:4840", metavar="HOST:PORT", help="default 127.0.0.1:4840")
+    parser.add_argument(
+        "--rate", type=float, default=20.0, metavar="HZ", help="10 to 50 values per second, each with min and max (20)"
+    )
+    parser.add_argument("--history", type=float, default=300.0, metavar="S", help="how far back, 10 to 3600 s (300)")
+    parser.add_argument("--security", type=Path, metavar="DIR", help="folder made by `board51 security init`")
+    parser.add_argument(
+        "--anonymous",
+        choices=("off", "viewer", "operator", "engineer"),
+        help="what a client without a name may do (with --security: off, else viewer; more on loopback only)",
+    )
+    parser.add_argument("--insecure", action="store_true", help="serve other machines without --security")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until SIGTERM or SIGINT."""
+    from gateway.access.roles import Role
+    from gateway.views.opcua.server import Settings
+
+    host, port = _address(args.listen)
+    if not 10.0 <= args.rate <= 50.0:
+        raise UsageError(f"--rate {args.rate:g} Hz is out of bounds", remedy="Give 10 .. 50")
+    if not 10.0 <= args.history <= 3600.0:
+        raise UsageError(f"--history {args.history:g} s is out of bounds", remedy="Give 10 .. 3600")
+    loopback = _is_loopback(host)
+    if not loopback and args.security is None and not args.insecure:
+        raise UsageError(
+            f"--listen {args.listen} is open to other machines and not secured",
+            remedy="Give --security DIR (made by `board51 security init DIR`), or --insecure if that is meant",
+        )
+    word = args.anonymous or ("off" if args.security is not None else "viewer")
+    if word in ("operator", "engineer") and not loopback:
+        raise UsageError(
+            f"--anonymous {word} would let everybody in the network command",
+            remedy="Listen on 127.0.0.1, or give people names with `board51 security add-user`",
+        )
+    settings = Settings(
+        host=host,
+        port=port,
+        rate_hz=args.rate,
+        history_s=args.history,
+        anonymous=None if word == "off" else Role[word.upper()],
+        security=args.security,
+    )
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)-7s %(message)s")
+    logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # it writes a line or a traceback per bad request
+    return asyncio.run(_serve(args, settings))
+
+
+async def _serve(args: argparse.Namespace, settings: Settings) -> int:
+    from gateway.views.feed import Feed
+    from gateway.views.opcua.server import serve
+
+    stop = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    with open_bus(args.connect) as session:
+        feed = Feed(session, args.site)
+        shown = settings.host if settings.host not in ("0.0.0.0", "::") else "HOST"
+        await serve(
+            feed, settings, stop, lambda port: print(f"OPC UA on opc.tcp://{shown}:{port}/board51/", flush=True)
+        )
+        feed.close()
+    return 0
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, colon, port = text.rpartition(":")
+    if not colon or not host or not port.isdigit() or int(port) > 65535:
+        raise ConfigError(f"--listen {text!r} is not an address", remedy="Write HOST:PORT, e.g. 127.0.0.1:4840")
+    return host.strip("[]"), int(port)
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
