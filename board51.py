@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "hmi": ("gateway.commands.hmi", "the control room in a browser"),
     "security": ("gateway.commands.security", "keys, certificates, users: who may do what on a guarded bus"),
     "opcua": ("gateway.commands.opcua", "the rigs as an OPC UA server, for SCADA systems"),
+    "foxglove": ("gateway.commands.foxglove", "the rigs live in Foxglove; layouts for it and for PlotJuggler"),
     "router": ("gateway.commands.router", "a standalone zenoh router"),
     "send": ("gateway.commands.send", "one command to a board, through the gateway"),
     "watch": ("gateway.commands.watch", "print what travels on the bus"),

@@ -19,11 +19,16 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
 import zenoh
 
+from gateway.access.certificates import WARN_DAYS
+from gateway.access.doorkeeper import Doorkeeper
+from gateway.access.folder import SecurityFolder
+from gateway.access.listeners import check_bus_listeners
 from gateway.commands_bus import CommandQueryable
 from gateway.config import GatewayConfig, LogConfig
 from gateway.link.clock import HostClock
@@ -36,6 +41,7 @@ from gateway.record.writer import LogError
 from gateway.status import StatusMaker
 from protocol.bus import topics
 from protocol.bus.endpoint import Mode, zenoh_config
+from protocol.bus.identity import Identity, load_identity
 from protocol.errors import ConfigError, ServiceError
 
 STATUS_S = 1.0
@@ -69,7 +75,8 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             for board, outlet in zip(config.boards, outlets, strict=True)
         ]
         link = LinkThread(drivers)
-        queryables = [CommandQueryable(bus, config.site, driver, link, messages) for driver in drivers]
+        door = Doorkeeper(time.time_ns(), partial(_tell_flood, drivers)) if config.security.directory else None
+        queryables = [CommandQueryable(bus, config.site, driver, link, messages, door) for driver in drivers]
         if recorder is not None:
             recorder.on_event = partial(_tell_all, drivers)
             twin = bus.declare_subscriber(f"{config.site}/*/twin/**", _log_twin(recorder))
@@ -104,6 +111,7 @@ def check(config: GatewayConfig) -> None:
     Raises:
         ConfigError: see the text.
     """
+    check_security(config)
     if not config.boards:
         raise ConfigError(
             "No board is configured",
@@ -111,6 +119,31 @@ def check(config: GatewayConfig) -> None:
         )
     for board in config.boards:
         check_url(board.port)
+
+
+def check_security(config: GatewayConfig) -> None:
+    """Listeners that must not be open, keys and certificates that are not good.
+
+    Raises:
+        ConfigError: see the text.
+    """
+    directory = config.security.directory
+    if config.zenoh.mode == "router":
+        check_bus_listeners(config.zenoh.listen, guarded=bool(directory), insecure=config.security.insecure)
+    if not directory:
+        return
+    folder = SecurityFolder(Path(directory))
+    if config.zenoh.mode == "router":
+        for name, days in folder.check().items():
+            if days < WARN_DAYS:
+                _logger.warning("the certificate of %s expires in %d days: `board51 security renew`", name, days)
+        if folder.site != config.site:
+            raise ConfigError(
+                f"{directory} guards the site {folder.site}, the gateway serves {config.site}",
+                remedy="Give the same --site to `board51 security init` and to the gateway",
+            )
+    else:
+        gateway_identity(config)
 
 
 @contextmanager
@@ -125,7 +158,12 @@ def open_bus(config: GatewayConfig) -> Iterator[zenoh.Session]:
     listen = z.listen if mode == "router" else ()
     for endpoint in listen:
         _check_free(endpoint)
-    text = zenoh_config(mode, listen=listen, connect=z.connect, wait_for_router=False)
+    directory = config.security.directory
+    if directory and mode == "router":
+        text = SecurityFolder(Path(directory)).router(listen, z.connect, wait_for_router=False)
+    else:
+        identity = gateway_identity(config) if directory else None
+        text = zenoh_config(mode, listen=listen, connect=z.connect, wait_for_router=False, identity=identity)
     try:
         session = zenoh.open(zenoh.Config.from_json5(text))
     except zenoh.ZError as error:
@@ -141,7 +179,7 @@ def _check_free(endpoint: str) -> None:
     """Look first: zenoh itself tries for five seconds before it says that a port is taken, and not which."""
     kind, _, rest = endpoint.partition("/")
     host, _, port = rest.partition("?")[0].rpartition(":")
-    if kind != "tcp" or not port.isdigit() or int(port) == 0:
+    if kind not in ("tcp", "tls") or not port.isdigit() or int(port) == 0:
         return
     try:
         family, _, _, _, address = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
@@ -155,6 +193,22 @@ def _check_free(endpoint: str) -> None:
             remedy="End the other gateway or router, give another endpoint with --listen,"
             " or join the router there with --connect",
         ) from None
+
+
+def gateway_identity(config: GatewayConfig) -> Identity:
+    """The gateway's own, where it is a client of a guarded router.
+
+    The folder may be the whole one of `security init`, or the gateway's identity alone: a machine that is not the
+    router need not have everybody's keys.
+
+    Raises:
+        ConfigError: it is not usable.
+    """
+    path = Path(config.security.directory)
+    alone = (path / "identity.toml").exists()
+    identity = load_identity(path) if alone else SecurityFolder(path).identity("gateway")
+    identity.check_valid(datetime.now(UTC))
+    return identity
 
 
 @contextmanager
@@ -192,6 +246,10 @@ def _tell_all(drivers: Sequence[BoardDriver], name: str, severity: str, text: st
         driver.tell(name, severity, text)
 
 
+def _tell_flood(drivers: Sequence[BoardDriver], who: str, count: int) -> None:
+    _tell_all(drivers, "command-flood", "warning", f"{who} sends too many commands: {count} thrown away.")
+
+
 def _log_twin(recorder: Recorder) -> Callable[[zenoh.Sample], None]:
     def log(sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
@@ -204,7 +262,8 @@ def _log_twin(recorder: Recorder) -> Callable[[zenoh.Sample], None]:
 
 def _where(config: GatewayConfig) -> str:
     endpoints = config.zenoh.listen if config.zenoh.mode == "router" else config.zenoh.connect
-    return f"{config.zenoh.mode} {', '.join(endpoints)}"
+    guarded = f", guarded by {config.security.directory}" if config.security.directory else ""
+    return f"{config.zenoh.mode} {', '.join(endpoints)}{guarded}"
 
 
 @contextmanager

@@ -46,6 +46,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     log = parser.add_mutually_exclusive_group()
     log.add_argument("--log-dir", metavar="DIR", help="where the MCAP log goes (default logs)")
     log.add_argument("--no-log", action="store_true", help="write no log")
+    guard = parser.add_argument_group("who may do what")
+    guard.add_argument(
+        "--security", metavar="DIR", help="guard the bus with the folder that `board51 security init DIR` made"
+    )
+    guard.add_argument("--insecure", action="store_true", help="open listeners to the network without protection")
     parser.add_argument("--print-config", action="store_true", help="print a commented configuration and end")
     parser.add_argument("--check", action="store_true", help="check the configuration and end")
 
@@ -78,6 +83,10 @@ def configuration(args: argparse.Namespace) -> GatewayConfig:
         config = replace(config, log=replace(config.log, enabled=True, directory=args.log_dir))
     if args.no_log:
         config = replace(config, log=replace(config.log, enabled=False))
+    if args.security is not None:
+        config = replace(config, security=replace(config.security, directory=args.security))
+    if args.insecure:
+        config = replace(config, security=replace(config.security, insecure=True))
     return config
 
 

@@ -1,21 +1,28 @@
 """The control room in a browser: every rig of the bus, live; commands, alarms, recordings, logs.
 
-It is a client of the bus: it ends, hangs or dies without touching gateway or board.  Without --users everybody who
-reaches the page may do what `board51 send` may: that is for this machine alone.
+It is a client of the bus: it ends, hangs or dies without touching gateway or board.  Without --security or --users
+everybody who reaches the page may do what `board51 send` may: that is for this machine alone.
 """
 
 from __future__ import annotations
 
 import argparse
-import ipaddress
+import logging
 import math
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from gateway.access.listeners import check_listener, is_loopback
 from gateway.client import add_bus_arguments
-from protocol.bus.endpoint import check_endpoint
+from protocol.bus.endpoint import check_endpoint, refused_by_router, zenoh_config
+from protocol.bus.identity import find_identity
 from protocol.bus.topics import check_name
-from protocol.errors import ConfigError, UsageError
+from protocol.errors import UsageError
+
+if TYPE_CHECKING:  # NiceGUI takes a second to import: --help answers at once
+    from gateway.access.folder import SecurityFolder
+    from gateway.access.users import Users
 
 DEFAULT_LISTEN = "127.0.0.1:8051"
 
@@ -25,29 +32,25 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "examples:\n  board51 hmi                      then open http://127.0.0.1:8051\n"
         "  board51 hmi --log-dir logs --reports diagnosis\n"
-        "  board51 hmi --listen 0.0.0.0:8051 --users security/users.toml --cert security/hmi.crt --key security/hmi.key"
+        "  board51 hmi --security /etc/board51 --listen 0.0.0.0:8051"
     )
     add_bus_arguments(parser)
     parser.add_argument(
         "--listen", default=DEFAULT_LISTEN, metavar="HOST:PORT", help=f"of the page (default {DEFAULT_LISTEN})"
     )
-    parser.add_argument("--users", type=Path, metavar="FILE", help="users.toml; without it nobody logs in")
-    parser.add_argument("--cert", type=Path, metavar="FILE", help="certificate for https (PEM)")
-    parser.add_argument("--key", type=Path, metavar="FILE", help="its key, readable by its owner alone")
-    parser.add_argument("--insecure", action="store_true", help="listen beyond loopback without users or https")
     parser.add_argument(
-        "--log-dir", type=Path, default=Path("logs"), metavar="DIR", help="of the gateway (default logs)"
-    )
+        "--security", type=Path, metavar="DIR",
+        help="folder made by `board51 security init`: https, logins, and who the page is on the bus",
+    )  # fmt: skip
+    parser.add_argument("--users", type=Path, metavar="FILE", help="logins alone, without https: on loopback only")
+    parser.add_argument("--insecure", action="store_true", help="listen beyond loopback without --security")
+    parser.add_argument("--log-dir", type=Path, default=Path("logs"), metavar="DIR", help="of the gateway (logs)")
     parser.add_argument(
-        "--data",
-        type=Path,
-        default=Path("hmi-data"),
-        metavar="DIR",
-        help="for recordings and campaigns (default hmi-data)",
+        "--data", type=Path, default=Path("hmi-data"), metavar="DIR", help="for recordings and campaigns (hmi-data)"
     )
     parser.add_argument(
         "--reports", type=Path, action="append", default=[], metavar="DIR",
-        help="a folder below which `board51 diagnose` writes; repeatable (default diagnosis, and that of --data)",
+        help="a folder below which `board51 diagnose` writes; repeatable (diagnosis, and that of --data)",
     )  # fmt: skip
     parser.add_argument(
         "--idle-min", type=float, default=30.0, metavar="MIN", help="a session ends without an act (30)"
@@ -57,77 +60,87 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM or SIGINT."""
-    host, port = address(args.listen)
+    from gateway.access.folder import SecurityFolder
+    from gateway.access.users import Users
+
+    host, port = _address(args.listen)
     check_name(args.site, what="--site")
     check_endpoint(args.connect, where="--connect")
     for option, value in (("--idle-min", args.idle_min), ("--session-h", args.session_h)):
         if not (math.isfinite(value) and value > 0.0):
             raise UsageError(f"{option} {value} is not a positive number", remedy="Correct it")
-    if (args.cert is None) != (args.key is None):
-        raise UsageError("--cert and --key belong together", remedy="Give both, or neither")
-    loopback = is_loopback(host)
-
-    from gateway.access.private import check_private
-    from gateway.access.users import Users
-
-    users = Users.load(args.users) if args.users is not None else None
-    if args.key is not None:
-        check_private(args.key, what="The key")
-    if not loopback and not args.insecure and (users is None or args.cert is None):
-        raise ConfigError(
-            f"--listen {args.listen} is open to the network without {'users' if users is None else 'https'}",
-            remedy="Give --users, --cert and --key (`board51 security init` makes them), or --insecure",
-        )
-    return _serve(args, host, port, loopback=loopback, users=users)
+    if args.security is not None and args.users is not None:
+        raise UsageError("--security has users of its own", remedy="Leave out --users")
+    check_listener(
+        host,
+        protected=args.security is not None,
+        insecure=args.insecure,
+        what=f"The web page at {args.listen}",
+        remedy="Give --security DIR (made by `board51 security init DIR`)",
+    )
+    folder = SecurityFolder(args.security) if args.security is not None else None
+    users_file = folder.users if folder is not None else args.users
+    users = Users.load(users_file) if users_file is not None else None
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)-7s %(message)s")
+    return _serve(args, host, port, folder, users)
 
 
-def _serve(args: argparse.Namespace, host: str, port: int, *, loopback: bool, users: object) -> int:
+def _serve(args: argparse.Namespace, host: str, port: int, folder: SecurityFolder | None, users: Users | None) -> int:
+    from datetime import UTC, datetime
+
     import zenoh
 
-    from gateway.access.users import Users
-    from gateway.views.hmi.app import HmiSettings, serve
-    from protocol.bus.endpoint import zenoh_config
+    from gateway.access.certificates import check_certificate
+    from gateway.access.private import check_private
+    from gateway.views.hmi.app import HmiSettings, listen, serve
+    from gateway.views.hmi.console import VIEWS, Routes
 
-    assert users is None or isinstance(users, Users)
+    now = datetime.now(UTC)
+    certificate = key = None
+    if folder is not None:
+        certificate, key = folder.server("hmi")
+        check_private(key, what="The key of the web page")
+        check_certificate(certificate, what="The certificate of the web page", now=now)
+    identity = find_identity(args.identity or (folder.identity_path(VIEWS) if folder is not None else None))
+    if identity is not None:
+        identity.check_valid(now)
+    listener = listen(host, port)
+    with listen("127.0.0.1", 0) as probe:  # a port that nobody has now
+        replay = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     settings = HmiSettings(
-        host=host,
-        port=port,
         site=args.site,
         users=users,
-        guarded=False,
-        certificate=args.cert,
-        key=args.key,
+        guarded=identity is not None,
+        certificate=certificate,
+        key=key,
         logs=args.log_dir,
         data=args.data,
         reports=tuple(args.reports) or (Path("diagnosis"), args.data),
         idle_s=args.idle_min * 60.0,
         lifetime_s=args.session_h * 3600.0,
-        loopback=loopback,
-        bus_words=("--connect", args.connect),
+        loopback=is_loopback(host),
+        routes=Routes(
+            connect=args.connect,
+            site=args.site,
+            replay=replay,
+            identities=folder.path / "identities" if folder is not None else None,
+        ),
     )
-    text = zenoh_config("client", connect=[args.connect], wait_for_router=False)
-    with zenoh.open(zenoh.Config.from_json5(text)) as bus:
-        scheme = "https" if args.cert is not None else "http"
+    live_text = zenoh_config("client", connect=[args.connect], wait_for_router=False, identity=identity)
+    replay_text = zenoh_config("router", listen=[replay])
+    try:
+        live_bus = zenoh.open(zenoh.Config.from_json5(live_text))
+    except zenoh.ZError:
+        raise refused_by_router([args.connect], identity) from None
+    with live_bus, zenoh.open(zenoh.Config.from_json5(replay_text)) as replay_bus:
+        scheme = "http" if certificate is None else "https"
         print(f"control room of {args.site} on {scheme}://{args.listen}", file=sys.stderr, flush=True)
-        serve(settings, bus)
+        serve(settings, listener, live_bus, replay_bus)
     return 0
 
 
-def address(text: str) -> tuple[str, int]:
-    """HOST:PORT in its parts.
-
-    Raises:
-        UsageError: it is not one.
-    """
+def _address(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     if not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise UsageError(f"--listen {text} is not an address", remedy=f"Write HOST:PORT, e.g. {DEFAULT_LISTEN}")
     return host.strip("[]"), int(port)
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach it."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"

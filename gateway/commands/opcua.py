@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import ipaddress
 import logging
 import signal
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.client import add_bus_arguments, open_bus
-from protocol.errors import ConfigError, UsageError
+from gateway.views.account import views_identity
+from gateway.views.listen import add_listen_argument, address
+from protocol.errors import UsageError
 
 if TYPE_CHECKING:  # asyncua takes a second to import: --help answers at once
     from gateway.views.opcua.server import Settings
@@ -28,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 opcua --security /etc/board51 --listen 0.0.0.0:4840 --rate 50"
     )
     add_bus_arguments(parser)
-    parser.add_argument("--listen", default="127.0.0.1:4840", metavar="HOST:PORT", help="default 127.0.0.1:4840")
+    add_listen_argument(parser, "127.0.0.1:4840")
     parser.add_argument(
         "--rate", type=float, default=20.0, metavar="HZ", help="10 to 50 values per second, each with min and max (20)"
     )
@@ -44,22 +45,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM or SIGINT."""
+    from gateway.access.listeners import check_listener, is_loopback
     from gateway.access.roles import Role
     from gateway.views.opcua.server import Settings
 
-    host, port = _address(args.listen)
+    host, port = address(args.listen)
     if not 10.0 <= args.rate <= 50.0:
         raise UsageError(f"--rate {args.rate:g} Hz is out of bounds", remedy="Give 10 .. 50")
     if not 10.0 <= args.history <= 3600.0:
         raise UsageError(f"--history {args.history:g} s is out of bounds", remedy="Give 10 .. 3600")
-    loopback = _is_loopback(host)
-    if not loopback and args.security is None and not args.insecure:
-        raise UsageError(
-            f"--listen {args.listen} is open to other machines and not secured",
-            remedy="Give --security DIR (made by `board51 security init DIR`), or --insecure if that is meant",
-        )
+    check_listener(
+        host,
+        protected=args.security is not None,
+        insecure=args.insecure,
+        what=f"OPC UA at {args.listen}",
+        remedy="Give --security DIR, made by `board51 security init DIR`",
+    )
     word = args.anonymous or ("off" if args.security is not None else "viewer")
-    if word in ("operator", "engineer") and not loopback:
+    if word in ("operator", "engineer") and not is_loopback(host):
         raise UsageError(
             f"--anonymous {word} would let everybody in the network command",
             remedy="Listen on 127.0.0.1, or give people names with `board51 security add-user`",
@@ -84,27 +87,12 @@ async def _serve(args: argparse.Namespace, settings: Settings) -> int:
     stop = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    with open_bus(args.connect) as session:
-        feed = Feed(session, args.site)
+    identity = views_identity(args.identity)
+    with open_bus(args.connect, identity) as session:
+        feed = Feed(session, args.site, guarded=identity is not None)
         shown = settings.host if settings.host not in ("0.0.0.0", "::") else "HOST"
         await serve(
             feed, settings, stop, lambda port: print(f"OPC UA on opc.tcp://{shown}:{port}/board51/", flush=True)
         )
         feed.close()
     return 0
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, colon, port = text.rpartition(":")
-    if not colon or not host or not port.isdigit() or int(port) > 65535:
-        raise ConfigError(f"--listen {text!r} is not an address", remedy="Write HOST:PORT, e.g. 127.0.0.1:4840")
-    return host.strip("[]"), int(port)
-
-
-def _is_loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

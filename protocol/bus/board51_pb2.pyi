@@ -219,9 +219,11 @@ class Ping(_message.Message):
     def __init__(self) -> None: ...
 
 class Command(_message.Message):
-    __slots__ = ("id", "who", "set_mode", "set_reference", "set_gains", "excite", "capture", "set_stream", "set_host_loss", "stop", "ping")
+    __slots__ = ("id", "who", "issued_ns", "role", "set_mode", "set_reference", "set_gains", "excite", "capture", "set_stream", "set_host_loss", "stop", "ping")
     ID_FIELD_NUMBER: _ClassVar[int]
     WHO_FIELD_NUMBER: _ClassVar[int]
+    ISSUED_NS_FIELD_NUMBER: _ClassVar[int]
+    ROLE_FIELD_NUMBER: _ClassVar[int]
     SET_MODE_FIELD_NUMBER: _ClassVar[int]
     SET_REFERENCE_FIELD_NUMBER: _ClassVar[int]
     SET_GAINS_FIELD_NUMBER: _ClassVar[int]
@@ -233,6 +235,8 @@ class Command(_message.Message):
     PING_FIELD_NUMBER: _ClassVar[int]
     id: str
     who: str
+    issued_ns: int
+    role: str
     set_mode: SetMode
     set_reference: SetReference
     set_gains: SetGains
@@ -242,7 +246,7 @@ class Command(_message.Message):
     set_host_loss: SetHostLoss
     stop: Stop
     ping: Ping
-    def __init__(self, id: _Optional[str] = ..., who: _Optional[str] = ..., set_mode: _Optional[_Union[SetMode, _Mapping]] = ..., set_reference: _Optional[_Union[SetReference, _Mapping]] = ..., set_gains: _Optional[_Union[SetGains, _Mapping]] = ..., excite: _Optional[_Union[Excite, _Mapping]] = ..., capture: _Optional[_Union[Capture, _Mapping]] = ..., set_stream: _Optional[_Union[SetStream, _Mapping]] = ..., set_host_loss: _Optional[_Union[SetHostLoss, _Mapping]] = ..., stop: _Optional[_Union[Stop, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ...) -> None: ...
+    def __init__(self, id: _Optional[str] = ..., who: _Optional[str] = ..., issued_ns: _Optional[int] = ..., role: _Optional[str] = ..., set_mode: _Optional[_Union[SetMode, _Mapping]] = ..., set_reference: _Optional[_Union[SetReference, _Mapping]] = ..., set_gains: _Optional[_Union[SetGains, _Mapping]] = ..., excite: _Optional[_Union[Excite, _Mapping]] = ..., capture: _Optional[_Union[Capture, _Mapping]] = ..., set_stream: _Optional[_Union[SetStream, _Mapping]] = ..., set_host_loss: _Optional[_Union[SetHostLoss, _Mapping]] = ..., stop: _Optional[_Union[Stop, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ...) -> None: ...
 
 class CommandReply(_message.Message):
     __slots__ = ("id", "accepted", "refused_by", "reason", "text", "tick", "attempts")
