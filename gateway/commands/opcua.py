@@ -47,6 +47,7 @@ def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM or SIGINT."""
     from gateway.access.listeners import check_listener, is_loopback
     from gateway.access.roles import Role
+    from gateway.views.opcua.security import Security
     from gateway.views.opcua.server import Settings
 
     host, port = address(args.listen)
@@ -73,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         rate_hz=args.rate,
         history_s=args.history,
         anonymous=None if word == "off" else Role[word.upper()],
-        security=args.security,
+        security=Security(args.security) if args.security is not None else None,
     )
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)-7s %(message)s")
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # it writes a line or a traceback per bad request

@@ -23,7 +23,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-import uuid
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -287,9 +286,9 @@ class Feed:
         """
         command = pb.Command()
         command.CopyFrom(what)
-        command.id = command.id or uuid.uuid4().hex
         command.who = who
-        return send(self._session, self.site, board, command, timeout_s=timeout_s)
+        as_role = role if self._guarded else ""
+        return send(self._session, self.site, board, command, timeout_s=timeout_s, role=as_role)
 
     def now_ns(self) -> int:
         """Unix time of this host."""

@@ -59,7 +59,7 @@ class Conditions:
 
     async def _condition(self, alarm: Alarm, *, retain: bool) -> None:
         active, acknowledged = (alarm.active, alarm.acknowledged) if retain else (False, True)
-        event: Any = AlarmCondition(message=ua.LocalizedText(alarm.text), severity=SEVERITY[alarm.severity])
+        event: Any = AlarmCondition(message=alarm.text, severity=SEVERITY[alarm.severity])
         node = ua.NodeId(f"{alarm.board}/alarm/{alarm.name}", self._server.namespace)
         self._server.conditions[node] = (alarm.board, alarm.name)
         event.add_property("NodeId", node, ua.VariantType.NodeId)
@@ -103,7 +103,7 @@ class Conditions:
 
 
 def _plain(text: str, severity: str, time_ns: int) -> Any:
-    event: Any = BaseEvent(message=ua.LocalizedText(text), severity=SEVERITY.get(severity, 100))
+    event: Any = BaseEvent(message=text, severity=SEVERITY.get(severity, 100))
     event.EventType = ua.NodeId(ua.ObjectIds.BaseEventType)
     event.Time = datetime_of(time_ns)
     return event

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 
 from asyncua import Server, ua
 
@@ -48,7 +47,7 @@ class Settings:
     rate_hz: float = 20.0
     history_s: float = 300.0
     anonymous: Role | None = Role.VIEWER  # what a client without a name may; None: it may not in
-    security: Path | None = None
+    security: Security | None = None
 
 
 async def serve(feed: Feed, settings: Settings, stop: asyncio.Event, ready: Callable[[int], None]) -> None:
@@ -61,10 +60,9 @@ async def serve(feed: Feed, settings: Settings, stop: asyncio.Event, ready: Call
         ready: called with the port once clients may come.
 
     Raises:
-        ConfigError: certificate, key or users that cannot be used.
         ServiceError: the port is taken.
     """
-    security = Security(settings.security) if settings.security is not None else None
+    security = settings.security
     anonymous = Visitor(name="anonymous", role=settings.anonymous) if settings.anonymous is not None else None
 
     def identify(name: str | None, password: str | None, certificate: bytes | None) -> Visitor | None:
