@@ -44,7 +44,7 @@ class Authority:
         self._certificate, self._key = certificate, key
 
     @classmethod
-    def create(cls, name: str, *, now: datetime, days: int = CA_DAYS) -> tuple[Authority, Issued]:
+    def create(cls, name: str, *, now: datetime, days: float = CA_DAYS) -> tuple[Authority, Issued]:
         """A new one, and what must be kept of it."""
         key = rsa.generate_private_key(public_exponent=65537, key_size=_KEY_BITS)
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
@@ -65,7 +65,7 @@ class Authority:
         return cls(x509.load_pem_x509_certificate(certificate), loaded)
 
     def issue(
-        self, name: str, *, now: datetime, hosts: Sequence[str] = (), uris: Sequence[str] = (), days: int = DAYS
+        self, name: str, *, now: datetime, hosts: Sequence[str] = (), uris: Sequence[str] = (), days: float = DAYS
     ) -> Issued:
         """A certificate for a server (with its hosts), a client (without), or both: OPC UA asks both of each.
 
@@ -122,7 +122,7 @@ def check_certificate(path: Path, *, what: str, now: datetime | None = None) -> 
 
 
 def _builder(
-    subject: x509.Name, issuer: x509.Name, key: rsa.RSAPublicKey, now: datetime, days: int
+    subject: x509.Name, issuer: x509.Name, key: rsa.RSAPublicKey, now: datetime, days: float
 ) -> x509.CertificateBuilder:
     end = now + timedelta(days=days)
     return (

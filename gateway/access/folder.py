@@ -102,7 +102,7 @@ class SecurityFolder:
         write_private(self.users, b"# No users yet: `board51 security add-user`\n")
         self.renew(now=now)
 
-    def renew(self, *, now: datetime | None = None, days: int = DAYS) -> None:
+    def renew(self, *, now: datetime | None = None, days: float = DAYS) -> None:
         """New certificates for all servers, services and people; names, roles and passwords stay."""
         now = datetime.now(UTC) if now is None else now
         authority, (_, hosts) = self._authority(), self._settings()
@@ -239,7 +239,7 @@ class SecurityFolder:
         write_private(certificate.with_name(f"{certificate.stem}-key.pem"), issued.key)
         certificate.write_bytes(issued.certificate)
 
-    def _write_identity(self, authority: Authority, name: str, role: str, now: datetime, days: int) -> None:
+    def _write_identity(self, authority: Authority, name: str, role: str, now: datetime, days: float) -> None:
         folder = self.identity_path(name)
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         password = self._bus_passwords().get(name) or secrets.token_hex(32)
