@@ -37,7 +37,8 @@ LEAST_ROLE: dict[str, Role] = {
     "excite": Role.OPERATOR,
     "capture": Role.OPERATOR,
     "acknowledge": Role.OPERATOR,  # an alarm
-    "recording": Role.OPERATOR,  # start, mark, stop
+    "mark": Role.OPERATOR,  # a remark in the log
+    "recording": Role.OPERATOR,  # start, stop
     "set_gains": Role.ENGINEER,
     "set_stream": Role.ENGINEER,
     "set_host_loss": Role.ENGINEER,

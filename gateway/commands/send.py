@@ -84,6 +84,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     loss = what.add_parser("host-loss", parents=[options], help="what the board does without its host")
     loss.add_argument("policy", choices=_POLICIES)
     loss.add_argument("--after", type=_number, default=1.0, metavar="S", help="1 s")
+    what.add_parser("mark", parents=[options], help="a remark at this moment, into every log").add_argument("text")
     what.add_parser("stop", parents=[options], help="coil off at once")
     what.add_parser("ping", parents=[options], help="sign of life")
 
@@ -128,6 +129,8 @@ def build(args: argparse.Namespace) -> pb.Command:
             command.set_stream.divider = args.divider
         case "host-loss":
             command.set_host_loss.CopyFrom(pb.SetHostLoss(policy=_POLICIES[args.policy], timeout_s=args.after))
+        case "mark":
+            command.mark.text = args.text
         case "stop":
             command.stop.SetInParent()
         case _:

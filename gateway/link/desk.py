@@ -150,6 +150,8 @@ class CommandDesk:
             refusal = Refusal("queue-full", f"{MAX_WAITING} commands wait for this board already.")
         if refusal is not None:
             self._refuse(command, refusal, reply, host_ns)
+        elif command.WhichOneof("what") == "mark":
+            self._mark(command, reply, host_ns)
         else:
             self._carry_on(command, reply, now_s, host_ns, link, reason)
 
@@ -215,6 +217,17 @@ class CommandDesk:
             self._mode_tick = float("inf")
         token = self._session.submit(wire.name, now_s, **wire.values)
         self._pending[token] = _Pending(command=command, wire=wire, received_ns=host_ns, replies=[reply])
+
+    def _mark(self, command: pb.Command, reply: Reply, host_ns: int) -> None:
+        """A remark is the gateway's to keep; the board never hears of it, and need not be there."""
+        tick = self._known.sample.tick if self._known.sample is not None else 0
+        text = "".join(c if c.isprintable() else " " for c in f"{command.who or 'unknown'}: {command.mark.text}")
+        event = pb.Event(host_time_ns=host_ns, tick=tick, source="gateway", severity="info", name="mark", text=text)
+        event.session = self._session.number if self._session.is_open else 0
+        self._outlet.send("event", event, host_ns)
+        self.accepted_count += 1
+        answer = pb.CommandReply(id=command.id, accepted=True, tick=tick, text="marked")
+        self._finish(command, answer, [reply], host_ns, host_ns, keep=True)
 
     def _view(self) -> BoardView:
         sample, scaling, parameters = self._known.sample, self._known.scaling, self._known.parameters

@@ -13,7 +13,7 @@ import socket
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
@@ -27,7 +27,7 @@ from starlette.types import ASGIApp
 from gateway.access.roles import Role
 from gateway.access.users import Users
 from gateway.views.feed import Feed
-from gateway.views.hmi.console import REPLAY_SITE, Console
+from gateway.views.hmi.console import REPLAY_SITE, Console, Routes
 from gateway.views.hmi.guard import MAX_BODY, Guard
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.library import Library
@@ -44,8 +44,6 @@ END_S = 2  # open connections get so long at the end
 class HmiSettings:
     """Of one server."""
 
-    host: str
-    port: int
     site: str
     users: Users | None  # None: everybody who reaches the server is the local operator
     guarded: bool  # the bus has roles
@@ -57,18 +55,20 @@ class HmiSettings:
     idle_s: float
     lifetime_s: float
     loopback: bool
-    bus_words: tuple[str, ...] = field(default=())
+    routes: Routes
 
 
-def serve(settings: HmiSettings, bus: zenoh.Session) -> None:
+def serve(settings: HmiSettings, listener: socket.socket, bus: zenoh.Session, replay_bus: zenoh.Session) -> None:
     """Serve until SIGTERM or SIGINT.
 
-    Raises:
-        ServiceError: the port is in use or not ours to open.
+    Args:
+        settings: of the server.
+        listener: see `listen`.
+        bus: the live one.
+        replay_bus: where logs are replayed.
     """
-    listener = _listen(settings)
     jobs = Jobs()
-    feeds = Feed(bus, settings.site, guarded=settings.guarded), Feed(bus, REPLAY_SITE)
+    feeds = Feed(bus, settings.site, guarded=settings.guarded), Feed(replay_bus, REPLAY_SITE)
     config = uvicorn.Config(
         build(settings, *feeds, jobs),
         log_level="warning",
@@ -112,7 +112,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
         logs=Library({"logs": settings.logs, "recordings": settings.data / "recordings"}, ("*.mcap",)),
         reports=Library({str(n): path for n, path in enumerate(settings.reports)}, ("report.html",)),
         data=settings.data,
-        bus_words=settings.bus_words,
+        routes=settings.routes,
     )
     live, replay = Pictures(feed), Pictures(replayed)
 
@@ -164,17 +164,22 @@ def _local(sessions: Sessions) -> Session:
     return sessions.open(name, Role.ENGINEER, time.monotonic())
 
 
-def _listen(settings: HmiSettings) -> socket.socket:
-    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+def listen(host: str, port: int) -> socket.socket:
+    """A listening socket.
+
+    Raises:
+        ServiceError: the port is in use or not ours to open.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listener.bind((settings.host, settings.port))
+        listener.bind((host, port))
         listener.listen(128)
     except OSError as error:
         listener.close()
         raise ServiceError(
-            f"Cannot listen on {settings.host}:{settings.port}: {error.strerror or error}",
+            f"Cannot listen on {host}:{port}: {error.strerror or error}",
             remedy="End what uses the port, or give another one with --listen HOST:PORT",
         ) from None
     return listener

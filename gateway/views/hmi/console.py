@@ -10,21 +10,49 @@ from __future__ import annotations
 
 import logging
 import re
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from gateway.access.roles import Role, may, refusal_text
 from gateway.access.users import Users
 from gateway.views.feed import Feed
 from gateway.views.hmi.jobs import Jobs
-from gateway.views.hmi.library import Library
+from gateway.views.hmi.library import Entry, Library
 from gateway.views.hmi.sessions import Session, Sessions
 from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
 from protocol.errors import Board51Error
 
-REPLAY_SITE = "replay"  # logs are replayed under this site, never under the one that is live
+REPLAY_SITE = "replay"  # logs are replayed under this site, and on a bus of their own: never for live
+SUMMARY_S, SUMMARY_CHARACTERS = 120.0, 100_000
+VIEWS = "views"  # the account that may listen to everything
+_EVERYTHING = tuple(
+    word for topic in topics.TOPICS if topic.bus and topic.logged for word in ("--topic", topic.name)
+)  # a replay shows what was seen, the twin of then included
 _logger = logging.getLogger("gateway.hmi")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Routes:
+    """How jobs reach the bus, as options of `board51`."""
+
+    connect: str
+    site: str
+    replay: str  # endpoint of the bus on which replays run
+    identities: Path | None  # on a guarded bus: the folder with those of people and of the views
+
+    def live(self, name: str) -> list[str]:
+        """To the live bus, as `name`: a person where the job commands, the views' account where it listens."""
+        words = ["--connect", self.connect, "--site", self.site]
+        return words if self.identities is None else [*words, "--identity", str(self.identities / name)]
+
+    def replayed(self) -> list[str]:
+        """To the replays' bus."""
+        return ["--connect", self.replay, "--as-site", REPLAY_SITE]
 
 
 class Console:
@@ -39,7 +67,7 @@ class Console:
         logs: files that may be replayed.
         reports: pages of diagnosis.
         data: folder for recordings and campaigns.
-        bus_words: options with which a job joins the same bus.
+        routes: how jobs reach the bus.
     """
 
     def __init__(
@@ -53,12 +81,12 @@ class Console:
         logs: Library,
         reports: Library,
         data: Path,
-        bus_words: tuple[str, ...],
+        routes: Routes,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.feed, self.replayed, self.sessions, self.users = feed, replayed, sessions, users
         self.jobs, self.logs, self.reports = jobs, logs, reports
-        self._data, self._bus_words, self._clock = data, bus_words, clock
+        self._data, self._routes, self._clock = data, routes, clock
 
     def role(self, session: Session) -> Role:
         """The role of now: a changed users file counts at once; who was removed is a viewer until the session ends."""
@@ -97,13 +125,14 @@ class Console:
         """Log this board's bus into files of their own, beside the gateway's log."""
         name = slug(title)[:16] or "rec"
         words = ["record", "--out", str(self._data / "recordings"), "--prefix", f"{name}-{board}"[:32].rstrip("-_"),
-                 "--board", board]  # fmt: skip
+                 "--board", board, *self._routes.live(VIEWS)]  # fmt: skip
         return self._start(session, "recording", "record", board, words, title=title or "recording")
 
     def start_campaign(self, session: Session, board: str, *, quick: bool) -> pb.CommandReply:
         """The paper's experiments into a new folder."""
         folder = self._data / "campaigns" / f"{board}-{time.strftime('%Y%m%d-%H%M%S')}"
-        words = ["campaign", "run", str(folder), "--board", board, "--who", session.name, *["--quick"] * quick]
+        words = ["campaign", "run", str(folder), "--board", board, "--who", session.name, *["--quick"] * quick,
+                 *self._routes.live(session.name)]  # fmt: skip
         return self._start(session, "campaign", "campaign", board, words, title=folder.name)
 
     def start_replay(self, session: Session, log: str, speed: float) -> pb.CommandReply:
@@ -111,8 +140,23 @@ class Console:
         entry = self.logs.find(log)
         if entry is None:
             return _refusal("no-log", "There is no such log.")
-        words = ["replay", str(entry.path), "--as-site", REPLAY_SITE, "--speed", f"{speed:g}", "--twin"]
+        words = ["replay", str(entry.path), "--speed", f"{speed:g}", *self._routes.replayed(), *_EVERYTHING]
         return self._start(session, "read", "replay", "*", words, title=entry.name)
+
+    def summary(self, entry: Entry) -> str:
+        """What a log holds, as `board51 info` says it."""
+        try:
+            done = subprocess.run(
+                [sys.executable, "-m", "board51", "info", str(entry.path)],
+                capture_output=True, text=True, errors="replace", timeout=SUMMARY_S, stdin=subprocess.DEVNULL,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            return "It takes too long to read: use `board51 info`."
+        return (done.stdout or done.stderr).replace(str(entry.path), entry.name)[:SUMMARY_CHARACTERS]
+
+    def mark(self, session: Session, board: str, text: str) -> pb.CommandReply:
+        """A remark at this moment, into every log of the board."""
+        return self.command(session, board, pb.Command(mark=pb.Mark(text=text)))
 
     def stop_job(self, session: Session, kind: str, board: str) -> pb.CommandReply:
         """Interrupt a job; a campaign parks the ball."""
@@ -135,7 +179,7 @@ class Console:
         try:
             if kind != "replay":
                 self._data.mkdir(parents=True, exist_ok=True)
-            self.jobs.start(kind, board, [*words, *self._bus_words], title=title, who=session.name)
+            self.jobs.start(kind, board, words, title=title, who=session.name)
         except Board51Error as error:
             return _refusal("busy", str(error))
         except OSError as error:

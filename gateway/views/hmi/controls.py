@@ -134,9 +134,7 @@ def _reference(place: Place) -> None:
 def _excitation(place: Place) -> None:
     with ui.element("div").classes("fields"):
         shape = ui.select(_SHAPES, value=pb.SHAPE_RECTANGLE, label="shape").props("dense outlined")
-        where = ui.select({True: "reference (closed loop)", False: "input (open loop)"}, value=True, label="on").props(
-            "dense outlined"
-        )
+        where = ui.select({True: "reference", False: "input u_c"}, value=True, label="on").props("dense outlined")
         amplitude = ui.number("amplitude, mm", value=0.5, step=0.1).props("dense outlined")
         offset = ui.number("around, mm", value=2.5, step=0.1).props("dense outlined")
         period = ui.number("period, s", value=2.0, min=0.0, step=0.1).props("dense outlined")
@@ -230,6 +228,9 @@ def recording(place: Place) -> None:
                 "Start", lambda: place.console.start_recording(place.session, place.board, str(title.value or ""))
             )
             finish = act("Stop recording", lambda: place.console.stop_job(place.session, "record", place.board))
+        with ui.element("div").classes("row-of"):
+            remark = ui.input("remark").props("dense outlined maxlength=150")
+            act("Mark now", lambda: place.console.mark(place.session, place.board, str(remark.value or "")))
 
     def follow() -> None:
         job = place.console.jobs.get("record", place.board)

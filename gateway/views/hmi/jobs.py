@@ -18,6 +18,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from protocol.bus.identity import VARIABLE as IDENTITY_VARIABLE
 from protocol.errors import UsageError
 
 LINES, WIDTH = 200, 400
@@ -58,7 +59,9 @@ class Jobs:
     """
 
     def __init__(self, environment: Mapping[str, str] | None = None) -> None:
-        self._environment = dict(os.environ if environment is None else environment)
+        # Who a job is on the bus is said by its options; that of this process must not stand in for it.
+        given = os.environ if environment is None else environment
+        self._environment = {name: value for name, value in given.items() if name != IDENTITY_VARIABLE}
         self._jobs: dict[tuple[str, str], Job] = {}
         self._lock = threading.Lock()
 

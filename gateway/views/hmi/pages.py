@@ -13,14 +13,13 @@ from collections.abc import Awaitable, Callable
 from nicegui import ui
 from starlette.requests import Request
 
-from gateway.record.summary import as_text, summarise
 from gateway.views.hmi import controls
 from gateway.views.hmi.console import Console
 from gateway.views.hmi.controls import Place, tell
 from gateway.views.hmi.sessions import Session
 from protocol.bus import board51_pb2 as pb
-from protocol.errors import Board51Error
 
+REPLAY = "/live-replay"  # where the frames of replays come from
 SUMMARY_MAX_BYTES = 200_000_000  # a larger log takes minutes to read: `board51 info` does it
 
 
@@ -44,7 +43,7 @@ def register(console: Console) -> None:
 
     @ui.page("/replay/", title="Board51 replay")
     def replays(request: Request) -> None:
-        session = _begin(request, live="/live-replay", prefix="/replay")
+        session = _begin(request, live=REPLAY, prefix="/replay")
         _bar(console, session, "Replay")
         _replay_banner(console, session)
         _lost()
@@ -52,7 +51,7 @@ def register(console: Console) -> None:
 
     @ui.page("/replay/{board}", title="REPLAY, not live")
     def replay(request: Request, board: str) -> None:
-        session = _begin(request, live=f"/live-replay/{board}", board=board)
+        session = _begin(request, live=f"{REPLAY}/{board}", board=board)
         _bar(console, session, f"{board}, replayed", live=True)
         _replay_banner(console, session)
         _lost()
@@ -80,7 +79,8 @@ def _begin(request: Request, *, live: str, board: str = "", stop: bool = False, 
     session = _session(request)
     session.pages.add(ui.context.client.id)
     ui.context.client.on_delete(lambda client=ui.context.client: session.pages.discard(client.id))
-    facts = {"board": board, "token": session.csrf, "live": live, "stop": "yes" if stop else "", "prefix": prefix}
+    facts = {"board": board, "token": session.csrf, "live": live, "stop": "yes" if stop else "", "prefix": prefix,
+             "replay": "yes" if live.startswith(REPLAY) else ""}  # fmt: skip
     data = " ".join(f'data-{name}="{html.escape(value, quote=True)}"' for name, value in facts.items())
     ui.add_head_html(
         f'<meta name="board51" {data}><link rel="stylesheet" href="/static/hmi.css">'
@@ -143,10 +143,10 @@ def _rig(place: Place) -> None:
             controls.recording(place)
             controls.campaign(place)
             controls.gains(place)
-        with ui.element("div").classes("below"):
-            _list("Events", "events")
-            _list("Commands: who did what", "commands")
-            _list("Link, log, board", "health")
+    with ui.element("div").classes("below"):
+        _list("Events", "events")
+        _list("Commands: who did what", "commands")
+        _list("Link, log, board", "health")
 
 
 def _measured() -> None:
@@ -218,20 +218,21 @@ def _replay(console: Console, session: Session, name: str) -> Callable[[], pb.Co
 
 def _summary(console: Console, name: str) -> Callable[[], Awaitable[None]]:
     async def show() -> None:
+        """Reading a log is work for seconds: a process of its own, so that no frame waits for it."""
         entry = await asyncio.to_thread(console.logs.find, name)
         if entry is None:
             tell(pb.CommandReply(text="There is no such log any longer."))
-        elif entry.bytes > SUMMARY_MAX_BYTES:
+            return
+        if entry.bytes > SUMMARY_MAX_BYTES:
             tell(pb.CommandReply(text=f"{entry.bytes / 1e6:.0f} MB take long to read: use `board51 info`."))
-        else:
-            try:
-                text = as_text(await asyncio.to_thread(summarise, entry.path))
-            except Board51Error as error:
-                text = str(error)
-            with ui.dialog() as dialog, ui.card().classes("summary"):
-                ui.label(name).classes("card-title")
-                ui.label(text.replace(str(entry.path), entry.path.name)).classes("summary-text")
-                ui.button("Close", on_click=dialog.close).props("flat no-caps")
-            dialog.open()
+            return
+        with ui.dialog() as dialog, ui.card().classes("summary"):
+            ui.label(name).classes("card-title")
+            text = ui.label("reading \u2026").classes("summary-text")
+            ui.button("Close", on_click=dialog.close).props("flat no-caps")
+        dialog.open()
+        said = await asyncio.to_thread(console.summary, entry)
+        if not dialog.is_deleted:
+            text.text = said
 
     return show

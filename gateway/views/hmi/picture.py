@@ -59,6 +59,7 @@ def now(board: BoardFeed) -> dict[str, Any]:
             "error_x_m": number(divergence.x_m.error, 3),
             "error_i_a": number(divergence.i_c_a.error, 3),
             "nis_mean": number(divergence.nis_mean, 3) if divergence.innovation_valid else None,
+            "nis_on": number(divergence.nis_on, 4) or None,
         }
         if twin is not None and board.age_s(pb.TwinState) <= TWIN_STALE_S:
             picture["twin_x_m"] = number(twin.x_m)
@@ -168,6 +169,8 @@ def describe(command: pb.Command) -> str:
             return f"mode {MODES.get(command.set_mode.mode, command.set_mode.mode)}"
         case "set_reference":
             return f"reference {command.set_reference.x_ref_m * 1e3:.3f} mm"
+        case "mark":
+            return f"mark {command.mark.text}"
         case "set_gains":
             law = "PID" if command.set_gains.law == pb.LAW_PID else "LQI"
             return f"gains {law} {', '.join(f'{gain:.4g}' for gain in command.set_gains.gains)}"

@@ -152,7 +152,7 @@ for (const kind of ["pointerdown", "keydown"]) {
 
 // --- values and words out -----------------------------------------------------------------------------------------
 
-const LINK_WORDS = { live: "\u25cf LIVE", silent: "\u25b2 SILENT", absent: "\u2715 ABSENT", connecting: "\u25b2 CONNECTING",
+const LINK_WORDS = { live: page.replay ? "\u25b6 REPLAYING" : "\u25cf LIVE", silent: "\u25b2 SILENT", absent: "\u2715 ABSENT", connecting: "\u25b2 CONNECTING",
                      handshake: "\u25b2 HANDSHAKE", "no-gateway": "\u2715 NO GATEWAY" };
 
 // "" where what is shown is true now; else why not, in words.
@@ -182,8 +182,11 @@ function values() {
   put("mode", now.mode ? `${now.mode} \u00b7 ${coil}` : "\u2013", now.mode === "idle" ? "idle" : "on");
   const flags = now.flags ?? [];
   put("flags", flags.length ? `\u25b2 ${flags.join(", ")}` : "no flags", flags.includes("FAULT") ? "bad" : flags.length ? "warn" : "none");
-  put("twin", { none: "\u25cb no twin", stale: "\u25b2 twin silent", "in-step": "\u25cf in step", settling: "\u25d4 settling",
-                "out-of-step": "\u2715 out of step" }[now.twin] ?? now.twin, now.twin === "in-step" ? "good" : now.twin === "out-of-step" ? "bad" : "warn");
+  const above = now.nis_mean !== null && now.nis_on && now.nis_mean > now.nis_on;
+  if (plots.length) plots[2].line = now.nis_on ?? null;
+  if (now.twin === "in-step" && above) put("twin", "\u25b2 twin diverges", "warn");
+  else put("twin", { none: "\u25cb no twin", stale: "\u25b2 twin silent", "in-step": "\u25cf twin in step", settling: "\u25d4 twin settling",
+                "out-of-step": "\u2715 twin out of step" }[now.twin] ?? now.twin, now.twin === "in-step" ? "good" : now.twin === "out-of-step" ? "bad" : "warn");
   put("error_x", shown(now.error_x_m, 1e6, 0));
   put("error_i", shown(now.error_i_a, 1e3, 0));
   put("nis", shown(now.nis_mean, 1, 2));
@@ -264,7 +267,6 @@ function lists() {
     return row;
   }, "no commands since this page's server started");
   ball?.setTravel(rest.travel_m);
-  if (plots.length) plots[2].line = rest.nis_on ?? null;
 }
 
 const cards = new Map();
