@@ -26,6 +26,7 @@ from gateway.views.opcua.desk import Visitor
 from protocol.errors import ConfigError
 
 S = ua.StatusCodes
+_RENEW = "Make both anew with `board51 security renew`"
 _HASH = hashes.SHA256()
 _logger = logging.getLogger("gateway.opcua")
 
@@ -42,7 +43,14 @@ class Security:
         if days < WARN_DAYS:
             _logger.warning("%s expires in %.0f days: `board51 security renew`", certificate, days)
         self.key_pem = read_private(key, what="The key of OPC UA")
-        self.certificate_der = _load(certificate).public_bytes(serialization.Encoding.DER)
+        loaded = _load(certificate)
+        try:
+            own = serialization.load_pem_private_key(self.key_pem, password=None).public_key()
+        except (ValueError, TypeError):
+            raise ConfigError(f"{key} is not a key in PEM without a password", remedy=_RENEW) from None
+        if own != loaded.public_key():
+            raise ConfigError(f"{key} is not the key of {certificate}", remedy=_RENEW)
+        self.certificate_der = loaded.public_bytes(serialization.Encoding.DER)
         check_certificate(folder.ca, what="The authority's certificate")
         self._authority = _load(folder.ca)
         self._users = Users.load(folder.users)

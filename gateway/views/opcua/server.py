@@ -79,8 +79,8 @@ async def serve(feed: Feed, settings: Settings, stop: asyncio.Event, ready: Call
     tokens: list[type] = [ua.AnonymousIdentityToken] if anonymous is not None else []
     if security is not None:
         await server.set_application_uri(security.application_uri)
-        await server.load_certificate(security.certificate_der)
-        await server.load_private_key(security.key_pem)
+        await server.load_certificate(security.certificate_der, format="der")
+        await server.load_private_key(security.key_pem, format="pem")
         server.set_certificate_validator(security.check_client)
         server.set_security_policy(list(POLICIES))
         tokens += [ua.UserNameIdentityToken, ua.X509IdentityToken]

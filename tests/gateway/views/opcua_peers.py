@@ -6,33 +6,59 @@ import asyncio
 import threading
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager, contextmanager
-from dataclasses import replace
 from typing import Any, TypeVar
 
 from asyncua import Client, ua
 from asyncua.ua.uaerrors import UaStatusCodeError
 
+from gateway.views.feed import Feed
 from gateway.views.opcua.server import Settings, serve
+from tests.gateway.gateway_peers import wait_for
 from tests.gateway.views.bus_peers import PlayedGateway, feed_of
 
 T = TypeVar("T")
 NAMESPACE = "urn:board51:board51"
 
 
-@asynccontextmanager
-async def served(gateway: PlayedGateway, settings: Settings) -> AsyncIterator[int]:
-    """The server; yields its port."""
-    stop, port = asyncio.Event(), asyncio.get_running_loop().create_future()
-    with feed_of(gateway) as feed:
-        task = asyncio.create_task(serve(feed, replace(settings, port=0), stop, port.set_result))
-        await asyncio.wait({task, port}, return_when=asyncio.FIRST_COMPLETED)
-        if task.done():
-            task.result()
+class Served:
+    """A server in a thread of its own, as in a process of its own: clients' loops do not slow it."""
+
+    def __init__(self, gateway: PlayedGateway, settings: Settings) -> None:
+        self.gateway, self._settings = gateway, settings
+        self.port = 0
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._stop: asyncio.Event | None = None
+        self._failures: list[Exception] = []
+        self._thread = threading.Thread(target=self._work)
+
+    def __enter__(self) -> Served:
+        self._thread.start()
+        wait_for(lambda: self.port or self._failures, "OPC UA server", timeout_s=30.0)
+        if self._failures:
+            self._thread.join()
+            raise self._failures[0]
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._loop is not None and self._stop is not None:
+            self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(20.0)
+        assert not self._thread.is_alive(), "the server does not end"
+
+    def _work(self) -> None:
         try:
-            yield port.result()
-        finally:
-            stop.set()
-            await task
+            with feed_of(self.gateway) as feed:
+                asyncio.run(self._serve(feed))
+        except Exception as error:
+            self._failures.append(error)
+
+    async def _serve(self, feed: Feed) -> None:
+        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+
+        def ready(port: int) -> None:
+            self.port = port
+
+        await serve(feed, self._settings, self._stop, ready)
 
 
 @contextmanager
