@@ -52,7 +52,7 @@ class CommandQueryable:
         self._driver, self._link, self._messages, self._door = driver, link, messages, door
         self._lock = threading.Lock()  # of _posted: queries come in several threads
         self._posted = 0
-        served = f"{self._key}/{topics.AS}/**" if door is not None else self._key
+        served = f"{self._key}/{topics.AS}/*/*" if door is not None else self._key
         self._queryable = session.declare_queryable(served, self._on_query)
 
     def _on_query(self, query: zenoh.Query) -> None:
