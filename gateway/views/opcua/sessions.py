@@ -172,7 +172,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]
         self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
     ) -> ua.ActivateSessionResult:
         """Refuse what is not encrypted; the channel's certificate is not a person's."""
-        if self.iserver.secured and peer_certificate is None:
+        if self.iserver.secured and not peer_certificate:  # empty on an unencrypted channel
             raise ServiceError(S.BadSecurityModeInsufficient)
         return super().activate_session(params, None)  # an X509 token brings its own, verified by then
 
