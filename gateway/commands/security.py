@@ -20,6 +20,8 @@ from pathlib import Path
 from gateway.access.folder import SecurityFolder
 from gateway.access.roles import ROLE_WORDS, Role, parse_role
 from gateway.access.users import User
+from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint, zenoh_config
+from protocol.bus.identity import load_identity
 from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.errors import UsageError
 
@@ -34,7 +36,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 gateway --security keys --listen tls/0.0.0.0:7447 --board rig1=/dev/ttyUSB0\n"
         "  board51 send rig1 reference 0.003 --connect tls/10.0.0.5:7447 --identity keys/identities/ben\n"
         "  board51 security add-user keys cyd:viewer\n"
-        "  board51 security check keys"
+        "  board51 security check keys\n"
+        "  board51 security zenoh-config keys/identities/ben --connect tls/10.0.0.5:7447 > ben.json5"
     )
     steps = parser.add_subparsers(dest="step", required=True, metavar="STEP")
     init = _step(steps, "init", "make the folder")
@@ -52,6 +55,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     remove = _step(steps, "remove-user", "take login and identity away")
     remove.add_argument("name")
     _step(steps, "renew", "new certificates for all; names, roles and passwords stay")
+    config = _step(steps, "zenoh-config", "print an identity as zenoh's own configuration, for clients in any language")
+    config.add_argument("--connect", default=DEFAULT_ENDPOINT, metavar="ENDPOINT", help="the router (%(default)s)")
     check = _step(steps, "check", "permissions, roles, and for how long the certificates are good")
     check.add_argument("--json", action="store_true", help="print the days as JSON")
 
@@ -86,6 +91,9 @@ def run(args: argparse.Namespace) -> int:
         case "renew":
             folder.renew()
             print(f"{folder.path}: new certificates; copy the identity folders to their machines again")
+        case "zenoh-config":
+            endpoint = check_endpoint(args.connect, where="--connect")
+            print(zenoh_config("client", connect=[endpoint], identity=load_identity(args.folder)))
         case _:
             return _check(folder, as_json=args.json)
     return 0

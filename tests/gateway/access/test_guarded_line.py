@@ -150,3 +150,15 @@ def test_many_senders_at_once_are_each_known_by_name(rig: GuardedRig) -> None:
             thread.join()
         for name in names:
             assert {vic.record_of(id).command.who for id in ids[name]} == {name}
+
+
+def test_any_zenoh_client_joins_with_the_printed_configuration(
+    rig: GuardedRig, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    folder = str(rig.folder.identity_path("ben"))
+    assert board51.main(["security", "zenoh-config", folder, "--connect", rig.endpoint]) == 0
+    (tmp_path / "ben.json5").write_text(capsys.readouterr().out)
+
+    with zenoh.open(zenoh.Config.from_file(tmp_path / "ben.json5")) as session:
+        client = Client(session, rig.folder.identity("ben"))
+        wait_for(lambda: client.states, "states")
