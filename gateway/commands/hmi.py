@@ -15,16 +15,15 @@ from typing import TYPE_CHECKING
 
 from gateway.access.listeners import check_listener, is_loopback
 from gateway.client import add_bus_arguments
+from gateway.views.account import ACCOUNT, views_identity
+from gateway.views.listen import add_listen_argument, address
 from protocol.bus.endpoint import check_endpoint, refused_by_router, zenoh_config
-from protocol.bus.identity import find_identity
 from protocol.bus.topics import check_name
 from protocol.errors import UsageError
 
 if TYPE_CHECKING:  # NiceGUI takes a second to import: --help answers at once
     from gateway.access.folder import SecurityFolder
     from gateway.access.users import Users
-
-DEFAULT_LISTEN = "127.0.0.1:8051"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -35,9 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 hmi --security /etc/board51 --listen 0.0.0.0:8051"
     )
     add_bus_arguments(parser)
-    parser.add_argument(
-        "--listen", default=DEFAULT_LISTEN, metavar="HOST:PORT", help=f"of the page (default {DEFAULT_LISTEN})"
-    )
+    add_listen_argument(parser, "127.0.0.1:8051")
     parser.add_argument(
         "--security", type=Path, metavar="DIR",
         help="folder made by `board51 security init`: https, logins, and who the page is on the bus",
@@ -63,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     from gateway.access.folder import SecurityFolder
     from gateway.access.users import Users
 
-    host, port = _address(args.listen)
+    host, port = address(args.listen)
     check_name(args.site, what="--site")
     check_endpoint(args.connect, where="--connect")
     for option, value in (("--idle-min", args.idle_min), ("--session-h", args.session_h)):
@@ -93,7 +90,7 @@ def _serve(args: argparse.Namespace, host: str, port: int, folder: SecurityFolde
     from gateway.access.certificates import check_certificate
     from gateway.access.private import check_private
     from gateway.views.hmi.app import HmiSettings, listen, serve
-    from gateway.views.hmi.console import VIEWS, Routes
+    from gateway.views.hmi.console import Routes
 
     now = datetime.now(UTC)
     certificate = key = None
@@ -101,7 +98,7 @@ def _serve(args: argparse.Namespace, host: str, port: int, folder: SecurityFolde
         certificate, key = folder.server("hmi")
         check_private(key, what="The key of the web page")
         check_certificate(certificate, what="The certificate of the web page", now=now)
-    identity = find_identity(args.identity or (folder.identity_path(VIEWS) if folder is not None else None))
+    identity = views_identity(args.identity or (str(folder.identity_path(ACCOUNT)) if folder is not None else None))
     if identity is not None:
         identity.check_valid(now)
     listener = listen(host, port)
@@ -137,10 +134,3 @@ def _serve(args: argparse.Namespace, host: str, port: int, folder: SecurityFolde
         print(f"control room of {args.site} on {scheme}://{args.listen}", file=sys.stderr, flush=True)
         serve(settings, listener, live_bus, replay_bus)
     return 0
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise UsageError(f"--listen {text} is not an address", remedy=f"Write HOST:PORT, e.g. {DEFAULT_LISTEN}")
-    return host.strip("[]"), int(port)

@@ -55,11 +55,8 @@ def views_for(addresses: Mapping[str, tuple[str, int]], config: GatewayConfig) -
     views: list[View] = []
     for name, (host, port) in addresses.items():
         guarded: tuple[str, ...] = ()
-        if folder is not None and name == "opcua":
+        if folder is not None and name in ("opcua", "hmi"):
             guarded = ("--security", str(folder.path))
-        elif folder is not None and name == "hmi":
-            certificate, key = folder.server("hmi")
-            guarded = ("--users", str(folder.users), "--cert", str(certificate), "--key", str(key))
         shown = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         check_listener(
             host,

@@ -19,6 +19,7 @@ from pathlib import Path
 
 from gateway.access.roles import Role, may, refusal_text
 from gateway.access.users import Users
+from gateway.views.account import ACCOUNT
 from gateway.views.feed import Feed
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.library import Entry, Library
@@ -29,7 +30,6 @@ from protocol.errors import Board51Error
 
 REPLAY_SITE = "replay"  # logs are replayed under this site, and on a bus of their own: never for live
 SUMMARY_S, SUMMARY_CHARACTERS = 120.0, 100_000
-VIEWS = "views"  # the account that may listen to everything
 _EVERYTHING = tuple(
     word for topic in topics.TOPICS if topic.bus and topic.logged for word in ("--topic", topic.name)
 )  # a replay shows what was seen, the twin of then included
@@ -125,7 +125,7 @@ class Console:
         """Log this board's bus into files of their own, beside the gateway's log."""
         name = slug(title)[:16] or "rec"
         words = ["record", "--out", str(self._data / "recordings"), "--prefix", f"{name}-{board}"[:32].rstrip("-_"),
-                 "--board", board, *self._routes.live(VIEWS)]  # fmt: skip
+                 "--board", board, *self._routes.live(ACCOUNT)]  # fmt: skip
         return self._start(session, "recording", "record", board, words, title=title or "recording")
 
     def start_campaign(self, session: Session, board: str, *, quick: bool) -> pb.CommandReply:

@@ -240,8 +240,7 @@ def recording(place: Place) -> None:
         if job is None:
             said.text = "The gateway's own log runs always; this makes a file of its own."
         else:
-            mark = "\u25cf recording" if running else "\u25cb"
-            said.text = f"{mark} {job.title}, {job.standing}: {job.lines[-1] if job.lines else ''}"
+            said.text = f"{'●' if running else '○'} {job.title}, {job.standing}: {job.lines[-1] if job.lines else ''}"
 
     ui.timer(_FOLLOW_S, follow)
 

@@ -1,7 +1,7 @@
 """Long work that a page starts: a recording, a campaign, a replay, each `board51 ...` as a process of its own.
 
-Rule 1: one job of a kind and board at a time; jobs end with this process, interrupted as by Ctrl-C, so that a campaign
-        parks the ball and a recording closes its file.
+Rule 1: one job of a kind and board at a time; jobs end with this process, also after kill -9, and are interrupted as by
+        Ctrl-C, so that a campaign parks the ball and a recording closes its file.
 Rule 2: what a job says is kept, the newest LINES lines of it, each cut: whatever it says, memory is bounded.
 Rule 3: arguments are a list, never a shell's line.
 """
@@ -76,8 +76,8 @@ class Jobs:
             if present is not None and present.running:
                 raise UsageError(f"A {kind} of {board} runs already, begun by {present.who}", remedy="Stop it first")
             process = subprocess.Popen(
-                [sys.executable, "-m", "board51", *words],
-                stdin=subprocess.DEVNULL,
+                [sys.executable, "-m", "gateway.views.child", *words],
+                stdin=subprocess.PIPE,  # its end is the end of the job
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 env=self._environment,

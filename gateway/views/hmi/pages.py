@@ -227,7 +227,7 @@ def _summary(console: Console, name: str) -> Callable[[], Awaitable[None]]:
             tell(pb.CommandReply(text=f"{entry.bytes / 1e6:.0f} MB take long to read: use `board51 info`."))
             return
         with ui.dialog() as dialog, ui.card().classes("summary"):
-            ui.label(name).classes("card-title")
+            ui.label(name).classes("file-name")
             text = ui.label("reading \u2026").classes("summary-text")
             ui.button("Close", on_click=dialog.close).props("flat no-caps")
         dialog.open()
