@@ -79,6 +79,12 @@ def endpoint_host(endpoint: str) -> tuple[str, str]:
     return protocol, rest.partition("?")[0].partition("#")[0].rpartition(":")[0]
 
 
+def nearest(endpoints: Sequence[str]) -> str:
+    """Which of several listeners a process of this machine takes: one that others cannot reach, where there is one."""
+    local = [endpoint for endpoint in endpoints if is_loopback(endpoint_host(endpoint)[1])]
+    return to_reach((local or list(endpoints))[0])
+
+
 def to_reach(endpoint: str) -> str:
     """What a process of this machine connects to where `endpoint` is listened on: 0.0.0.0 is no destination."""
     for anywhere, here in (("/0.0.0.0:", "/127.0.0.1:"), ("/[::]:", "/[::1]:")):

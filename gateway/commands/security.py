@@ -33,11 +33,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "examples:\n"
         "  board51 security init keys --host 10.0.0.5 --user ana:engineer --user ben:operator\n"
-        "  board51 gateway --security keys --listen tls/0.0.0.0:7447 --board rig1=/dev/ttyUSB0\n"
-        "  board51 send rig1 reference 0.003 --connect tls/10.0.0.5:7447 --identity keys/identities/ben\n"
+        "  board51 gateway --security keys --listen tcp/127.0.0.1:7447 --listen tls/0.0.0.0:7448 ...\n"
+        "  board51 send rig1 reference 0.003 --connect tls/10.0.0.5:7448 --identity keys/identities/ben\n"
         "  board51 security add-user keys cyd:viewer\n"
         "  board51 security check keys\n"
-        "  board51 security zenoh-config keys/identities/ben --connect tls/10.0.0.5:7447 > ben.json5"
+        "  board51 security zenoh-config keys/identities/ben --connect tls/10.0.0.5:7448 > ben.json5"
     )
     steps = parser.add_subparsers(dest="step", required=True, metavar="STEP")
     init = _step(steps, "init", "make the folder")

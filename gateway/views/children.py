@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gateway.access.folder import SecurityFolder
-from gateway.access.listeners import check_listener, to_reach
+from gateway.access.listeners import check_listener, nearest
 from gateway.config import GatewayConfig
 from gateway.views.account import ACCOUNT
 
@@ -47,7 +47,7 @@ def views_for(addresses: Mapping[str, tuple[str, int]], config: GatewayConfig) -
     """
     z = config.zenoh
     endpoints = z.listen if z.mode == "router" else z.connect
-    bus: tuple[str, ...] = ("--connect", to_reach(endpoints[0]), "--site", config.site)
+    bus: tuple[str, ...] = ("--connect", nearest(endpoints), "--site", config.site)
     insecure = ("--insecure",) if config.security.insecure else ()
     folder = SecurityFolder(Path(config.security.directory)) if config.security.directory else None
     if folder is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.access.listeners import check_bus_listeners, check_listener, is_loopback, to_reach
+from gateway.access.listeners import check_bus_listeners, check_listener, is_loopback, nearest, to_reach
 from protocol.errors import ConfigError
 
 
@@ -64,6 +64,11 @@ def test_a_protected_view_may_be_open() -> None:
     check_listener("0.0.0.0", protected=True, insecure=False, what="The web page", remedy="Give --security DIR")
     with pytest.raises(ConfigError, match=r"The web page would be open.*Give --security DIR, or listen on 127.0.0.1"):
         check_listener("0.0.0.0", protected=False, insecure=False, what="The web page", remedy="Give --security DIR")
+
+
+def test_a_neighbour_takes_the_listener_that_others_cannot_disturb() -> None:
+    assert nearest(["tls/0.0.0.0:7448", "tcp/127.0.0.1:7447"]) == "tcp/127.0.0.1:7447"
+    assert nearest(["tls/0.0.0.0:7448"]) == "tls/127.0.0.1:7448"
 
 
 def test_an_endpoint_for_everybody_is_reached_on_this_machine() -> None:

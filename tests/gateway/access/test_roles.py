@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from gateway.access.roles import LEAST_ROLE, Role, may, parse_role, refusal_text
@@ -46,3 +48,11 @@ def test_a_refusal_says_which_role_it_needs() -> None:
 def test_a_typo_in_a_role_names_place_and_allowed_words() -> None:
     with pytest.raises(ConfigError, match=r"users.toml line 2: 'operater' is not a role.*viewer, operator, engineer"):
         parse_role("operater", where="users.toml line 2")
+
+
+def test_the_table_on_the_page_is_that_of_the_code() -> None:
+    page = (Path(__file__).parents[3] / "gateway" / "README.md").read_text(encoding="utf-8")
+
+    for role in Role:
+        acts = ", ".join(act for act, least in LEAST_ROLE.items() if least is role)
+        assert f"\n| {role.word} | {acts} |\n" in page
