@@ -36,6 +36,7 @@ class Job:
     process: subprocess.Popen[bytes]
     began_s: float  # monotonic
     lines: deque[str] = field(default_factory=lambda: deque(maxlen=LINES))
+    listener: threading.Thread = field(default_factory=threading.Thread)  # takes in what it says
 
     @property
     def running(self) -> bool:
@@ -85,7 +86,8 @@ class Jobs:
             )
             job = Job(kind=kind, board=board, title=title, who=who, process=process, began_s=time.monotonic())
             self._jobs[(kind, board)] = job
-        threading.Thread(target=_listen, args=(job,), name=f"job-{kind}", daemon=True).start()
+        job.listener = threading.Thread(target=_listen, args=(job,), name=f"job-{kind}", daemon=True)
+        job.listener.start()
         return job
 
     def get(self, kind: str, board: str) -> Job | None:
@@ -116,11 +118,14 @@ class Jobs:
             except subprocess.TimeoutExpired:
                 job.process.kill()
                 job.process.wait()
+        for job in self._jobs.values():
+            job.listener.join(1.0)
 
 
 def _listen(job: Job) -> None:
     assert job.process.stdout is not None
-    with job.process.stdout as stream:
+    assert job.process.stdin is not None
+    with job.process.stdin, job.process.stdout as stream:
         while line := stream.readline(4096):
             job.lines.append(line.decode("utf-8", errors="replace").rstrip()[:WIDTH])
-    job.process.wait()
+        job.process.wait()
