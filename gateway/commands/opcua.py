@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import logging
+import os
 import signal
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,7 +32,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_bus_arguments(parser)
     add_listen_argument(parser, "127.0.0.1:4840")
     parser.add_argument(
-        "--rate", type=float, default=20.0, metavar="HZ", help="10 to 50 values per second, each with min and max (20)"
+        "--rate",
+        type=float,
+        default=os.environ.get("BOARD51_OPCUA_RATE", "20"),
+        metavar="HZ",
+        help="10 to 50 values per second, each with min and max (default $BOARD51_OPCUA_RATE, else 20)",
     )
     parser.add_argument("--history", type=float, default=300.0, metavar="S", help="how far back, 10 to 3600 s (300)")
     parser.add_argument("--security", type=Path, metavar="DIR", help="folder made by `board51 security init`")

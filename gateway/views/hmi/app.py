@@ -38,6 +38,7 @@ from protocol.errors import ServiceError
 
 STATIC = Path(__file__).parent / "static"
 END_S = 2  # open connections get so long at the end
+SEND_BUFFER = 65_536  # bytes that the system holds for a browser that does not read: about two seconds of frames
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,6 +174,7 @@ def listen(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
     try:
         listener.bind((host, port))
         listener.listen(128)

@@ -216,8 +216,11 @@ class BoardNodes:
         if leaf.topic == "state":
             status = quality.of_signal(status, leaf, message.flags, sensor_fault=self._sensor_fault())
             value = None if _is_absent(message, leaf.field) else value
-        stamp_ns = getattr(message, "host_time_ns", 0) or self._stamps_ns.get(leaf.topic, 0)
-        return data_value(value, leaf.variant, status, stamp_ns)
+        shown = self._bins.get(leaf.topic)
+        if shown is None:
+            return data_value(value, leaf.variant, status, getattr(message, "host_time_ns", 0))
+        of_bin = {"tick": shown.last_tick, "session": shown.session, "t_s": shown.t_s}  # of the values beside it
+        return data_value(of_bin.get(leaf.field, value), leaf.variant, status, self._stamps_ns[leaf.topic])
 
     def _extra(self, path: str) -> object:
         feed = self.feed
