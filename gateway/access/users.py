@@ -8,7 +8,9 @@ Rule 1: the file is its owner's alone (mode 0600); a file open to others is refu
 Rule 2: a wrong name costs as much time as a wrong password and gets the same answer.
 Rule 3: after FAILURES wrong passwords a name is locked for LOCK_S, twice as long each further time up to LOCK_MAX_S.
         A lock does not end sessions: who is logged in can still press STOP.
-Rule 4: a changed file is taken over at the next look; a broken one is reported and changes nothing.
+Rule 4: AT_ONCE passwords are looked at at a time; what comes meanwhile is refused at once.  A flood of logins may keep
+        others from logging in, but neither the processor nor a thread from those who are: STOP comes before login.
+Rule 5: a changed file is taken over at the next look; a broken one is reported and changes nothing.
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ from protocol.errors import ConfigError
 FAILURES = 5
 LOCK_S = 10.0
 LOCK_MAX_S = 300.0
+AT_ONCE = 2
 MAX_TRACKED = 1000  # names with failures; an attacker's invented names must not fill the memory
 _logger = logging.getLogger("gateway.access")
 
@@ -69,6 +72,7 @@ class Users:
         self._path, self._clock = path, clock
         self._lock = threading.Lock()
         self._failures: OrderedDict[str, _Failures] = OrderedDict()
+        self._slots = threading.BoundedSemaphore(AT_ONCE)
         self._entries = _read(path)
         self._stamp = self._file_stamp()
 
@@ -82,13 +86,18 @@ class Users:
         return cls(path)
 
     def check(self, name: str, password: str) -> User | None:
-        """The user, or None for a wrong name, a wrong password and a locked name alike."""
+        """The user, or None for a wrong name, a wrong password, a locked name and too many at once alike."""
         with self._lock:
             self._refresh()
             entry = self._entries.get(name)
             if self._locked_s(name) > 0:
                 return None
-        right = matches(password, entry.password if entry is not None else NOBODY)  # slow: outside the lock
+        if not self._slots.acquire(blocking=False):
+            return None
+        try:
+            right = matches(password, entry.password if entry is not None else NOBODY)  # slow: outside the lock
+        finally:
+            self._slots.release()
         with self._lock:
             if right and entry is not None and self._locked_s(name) <= 0:
                 self._failures.pop(name, None)

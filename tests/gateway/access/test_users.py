@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import stat
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -108,6 +109,24 @@ def test_invented_names_do_not_fill_the_memory(path: Path, monkeypatch: pytest.M
         users.check(f"eve{n}", "x")
 
     assert len(users._failures) == MAX_TRACKED
+
+
+def test_a_flood_of_logins_takes_neither_threads_nor_processor(path: Path) -> None:
+    users = Users.load(path)
+    begin_s = time.process_time()
+    users.check("eve", "wrong password")
+    one_s = time.process_time() - begin_s
+
+    def flood(thread: int) -> int:
+        return sum(users.check(f"eve{thread}-{n}", "wrong password") is None for n in range(15))
+
+    begin_s = time.process_time()
+    with ThreadPoolExecutor(16) as pool:
+        assert sum(pool.map(flood, range(16))) == 240
+    took_s = time.process_time() - begin_s
+
+    assert took_s < 240 * one_s / 3
+    assert users.check("ana", "correct horse") == ANA
 
 
 def test_a_change_of_the_file_is_taken_over(path: Path) -> None:
