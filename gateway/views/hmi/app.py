@@ -31,14 +31,15 @@ from gateway.views.hmi.console import REPLAY_SITE, Console, Routes
 from gateway.views.hmi.guard import MAX_BODY, Guard
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.library import Library
-from gateway.views.hmi.live import Live, Pictures
+from gateway.views.hmi.live import STUCK_S, Live, Pictures
 from gateway.views.hmi.requests import Requests
 from gateway.views.hmi.sessions import Session, Sessions
 from protocol.errors import ServiceError
 
 STATIC = Path(__file__).parent / "static"
 END_S = 2  # open connections get so long at the end
-SEND_BUFFER = 65_536  # bytes that the system holds for a browser that does not read: about two seconds of frames
+MAX_CONNECTIONS = 256  # beyond it: 503
+SEND_BUFFER = 16_384  # bytes that the system holds for a browser that does not read: a second or two of frames
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +79,7 @@ def serve(settings: HmiSettings, listener: socket.socket, bus: zenoh.Session, re
         ws="websockets-sansio",
         ws_max_size=MAX_BODY,
         timeout_graceful_shutdown=END_S,
+        limit_concurrency=MAX_CONNECTIONS,
         ssl_certfile=settings.certificate,
         ssl_keyfile=settings.key,
     )
@@ -174,7 +176,10 @@ def listen(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    # Connections inherit both.  Without the second one that takes nothing stays for ever: what ends it, too, waits for
+    # the bytes before it to be taken.
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(STUCK_S * 1e3))
     try:
         listener.bind((host, port))
         listener.listen(128)
