@@ -249,8 +249,9 @@ class Feed:
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.site = topics.check_name(site, what="site")
+        self.guarded = guarded
         self.refused = 0
-        self._session, self._guarded, self._now_s = session, guarded, now_s
+        self._session, self._now_s = session, now_s
         self._lock = threading.Lock()
         self._boards: dict[str, BoardFeed] = {}
         self._subscribers = [session.declare_subscriber(f"{site}/*/{topic}", self._arrived) for topic in _WANTED]
@@ -287,7 +288,7 @@ class Feed:
         command = pb.Command()
         command.CopyFrom(what)
         command.who = who
-        as_role = role if self._guarded else ""
+        as_role = role if self.guarded else ""
         return send(self._session, self.site, board, command, timeout_s=timeout_s, role=as_role)
 
     def now_ns(self) -> int:
