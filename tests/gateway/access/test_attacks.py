@@ -25,9 +25,10 @@ FORGED = 666  # session number that no board had
 
 
 @pytest.fixture(scope="module")
-def rig(keys: SecurityFolder, tmp_path_factory: pytest.TempPathFactory) -> Iterator[GuardedRig]:
-    with guarded_rig(keys, tmp_path_factory.mktemp("logs")) as running:
-        yield running
+def witness(rig: GuardedRig) -> Iterator[Client]:
+    """Somebody who is there all the time."""
+    with rig.join("ana") as client:
+        yield client
 
 
 @pytest.fixture
@@ -51,13 +52,12 @@ def vic(rig: GuardedRig) -> Iterator[Client]:
 @pytest.fixture(autouse=True)
 def still_at_work(request: pytest.FixtureRequest) -> Iterator[None]:
     """Whatever was tried: samples go on, and an honest command is accepted."""
+    client: Client | None = request.getfixturevalue("witness") if "rig" in request.fixturenames else None
     yield
-    if "rig" in request.fixturenames:
-        rig: GuardedRig = request.getfixturevalue("rig")
-        with rig.join("ana") as client:
-            count = len(client.states)
-            wait_for(lambda: len(client.states) > count + 10, "states after the attack")
-            wait_for(lambda: (r := client.command(ping=pb.Ping())) is not None and r.accepted, "an accepted command")
+    if client is not None:
+        count = len(client.states)
+        wait_for(lambda: len(client.states) > count + 10, "states after the attack")
+        wait_for(lambda: (r := client.command(ping=pb.Ping())) is not None and r.accepted, "an accepted command")
 
 
 def sent_to(board: ScriptedBoard, name: str) -> int:
@@ -315,7 +315,11 @@ def test_an_oversize_payload_is_refused_or_goes_nowhere(rig: GuardedRig, ben: Cl
     assert [reply.reason for reply in replies] == (["oversize"] if size < LARGEST_COMMAND else [])
 
 
-@pytest.mark.parametrize("payload", [b"", b"\xff" * 40, b"\x0a\xff\xff\xff\xff\x0f", fresh().SerializeToString()])
+@pytest.mark.parametrize(
+    "payload",
+    [b"", b"\xff" * 40, b"\x0a\xff\xff\xff\xff\x0f", pb.Command(id="1").SerializeToString()],
+    ids=["empty", "noise", "length beyond the end", "nothing to do"],
+)
 def test_a_malformed_message_is_refused_and_its_sender_logged(ben: Client, payload: bytes) -> None:
     before = len(ben.records)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -17,17 +18,11 @@ from gateway.access.private import write_private
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import refused_by_router, zenoh_config
 from protocol.errors import ConfigError
-from tests.gateway.access.access_peers import Client, GuardedRig, guarded_rig, join, made_folder
-from tests.gateway.gateway_peers import wait_for
+from tests.gateway.access.access_peers import Client, GuardedRig, guarded_rig, join
+from tests.gateway.gateway_peers import free_port, wait_for
 
 pytestmark = pytest.mark.xdist_group("guarded-bus")
 PATIENCE_S = 0.5  # a router that takes a client takes it within 0.1 s
-
-
-@pytest.fixture(scope="module")
-def rig(keys: SecurityFolder, tmp_path_factory: pytest.TempPathFactory) -> Iterator[GuardedRig]:
-    with guarded_rig(keys, tmp_path_factory.mktemp("logs")) as running:
-        yield running
 
 
 def tls(config: dict[str, Any]) -> dict[str, Any]:
@@ -118,14 +113,16 @@ def test_a_session_ends_when_its_certificate_does(rig: GuardedRig, keys: Securit
 
 
 def test_a_false_router_gets_nobodys_password(keys: SecurityFolder, tmp_path: Path) -> None:
-    false = made_folder(tmp_path / "false")
-    with guarded_rig(false, tmp_path / "logs") as rig, pytest.raises(zenoh.ZError):
-        with join(rig.endpoint, keys.identity("ben"), patience_s=PATIENCE_S):
+    false, endpoint = SecurityFolder(tmp_path / "false"), f"tls/127.0.0.1:{free_port()}"
+    false.init()
+    with zenoh.open(zenoh.Config.from_json5(false.router([endpoint]))), pytest.raises(zenoh.ZError):
+        with join(endpoint, keys.identity("ben"), patience_s=PATIENCE_S):
             pass
 
 
-def test_a_session_of_somebody_removed_does_not_come_back(tmp_path: Path) -> None:
-    folder = made_folder(tmp_path / "keys")
+def test_a_session_of_somebody_removed_does_not_come_back(keys: SecurityFolder, tmp_path: Path) -> None:
+    shutil.copytree(keys.path, tmp_path / "keys")
+    folder = SecurityFolder(tmp_path / "keys")
     with guarded_rig(folder, tmp_path / "one") as rig:
         vic = folder.identity("vic")
         # A daemon's session: it looks for its router again and again.

@@ -17,7 +17,7 @@ from gateway.access.folder import SecurityFolder
 from gateway.config import SecurityConfig, ZenohConfig
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from tests.gateway.access.access_peers import Client, GuardedRig, fresh, guarded_rig, join
+from tests.gateway.access.access_peers import Client, GuardedRig, fresh, join
 from tests.gateway.gateway_peers import ScriptedBoard, free_port, gateway_config, running, wait_for
 from twin.mirror.service import TwinService
 from twin.model.nominal import nominal
@@ -86,12 +86,6 @@ def test_a_twin_takes_models_from_engineers_only(keys: SecurityFolder, caplog: p
 
 
 # -- commands as a user types them
-
-
-@pytest.fixture(scope="module")
-def rig(keys: SecurityFolder, tmp_path_factory: pytest.TempPathFactory) -> Iterator[GuardedRig]:
-    with guarded_rig(keys, tmp_path_factory.mktemp("logs")) as running_rig:
-        yield running_rig
 
 
 def typed(rig: GuardedRig, name: str, *words: str) -> int:
