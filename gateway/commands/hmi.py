@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.access.listeners import check_listener, is_loopback
-from gateway.client import add_bus_arguments
+from gateway.client import add_bus_arguments, open_bus
 from gateway.views.account import ACCOUNT, views_identity
 from gateway.views.listen import add_listen_argument, address
-from protocol.bus.endpoint import check_endpoint, refused_by_router, zenoh_config
+from protocol.bus.endpoint import check_endpoint, zenoh_config
 from protocol.bus.topics import check_name
 from protocol.errors import UsageError
 
@@ -99,8 +99,6 @@ def _serve(args: argparse.Namespace, host: str, port: int, folder: SecurityFolde
         check_private(key, what="The key of the web page")
         check_certificate(certificate, what="The certificate of the web page", now=now)
     identity = views_identity(args.identity or (str(folder.identity_path(ACCOUNT)) if folder is not None else None))
-    if identity is not None:
-        identity.check_valid(now)
     listener = listen(host, port)
     with listen("127.0.0.1", 0) as probe:  # a port that nobody has now
         replay = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
@@ -123,14 +121,11 @@ def _serve(args: argparse.Namespace, host: str, port: int, folder: SecurityFolde
             identities=folder.path / "identities" if folder is not None else None,
         ),
     )
-    live_text = zenoh_config("client", connect=[args.connect], wait_for_router=False, identity=identity)
+    # A client, not a router without listeners: the access control of a guarded router tells nobody but the gateway who
+    # answers commands, and a router asks only whom it knows of.
     replay_text = zenoh_config("router", listen=[replay])
-    try:
-        live_bus = zenoh.open(zenoh.Config.from_json5(live_text))
-    except zenoh.ZError:
-        raise refused_by_router([args.connect], identity) from None
-    with live_bus, zenoh.open(zenoh.Config.from_json5(replay_text)) as replay_bus:
+    with open_bus(args.connect, identity) as bus, zenoh.open(zenoh.Config.from_json5(replay_text)) as replay_bus:
         scheme = "http" if certificate is None else "https"
         print(f"control room of {args.site} on {scheme}://{args.listen}", file=sys.stderr, flush=True)
-        serve(settings, listener, live_bus, replay_bus)
+        serve(settings, listener, bus, replay_bus)
     return 0

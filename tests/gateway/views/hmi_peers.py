@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import socket
+import ssl
 import subprocess
 import sys
 import time
@@ -70,11 +72,12 @@ class Process:
 class Page:
     """One visitor: a cookie jar, our origin, and the token that a page bears."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, *, ca: Path | None = None) -> None:
         self.port = port
-        self.base = f"http://127.0.0.1:{port}"
+        self.base = f"{'http' if ca is None else 'https'}://127.0.0.1:{port}"
+        trust = ssl.create_default_context(cafile=ca) if ca is not None else True
         no_leftovers = httpx.Limits(max_keepalive_connections=0)
-        self.http = httpx.Client(base_url=self.base, timeout=20.0, follow_redirects=False, limits=no_leftovers)
+        self.http = httpx.Client(base_url=self.base, timeout=20.0, verify=trust, limits=no_leftovers)
         self.token = ""
 
     def log_in(self, name: str, password: str | None = None) -> httpx.Response:
@@ -118,20 +121,20 @@ class Page:
             additional_headers={"cookie": f"board51_session={shown}"},
             open_timeout=10.0,
             close_timeout=1.0,
-        ) as socket:
-            yield socket
+        ) as live:
+            yield live
 
 
-def frame(socket: ClientConnection) -> dict[str, Any]:
-    made: dict[str, Any] = json.loads(socket.recv(timeout=10.0))
+def frame(live: ClientConnection) -> dict[str, Any]:
+    made: dict[str, Any] = json.loads(live.recv(timeout=10.0))
     return made
 
 
-def drain(socket: ClientConnection, limit_s: float = 10.0) -> None:
+def drain(live: ClientConnection, limit_s: float = 10.0) -> None:
     """Read until the server ends it."""
     end_s = time.monotonic() + limit_s
     while time.monotonic() < end_s:
-        frame(socket)
+        frame(live)
 
 
 def users_file(folder: Path) -> Path:
@@ -151,8 +154,9 @@ def hmi(folder: Path, endpoint: str, *options: str, port: int = 0) -> Iterator[t
 
         def answers() -> bool:
             try:
-                return httpx.get(f"http://127.0.0.1:{port}/login", timeout=2.0).status_code in (200, 303)
-            except httpx.TransportError:
+                with socket.create_connection(("127.0.0.1", port), timeout=2.0):
+                    return "--security" in options or httpx.get(f"http://127.0.0.1:{port}/login").status_code < 400
+            except (OSError, httpx.TransportError):
                 return False
 
         wait_for(answers, "the page", timeout_s=40.0)
