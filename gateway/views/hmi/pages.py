@@ -16,6 +16,7 @@ from starlette.requests import Request
 from gateway.views.hmi import controls
 from gateway.views.hmi.console import Console
 from gateway.views.hmi.controls import Place, tell
+from gateway.views.hmi.library import Entry
 from gateway.views.hmi.sessions import Session
 from protocol.bus import board51_pb2 as pb
 
@@ -34,12 +35,13 @@ def register(console: Console) -> None:
         _part("overview", "boards")
 
     @ui.page("/rig/{board}", title="Board51 rig")
-    def rig(request: Request, board: str) -> None:
+    async def rig(request: Request, board: str) -> None:
+        reports = await asyncio.to_thread(console.reports.entries)
         place = Place(console=console, session=_begin(request, live=f"/live/{board}", board=board,
                       stop=console.may(_session(request), "stop")), board=board)  # fmt: skip
         _bar(console, place.session, board, live=True, stop=console.may(place.session, "stop"))
         _lost()
-        _rig(place)
+        _rig(place, reports[0] if reports else None)
 
     @ui.page("/replay/", title="Board51 replay")
     def replays(request: Request) -> None:
@@ -134,7 +136,7 @@ def _part(classes: str, live: str) -> None:
         _live(live, "div", "boards")
 
 
-def _rig(place: Place) -> None:
+def _rig(place: Place, report: Entry | None) -> None:
     with ui.element("main").classes("rig"):
         _measured()
         with ui.element("div").classes("side"):
@@ -143,6 +145,10 @@ def _rig(place: Place) -> None:
             controls.recording(place)
             controls.campaign(place)
             controls.gains(place)
+            if report is not None:
+                with ui.element("section").classes("card"):
+                    ui.label("Diagnosis").classes("card-title")
+                    ui.link(f"Last report, {report.changed}", f"/report/{report.name}", new_tab=True)
     with ui.element("div").classes("below"):
         _list("Events", "events")
         _list("Commands: who did what", "commands")

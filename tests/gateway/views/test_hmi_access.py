@@ -12,7 +12,8 @@ import httpx
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from gateway.access.users import FAILURES
+from gateway.access.roles import Role
+from gateway.access.users import FAILURES, User, remove_user, set_user
 from protocol.bus import board51_pb2 as pb
 from tests.gateway.gateway_peers import wait_for
 from tests.gateway.views.bus_peers import PlayedGateway, played_gateway
@@ -46,7 +47,10 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     (folder / "logs" / ".hidden.mcap").write_bytes(b"hidden")
     with (
         played_gateway() as gateway,
-        hmi(folder, gateway.endpoint, "--users", str(users_file(folder))) as (port, _),
+        hmi(folder, gateway.endpoint, "--users", str(users_file(folder)), "--reports", str(folder / "data")) as (
+            port,
+            _,
+        ),
     ):
         made = Server(port=port, folder=folder, gateway=gateway)
         heard = made.page("vic")
@@ -168,6 +172,51 @@ def test_a_role_may_what_the_table_says_and_no_more(
         assert server.gateway.commands[-1][1].who == name, "the log shows who did it"
     if status == 403:
         assert answer.json()["reason"] == "not-allowed"
+
+
+def test_a_role_that_was_taken_away_counts_at_once(server: Server) -> None:
+    users = server.folder / "users.toml"
+    set_user(users, User(name="zoe", role=Role.OPERATOR), "zoe-password")
+    page = Page(server.port)
+    assert page.log_in("zoe", "zoe-password").status_code == 303
+    assert page.post(STOP).status_code == 200
+
+    set_user(users, User(name="zoe", role=Role.VIEWER), "zoe-password")
+    as_viewer = page.post(STOP)
+    remove_user(users, "zoe")
+
+    assert as_viewer.status_code == 403
+    assert page.post(STOP).status_code == 403
+
+
+def test_an_alarm_is_listed_until_an_operator_has_seen_it(server: Server) -> None:
+    server.gateway.send("twin/alarm", pb.Alarm(name="divergence-x", active=True, text="more than noise"))
+
+    def alarm(field: str, expected: object) -> bool:
+        with server.page("vic").live("/live/rig") as live:
+            listed = next(f["rest"]["alarms"] for f in iter(lambda: frame(live), None) if "rest" in f)
+        return any(a["name"] == "divergence-x" and a[field] == expected for a in listed)
+
+    wait_for(lambda: alarm("acknowledged", False), "the alarm")
+    assert server.page("vic").post("/api/rig/acknowledge", {"name": "divergence-x"}).status_code == 403
+    assert server.page("ben").post("/api/rig/acknowledge", {"name": "divergence-x"}).status_code == 200
+    assert alarm("by", "ben")
+    assert server.page("ben").post("/api/rig/acknowledge", {"name": "nothing"}).json()["reason"] == "no-alarm"
+    assert server.page("ben").post("/api/rig/acknowledge", {"name": 7}).status_code == 400
+
+
+def test_the_last_report_opens_and_can_reach_nothing(server: Server) -> None:
+    folder = server.folder / "data" / "diagnosis"
+    folder.mkdir(parents=True)
+    (folder / "report.html").write_text("<p>air-gap-offset")
+    page = server.page("vic")
+
+    text = page.open("/rig/rig")
+    address = "/report/" + text.partition("/report/")[2].partition('"')[0].rstrip("\\")
+    report = page.http.get(address)
+
+    assert "air-gap-offset" in report.text
+    assert report.headers["content-security-policy"].startswith("sandbox; default-src 'none'")
 
 
 def test_controls_are_on_the_pages_of_those_who_may_use_them(server: Server) -> None:

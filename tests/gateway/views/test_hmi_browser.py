@@ -41,7 +41,9 @@ INK_OF_A_PLOT = """() => {
 NOTE_CHANGES = """() => {
     window.changes = 0;
     const options = { childList: true, characterData: true, subtree: true };
-    new MutationObserver(() => { window.changes += 1; }).observe(document.querySelector('[data-live=x]'), options);
+    window.observer?.disconnect();
+    window.observer = new MutationObserver(() => { window.changes += 1; });
+    window.observer.observe(document.querySelector('[data-live=x]'), options);
 }"""
 
 
@@ -152,11 +154,12 @@ def test_an_operator_flies_the_ball_and_sees_it(page: Page, bus: Bus) -> None:
 
 
 def test_values_move_thirty_times_a_second(page: Page) -> None:
-    page.evaluate(NOTE_CHANGES)
+    def changes_in_a_second() -> int:
+        page.evaluate(NOTE_CHANGES)
+        page.wait_for_timeout(1000)  # what is measured is a rate
+        return int(page.evaluate("window.changes"))
 
-    time.sleep(1.0)  # what is measured is a rate
-
-    assert page.evaluate("window.changes") > 15, "half the rate at least, on a machine that does other work"
+    wait_for(lambda: changes_in_a_second() > 20, "20 changes in a second, on a machine that does other work, too")
 
 
 @pytest.mark.parametrize("how", ["key, page scrolled and a field focused", "key, dialog open", "button"])
@@ -241,6 +244,19 @@ def test_a_recording_is_started_stopped_and_replayed_apart_from_the_live_rig(pag
     page.wait_for_selector("body[data-live=yes]", timeout=15_000)
     assert page.locator("button.stop").count() == 0, "a recording cannot be commanded"
     assert {key.split("/")[0] for key in bus.messages} == {"rig"}, "nothing of it is on the live bus"
+
+
+@pytest.mark.slow
+def test_a_campaign_shows_its_progress_and_parks_the_ball_when_interrupted(page: Page, bus: Bus) -> None:
+    page.get_by_role("button", name="Run quick").click()
+    wait_for(lambda: bus.states()[-1].x_m > 1e-3, "flight", timeout_s=60.0)
+    expect(page.locator(".job-lines")).not_to_be_empty()
+
+    page.get_by_role("button", name="Interrupt").click()
+
+    expect(page.get_by_text("ended with exit code 1")).to_be_visible(timeout=30_000)
+    wait_for(lambda: bus.states()[-1].mode == pb.MODE_IDLE, "idle")
+    expect(page.locator(".job-lines")).to_contain_text("ball parked, coil off")
 
 
 def test_a_lost_board_is_shown_within_a_second_and_comes_back(page: Page, rig: Rig, bus: Bus) -> None:
