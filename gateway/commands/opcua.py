@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from gateway.client import add_bus_arguments, open_bus
 from gateway.views.account import views_identity
 from gateway.views.listen import add_listen_argument, address
+from protocol.bus.topics import check_name
 from protocol.errors import UsageError
 
 if TYPE_CHECKING:  # asyncua takes a second to import: --help answers at once
@@ -55,6 +56,7 @@ def run(args: argparse.Namespace) -> int:
     from gateway.views.opcua.security import Security
     from gateway.views.opcua.server import Settings
 
+    check_name(args.site, what="--site")
     host, port = address(args.listen)
     if not 10.0 <= args.rate <= 50.0:
         raise UsageError(f"--rate {args.rate:g} Hz is out of bounds", remedy="Give 10 .. 50")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 
 import pytest
 
@@ -188,4 +189,20 @@ def test_a_board_behind_a_real_gateway_is_lost_and_found_within_a_second() -> No
             wait_for(lambda: not rig.link().live, "loss", timeout_s=1.0)
             board.streaming = True
             wait_for(lambda: rig.link().live, "samples again")
+            feed.close()
+
+
+def test_a_view_finds_a_gateway_that_was_restarted() -> None:
+    with ScriptedBoard() as board, ExitStack() as stack:
+        config = gateway_config(board.url)
+        with running(config):
+            bus = stack.enter_context(client(config.zenoh.listen[0]))
+            feed = Feed(bus.session)
+            rig = wait_for(lambda: feed.board("rig"), "board")
+            wait_for(lambda: rig.link().live, "samples")
+        wait_for(lambda: not rig.link().live, "loss", timeout_s=1.0)
+
+        with running(config):
+            wait_for(lambda: rig.link().live, "samples of the new gateway", timeout_s=20.0)
+            assert feed.command("rig", pb.Command(ping=pb.Ping()), who="test").accepted
             feed.close()

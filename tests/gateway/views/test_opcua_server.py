@@ -14,7 +14,6 @@ from asyncua import ua
 
 from gateway.access.roles import Role
 from gateway.views.opcua.server import Settings
-from gateway.views.opcua.sessions import MIN_INTERVAL_MS
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import ServiceError
 from protocol.wire.messages import Flag
@@ -378,16 +377,6 @@ def test_a_client_that_wants_everything_at_1_ms_gets_a_bounded_service(server: S
 
     assert count > 150
     assert took_s < 3.0
-
-
-def test_the_shortest_interval_is_revised(server: Served) -> None:
-    async def ask() -> float:
-        async with peer(server.port) as client:
-            subscription = await client.client.create_subscription(1, Kept())
-            return float(subscription.parameters.RequestedPublishingInterval)
-
-    assert asyncio.run(ask()) >= 1.0
-    assert MIN_INTERVAL_MS == 20.0
 
 
 def test_a_port_in_use_is_said_in_one_line(server: Served) -> None:
