@@ -76,6 +76,7 @@ def serve(settings: HmiSettings, listener: socket.socket, bus: zenoh.Session, re
         log_level="warning",
         access_log=False,
         server_header=False,
+        proxy_headers=False,
         ws="websockets-sansio",
         ws_max_size=MAX_BODY,
         timeout_graceful_shutdown=END_S,

@@ -113,6 +113,10 @@ def _reference(place: Place) -> None:
     slider.on("change", lambda: send(slider.value))  # when the handle is let go, not on its way
     number.on("keydown.enter", lambda: send(number.value))
     followed = [float("nan")]
+    busy: set[str] = set()  # what a hand is on: it must not be moved away under it
+    number.on("focus", lambda: busy.add("number"))
+    number.on("blur", lambda: busy.discard("number"))
+    slider.on("pan", lambda event: (busy.add if event.args == "start" else busy.discard)("slider"))
 
     def follow() -> None:
         """Show the limits of the board, and a reference that somebody else has set."""
@@ -126,7 +130,8 @@ def _reference(place: Place) -> None:
             ends.text = f"{low:g} .. {high:g} mm, steps of {parameters.x_ref_step_max_m * 1e3:.2g} mm at most"
         if state is not None and state.HasField("x_ref_m") and not abs(state.x_ref_m - followed[0]) < COUNT_M:
             followed[0] = state.x_ref_m
-            slider.value = number.value = round(state.x_ref_m * 1e3, 3)
+            if not busy:
+                slider.value = number.value = round(state.x_ref_m * 1e3, 3)
 
     ui.timer(_FOLLOW_S, follow)
 

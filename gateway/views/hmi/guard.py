@@ -19,6 +19,7 @@ from collections.abc import Callable
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs, urlsplit
 
+from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -111,7 +112,10 @@ class Guard:
             await answer(scope, receive, send)
             return
         scope["board51_session"] = session
-        await self._app(scope, _bounded(receive), send)
+        try:
+            await self._app(scope, _bounded(receive), send)
+        except ClientDisconnect:  # it went away in the middle of its body, or that was too long
+            await refusal(413, "oversize", f"At most {MAX_BODY} bytes.")(scope, receive, send)
 
     async def _websocket(
         self, scope: Scope, receive: Receive, send: Send, headers: dict[str, str], session: Session | None

@@ -79,6 +79,7 @@ def _session(request: Request) -> Session:
 def _begin(request: Request, *, live: str, board: str = "", stop: bool = False, prefix: str = "") -> Session:
     """What every page needs: its session, and its script with what it must know."""
     session = _session(request)
+    ui.colors(primary="#0b57a4", positive="#1f6b3a", negative="#b3261e")
     session.pages.add(ui.context.client.id)
     ui.context.client.on_delete(lambda client=ui.context.client: session.pages.discard(client.id))
     facts = {"board": board, "token": session.csrf, "live": live, "stop": "yes" if stop else "", "prefix": prefix,

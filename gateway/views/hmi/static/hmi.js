@@ -315,9 +315,9 @@ function setUp() {
       { kind: "s", low: 3, high: 4, name: "measured", style: MEASURED },
       { kind: "t", low: 3, high: 4, name: "twin", style: TWIN, dash: [7, 4], width: 1.8 },
       { kind: "s", low: 5, high: 5, name: "reference", style: REFERENCE, dash: [2, 3], width: 2 } ] }),
-    new Plot($("plot-i"), { title: "Current and input", unit: "A, V", minSpan: 0.1, series: [
+    new Plot($("plot-i"), { title: "Current and input", unit: "", minSpan: 0.1, series: [
       { kind: "s", low: 6, high: 7, name: "i_c (A)", style: MEASURED },
-      { kind: "t", low: 5, high: 6, name: "twin i_c (A)", style: TWIN, dash: [7, 4], width: 1.8 },
+      { kind: "t", low: 5, high: 6, name: "twin (A)", style: TWIN, dash: [7, 4], width: 1.8 },
       { kind: "s", low: 8, high: 9, name: "u_c (V)", style: INPUT, width: 1.1, dash: [1, 2] } ] }),
     new Plot($("plot-d"), { title: "Divergence", unit: "mean NIS", log: true, floor: 0.5, series: [
       { kind: "d", low: 5, high: 5, name: "rig against model; 2 is noise alone", style: MEASURED, width: 2 } ] }),

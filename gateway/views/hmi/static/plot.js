@@ -171,26 +171,27 @@ export class Plot {
   legend(g, area) {
     g.textBaseline = "middle";
     g.textAlign = "left";
-    g.font = "600 13px system-ui, sans-serif";
+    const narrow = area.right < 480, dash = narrow ? 14 : 22, gap = narrow ? 9 : 16;
+    g.font = `600 ${narrow ? 12 : 13}px system-ui, sans-serif`;
     g.fillStyle = INK;
-    const title = `${this.options.title}, ${this.options.unit}`;
+    const title = this.options.title + (this.options.unit ? `, ${this.options.unit}` : "");
     g.fillText(title, area.left - 46, 12);
-    let at = area.left - 46 + g.measureText(title).width + 18;
-    g.font = "12px system-ui, sans-serif";
+    let at = area.left - 46 + g.measureText(title).width + gap;
+    g.font = `${narrow ? 11 : 12}px system-ui, sans-serif`;
     for (const series of this.options.series) {
       const length = g.measureText(series.name).width;
-      if (at + 28 + length > area.right) return;
+      if (at + dash + 5 + length > area.right + 8) return;
       g.strokeStyle = series.style;
       g.lineWidth = Math.max(2, series.width ?? 2);
       g.setLineDash(series.dash ?? []);
       g.beginPath();
       g.moveTo(at, 12);
-      g.lineTo(at + 22, 12);
+      g.lineTo(at + dash, 12);
       g.stroke();
       g.setLineDash([]);
       g.fillStyle = MUTED;
-      g.fillText(series.name, at + 27, 12);
-      at += 27 + length + 16;
+      g.fillText(series.name, at + dash + 5, 12);
+      at += dash + 5 + length + gap;
     }
   }
 
