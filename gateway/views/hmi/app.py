@@ -106,12 +106,17 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
 
     from gateway.views.hmi import pages
 
-    sessions = Sessions(idle_s=settings.idle_s, lifetime_s=settings.lifetime_s)
+    users = settings.users
+    sessions = Sessions(
+        idle_s=settings.idle_s,
+        lifetime_s=settings.lifetime_s,
+        known=lambda name: users is None or users.find(name) is not None,
+    )
     console = Console(
         feed,
         replayed,
         sessions,
-        settings.users,
+        users,
         jobs=jobs,
         logs=Library({"logs": settings.logs, "recordings": settings.data / "recordings"}, ("*.mcap",)),
         reports=Library({str(n): path for n, path in enumerate(settings.reports)}, ("report.html",)),
@@ -135,7 +140,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
         readers = Live(pictures, sessions)
         app.router.routes.append(WebSocketRoute(prefix, readers.overview))
         app.router.routes.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
-    requests = Requests(console, settings.users)
+    requests = Requests(console, users)
     app.router.routes.extend(requests.routes())
     pages.register(console)
     ui.run_with(
@@ -151,7 +156,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
     guard = Guard(
         app,
         sessions,
-        newcomer=None if settings.users is not None else lambda: _local(sessions),
+        newcomer=None if users is not None else lambda: _local(sessions),
         loopback=settings.loopback,
         https=settings.certificate is not None,
     )

@@ -89,10 +89,10 @@ class Console:
         self._data, self._routes, self._clock = data, routes, clock
 
     def role(self, session: Session) -> Role:
-        """The role of now: a changed users file counts at once; who was removed is a viewer until the session ends."""
+        """The role of now: a changed users file counts at once."""
         if self.users is not None:
             user = self.users.find(session.name)
-            session.role = Role.VIEWER if user is None else user.role
+            session.role = Role.VIEWER if user is None else user.role  # None: the session is over, too
         return session.role
 
     def may(self, session: Session, act: str) -> bool:

@@ -4,12 +4,14 @@ Rule 1: a session ends after `idle_s` without a person's action and after `lifet
         is no action: frames flow for ever on a screen that everybody has left.
 Rule 2: the token of a session is in an HttpOnly cookie; `csrf` is in the page, and every request that changes something
         must bear it.
-Rule 3: memory is bounded: the session that was idle longest makes room.
+Rule 3: who is removed from the users is out at once, also where a page is open.
+Rule 4: memory is bounded: the session that was idle longest makes room.
 """
 
 from __future__ import annotations
 
 import secrets
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from gateway.access.roles import Role
@@ -36,10 +38,13 @@ class Sessions:
     Args:
         idle_s: without an action for so long, a session is over.
         lifetime_s: so long after login it is over in any case.
+        known: whether somebody of that name may be logged in.
     """
 
-    def __init__(self, *, idle_s: float, lifetime_s: float) -> None:
-        self.idle_s, self.lifetime_s = idle_s, lifetime_s
+    def __init__(
+        self, *, idle_s: float, lifetime_s: float, known: Callable[[str], bool] = lambda name: bool(name)
+    ) -> None:
+        self.idle_s, self.lifetime_s, self._known = idle_s, lifetime_s, known
         self._open: dict[str, Session] = {}
 
     def open(self, name: str, role: Role, now_s: float) -> Session:
@@ -55,8 +60,8 @@ class Sessions:
     def get(self, token: str, now_s: float) -> Session | None:
         """The session of a cookie, None where there is none or it is over."""
         session = self._open.get(token)
-        if session is not None and self.left_s(session, now_s) <= 0.0:
-            del self._open[token]
+        if session is not None and (self.left_s(session, now_s) <= 0.0 or not self._known(session.name)):
+            self._open.pop(token, None)
             return None
         return session
 

@@ -75,7 +75,7 @@ class Page:
     def __init__(self, port: int, *, ca: Path | None = None) -> None:
         self.port = port
         self.base = f"{'http' if ca is None else 'https'}://127.0.0.1:{port}"
-        trust = ssl.create_default_context(cafile=ca) if ca is not None else True
+        trust = ssl.create_default_context(cafile=ca) if ca is not None else False  # plain http: nothing to load
         no_leftovers = httpx.Limits(max_keepalive_connections=0)
         self.http = httpx.Client(base_url=self.base, timeout=20.0, verify=trust, limits=no_leftovers)
         self.token = ""
