@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -62,6 +63,7 @@ async def serve(feed: Feed, settings: Settings, stop: asyncio.Event, ready: Call
     Raises:
         ServiceError: the port is taken.
     """
+    _check_free(settings)
     security = settings.security
     anonymous = Visitor(name="anonymous", role=settings.anonymous) if settings.anonymous is not None else None
 
@@ -94,10 +96,7 @@ async def serve(feed: Feed, settings: Settings, stop: asyncio.Event, ready: Call
     try:
         await server.start()
     except OSError as error:
-        raise ServiceError(
-            f"OPC UA cannot listen on {settings.host}:{settings.port}: {error.strerror or error}",
-            remedy="End the program that uses the port, or give another one with --listen HOST:PORT",
-        ) from None
+        raise _taken(settings, error) from None
     try:
         port = server.bserver.port if server.bserver is not None else settings.port
         _logger.info("OPC UA on opc.tcp://%s:%s/board51/%s", settings.host, port, "" if security else ", not secured")
@@ -143,6 +142,25 @@ async def _keep_up(
             await asyncio.wait_for(stop.wait(), max(0.0, due_s - now_s))
         except TimeoutError:
             continue
+
+
+def _check_free(settings: Settings) -> None:
+    """Look first: the address space takes seconds to build, and asyncua tells of a taken port with a traceback."""
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+            probe.listen(1)
+    except OSError as error:
+        raise _taken(settings, error) from None
+
+
+def _taken(settings: Settings, error: OSError) -> ServiceError:
+    return ServiceError(
+        f"OPC UA cannot listen on {settings.host}:{settings.port}: {error.strerror or error}",
+        remedy="End the program that uses the port, or give another one with --listen HOST:PORT",
+    )
 
 
 def _build_date() -> datetime:

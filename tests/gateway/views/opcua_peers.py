@@ -33,7 +33,11 @@ class Served:
 
     def __enter__(self) -> Served:
         self._thread.start()
-        wait_for(lambda: self.port or self._failures, "OPC UA server", timeout_s=30.0)
+        try:
+            wait_for(lambda: self.port or self._failures, "OPC UA server", timeout_s=60.0)
+        except AssertionError:
+            self.__exit__()
+            raise
         if self._failures:
             self._thread.join()
             raise self._failures[0]

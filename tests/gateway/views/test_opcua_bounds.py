@@ -126,3 +126,23 @@ def test_nodes_cannot_be_added_and_servers_not_registered(server: Served) -> Non
                 await client.client.uaclient.register_server(ua.RegisteredServer())
 
     asyncio.run(ask())
+
+
+def test_a_viewer_reads_and_nothing_else(server: Served) -> None:
+    """Anonymous clients are viewers unless somebody says otherwise."""
+
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            await client.await_status("rig/state/x_m", S.Good)
+            value = ua.Variant(2e-3, ua.VariantType.Double)
+            assert await client.write("rig/setpoint/x_ref_m", value) == S.BadUserAccessDenied
+            stop = await client.call("rig", "Stop")
+            assert stop.StatusCode.value == S.BadUserAccessDenied
+            assert stop.OutputArguments[1].Value == "not-allowed"
+            seen = await client.call("rig", "Acknowledge", ua.Variant("x"))
+            assert seen.StatusCode.value == S.BadUserAccessDenied
+
+    server.gateway.commands.clear()
+    asyncio.run(ask())
+
+    assert server.gateway.commands == []

@@ -17,7 +17,7 @@ from gateway.views.opcua.server import Settings
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import ServiceError
 from protocol.wire.messages import Flag
-from tests.gateway.views.bus_peers import PlayedGateway, played_gateway
+from tests.gateway.views.bus_peers import played_gateway
 from tests.gateway.views.opcua_peers import Peer, Served, peer, ticking, until
 
 S = ua.StatusCodes
@@ -385,25 +385,3 @@ def test_a_port_in_use_is_said_in_one_line(server: Served) -> None:
             pass
 
     assert "--listen" in str(said.value)
-
-
-@pytest.fixture
-def gateway() -> Iterator[PlayedGateway]:
-    with played_gateway() as played:
-        yield played
-
-
-def test_a_viewer_reads_and_nothing_else(gateway: PlayedGateway) -> None:
-    async def ask(port: int) -> None:
-        async with peer(port) as client:
-            await client.await_status("rig/state/x_m", S.Good)
-            assert await client.write("rig/setpoint/x_ref_m", ua.Variant(2e-3, DOUBLE)) == S.BadUserAccessDenied
-            stop = await client.call("rig", "Stop")
-            assert stop.StatusCode.value == S.BadUserAccessDenied
-            assert stop.OutputArguments[1].Value == "not-allowed"
-            assert (await client.call("rig", "Acknowledge", ua.Variant("x"))).StatusCode.value == S.BadUserAccessDenied
-
-    with Served(gateway, Settings(port=0)) as server, ticking(gateway, "rig"):
-        asyncio.run(ask(server.port))
-
-    assert gateway.commands == []

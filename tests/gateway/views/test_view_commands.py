@@ -8,7 +8,6 @@ import pytest
 
 import board51
 from gateway.views.listen import address
-from tests.gateway.gateway_peers import free_port
 
 
 @pytest.mark.parametrize(
@@ -38,13 +37,6 @@ def test_a_wrong_option_is_one_line_and_exit_code_2(
     assert code == 2
     assert said in errors
     assert errors.count("\n") == 1
-
-
-def test_a_bus_that_is_not_there_is_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:
-    code = board51.main(["foxglove", "--connect", f"tcp/127.0.0.1:{free_port()}"])
-
-    assert code == 1
-    assert "No router answers" in capsys.readouterr().err
 
 
 def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
