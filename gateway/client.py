@@ -102,5 +102,5 @@ def send(
         refused_by="link",
         reason="not-delivered",
         text=f"No gateway answered for {site}/{board}: is it running, and is that the board's name?"
-        + ("" if role else " A guarded one wants --identity."),
+        + (" If it does not guard its bus, leave --identity out." if identity else " A guarded one wants --identity."),
     )

@@ -48,6 +48,7 @@ STATUS_S = 1.0
 # The default of 5 ms is how long one busy thread may keep the others from the interpreter: that would be the latency.
 SWITCH_INTERVAL_S = 0.0005
 MESSAGES_QUEUE = 10_000
+CERTIFICATES_S = 86400.0  # between two looks at how long they are good
 _logger = logging.getLogger("gateway")
 
 
@@ -89,8 +90,15 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
         now_s = time.monotonic()
         makers = [StatusMaker(driver, outlet, now_s) for driver, outlet in zip(drivers, outlets, strict=True)]
         _logger.info("serving %d boards as %s on %s", len(drivers), config.site, _where(config))
+        look_s = time.monotonic()
         while not stop.wait(STATUS_S):
             step_ns = clock.step_ns()
+            if step_ns and door is not None:
+                door.clock_stepped(step_ns)
+            if door is not None and time.monotonic() >= look_s:
+                look_s += CERTIFICATES_S
+                for text in expiring(config):
+                    _tell_all(drivers, "certificate-expires", "warning", text)
             for driver, outlet, maker in zip(drivers, outlets, makers, strict=True):
                 if step_ns:
                     driver.tell(
@@ -134,9 +142,7 @@ def check_security(config: GatewayConfig) -> None:
         return
     folder = SecurityFolder(Path(directory))
     if config.zenoh.mode == "router":
-        for name, days in folder.check().items():
-            if days < WARN_DAYS:
-                _logger.warning("the certificate of %s expires in %d days: `board51 security renew`", name, days)
+        folder.check()
         if folder.site != config.site:
             raise ConfigError(
                 f"{directory} guards the site {folder.site}, the gateway serves {config.site}",
@@ -144,6 +150,23 @@ def check_security(config: GatewayConfig) -> None:
             )
     else:
         gateway_identity(config)
+
+
+def expiring(config: GatewayConfig) -> list[str]:
+    """One sentence for each certificate that must be renewed soon: a gateway runs for longer than they are good."""
+    try:
+        if config.zenoh.mode == "router":
+            left = SecurityFolder(Path(config.security.directory)).check()
+        else:
+            identity = gateway_identity(config)
+            left = {"the gateway": (identity.valid_until - datetime.now(UTC)).total_seconds() / 86400}
+    except ConfigError as error:
+        return [str(error)]
+    return [
+        f"The certificate of {name} expires in {days:.0f} days: `board51 security renew`, then restart the gateway."
+        for name, days in left.items()
+        if days < WARN_DAYS
+    ]
 
 
 @contextmanager

@@ -83,6 +83,10 @@ class Doorkeeper:
         self._lock = threading.Lock()
         self._floods: OrderedDict[str, _Flood] = OrderedDict()
 
+    def clock_stepped(self, step_ns: int) -> None:
+        """The host's clock was set; back before this gateway's start, it would refuse everything until then."""
+        self._started_ns += min(0, step_ns)
+
     def sender(self, key: str, arrived_ns: int) -> Sender | Refusal:
         """Who sends under `key`."""
         found = topics.sender(key)

@@ -75,6 +75,7 @@ def hand_over(
     if not answers:
         raise ServiceError(
             f"No twin answers for {site}/{board or '*'} at {', '.join(endpoints)}",
-            remedy="Start `board51 twin`, or check --site and --board",
+            remedy="Start `board51 twin`, or check --site and --board"
+            + (f"; {who} is {role}, and only an engineer hands models over" if role not in ("", "engineer") else ""),
         )
     return sorted(answers, key=lambda answer: answer.board)

@@ -53,6 +53,21 @@ def test_what_the_gateway_before_may_have_executed_is_refused() -> None:
     assert early.fresh(issued(MAX_AHEAD_S - 0.01, stop=pb.Stop())) is None
 
 
+def test_a_clock_set_back_does_not_shut_everybody_out() -> None:
+    door = Doorkeeper(START_NS, lambda *_: None)
+    now_ns = START_NS - 3600 * S  # as a host without a battery finds after its first contact with a time server
+    command = pb.Command(id="1", issued_ns=now_ns, ping=pb.Ping())
+
+    before = door.sender("board51/rig/command/as/operator/ben", now_ns)
+    assert isinstance(before, Sender)
+    assert before.fresh(command) is not None
+
+    door.clock_stepped(-3700 * S)
+    after = door.sender("board51/rig/command/as/operator/ben", now_ns)
+    assert isinstance(after, Sender)
+    assert after.fresh(command) is None
+
+
 def test_ids_are_remembered_for_longer_than_a_command_is_fresh() -> None:
     assert KEPT_S > MAX_AGE_S + MAX_AHEAD_S
 

@@ -23,11 +23,11 @@ from gateway.access.certificates import DAYS, check_certificate
 from gateway.access.folder import OPCUA_URI, SecurityFolder
 from gateway.access.roles import Role
 from gateway.access.users import User, Users
-from gateway.config import GatewayConfig, SecurityConfig, ZenohConfig, load_config
+from gateway.config import GatewayConfig, LogConfig, SecurityConfig, ZenohConfig, load_config
 from protocol.bus.identity import find_identity
 from protocol.errors import ConfigError, UsageError
 from tests.gateway.access.access_peers import PASSWORD, PEOPLE
-from tests.gateway.gateway_peers import free_port, gateway_config
+from tests.gateway.gateway_peers import ScriptedBoard, free_port, gateway_config, running, wait_for
 
 
 @pytest.fixture
@@ -193,6 +193,27 @@ def test_a_gateway_does_not_start_with_an_expired_certificate(own: SecurityFolde
 
     with pytest.raises(ConfigError, match=r"expired on .*security renew"):
         daemon.run(guarded(own, f"tls/127.0.0.1:{free_port()}"), threading.Event())
+
+
+def test_a_gateway_says_that_certificates_must_be_renewed(own: SecurityFolder, tmp_path: Path) -> None:
+    own.renew(days=7.2)
+
+    with ScriptedBoard() as board:
+        config = guarded(own, f"tls/127.0.0.1:{free_port()}")
+        config = replace(config, boards=(replace(config.boards[0], port=board.url),))
+        logs = tmp_path / "logs"
+        config = replace(config, log=LogConfig(directory=str(logs), min_free_bytes=0, compression="none"))
+
+        def told() -> bool:
+            return any(
+                b"certificate of bus/router expires in 7 days" in log.read_bytes() for log in logs.glob("*.mcap")
+            )
+
+        with running(config):
+            wait_for(told, "event in the log", 60.0)
+
+    (own.path / "bus" / "router.pem").write_text("")
+    assert "not a certificate" in daemon.expiring(config)[0]
 
 
 def test_a_gateway_does_not_start_with_a_key_open_to_others(own: SecurityFolder) -> None:
