@@ -139,6 +139,12 @@ def check_security(config: GatewayConfig) -> None:
     if config.zenoh.mode == "router":
         check_bus_listeners(config.zenoh.listen, guarded=bool(directory), insecure=config.security.insecure)
     if not directory:
+        keyless = [endpoint for endpoint in config.zenoh.listen if endpoint.startswith(("tls/", "quic/"))]
+        if config.zenoh.mode == "router" and keyless:
+            raise ConfigError(
+                f"The bus at {keyless[0]} has no keys",
+                remedy="Make them with `board51 security init DIR` and give --security DIR",
+            )
         return
     folder = SecurityFolder(Path(directory))
     if config.zenoh.mode == "router":
