@@ -168,12 +168,26 @@ class GuardedSession(InternalSession):  # type: ignore[misc]
 
     iserver: GuardedServer
 
+    _certificate = b""
+
+    async def create_session(
+        self, params: ua.CreateSessionParameters, sockname: tuple[str, int] | None = None
+    ) -> ua.CreateSessionResult:
+        """With the certificate that is to be judged: asyncua judges none where a client sends none."""
+        self._certificate = params.ClientCertificate or b""
+        if self.iserver.secured and not self._certificate:
+            raise ServiceError(S.BadCertificateInvalid)
+        return await super().create_session(params, sockname=sockname)
+
     def activate_session(
         self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
     ) -> ua.ActivateSessionResult:
-        """Refuse what is not encrypted; the channel's certificate is not a person's."""
-        if self.iserver.secured and not peer_certificate:  # empty on an unencrypted channel
-            raise ServiceError(S.BadSecurityModeInsufficient)
+        """Refuse what is not encrypted, or by another certificate than was judged; neither is a person's."""
+        if self.iserver.secured:
+            if not peer_certificate:  # empty on an unencrypted channel
+                raise ServiceError(S.BadSecurityModeInsufficient)
+            if not self._certificate.startswith(peer_certificate):  # a chain begins with it
+                raise ServiceError(S.BadCertificateInvalid)
         return super().activate_session(params, None)  # an X509 token brings its own, verified by then
 
     @property
@@ -263,7 +277,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]
     async def _call(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
         result = ua.CallMethodResult()
         inputs = request.InputArguments or []
-        if request.MethodId == _ACKNOWLEDGE or request.ObjectId in self.iserver.conditions:
+        if request.MethodId == _ACKNOWLEDGE:
             board, alarm = self.iserver.conditions.get(request.ObjectId, ("", ""))
             code = self.iserver.desk.acknowledge(self.visitor, board, alarm) if board else S.BadNodeIdUnknown
             result.StatusCode = ua.StatusCode(code)

@@ -19,6 +19,8 @@ from asyncua.crypto.security_policies import (
     SecurityPolicyBasic256Sha256,
 )
 from asyncua.ua.uaerrors import UaError
+from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding
 
 from gateway.access.certificates import Authority
 from gateway.access.folder import SecurityFolder
@@ -221,6 +223,7 @@ def test_the_right_password_over_an_unencrypted_channel_is_refused(plant: Plant)
             await client.open_secure_channel()
             parameters = ua.CreateSessionParameters()
             parameters.ClientNonce, parameters.RequestedSessionTimeout = bytes(32), 60_000
+            parameters.ClientCertificate = der(plant, "otto")
             await client.uaclient.create_session(parameters)
             token = ua.UserNameIdentityToken(UserName="otto", Password=PASSWORD["otto"].encode())
             await client.uaclient.activate_session(ua.ActivateSessionParameters(UserIdentityToken=token))
@@ -231,6 +234,51 @@ def test_the_right_password_over_an_unencrypted_channel_is_refused(plant: Plant)
         asyncio.run(ask())
 
     assert type(said.value).__name__ == "BadSecurityModeInsufficient"
+
+
+def der(plant: Plant, name: str) -> bytes:
+    """A certificate is no secret: everybody can send somebody else's."""
+    pem = (plant.folder / "identities" / name / "certificate.pem").read_bytes()
+    return x509.load_pem_x509_certificate(pem).public_bytes(Encoding.DER)
+
+
+@pytest.mark.parametrize("shown", ["none", "otto's"])
+def test_a_channel_by_another_certificate_than_the_one_shown_is_refused(
+    plant: Plant, tmp_path: Path, shown: str
+) -> None:
+    async def ask() -> None:
+        strange = stranger(plant, tmp_path) / "identities" / "eve"
+        server = plant.folder / "opcua" / "server.pem"
+        client = Client(f"opc.tcp://127.0.0.1:{plant.server.port}/board51/", timeout=5)
+        await client.set_security(
+            SecurityPolicyBasic256Sha256,
+            strange / "certificate.pem",
+            strange / "key.pem",
+            server_certificate=server,
+            mode=ua.MessageSecurityMode.SignAndEncrypt,
+        )
+        await client.connect_socket()
+        try:
+            await client.send_hello()
+            await client.open_secure_channel()
+            parameters = ua.CreateSessionParameters()
+            parameters.ClientNonce, parameters.RequestedSessionTimeout = bytes(32), 60_000
+            parameters.ClientCertificate = der(plant, "otto") if shown == "otto's" else None
+            session = await client.uaclient.create_session(parameters)
+            challenge = x509.load_pem_x509_certificate(server.read_bytes()).public_bytes(Encoding.DER)
+            activation = ua.ActivateSessionParameters()
+            activation.ClientSignature.Algorithm = client.security_policy.AsymmetricSignatureURI
+            signature = client.security_policy.asymmetric_cryptography.signature(challenge + session.ServerNonce)
+            activation.ClientSignature.Signature = signature
+            activation.UserIdentityToken = ua.UserNameIdentityToken(UserName="otto", Password=PASSWORD["otto"].encode())
+            await client.uaclient.activate_session(activation)
+        finally:
+            client.disconnect_socket()
+
+    with pytest.raises(UaError) as said:
+        asyncio.run(ask())
+
+    assert type(said.value).__name__ == "BadCertificateInvalid"
 
 
 def test_guessing_a_session_does_not_give_its_rights(plant: Plant) -> None:
