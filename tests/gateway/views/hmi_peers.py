@@ -66,7 +66,7 @@ class Process:
             assert self._process.poll() is None, text
             return words in text
 
-        wait_for(look, f"{words!r} in {self.said}", timeout_s=40.0)
+        wait_for(look, f"{words!r} in {self.said}", timeout_s=90.0)
 
 
 class Page:
@@ -159,5 +159,5 @@ def hmi(folder: Path, endpoint: str, *options: str, port: int = 0) -> Iterator[t
             except (OSError, httpx.TransportError):
                 return False
 
-        wait_for(answers, "the page", timeout_s=40.0)
+        wait_for(answers, "the page", timeout_s=90.0)
         yield port, process
