@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -86,6 +87,15 @@ def test_a_twin_takes_models_from_engineers_only(keys: SecurityFolder, caplog: p
 
 
 # -- commands as a user types them
+
+
+@pytest.fixture(autouse=True)
+def signals_as_they_were() -> Iterator[None]:
+    """Some commands take over SIGTERM, for a process that is theirs; here it is pytest's."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def typed(rig: GuardedRig, name: str, *words: str) -> int:
