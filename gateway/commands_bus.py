@@ -1,5 +1,7 @@
 """The queryable `<site>/<board>/command`: a Command in, exactly one CommandReply out.
 
+On a guarded bus it is `<site>/<board>/command/as/<role>/<who>`, and nothing is served under the plain key.
+
 zenoh calls back in its own threads; the decision falls in the serial thread (`link/desk.py`), the reply leaves through
 a publisher's thread.  A query without a reply would look to its sender like a gateway that is not there.
 """
@@ -7,9 +9,11 @@ a publisher's thread.  A query without a reply would look to its sender like a g
 from __future__ import annotations
 
 import threading
+import time
 
 import zenoh
 
+from gateway.access.doorkeeper import Doorkeeper, Sender
 from gateway.limits import read_command
 from gateway.link.driver import BoardDriver
 from gateway.link.loop import LinkThread
@@ -24,27 +28,51 @@ _ENCODING = zenoh_encoding(pb.CommandReply)
 
 
 class CommandQueryable:
-    """Serves one board's commands until the zenoh session closes."""
+    """Serves one board's commands until the zenoh session closes.
+
+    Args:
+        session: of the bus.
+        site: first chunk of the key.
+        driver: of the board.
+        link: the serial thread.
+        messages: takes the replies.
+        door: of a guarded bus; None where the bus is not.
+    """
 
     def __init__(
-        self, session: zenoh.Session, site: str, driver: BoardDriver, link: LinkThread, messages: Publisher
+        self,
+        session: zenoh.Session,
+        site: str,
+        driver: BoardDriver,
+        link: LinkThread,
+        messages: Publisher,
+        door: Doorkeeper | None = None,
     ) -> None:
         self._key = topics.key(site, driver.config.name, "command")
-        self._driver, self._link, self._messages = driver, link, messages
+        self._driver, self._link, self._messages, self._door = driver, link, messages, door
         self._lock = threading.Lock()  # of _posted: queries come in several threads
         self._posted = 0
-        self._queryable = session.declare_queryable(self._key, self._on_query)
+        served = f"{self._key}/{topics.AS}/*/*" if door is not None else self._key
+        self._queryable = session.declare_queryable(served, self._on_query)
 
     def _on_query(self, query: zenoh.Query) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""
-        reply = _Reply(query, self._key, self._messages)
-        if self._posted >= MAX_POSTED:
-            command = read_command(payload)
-            if isinstance(command, Refusal) or command.WhichOneof("what") != "stop":
-                answer = pb.CommandReply(refused_by="gateway", reason="flood", text="Too many commands at once.")
-                answer.id = "" if isinstance(command, Refusal) else command.id
-                reply(answer)
+        key = self._key
+        sender: Sender | None = None
+        if self._door is not None:
+            asked = str(query.key_expr)
+            found = self._door.sender(asked, time.time_ns())
+            if isinstance(found, Refusal):
+                refusal = pb.CommandReply(refused_by="gateway", reason=found.reason, text=found.text)
+                _Reply(query, asked, self._messages)(refusal)
                 return
+            sender = found
+            key = f"{self._key}/{topics.AS}/{sender.role.word}/{sender.name}"
+        reply = _Reply(query, key, self._messages)
+        flood = self._flood(payload, sender)
+        if flood is not None:
+            reply(flood)
+            return
         with self._lock:
             self._posted += 1
 
@@ -53,7 +81,21 @@ class CommandQueryable:
                 self._posted -= 1
             reply(answer)
 
-        self._link.command(self._driver, payload, done)
+        self._link.command(self._driver, payload, done, sender)
+
+    def _flood(self, payload: bytes, sender: Sender | None) -> pb.CommandReply | None:
+        """The refusal of what is too much, before it costs the serial thread anything; None if it may go on."""
+        full = self._posted >= MAX_POSTED
+        if not full and sender is None:
+            return None
+        command = read_command(payload)
+        id = "" if isinstance(command, Refusal) else command.id
+        if not isinstance(command, Refusal) and command.WhichOneof("what") == "stop":
+            return None
+        if not full and (self._door is None or sender is None or not self._door.flooded(sender, time.monotonic())):
+            return None
+        text = "Too many commands at once; STOP alone is exempt."
+        return pb.CommandReply(id=id, refused_by="gateway", reason="flood", text=text)
 
 
 class _Reply:

@@ -117,6 +117,14 @@ class LogConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SecurityConfig:
+    """Who may do what: `[security]`."""
+
+    directory: str = _key("", "folder that `board51 security init` made; empty: the bus is not guarded")
+    insecure: bool = _key(False, "open listeners to the network without protection all the same")
+
+
+@dataclass(frozen=True, kw_only=True)
 class GatewayConfig:
     """The whole file."""
 
@@ -124,9 +132,10 @@ class GatewayConfig:
     boards: tuple[BoardConfig, ...] = ()
     zenoh: ZenohConfig = field(default_factory=ZenohConfig)
     log: LogConfig = field(default_factory=LogConfig)
+    security: SecurityConfig = field(default_factory=SecurityConfig)
 
 
-_SECTIONS: dict[str, type[Any]] = {"zenoh": ZenohConfig, "log": LogConfig}
+_SECTIONS: dict[str, type[Any]] = {"zenoh": ZenohConfig, "log": LogConfig, "security": SecurityConfig}
 
 
 def load_config(path: Path | None, environment: Mapping[str, str] = os.environ) -> GatewayConfig:
@@ -151,7 +160,7 @@ def load_config(path: Path | None, environment: Mapping[str, str] = os.environ) 
     unknown = table.keys() - {"site", "board", *_SECTIONS}
     if unknown:
         raise ConfigError(
-            f"{where}: unknown key {sorted(unknown)[0]!r}", remedy="Known: site, [[board]], [zenoh], [log]"
+            f"{where}: unknown key {sorted(unknown)[0]!r}", remedy="Known: site, [[board]], [zenoh], [log], [security]"
         )
     raw_boards = table.get("board", [])
     if not isinstance(raw_boards, list) or not all(isinstance(b, dict) for b in raw_boards):

@@ -19,11 +19,16 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
 import zenoh
 
+from gateway.access.certificates import WARN_DAYS
+from gateway.access.doorkeeper import Doorkeeper
+from gateway.access.folder import SecurityFolder
+from gateway.access.listeners import check_bus_listeners
 from gateway.commands_bus import CommandQueryable
 from gateway.config import GatewayConfig, LogConfig
 from gateway.link.clock import HostClock
@@ -36,12 +41,14 @@ from gateway.record.writer import LogError
 from gateway.status import StatusMaker
 from protocol.bus import topics
 from protocol.bus.endpoint import Mode, zenoh_config
+from protocol.bus.identity import Identity, load_identity
 from protocol.errors import ConfigError, ServiceError
 
 STATUS_S = 1.0
 # The default of 5 ms is how long one busy thread may keep the others from the interpreter: that would be the latency.
 SWITCH_INTERVAL_S = 0.0005
 MESSAGES_QUEUE = 10_000
+CERTIFICATES_S = 86400.0  # between two looks at how long they are good
 _logger = logging.getLogger("gateway")
 
 
@@ -69,7 +76,8 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             for board, outlet in zip(config.boards, outlets, strict=True)
         ]
         link = LinkThread(drivers)
-        queryables = [CommandQueryable(bus, config.site, driver, link, messages) for driver in drivers]
+        door = Doorkeeper(time.time_ns(), partial(_tell_flood, drivers)) if config.security.directory else None
+        queryables = [CommandQueryable(bus, config.site, driver, link, messages, door) for driver in drivers]
         if recorder is not None:
             recorder.on_event = partial(_tell_all, drivers)
             twin = bus.declare_subscriber(f"{config.site}/*/twin/**", _log_twin(recorder))
@@ -82,8 +90,15 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
         now_s = time.monotonic()
         makers = [StatusMaker(driver, outlet, now_s) for driver, outlet in zip(drivers, outlets, strict=True)]
         _logger.info("serving %d boards as %s on %s", len(drivers), config.site, _where(config))
+        look_s = time.monotonic()
         while not stop.wait(STATUS_S):
             step_ns = clock.step_ns()
+            if step_ns and door is not None:
+                door.clock_stepped(step_ns)
+            if door is not None and time.monotonic() >= look_s:
+                look_s += CERTIFICATES_S
+                for text in expiring(config):
+                    _tell_all(drivers, "certificate-expires", "warning", text)
             for driver, outlet, maker in zip(drivers, outlets, makers, strict=True):
                 if step_ns:
                     driver.tell(
@@ -104,6 +119,7 @@ def check(config: GatewayConfig) -> None:
     Raises:
         ConfigError: see the text.
     """
+    check_security(config)
     if not config.boards:
         raise ConfigError(
             "No board is configured",
@@ -111,6 +127,52 @@ def check(config: GatewayConfig) -> None:
         )
     for board in config.boards:
         check_url(board.port)
+
+
+def check_security(config: GatewayConfig) -> None:
+    """Listeners that must not be open, keys and certificates that are not good.
+
+    Raises:
+        ConfigError: see the text.
+    """
+    directory = config.security.directory
+    if config.zenoh.mode == "router":
+        check_bus_listeners(config.zenoh.listen, guarded=bool(directory), insecure=config.security.insecure)
+    if not directory:
+        keyless = [endpoint for endpoint in config.zenoh.listen if endpoint.startswith(("tls/", "quic/"))]
+        if config.zenoh.mode == "router" and keyless:
+            raise ConfigError(
+                f"The bus at {keyless[0]} has no keys",
+                remedy="Make them with `board51 security init DIR` and give --security DIR",
+            )
+        return
+    folder = SecurityFolder(Path(directory))
+    if config.zenoh.mode == "router":
+        folder.check()
+        if folder.site != config.site:
+            raise ConfigError(
+                f"{directory} guards the site {folder.site}, the gateway serves {config.site}",
+                remedy="Give the same --site to `board51 security init` and to the gateway",
+            )
+    else:
+        gateway_identity(config)
+
+
+def expiring(config: GatewayConfig) -> list[str]:
+    """One sentence for each certificate that must be renewed soon: a gateway runs for longer than they are good."""
+    try:
+        if config.zenoh.mode == "router":
+            left = SecurityFolder(Path(config.security.directory)).check()
+        else:
+            identity = gateway_identity(config)
+            left = {"the gateway": (identity.valid_until - datetime.now(UTC)).total_seconds() / 86400}
+    except ConfigError as error:
+        return [str(error)]
+    return [
+        f"The certificate of {name} expires in {days:.0f} days: `board51 security renew`, then restart the gateway."
+        for name, days in left.items()
+        if days < WARN_DAYS
+    ]
 
 
 @contextmanager
@@ -125,7 +187,12 @@ def open_bus(config: GatewayConfig) -> Iterator[zenoh.Session]:
     listen = z.listen if mode == "router" else ()
     for endpoint in listen:
         _check_free(endpoint)
-    text = zenoh_config(mode, listen=listen, connect=z.connect, wait_for_router=False)
+    directory = config.security.directory
+    if directory and mode == "router":
+        text = SecurityFolder(Path(directory)).router(listen, z.connect, wait_for_router=False)
+    else:
+        identity = gateway_identity(config) if directory else None
+        text = zenoh_config(mode, listen=listen, connect=z.connect, wait_for_router=False, identity=identity)
     try:
         session = zenoh.open(zenoh.Config.from_json5(text))
     except zenoh.ZError as error:
@@ -141,7 +208,7 @@ def _check_free(endpoint: str) -> None:
     """Look first: zenoh itself tries for five seconds before it says that a port is taken, and not which."""
     kind, _, rest = endpoint.partition("/")
     host, _, port = rest.partition("?")[0].rpartition(":")
-    if kind != "tcp" or not port.isdigit() or int(port) == 0:
+    if kind not in ("tcp", "tls") or not port.isdigit() or int(port) == 0:
         return
     try:
         family, _, _, _, address = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
@@ -155,6 +222,22 @@ def _check_free(endpoint: str) -> None:
             remedy="End the other gateway or router, give another endpoint with --listen,"
             " or join the router there with --connect",
         ) from None
+
+
+def gateway_identity(config: GatewayConfig) -> Identity:
+    """The gateway's own, where it is a client of a guarded router.
+
+    The folder may be the whole one of `security init`, or the gateway's identity alone: a machine that is not the
+    router need not have everybody's keys.
+
+    Raises:
+        ConfigError: it is not usable.
+    """
+    path = Path(config.security.directory)
+    alone = (path / "identity.toml").exists()
+    identity = load_identity(path) if alone else SecurityFolder(path).identity("gateway")
+    identity.check_valid(datetime.now(UTC))
+    return identity
 
 
 @contextmanager
@@ -192,6 +275,10 @@ def _tell_all(drivers: Sequence[BoardDriver], name: str, severity: str, text: st
         driver.tell(name, severity, text)
 
 
+def _tell_flood(drivers: Sequence[BoardDriver], who: str, count: int) -> None:
+    _tell_all(drivers, "command-flood", "warning", f"{who} sends too many commands: {count} thrown away.")
+
+
 def _log_twin(recorder: Recorder) -> Callable[[zenoh.Sample], None]:
     def log(sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
@@ -204,7 +291,8 @@ def _log_twin(recorder: Recorder) -> Callable[[zenoh.Sample], None]:
 
 def _where(config: GatewayConfig) -> str:
     endpoints = config.zenoh.listen if config.zenoh.mode == "router" else config.zenoh.connect
-    return f"{config.zenoh.mode} {', '.join(endpoints)}"
+    guarded = f", guarded by {config.security.directory}" if config.security.directory else ""
+    return f"{config.zenoh.mode} {', '.join(endpoints)}{guarded}"
 
 
 @contextmanager

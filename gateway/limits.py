@@ -27,6 +27,7 @@ from protocol.wire.messages import Flag, Message, Mode
 MAX_PAYLOAD = 4096  # bytes; the largest sensible command has about 200
 MAX_ID = 128
 MAX_WHO = 128
+MAX_MARK = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +53,8 @@ def read_command(payload: bytes) -> pb.Command | Refusal:
         )
     if len(command.who) > MAX_WHO:
         return Refusal("bad-who", f"The who has {len(command.who)} characters; at most {MAX_WHO}.")
+    if len(command.mark.text) > MAX_MARK:
+        return Refusal("oversize", f"The remark has {len(command.mark.text)} characters; at most {MAX_MARK}.")
     if command.WhichOneof("what") is None:
         return Refusal("empty-command", "The command says not what to do, or something this gateway does not know.")
     wrong = next((name for name, value in _numbers(command) if not math.isfinite(value)), None)

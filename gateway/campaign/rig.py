@@ -21,6 +21,7 @@ from gateway.campaign.plan import CAPTURE_PRE_S, CAPTURE_S, Action, GoTo, Send, 
 from gateway.campaign.tap import ID_PREFIX, Tap
 from gateway.client import send
 from protocol.bus import board51_pb2 as pb
+from protocol.bus.identity import Identity
 from protocol.errors import Board51Error, ServiceError
 from protocol.wire.messages import Flag
 
@@ -64,9 +65,10 @@ class Rig:
         *,
         who: str,
         travel_m: float,
+        identity: Identity | None = None,
     ) -> None:
         self._session, self._site, self._board, self._tap, self._stop = session, site, board, tap, stop
-        self._who, self._travel_m = who, travel_m
+        self._who, self._travel_m, self._identity = who, travel_m, identity
         self.rest_m = float("nan")
 
     # --- waiting
@@ -197,7 +199,7 @@ class Rig:
         own = pb.Command()
         own.CopyFrom(command)
         own.id, own.who = f"{ID_PREFIX}{uuid.uuid4().hex}", self._who
-        return send(self._session, self._site, self._board, own, timeout_s=timeout_s)
+        return send(self._session, self._site, self._board, own, timeout_s=timeout_s, identity=self._identity)
 
     def mode(self, mode: pb.Mode) -> None:
         """Enter a mode."""

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.client import add_bus_arguments, open_bus
+from protocol.bus.identity import find_identity
 from protocol.bus.topics import check_name
 from protocol.errors import UsageError
 
@@ -100,9 +101,10 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
     if args.plant is None:
         _say("no --plant: the published constants of a CE 152 are taken (8.28 g, 5.7 mm)")
     stop = threading.Event()
-    with open_bus(args.connect) as session:
+    identity = find_identity(args.identity)
+    with open_bus(args.connect, identity) as session:
         tap = Tap(session, args.site, args.board)
-        rig = Rig(session, args.site, args.board, tap, stop, who=args.who, travel_m=plant.travel_m)
+        rig = Rig(session, args.site, args.board, tap, stop, who=args.who, identity=identity, travel_m=plant.travel_m)
         wishes = Wishes(
             experiments=experiments, plant=plant, lift_off=chosen((LIFT_OFF,), quick=args.quick)[0],
             seed=args.seed, u_max_v=args.u_max,

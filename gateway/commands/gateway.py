@@ -8,13 +8,25 @@ It reads every board, publishes each sample in SI units under <site>/<board>/sta
 from __future__ import annotations
 
 import argparse
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gateway.config import BoardConfig, GatewayConfig, boards_from_text, documented_toml, load_config
+from gateway.views.listen import address
 from protocol.bus.endpoint import check_endpoint
 from protocol.bus.topics import check_name
 from protocol.errors import ConfigError
+
+if TYPE_CHECKING:
+    from gateway.views.children import View
+
+VIEWS = {
+    "opcua": ("127.0.0.1:4840", "OPC UA server"),
+    "hmi": ("127.0.0.1:8051", "control room in a browser"),
+    "foxglove": ("127.0.0.1:8765", "live Foxglove WebSocket"),
+}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -46,6 +58,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     log = parser.add_mutually_exclusive_group()
     log.add_argument("--log-dir", metavar="DIR", help="where the MCAP log goes (default logs)")
     log.add_argument("--no-log", action="store_true", help="write no log")
+    guard = parser.add_argument_group("who may do what")
+    guard.add_argument(
+        "--security", metavar="DIR", help="guard the bus with the folder that `board51 security init DIR` made"
+    )
+    guard.add_argument("--insecure", action="store_true", help="open listeners to the network without protection")
+    views = parser.add_argument_group("views, each a process of its own; more options: board51 VIEW --help")
+    for name, (default, about) in VIEWS.items():
+        views.add_argument(
+            f"--{name}", nargs="?", const=default, metavar="HOST:PORT", help=f"{about} (default {default})"
+        )
     parser.add_argument("--print-config", action="store_true", help="print a commented configuration and end")
     parser.add_argument("--check", action="store_true", help="check the configuration and end")
 
@@ -78,6 +100,10 @@ def configuration(args: argparse.Namespace) -> GatewayConfig:
         config = replace(config, log=replace(config.log, enabled=True, directory=args.log_dir))
     if args.no_log:
         config = replace(config, log=replace(config.log, enabled=False))
+    if args.security is not None:
+        config = replace(config, security=replace(config.security, directory=args.security))
+    if args.insecure:
+        config = replace(config, security=replace(config.security, insecure=True))
     return config
 
 
@@ -95,10 +121,25 @@ def run(args: argparse.Namespace) -> int:
         print(documented_toml())
         return 0
     from gateway import daemon  # zenoh and foxglove take their time; --help and --print-config answer at once
+    from gateway.views import children
 
     config = configuration(args)
     if args.check:
         daemon.check(config)
         print(f"{len(config.boards)} boards: {', '.join(f'{b.name} at {b.port}' for b in config.boards)}")
         return 0
-    return daemon.serve(config)
+    views = views_of(args, config)
+    with children.running(views) if views else nullcontext():
+        return daemon.serve(config)
+
+
+def views_of(args: argparse.Namespace, config: GatewayConfig) -> list[View]:
+    """The views that the flags ask for, on the bus that this gateway serves or joins.
+
+    Raises:
+        ConfigError: an address that is none, or one that would be open to the network without protection.
+    """
+    from gateway.views.children import views_for
+
+    wanted = {name: address(text, where=f"--{name}") for name in VIEWS if (text := getattr(args, name)) is not None}
+    return views_for(wanted, config)

@@ -18,6 +18,7 @@ from gateway.client import add_bus_arguments, open_bus
 from gateway.record.recorder import Recorder
 from protocol.bus import topics
 from protocol.bus.encoding import parse
+from protocol.bus.identity import find_identity
 from protocol.errors import UsageError
 
 
@@ -79,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
             newest_ns[board] = max(own_ns, newest_ns.get(board, 0))
         recorder.put(key, data, newest_ns.get(board, time.time_ns()) if own_ns is None else own_ns)
 
-    with open_bus(args.connect) as session:
+    with open_bus(args.connect, find_identity(args.identity)) as session:
         recorder.start()
         try:
             subscriber = session.declare_subscriber(f"{args.site}/{args.board}/**", arrived)

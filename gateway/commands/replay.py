@@ -18,11 +18,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from gateway.access.listeners import check_bus_listeners
 from gateway.record.reader import LogReader, RawRecord
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse
-from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint, zenoh_config
+from protocol.bus.endpoint import DEFAULT_ENDPOINT, Mode, check_endpoint, zenoh_config
+from protocol.bus.identity import HELP, find_identity
 from protocol.errors import DataError, ServiceError, UsageError
 
 SETTLE_S = 0.1  # a subscription that has just appeared takes up to 60 ms until data flows to it (measured)
@@ -39,8 +41,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     bus = parser.add_argument_group("onto the bus")
     bus.add_argument("--connect", action="append", metavar="ENDPOINT", help=f"router (default {DEFAULT_ENDPOINT})")
     bus.add_argument("--listen", action="append", metavar="ENDPOINT", help="be the router for others instead")
+    bus.add_argument("--identity", metavar="FOLDER", help=f"{HELP}; only the gateway's may publish its topics")
+    bus.add_argument("--insecure", action="store_true", help="--listen on the network without protection")
     bus.add_argument("--topic", action="append", choices=names, metavar="TOPIC", help=f"of: {', '.join(names)}")
     bus.add_argument("--as", dest="rename", metavar="NAME", help="publish the board under this name")
+    bus.add_argument("--as-site", metavar="SITE", help="publish under this site: what is replayed cannot pass for live")
     bus.add_argument("--loop", action="store_true", help="again and again; each pass has its own session numbers")
     bus.add_argument("--wait", type=float, default=2.0, metavar="S", help="for a subscriber, then begin (default 2)")
     raw = parser.add_argument_group("as a board")
@@ -79,6 +84,8 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
         raise UsageError("--connect and --listen exclude each other", remedy="Give one of the two")
     if args.rename:
         topics.check_name(args.rename, what="--as")
+    if args.as_site:
+        topics.check_name(args.as_site, what="--as-site")
     for endpoint in (args.connect or []) + (args.listen or []):
         check_endpoint(endpoint, where="--connect or --listen")
     reader = LogReader(args.logs)
@@ -87,7 +94,10 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
     if not found:
         _nothing(reader, args)
     connect = [] if args.listen else args.connect or [DEFAULT_ENDPOINT]
-    config = zenoh_config("router" if args.listen else "client", listen=args.listen or [], connect=connect)
+    check_bus_listeners(args.listen or [], guarded=False, insecure=args.insecure)
+    mode: Mode = "router" if args.listen else "client"
+    identity = find_identity(args.identity)
+    config = zenoh_config(mode, listen=args.listen or [], connect=connect, identity=identity)
     try:
         session = zenoh.open(zenoh.Config.from_json5(config))
     except zenoh.ZError:
@@ -96,7 +106,7 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
     boards = list(dict.fromkeys((site, board) for site, board, _ in found))
     begin_s = time.monotonic()
     sent, passes, log_s = 0, 0, 0.0
-    with session, BusReplay(session, boards, rename=args.rename) as replay:
+    with session, BusReplay(session, boards, rename=args.rename, site=args.as_site) as replay:
         replay.declare(found)
         deadline_s = time.monotonic() + args.wait
         while not replay.matched() and time.monotonic() < deadline_s and not stop.is_set():

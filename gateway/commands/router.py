@@ -7,6 +7,7 @@ need zenohd: this process loads none.
 from __future__ import annotations
 
 import argparse
+import json
 import signal
 import sys
 import threading
@@ -14,7 +15,9 @@ from pathlib import Path
 
 import zenoh
 
-from protocol.bus.endpoint import check_endpoint
+from gateway.access.folder import SecurityFolder
+from gateway.access.listeners import check_bus_listeners
+from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.errors import ConfigError, ServiceError
 
 SHIPPED = Path(__file__).parent.parent / "router.json5"
@@ -23,9 +26,15 @@ SHIPPED = Path(__file__).parent.parent / "router.json5"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Configuration file and endpoints."""
     parser.epilog = (
-        "examples:\n  board51 router\n  board51 router --listen tcp/0.0.0.0:7447\n  zenohd -c gateway/router.json5"
+        "examples:\n  board51 router\n  board51 router --security keys --listen tls/0.0.0.0:7447\n"
+        "  zenohd -c gateway/router.json5\n  zenohd -c keys/bus/router.json5"
     )
-    parser.add_argument("--config", type=Path, default=SHIPPED, metavar="FILE", help="zenoh configuration (JSON5)")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--config", type=Path, default=SHIPPED, metavar="FILE", help="zenoh configuration (JSON5)")
+    source.add_argument(
+        "--security", type=Path, metavar="DIR", help="guard it with the folder that `board51 security init DIR` made"
+    )
+    parser.add_argument("--insecure", action="store_true", help="listen on the network without protection")
     parser.add_argument("--listen", action="append", metavar="ENDPOINT", help="instead of the file's; repeat for more")
     parser.add_argument("--print-config", action="store_true", help="print the shipped file and exit")
 
@@ -35,22 +44,43 @@ def _reason(error: zenoh.ZError) -> str:
     return str(error).partition(" at /")[0].rstrip(". ")
 
 
+def _guarded(config: zenoh.Config) -> bool:
+    """Whether it asks who comes and denies what is not allowed: ours, or somebody's own."""
+    access = json.loads(config.get_json("access_control"))
+    dictionary = json.loads(config.get_json("transport/auth/usrpwd/dictionary_file"))
+    return bool(access["enabled"] and access["default_permission"] == "deny" and dictionary)
+
+
+def _endpoints(config: zenoh.Config) -> list[str]:
+    """What it listens on; zenoh's own default is a port on every interface."""
+    found = json.loads(config.get_json("listen/endpoints"))
+    if isinstance(found, dict):
+        found = found.get("router", [])
+    return [str(endpoint) for endpoint in found] or ["tcp/[::]:7447"]
+
+
 def run(args: argparse.Namespace) -> int:
     """Route until SIGTERM or SIGINT."""
     if args.print_config:
         print(SHIPPED.read_text(encoding="utf-8"), end="")
         return 0
     try:
-        config = zenoh.Config.from_file(args.config)
+        if args.security is not None:
+            folder = SecurityFolder(args.security)
+            folder.check()
+            config = zenoh.Config.from_json5(folder.router([DEFAULT_ENDPOINT]))
+        else:
+            config = zenoh.Config.from_file(args.config)
         if config.get_json("mode") != '"router"':
             raise ConfigError(f"{args.config}: mode is {config.get_json('mode')}", remedy='Set mode: "router"')
         if args.listen:
             endpoints = [check_endpoint(endpoint, where="--listen") for endpoint in args.listen]
-            config.insert_json5("listen/endpoints", str(endpoints))
+            config.insert_json5("listen/endpoints", json.dumps(endpoints))
     except zenoh.ZError as error:
         raise ConfigError(
             f"{args.config} is no zenoh configuration: {_reason(error)}", remedy="Correct the file"
         ) from None
+    check_bus_listeners(_endpoints(config), guarded=_guarded(config), insecure=args.insecure)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())

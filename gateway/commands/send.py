@@ -14,6 +14,7 @@ from google.protobuf.json_format import MessageToDict
 
 from gateway.client import add_bus_arguments, open_bus, send
 from protocol.bus import board51_pb2 as pb
+from protocol.bus.identity import find_identity
 from protocol.bus.topics import check_name
 
 _MODES = {"idle": pb.MODE_IDLE, "open-loop": pb.MODE_OPEN_LOOP, "closed-loop": pb.MODE_CLOSED_LOOP}
@@ -44,7 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n  board51 send rig1 mode closed-loop\n  board51 send rig1 reference 0.0030\n"
         "  board51 send rig1 excite rectangle --on-reference --amplitude 0.001"
         " --offset 0.003 --period 2 --duration 20\n"
-        "  board51 send rig1 stop --connect tcp/10.0.0.5:7447"
+        "  board51 send rig1 stop --connect tls/10.0.0.5:7447 --identity identities/ana"
     )
     options = argparse.ArgumentParser(add_help=False)
     _add_options(options)
@@ -83,6 +84,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     loss = what.add_parser("host-loss", parents=[options], help="what the board does without its host")
     loss.add_argument("policy", choices=_POLICIES)
     loss.add_argument("--after", type=_number, default=1.0, metavar="S", help="1 s")
+    what.add_parser("mark", parents=[options], help="a remark at this moment, into every log").add_argument("text")
     what.add_parser("stop", parents=[options], help="coil off at once")
     what.add_parser("ping", parents=[options], help="sign of life")
 
@@ -127,6 +129,8 @@ def build(args: argparse.Namespace) -> pb.Command:
             command.set_stream.divider = args.divider
         case "host-loss":
             command.set_host_loss.CopyFrom(pb.SetHostLoss(policy=_POLICIES[args.policy], timeout_s=args.after))
+        case "mark":
+            command.mark.text = args.text
         case "stop":
             command.stop.SetInParent()
         case _:
@@ -137,8 +141,9 @@ def build(args: argparse.Namespace) -> pb.Command:
 def run(args: argparse.Namespace) -> int:
     """Send, print, 0 or 1."""
     check_name(args.board, what="board")
-    with open_bus(args.connect) as session:
-        reply = send(session, args.site, args.board, build(args), timeout_s=args.timeout)
+    identity = find_identity(args.identity)
+    with open_bus(args.connect, identity) as session:
+        reply = send(session, args.site, args.board, build(args), timeout_s=args.timeout, identity=identity)
     if args.json:
         print(
             json.dumps(

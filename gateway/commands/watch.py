@@ -15,6 +15,7 @@ from google.protobuf.message import Message
 from gateway.client import add_bus_arguments, open_bus
 from protocol.bus import topics
 from protocol.bus.encoding import parse
+from protocol.bus.identity import find_identity
 
 LONGEST = 200  # characters of a text on a line for people
 
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
 
     printed, last = 0, dict[str, float]()
     end = time.monotonic() + args.timeout if args.timeout else None
-    with open_bus(args.connect) as session:
+    with open_bus(args.connect, find_identity(args.identity)) as session:
         for name in wanted:
             session.declare_subscriber(f"{args.site}/{args.board}/{name}", arrived)
         while not args.count or printed < args.count:

@@ -1,11 +1,14 @@
 """Commands from the bus on their way to one board, and the answers on their way back.  No I/O.
 
 Rule 1: every query is answered, once: refused by gateway, board or link (down, timed out, cancelled).
-Rule 2: an id is executed at most once.  The replies of the last 256 ids are kept; the same command again gets the kept
-        reply.  The same id with other content is refused (`id-reused`): "accepted" would be a lie.
+Rule 2: an id is executed at most once.  The replies of the last 256 ids, and of all of the last 20 s, are kept; the
+        same command again gets the kept reply.  The same id with other content is refused (`id-reused`): "accepted"
+        would be a lie.
 Rule 3: `link-down`, `flood` and `queue-full` are not kept: nothing was executed, and trying again with the same id is
         just what the sender should do.
 Rule 4: who, when, what and result of every command go out as CommandRecord.
+Rule 5: on a guarded bus the sender (access/doorkeeper.py) is written into the command, and its role and the command's
+        age are judged first.  What is refused for these is not kept: nobody fills the memory without a right.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from gateway.access.doorkeeper import Sender
 from gateway.config import LimitsConfig
 from gateway.limits import BoardView, Gate, read_command
 from gateway.link.outlet import Outlet, Reply
@@ -25,7 +29,10 @@ from protocol.wire.messages import Flag, Message, Mode, Reason
 from protocol.wire.session import Session
 
 KEPT_IDS = 256
+KEPT_S = 20.0  # longer than a command is fresh (access/doorkeeper.py): no bytes are executed twice
 MAX_WAITING = 32  # commands on their way to one board: at 0.5 s per time-out, a queue beyond it is not worth joining
+
+_NOT_KEPT = ("flood", "queue-full", "id-reused", "not-allowed", "not-fresh")
 
 _CANCELLED = {
     "stop": ("superseded-by-stop", "A STOP came; if the board had this command already, STOP ended what it began."),
@@ -65,6 +72,7 @@ class _Pending:
 class _Kept:
     content: bytes
     reply: pb.CommandReply
+    at_ns: int
 
 
 class CommandDesk:
@@ -95,12 +103,32 @@ class CommandDesk:
         self._x_ref_tick: float = -1  # seen from this tick on
         self._mode_tick: float = -1
 
-    def take(self, payload: bytes, reply: Reply, now_s: float, host_ns: int, *, link: str, reason: str) -> None:
+    def take(
+        self,
+        payload: bytes,
+        reply: Reply,
+        now_s: float,
+        host_ns: int,
+        *,
+        link: str,
+        reason: str,
+        sender: Sender | None = None,
+    ) -> None:
         """One query.  `link` and `reason` say how the link is, for the case that it is down."""
         command = read_command(payload)
         if isinstance(command, Refusal):
-            self._refuse(pb.Command(), command, reply, host_ns)
+            unreadable = pb.Command()
+            if sender is not None:
+                sender.sign(unreadable)
+            self._refuse(unreadable, command, reply, host_ns)
             return
+        command.role = ""
+        if sender is not None:
+            sender.sign(command)
+            not_allowed = sender.right(command)
+            if not_allowed is not None:
+                self._refuse(command, not_allowed, reply, host_ns)
+                return
         kept = self._kept.get(command.id)
         pending = next((p for p in self._pending.values() if p.command.id == command.id), None)
         if kept is not None or pending is not None:
@@ -117,11 +145,13 @@ class CommandDesk:
             elif pending is not None:
                 pending.replies.append(reply)
             return
-        refusal = self._gate.admit(command, now_s)
+        refusal = (sender.fresh(command) if sender is not None else None) or self._gate.admit(command, now_s)
         if refusal is None and self._session.waiting >= MAX_WAITING and command.WhichOneof("what") != "stop":
             refusal = Refusal("queue-full", f"{MAX_WAITING} commands wait for this board already.")
         if refusal is not None:
             self._refuse(command, refusal, reply, host_ns)
+        elif command.WhichOneof("what") == "mark":
+            self._mark(command, reply, host_ns)
         else:
             self._carry_on(command, reply, now_s, host_ns, link, reason)
 
@@ -188,6 +218,17 @@ class CommandDesk:
         token = self._session.submit(wire.name, now_s, **wire.values)
         self._pending[token] = _Pending(command=command, wire=wire, received_ns=host_ns, replies=[reply])
 
+    def _mark(self, command: pb.Command, reply: Reply, host_ns: int) -> None:
+        """A remark is the gateway's to keep; the board never hears of it, and need not be there."""
+        tick = self._known.sample.tick if self._known.sample is not None else 0
+        text = "".join(c if c.isprintable() else " " for c in f"{command.who or 'unknown'}: {command.mark.text}")
+        event = pb.Event(host_time_ns=host_ns, tick=tick, source="gateway", severity="info", name="mark", text=text)
+        event.session = self._session.number if self._session.is_open else 0
+        self._outlet.send("event", event, host_ns)
+        self.accepted_count += 1
+        answer = pb.CommandReply(id=command.id, accepted=True, tick=tick, text="marked")
+        self._finish(command, answer, [reply], host_ns, host_ns, keep=True)
+
     def _view(self) -> BoardView:
         sample, scaling, parameters = self._known.sample, self._known.scaling, self._known.parameters
         if parameters is not None and parameters.int("divider") == 0:
@@ -220,7 +261,7 @@ class CommandDesk:
     def _refuse(self, command: pb.Command, refusal: Refusal, reply: Reply, host_ns: int) -> None:
         self.refused_count += 1
         answer = pb.CommandReply(id=command.id, refused_by="gateway", reason=refusal.reason, text=refusal.text)
-        keep = bool(command.id) and refusal.reason not in ("flood", "queue-full", "id-reused")
+        keep = bool(command.id) and refusal.reason not in _NOT_KEPT
         self._finish(command, answer, [reply], host_ns, host_ns, keep=keep)
 
     def _finish(
@@ -238,16 +279,19 @@ class CommandDesk:
         record = pb.CommandRecord(received_ns=received_ns, answered_ns=answered_ns, command=command, reply=answer)
         self._outlet.send("command/record", record, answered_ns)
         if keep:
-            self._kept[command.id] = _Kept(_content(command), answer)
-            if len(self._kept) > KEPT_IDS:
+            self._kept[command.id] = _Kept(_content(command), answer, answered_ns)
+            while len(self._kept) > KEPT_IDS:
+                oldest = next(iter(self._kept.values()))
+                if 0 <= answered_ns - oldest.at_ns < KEPT_S * 1e9:
+                    break
                 self._kept.popitem(last=False)
 
 
 def _content(command: pb.Command) -> bytes:
-    """What the command does: two senders may carry the same id on behalf of each other, so not who."""
+    """What the command does: two senders may carry the same id on behalf of each other, so not who, nor when."""
     bare = pb.Command()
     bare.CopyFrom(command)
-    bare.who = ""
+    bare.who, bare.role, bare.issued_ns = "", "", 0
     return bare.SerializeToString(deterministic=True)
 
 

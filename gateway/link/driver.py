@@ -15,6 +15,7 @@ import secrets
 import time
 from dataclasses import dataclass
 
+from gateway.access.doorkeeper import Sender
 from gateway.config import BoardConfig
 from gateway.link.capture import CaptureReader
 from gateway.link.clock import HostClock
@@ -159,10 +160,10 @@ class BoardDriver:
             self._capture.poll(now_s)
         self._set_deadline()
 
-    def command(self, payload: bytes, reply: Reply, now_s: float) -> None:
-        """A query from the bus."""
+    def command(self, payload: bytes, reply: Reply, now_s: float, sender: Sender | None = None) -> None:
+        """A query from the bus; `sender` where the bus is guarded."""
         self._now_s = now_s
-        self.desk.take(payload, reply, now_s, self.host_ns(), link=self.link, reason=self.reason)
+        self.desk.take(payload, reply, now_s, self.host_ns(), link=self.link, reason=self.reason, sender=sender)
         self._drain(now_s)
         self._set_deadline()
 

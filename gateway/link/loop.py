@@ -19,6 +19,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from gateway.access.doorkeeper import Sender
 from gateway.link.driver import BoardDriver
 from gateway.link.outlet import Reply
 from gateway.link.port import Port, PortProblem, open_port
@@ -72,12 +73,12 @@ class LinkThread:
         with contextlib.suppress(BlockingIOError):  # a full pipe wakes as well as an empty one with a byte
             os.write(self._wake_write, b"\x00")
 
-    def command(self, driver: BoardDriver, payload: bytes, reply: Reply) -> None:
-        """Hand a query to a board's driver; from any thread."""
+    def command(self, driver: BoardDriver, payload: bytes, reply: Reply, sender: Sender | None = None) -> None:
+        """Hand a query to a board's driver; from any thread.  `sender` is known on a guarded bus."""
 
         def act() -> None:
             try:
-                driver.command(payload, reply, time.monotonic())
+                driver.command(payload, reply, time.monotonic(), sender)
             except Exception:
                 _logger.exception("%s: a command", driver.config.name)
                 reply(pb.CommandReply(refused_by="gateway", reason="internal-error", text="See the gateway's log."))

@@ -76,14 +76,22 @@ class BusReplay:
         session: An open session.
         boards: (site, board) pairs that will be published.
         rename: Publish the only board under this name instead.
+        site: Publish under this site instead of the recorded one.
     """
 
-    def __init__(self, session: zenoh.Session, boards: Sequence[tuple[str, str]], *, rename: str | None = None) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        boards: Sequence[tuple[str, str]],
+        *,
+        rename: str | None = None,
+        site: str | None = None,
+    ) -> None:
         if rename is not None and len(boards) > 1:
             names = ", ".join(board for _, board in boards)
             raise UsageError(f"--as {rename}: the log has several boards: {names}", remedy="Choose one with --board")
         self._session = session
-        self._rename = rename
+        self._rename, self._site = rename, site
         self._boards = boards
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._declared = ExitStack()
@@ -91,12 +99,12 @@ class BusReplay:
 
     def __enter__(self) -> BusReplay:
         for site, board in self._boards:
-            alive = topics.key(site, self._rename or board, topics.ALIVE)
+            alive = topics.key(self._site or site, self._rename or board, topics.ALIVE)
             for reply in self._session.liveliness().get(alive, timeout=1.0):
                 if reply.ok is not None:
                     raise ServiceError(
                         f"Board {alive.removesuffix('/alive')} is alive on this bus",
-                        remedy="Replay under another name (--as NAME), or stop its gateway",
+                        remedy="Replay under another name (--as NAME) or site (--as-site SITE), or stop its gateway",
                     )
             self._declared.enter_context(self._session.liveliness().declare_token(alive))
         return self
@@ -121,7 +129,7 @@ class BusReplay:
         self._publisher(record.site, record.board, record.topic).put(data)
 
     def _publisher(self, site: str, board: str, topic: str) -> zenoh.Publisher:
-        key = topics.key(site, self._rename or board, topic)
+        key = topics.key(self._site or site, self._rename or board, topic)
         publisher = self._publishers.get(key)
         if publisher is None:
             publisher = self._declared.enter_context(

@@ -218,10 +218,18 @@ class Ping(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...
 
+class Mark(_message.Message):
+    __slots__ = ("text",)
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    text: str
+    def __init__(self, text: _Optional[str] = ...) -> None: ...
+
 class Command(_message.Message):
-    __slots__ = ("id", "who", "set_mode", "set_reference", "set_gains", "excite", "capture", "set_stream", "set_host_loss", "stop", "ping")
+    __slots__ = ("id", "who", "issued_ns", "role", "set_mode", "set_reference", "set_gains", "excite", "capture", "set_stream", "set_host_loss", "stop", "ping", "mark")
     ID_FIELD_NUMBER: _ClassVar[int]
     WHO_FIELD_NUMBER: _ClassVar[int]
+    ISSUED_NS_FIELD_NUMBER: _ClassVar[int]
+    ROLE_FIELD_NUMBER: _ClassVar[int]
     SET_MODE_FIELD_NUMBER: _ClassVar[int]
     SET_REFERENCE_FIELD_NUMBER: _ClassVar[int]
     SET_GAINS_FIELD_NUMBER: _ClassVar[int]
@@ -231,8 +239,11 @@ class Command(_message.Message):
     SET_HOST_LOSS_FIELD_NUMBER: _ClassVar[int]
     STOP_FIELD_NUMBER: _ClassVar[int]
     PING_FIELD_NUMBER: _ClassVar[int]
+    MARK_FIELD_NUMBER: _ClassVar[int]
     id: str
     who: str
+    issued_ns: int
+    role: str
     set_mode: SetMode
     set_reference: SetReference
     set_gains: SetGains
@@ -242,7 +253,8 @@ class Command(_message.Message):
     set_host_loss: SetHostLoss
     stop: Stop
     ping: Ping
-    def __init__(self, id: _Optional[str] = ..., who: _Optional[str] = ..., set_mode: _Optional[_Union[SetMode, _Mapping]] = ..., set_reference: _Optional[_Union[SetReference, _Mapping]] = ..., set_gains: _Optional[_Union[SetGains, _Mapping]] = ..., excite: _Optional[_Union[Excite, _Mapping]] = ..., capture: _Optional[_Union[Capture, _Mapping]] = ..., set_stream: _Optional[_Union[SetStream, _Mapping]] = ..., set_host_loss: _Optional[_Union[SetHostLoss, _Mapping]] = ..., stop: _Optional[_Union[Stop, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ...) -> None: ...
+    mark: Mark
+    def __init__(self, id: _Optional[str] = ..., who: _Optional[str] = ..., issued_ns: _Optional[int] = ..., role: _Optional[str] = ..., set_mode: _Optional[_Union[SetMode, _Mapping]] = ..., set_reference: _Optional[_Union[SetReference, _Mapping]] = ..., set_gains: _Optional[_Union[SetGains, _Mapping]] = ..., excite: _Optional[_Union[Excite, _Mapping]] = ..., capture: _Optional[_Union[Capture, _Mapping]] = ..., set_stream: _Optional[_Union[SetStream, _Mapping]] = ..., set_host_loss: _Optional[_Union[SetHostLoss, _Mapping]] = ..., stop: _Optional[_Union[Stop, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ..., mark: _Optional[_Union[Mark, _Mapping]] = ...) -> None: ...
 
 class CommandReply(_message.Message):
     __slots__ = ("id", "accepted", "refused_by", "reason", "text", "tick", "attempts")
@@ -412,7 +424,7 @@ class SignalDivergence(_message.Message):
     def __init__(self, error: _Optional[float] = ..., normalised: _Optional[float] = ..., rolling_rmse: _Optional[float] = ..., fit_percent: _Optional[float] = ..., window_full: _Optional[bool] = ...) -> None: ...
 
 class Divergence(_message.Message):
-    __slots__ = ("sequence", "tick", "session", "t_s", "sync", "x_m", "i_c_a", "u_c_v", "innovation_x_m", "innovation_i_c_a", "nis", "nis_mean", "bridged_ticks", "innovation_valid")
+    __slots__ = ("sequence", "tick", "session", "t_s", "sync", "x_m", "i_c_a", "u_c_v", "innovation_x_m", "innovation_i_c_a", "nis", "nis_mean", "bridged_ticks", "nis_on", "innovation_valid")
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     TICK_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
@@ -426,6 +438,7 @@ class Divergence(_message.Message):
     NIS_FIELD_NUMBER: _ClassVar[int]
     NIS_MEAN_FIELD_NUMBER: _ClassVar[int]
     BRIDGED_TICKS_FIELD_NUMBER: _ClassVar[int]
+    NIS_ON_FIELD_NUMBER: _ClassVar[int]
     INNOVATION_VALID_FIELD_NUMBER: _ClassVar[int]
     sequence: int
     tick: int
@@ -440,8 +453,9 @@ class Divergence(_message.Message):
     nis: float
     nis_mean: float
     bridged_ticks: int
+    nis_on: float
     innovation_valid: bool
-    def __init__(self, sequence: _Optional[int] = ..., tick: _Optional[int] = ..., session: _Optional[int] = ..., t_s: _Optional[float] = ..., sync: _Optional[str] = ..., x_m: _Optional[_Union[SignalDivergence, _Mapping]] = ..., i_c_a: _Optional[_Union[SignalDivergence, _Mapping]] = ..., u_c_v: _Optional[_Union[SignalDivergence, _Mapping]] = ..., innovation_x_m: _Optional[float] = ..., innovation_i_c_a: _Optional[float] = ..., nis: _Optional[float] = ..., nis_mean: _Optional[float] = ..., bridged_ticks: _Optional[int] = ..., innovation_valid: _Optional[bool] = ...) -> None: ...
+    def __init__(self, sequence: _Optional[int] = ..., tick: _Optional[int] = ..., session: _Optional[int] = ..., t_s: _Optional[float] = ..., sync: _Optional[str] = ..., x_m: _Optional[_Union[SignalDivergence, _Mapping]] = ..., i_c_a: _Optional[_Union[SignalDivergence, _Mapping]] = ..., u_c_v: _Optional[_Union[SignalDivergence, _Mapping]] = ..., innovation_x_m: _Optional[float] = ..., innovation_i_c_a: _Optional[float] = ..., nis: _Optional[float] = ..., nis_mean: _Optional[float] = ..., bridged_ticks: _Optional[int] = ..., nis_on: _Optional[float] = ..., innovation_valid: _Optional[bool] = ...) -> None: ...
 
 class Alarm(_message.Message):
     __slots__ = ("host_time_ns", "tick", "session", "name", "active", "value", "threshold_on", "threshold_off", "text")

@@ -9,9 +9,10 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
-from protocol.errors import ConfigError
+from protocol.bus.identity import Identity
+from protocol.errors import ConfigError, ServiceError
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 _ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|unixsock-stream)/[^\s#?]+")
@@ -29,7 +30,12 @@ def check_endpoint(endpoint: str, *, where: str) -> str:
 
 
 def zenoh_config(
-    mode: Mode, *, listen: Sequence[str] = (), connect: Sequence[str] = (), wait_for_router: bool = True
+    mode: Mode,
+    *,
+    listen: Sequence[str] = (),
+    connect: Sequence[str] = (),
+    wait_for_router: bool = True,
+    identity: Identity | None = None,
 ) -> str:
     """JSON5 text for `zenoh.Config.from_json5`.
 
@@ -41,19 +47,49 @@ def zenoh_config(
             keeps looking for it in the background: daemons must start in any order.  (zenoh does that for peers and
             routers, a client's open blocks.  A router passes nothing between two peers that cannot reach each other, so
             such a daemon joins as a router that listens nowhere.)
+        identity: who this process is on a guarded bus.
     """
-    return json.dumps(
-        {
-            "mode": mode if wait_for_router else "router",
-            "listen": {"endpoints": list(listen), "exit_on_failure": True},
-            "connect": {
-                "endpoints": list(connect),
-                "timeout_ms": 5000 if wait_for_router else -1,
-                "exit_on_failure": wait_for_router,
-                "retry": {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 1.5},
-            },
-            "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-            "timestamping": {"enabled": False},
+    config: dict[str, Any] = {
+        "mode": mode if wait_for_router else "router",
+        "listen": {"endpoints": list(listen), "exit_on_failure": True},
+        "connect": {
+            "endpoints": list(connect),
+            "timeout_ms": 5000 if wait_for_router else -1,
+            "exit_on_failure": wait_for_router,
+            "retry": {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 1.5},
         },
-        indent=2,
-    )
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "timestamping": {"enabled": False},
+    }
+    if identity is not None:
+        config["transport"] = {
+            "auth": {"usrpwd": {"user": identity.name, "password": identity.password}},
+            "link": {
+                "tls": {
+                    "root_ca_certificate": str(identity.ca),
+                    "connect_certificate": str(identity.certificate),
+                    "connect_private_key": str(identity.key),
+                    "enable_mtls": True,
+                    "verify_name_on_connect": True,
+                }
+            },
+        }
+    return json.dumps(config, indent=2)
+
+
+def refused_by_router(endpoints: Sequence[str], identity: Identity | None) -> ServiceError:
+    """The error for a client whose `zenoh.open` failed: zenoh tells only that nobody answered in time.
+
+    A router that does not take this client's certificate or password looks like no router; so does a guarded one to a
+    client without an identity.
+    """
+    where = ", ".join(endpoints)
+    remedy = "Start `board51 gateway`, or give its endpoint with --connect"
+    if identity is not None:
+        return ServiceError(
+            f"No router answers at {where}, or it does not take the identity {identity.name}",
+            remedy=f"{remedy}; if it runs, get {identity.folder} anew from its `board51 security` folder",
+        )
+    if any(endpoint.startswith(("tls/", "quic/")) for endpoint in endpoints):
+        remedy += "; a guarded one wants --identity DIR/identities/NAME"
+    return ServiceError(f"No router answers at {where}", remedy=remedy)

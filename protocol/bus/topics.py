@@ -65,6 +65,7 @@ TOPICS: tuple[Topic, ...] = (
 )  # fmt: skip
 BY_NAME = {topic.name: topic for topic in TOPICS}
 
+AS = "as"
 ALIVE = "alive"  # liveliness token <site>/<board>/alive, held while the gateway serves the board
 
 
@@ -85,8 +86,28 @@ def key(site: str, board: str, topic: str) -> str:
     return f"{site}/{board}/{topic}"
 
 
+def command_key(site: str, board: str, *, role: str = "", who: str = "", topic: str = "command") -> str:
+    """Where a command goes: on a guarded bus, where its sender has a role, the key says as whom.
+
+    `<site>/<board>/command/as/<role>/<who>`: the router lets nobody send as somebody else, which no field in the
+    message could achieve.  Without a role `<site>/<board>/command`, served on an unguarded bus only.
+    """
+    plain = key(site, board, topic)
+    return f"{plain}/{AS}/{role}/{check_name(who, what='who')}" if role else plain
+
+
+def sender(full: str) -> tuple[str, str] | None:
+    """(role, who) of a key that `command_key` made, or None where it says neither."""
+    _, found, rest = full.partition(f"/{AS}/")
+    role, _, who = rest.partition("/")
+    return (role, who) if found and _NAME.fullmatch(role) and _NAME.fullmatch(who) else None
+
+
 def split(full: str) -> tuple[str, str, str] | None:
     """(site, board, topic) of a key, or None where it is not one of ours."""
     site, _, rest = full.partition("/")
     board, _, topic = rest.partition("/")
+    before, found, _ = topic.partition(f"/{AS}/")
+    if found and before in BY_NAME and BY_NAME[before].by == "client":
+        topic = before
     return (site, board, topic) if site and board and topic in BY_NAME else None

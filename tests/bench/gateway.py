@@ -54,11 +54,19 @@ def run() -> list[dict[str, Any]]:
     return rows
 
 
-def measure(boards: int, *, bare: bool) -> Result:
-    """One run with the gateway, or with the bare loop."""
+def measure(boards: int, *, bare: bool, keys: Path | None = None) -> Result:
+    """One run with the gateway, or with the bare loop.
+
+    Args:
+        boards: how many, at 500 Hz each.
+        bare: the loop in place of the gateway.
+        keys: folder of `board51 security init --site bench`: the gateway's bus is guarded with TLS.
+    """
     with tempfile.TemporaryDirectory(prefix="board51-bench-") as name:
         folder = Path(name)
-        endpoint = f"tcp/127.0.0.1:{_free_port()}"
+        endpoint = f"{'tls' if keys else 'tcp'}/127.0.0.1:{_free_port()}"
+        guard = ["--security", keys] if keys else []
+        identity = {"BOARD51_IDENTITY": str(keys / "identities" / "views")} if keys else {}
         processes: list[subprocess.Popen[str]] = []
         try:
             seconds = WARM_S + WINDOW_S + TAIL_S + 30
@@ -79,10 +87,11 @@ def measure(boards: int, *, bare: bool) -> Result:
                     endpoint,
                     "--log-dir",
                     folder / "logs",
+                    *guard,
                 )
             processes.append(middle)
             _listening(endpoint)
-            processes.append(_start(HERE / "subscriber.py", folder, endpoint))
+            processes.append(_start(HERE / "subscriber.py", folder, endpoint, **identity))
             _ready(processes[-1])
             time.sleep(WARM_S)
             begin, cpu = time.monotonic_ns(), _cpu_s(middle.pid)
@@ -117,8 +126,8 @@ def _result(folder: Path, begin: int, end: int, cpu_s: float) -> Result:
     )
 
 
-def _start(*words: object) -> subprocess.Popen[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+def _start(*words: object, **variables: str) -> subprocess.Popen[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
     return subprocess.Popen(
         [sys.executable, *map(str, words)],
         stdout=subprocess.PIPE,
@@ -137,7 +146,7 @@ def _ready(process: subprocess.Popen[str]) -> None:
 
 
 def _listening(endpoint: str, limit_s: float = 30.0) -> None:
-    host, port = endpoint.removeprefix("tcp/").rsplit(":", 1)
+    host, port = endpoint.partition("/")[2].rsplit(":", 1)
     end = time.monotonic() + limit_s
     while True:
         with socket.socket() as probe:

@@ -101,4 +101,4 @@ def test_an_absent_file_says_how_to_get_one(tmp_path: Path) -> None:
 
 
 def test_the_documented_file_is_toml() -> None:
-    assert set(tomllib.loads(documented_toml())) == {"site", "board", "zenoh", "log"}
+    assert set(tomllib.loads(documented_toml())) == {"site", "board", "zenoh", "log", "security"}

@@ -14,6 +14,7 @@ import sys
 from pathlib import Path
 
 from protocol.bus.endpoint import DEFAULT_ENDPOINT
+from protocol.bus.identity import HELP, find_identity
 from protocol.bus.topics import DEFAULT_SITE
 from protocol.errors import DataError, UsageError
 
@@ -71,6 +72,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="ENDPOINT",
         help="where its gateway listens (default %(default)s)",
     )
+    parser.add_argument("--identity", metavar="FOLDER", help=HELP)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -130,5 +132,8 @@ def run(args: argparse.Namespace) -> int:
     if args.send is not None:
         from twin.design.send import send
 
-        print(send(found, site=args.site, board=args.send, endpoint=args.connect), file=sys.stderr)
+        print(
+            send(found, site=args.site, board=args.send, endpoint=args.connect, identity=find_identity(args.identity)),
+            file=sys.stderr,
+        )
     return 0

@@ -16,10 +16,12 @@ import signal
 import sys
 import threading
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
+from protocol.bus.identity import HELP, find_identity
 from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.errors import UsageError
 from twin.mirror.settings import Settings
@@ -49,6 +51,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="append",
         help=f"where the gateway or a router listens (default {DEFAULT_ENDPOINT})",
     )
+    parser.add_argument("--identity", metavar="FOLDER", help=HELP)
     parser.add_argument(
         "--hand-over", metavar="FILE", help="give this model (file, or name of a shipped one) to the twins that run"
     )
@@ -144,7 +147,14 @@ def _hand_over(args: argparse.Namespace, endpoints: tuple[str, ...]) -> int:
                 f"{what} {word[:MAX_WORD]!r} is no name", remedy=f"Use up to {MAX_WORD} printable characters"
             )
     belief = believe(_model(args.hand_over), who=who)
-    answers = hand_over(belief, site=args.site, board=args.board, endpoints=endpoints, command_id=args.id)
+    answers = hand_over(
+        belief,
+        site=args.site,
+        board=args.board,
+        endpoints=endpoints,
+        command_id=args.id,
+        identity=find_identity(args.identity),
+    )
     if args.json:
         rows = [
             {
@@ -184,7 +194,12 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
         signal.signal(number, lambda *_: stop.set())
     log = logging.getLogger("twin")
     deadline = time.monotonic() + args.duration if args.duration else math.inf
-    with TwinService(model, site=args.site, board=args.board, endpoints=endpoints, settings=settings) as service:
+    identity = find_identity(args.identity)
+    if identity is not None:
+        identity.check_valid(datetime.now(UTC))
+    with TwinService(
+        model, site=args.site, board=args.board, endpoints=endpoints, settings=settings, identity=identity
+    ) as service:
         log.info("twin of model %s on %s/%s via %s", model.plant.name, args.site, args.board or "*", endpoints[0])
         for line in left_out(model):
             log.info("%s", line)

@@ -7,6 +7,7 @@ Rule: the board's own parameters are read first.  Gains of another T_s, or a ref
 from __future__ import annotations
 
 import queue
+import time
 import uuid
 
 import zenoh
@@ -14,7 +15,8 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse, zenoh_encoding
-from protocol.bus.endpoint import check_endpoint, zenoh_config
+from protocol.bus.endpoint import check_endpoint, refused_by_router, zenoh_config
+from protocol.bus.identity import Identity
 from protocol.errors import ServiceError, UsageError
 from twin.design.design import Design
 
@@ -22,7 +24,15 @@ PARAMETERS_WAIT_S = 7.0  # the gateway repeats them every 5 s
 REPLY_WAIT_S = 5.0
 
 
-def send(design: Design, *, site: str, board: str, endpoint: str, who: str = "board51 design") -> str:
+def send(
+    design: Design,
+    *,
+    site: str,
+    board: str,
+    endpoint: str,
+    who: str = "board51 design",
+    identity: Identity | None = None,
+) -> str:
     """Load `design` into `board`; in closed loop it takes over within one tick.
 
     Returns:
@@ -38,14 +48,13 @@ def send(design: Design, *, site: str, board: str, endpoint: str, who: str = "bo
     if not design.board.stable:
         raise UsageError("the loop is unstable on its own model: nothing was sent", remedy="Choose other weights")
     try:
-        session = zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=[endpoint])))
+        config = zenoh_config("client", connect=[endpoint], identity=identity)
+        session = zenoh.open(zenoh.Config.from_json5(config))
     except zenoh.ZError:
-        raise ServiceError(
-            f"no router answers at {endpoint}", remedy="Start `board51 gateway`, or give its endpoint with --connect"
-        ) from None
+        raise refused_by_router([endpoint], identity) from None
     with session:
         check_board(design, _parameters(session, site, board))
-        reply = _ask(session, site, board, _command(design, who))
+        reply = _ask(session, site, board, _command(design, who), identity)
     if not reply.accepted:
         raise ServiceError(
             f"{site}/{board} did not take the gains: refused by {reply.refused_by}, {reply.reason} ({reply.text})",
@@ -101,6 +110,7 @@ def _command(design: Design, who: str) -> pb.Command:
     return pb.Command(
         id=uuid.uuid4().hex,
         who=who,
+        issued_ns=time.time_ns(),
         set_gains=pb.SetGains(
             law=pb.LAW_PID if design.law == "pid" else pb.LAW_LQI,
             gains=design.gains,
@@ -111,9 +121,12 @@ def _command(design: Design, who: str) -> pb.Command:
     )
 
 
-def _ask(session: zenoh.Session, site: str, board: str, command: pb.Command) -> pb.CommandReply:
+def _ask(
+    session: zenoh.Session, site: str, board: str, command: pb.Command, identity: Identity | None
+) -> pb.CommandReply:
+    role, sender = (identity.role, identity.name) if identity is not None else ("", "")
     replies = session.get(
-        topics.key(site, board, "command"),
+        topics.command_key(site, board, role=role, who=sender),
         payload=command.SerializeToString(),
         encoding=zenoh_encoding(pb.Command),
         timeout=REPLY_WAIT_S,

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
+from protocol.bus.identity import HELP, find_identity
 from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.errors import UsageError
 
@@ -29,6 +30,7 @@ def configure_live(parser: argparse.ArgumentParser) -> None:
     live.add_argument(
         "--connect", action="append", metavar="ENDPOINT", help=f"where the gateway listens (default {DEFAULT_ENDPOINT})"
     )
+    live.add_argument("--identity", metavar="FOLDER", help=HELP)
     live.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="the gateway's log folder (logs)")
     live.add_argument("--plant", type=Path, metavar="FILE", help="file with a [plant] (default: as the live twin has)")
     live.add_argument("--hand-over", action="store_true", help="give the extended model to the running twin")
@@ -73,7 +75,7 @@ def record_live(args: argparse.Namespace, say: Callable[[str], None]) -> tuple[P
 
     plant = load_plant(args.plant) if args.plant else None
     span_s = 60.0 * args.live
-    with open_client(endpoints_of(args)) as session:
+    with open_client(endpoints_of(args), find_identity(args.identity)) as session:
         board, status = find_board(session, args.site, args.board)
         heard = from_log(status, args.logs, args.site, board, span_s)
         if heard is None:
@@ -97,8 +99,11 @@ def give_to_twin(args: argparse.Namespace, model: Path, board: str, tell: Callab
 
     endpoints = endpoints_of(args)
     belief = believe(load_model(model), who="diagnose")
-    with open_client(endpoints) as session:
-        taken, lines = hand_over_and_compare(session, belief, site=args.site, board=board, endpoints=endpoints)
+    identity = find_identity(args.identity)
+    with open_client(endpoints, identity) as session:
+        taken, lines = hand_over_and_compare(
+            session, belief, site=args.site, board=board, endpoints=endpoints, identity=identity
+        )
     for line in lines:
         tell(line)
     return taken

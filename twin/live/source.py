@@ -20,7 +20,8 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse
-from protocol.bus.endpoint import zenoh_config
+from protocol.bus.endpoint import refused_by_router, zenoh_config
+from protocol.bus.identity import Identity
 from protocol.errors import ServiceError, UsageError
 from twin.recordings import LogReader
 
@@ -66,15 +67,12 @@ class Heard:
         self.captures = [one for one in self.captures if one.host_time_ns >= since_ns]
 
 
-def open_client(endpoints: tuple[str, ...]) -> zenoh.Session:
+def open_client(endpoints: tuple[str, ...], identity: Identity | None = None) -> zenoh.Session:
     """A session on the bus.  Raises ServiceError where no router answers."""
     try:
-        return zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=endpoints)))
+        return zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=endpoints, identity=identity)))
     except zenoh.ZError:
-        raise ServiceError(
-            f"No router answers at {', '.join(endpoints)}",
-            remedy="Start `board51 gateway`, or give its endpoint with --connect",
-        ) from None
+        raise refused_by_router(endpoints, identity) from None
 
 
 def find_board(session: zenoh.Session, site: str, board: str | None) -> tuple[str, pb.Status]:

@@ -15,6 +15,7 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse
+from protocol.bus.identity import Identity
 from twin.mirror.client import hand_over
 from twin.mirror.handover import Belief
 
@@ -38,7 +39,13 @@ class Surprise:
 
 
 def hand_over_and_compare(
-    session: zenoh.Session, belief: Belief, *, site: str, board: str, endpoints: tuple[str, ...]
+    session: zenoh.Session,
+    belief: Belief,
+    *,
+    site: str,
+    board: str,
+    endpoints: tuple[str, ...],
+    identity: Identity | None = None,
 ) -> tuple[bool, list[str]]:
     """Hand `belief` to the twin of the board; whether it was taken, and what to tell.
 
@@ -54,7 +61,7 @@ def hand_over_and_compare(
     subscriber = session.declare_subscriber(topics.key(site, board, "twin/divergence"), arrived)
     try:
         time.sleep(SPAN_S)
-        answers = hand_over(belief, site=site, board=board, endpoints=endpoints)
+        answers = hand_over(belief, site=site, board=board, endpoints=endpoints, identity=identity)
         lines = [
             f"{site}/{one.board}: {one.reply.text}"
             if one.reply.accepted

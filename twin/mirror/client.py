@@ -10,7 +10,8 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse, zenoh_encoding
-from protocol.bus.endpoint import zenoh_config
+from protocol.bus.endpoint import refused_by_router, zenoh_config
+from protocol.bus.identity import Identity
 from protocol.errors import ServiceError
 from twin.mirror.handover import Belief
 
@@ -33,6 +34,7 @@ def hand_over(
     endpoints: tuple[str, ...],
     command_id: str = "",
     wait_s: float = REPLY_WAIT_S,
+    identity: Identity | None = None,
 ) -> list[Answer]:
     """Hand `belief` to the twin of `board`, or to every twin of the site.
 
@@ -43,24 +45,23 @@ def hand_over(
         endpoints: where the router listens.
         command_id: the same id is executed at most once; empty: a new one.
         wait_s: for the answers; no twin at all is known at once.
+        identity: whose command it is, on a guarded bus.
 
     Raises:
         ServiceError: no router, or no twin that follows this board.
     """
     try:
-        session = zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=endpoints)))
+        session = zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=endpoints, identity=identity)))
     except zenoh.ZError:
-        raise ServiceError(
-            f"No router answers at {', '.join(endpoints)}",
-            remedy="Start `board51 gateway`, or give its endpoint with --connect",
-        ) from None
+        raise refused_by_router(endpoints, identity) from None
     command = pb.TwinCommand(id=command_id or uuid.uuid4().hex, who=belief.who)
     command.use_model.model_json = belief.text
+    role, who = (identity.role, identity.name) if identity is not None else ("", "")
     answers = []
     with session:
         # Every twin that follows the board, not the nearest; and no reply of one stands for that of another.
         for reply in session.get(
-            topics.key(site, board or "*", "twin/command"),
+            topics.command_key(site, board or "*", role=role, who=who, topic="twin/command"),
             payload=command.SerializeToString(),
             encoding=zenoh_encoding(pb.TwinCommand),
             target=zenoh.QueryTarget.ALL,
@@ -74,6 +75,7 @@ def hand_over(
     if not answers:
         raise ServiceError(
             f"No twin answers for {site}/{board or '*'} at {', '.join(endpoints)}",
-            remedy="Start `board51 twin`, or check --site and --board",
+            remedy="Start `board51 twin`, or check --site and --board"
+            + (f"; {who} is {role}, and only an engineer hands models over" if role not in ("", "engineer") else ""),
         )
     return sorted(answers, key=lambda answer: answer.board)

@@ -122,7 +122,8 @@ class Mirror:
                 alarms += self.comparison.messages(answer[6])
         for alarm in alarms:
             alarm.host_time_ns, alarm.tick, alarm.session = state.host_time_ns, state.tick, state.session
-        return Output(now, sync, bridged, flying, answer, tuple(alarms))
+        nis_on = regime.nis_on if regime is not None else 0.0
+        return Output(now, sync, bridged, flying, answer, tuple(alarms), nis_on)
 
     def use(self, model: Model) -> list[pb.Alarm]:
         """Believe `model` from the next sample on; returns the alarms that end with the model before.

@@ -20,9 +20,20 @@ class Output:
         flying: whether there is a free twin.
         answer: of `step`; None where the sample time is not known or not supported.
         alarms: that change state with it.
+        nis_on: threshold of the alarm on the mean NIS; 0 where there is none.
     """
 
-    __slots__ = ("_answer", "_bridged_ticks", "_divergence", "_flying", "_sample", "_state", "alarms", "sync")
+    __slots__ = (
+        "_answer",
+        "_bridged_ticks",
+        "_divergence",
+        "_flying",
+        "_nis_on",
+        "_sample",
+        "_state",
+        "alarms",
+        "sync",
+    )
 
     def __init__(
         self,
@@ -32,6 +43,7 @@ class Output:
         flying: bool,
         answer: Answer | None,
         alarms: tuple[pb.Alarm, ...],
+        nis_on: float,
     ) -> None:
         self._sample = sample
         self.sync = sync
@@ -39,6 +51,7 @@ class Output:
         self._flying = flying
         self._answer = answer
         self.alarms = alarms
+        self._nis_on = nis_on
         self._state: pb.TwinState | None = None
         self._divergence: pb.Divergence | None = None
 
@@ -84,6 +97,7 @@ class Output:
             innovation_x_m=n_x,
             nis=nis,
             nis_mean=nis_mean,
+            nis_on=self._nis_on,
             innovation_valid=valid,
         )
         if answer and self._flying:

@@ -24,6 +24,7 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import encoding, topics
 from protocol.bus.endpoint import zenoh_config
+from protocol.bus.identity import Identity
 from protocol.errors import ServiceError
 from twin.mirror.handover import Answered, believe, read_command, read_model, refusal
 from twin.mirror.output import Output
@@ -33,6 +34,7 @@ from twin.model.parameters import Model
 
 QUEUE_LENGTH = 5000  # ten seconds of one board
 POLL_S = 0.1  # of the look at the clock where nothing arrives
+_MAY_HAND_OVER = "engineer"  # the role that a guarded bus wants for it; the router has checked who has it
 _REPLY_ENCODING = encoding.zenoh_encoding(pb.CommandReply)
 log = logging.getLogger(__name__)
 
@@ -45,6 +47,7 @@ class TwinService:
         site: first chunk of the keys.
         board: only this one; None: every board of the site.
         endpoints: where the router listens.
+        identity: of the twin, on a guarded bus; only engineers hand it models then.
         settings: window, false-alarm rate, longest bridge.
         on_output: called in the worker thread with each board and output, for a display.
 
@@ -61,6 +64,7 @@ class TwinService:
         site: str = topics.DEFAULT_SITE,
         board: str | None = None,
         endpoints: tuple[str, ...],
+        identity: Identity | None = None,
         settings: Settings | None = None,
         on_output: Callable[[Watched, Output], None] | None = None,
     ) -> None:
@@ -73,7 +77,7 @@ class TwinService:
         self._site = site
         self._board = board
         self._commands = zenoh.KeyExpr(topics.key(site, board or "*", "twin/command"))
-        self._endpoints = endpoints
+        self._endpoints, self._identity = endpoints, identity
         self._settings = settings
         self._on_output = on_output
         self._queue: queue.Queue[tuple[str, bytes] | zenoh.Query] = queue.Queue(maxsize=QUEUE_LENGTH)
@@ -84,10 +88,9 @@ class TwinService:
 
     def start(self) -> None:
         """Open the session and begin.  Raises ServiceError where zenoh refuses the configuration."""
+        text = zenoh_config("client", connect=self._endpoints, wait_for_router=False, identity=self._identity)
         try:
-            self._session = zenoh.open(
-                zenoh.Config.from_json5(zenoh_config("client", connect=self._endpoints, wait_for_router=False))
-            )
+            self._session = zenoh.open(zenoh.Config.from_json5(text))
         except zenoh.ZError as error:
             raise ServiceError(
                 f"zenoh cannot be opened with {', '.join(self._endpoints)} ({error})", remedy="Check --connect"
@@ -97,7 +100,8 @@ class TwinService:
         # One subscriber for both topics: zenoh keeps the order within a subscriber, not between two, and a sample that
         # overtakes its board's parameters would be compared under the old ones.
         self._session.declare_subscriber(f"{self._site}/{self._board or '*'}/*", self._receive)
-        self._session.declare_queryable(self._commands, self._asked)
+        served = f"{self._commands}/{topics.AS}/{_MAY_HAND_OVER}/*" if self._identity is not None else self._commands
+        self._session.declare_queryable(served, self._asked)
 
     def stop(self) -> None:
         """Answer what is queued for at most a second, then close.  Idempotent."""
@@ -199,14 +203,19 @@ class TwinService:
     def _command(self, query: zenoh.Query, now: float) -> list[tuple[str, pb.CommandReply]]:
         """(key, reply) for each board that the query means; for none, one under the key that was asked."""
         asked = str(query.key_expr)
+        plain, _, sender = asked.partition(f"/{topics.AS}/")
+        suffix = asked.removeprefix(plain)
         command = read_command(query.payload.to_bytes() if query.payload is not None else b"")
         if isinstance(command, pb.CommandReply):
             return [(asked, command)]
+        if sender:
+            command.who = sender.partition("/")[2]
         if (before := self._answered.again(asked, command)) is not None:
             return before
+        boards = zenoh.KeyExpr(plain)
         own = {topics.key(one.site, one.board, "twin/command"): one for one in self.boards.values()}
-        meant = {key: one for key, one in own.items() if query.key_expr.intersects(zenoh.KeyExpr(key))}
-        everybody = query.key_expr.includes(self._commands)
+        meant = {key + suffix: one for key, one in own.items() if boards.intersects(zenoh.KeyExpr(key))}
+        everybody = boards.includes(self._commands)
         if not meant and not everybody:
             text = f"Not a board of this twin; it has {', '.join(sorted(self.boards)) or 'heard of none yet'}."
             return [(asked, refusal("unknown-board", text, command_id=command.id))]

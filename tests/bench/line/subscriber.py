@@ -17,6 +17,7 @@ import zenoh
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
+from protocol.bus.identity import find_identity
 
 
 def main(folder: Path, endpoint: str) -> None:
@@ -29,7 +30,8 @@ def main(folder: Path, endpoint: str) -> None:
     def take(sample: zenoh.Sample) -> None:
         arrived.append((time.monotonic_ns(), str(sample.key_expr), sample.payload.to_bytes()))
 
-    with zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=[endpoint]))) as session:
+    identity = find_identity(None)  # BOARD51_IDENTITY, where the bus is guarded
+    with zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=[endpoint], identity=identity))) as session:
         session.declare_subscriber("bench/*/state", take)
         print("ready", flush=True)
         stop.wait()

@@ -1,0 +1,168 @@
+"""Certificates of one plant: a small authority of its own, what it issues, and whether a certificate is still good.
+
+RSA with 2048 bits throughout: OPC UA's Basic256Sha256 takes nothing else, and one kind serves zenoh, OPC UA and HTTPS.
+The authority is private to the plant: nothing it signs is trusted by a browser or by anybody else until told so.
+
+Rule: a certificate is valid from a day before it was made: two hosts' clocks differ.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from protocol.errors import ConfigError
+
+CA_DAYS = 3650
+DAYS = 825  # of everything that it signs
+WARN_DAYS = 30
+_KEY_BITS = 2048
+_BACKDATED = timedelta(days=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Issued:
+    """A certificate with its key, both PEM."""
+
+    certificate: bytes
+    key: bytes
+    valid_until: datetime
+
+
+class Authority:
+    """Signs."""
+
+    def __init__(self, certificate: x509.Certificate, key: rsa.RSAPrivateKey) -> None:
+        self._certificate, self._key = certificate, key
+
+    @classmethod
+    def create(cls, name: str, *, now: datetime, days: float = CA_DAYS) -> tuple[Authority, Issued]:
+        """A new one, and what must be kept of it."""
+        key = rsa.generate_private_key(public_exponent=65537, key_size=_KEY_BITS)
+        subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+        certificate = (
+            _builder(subject, subject, key.public_key(), now, days)
+            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+            .add_extension(_usage(authority=True), critical=True)
+            .sign(key, hashes.SHA256())
+        )
+        return cls(certificate, key), _issued(certificate, key)
+
+    @classmethod
+    def load(cls, certificate: bytes, key: bytes) -> Authority:
+        """From the PEM texts that `create` gave.  Raises ValueError where they are not such."""
+        loaded = serialization.load_pem_private_key(key, password=None)
+        if not isinstance(loaded, rsa.RSAPrivateKey):
+            raise ValueError("not an RSA key")
+        return cls(x509.load_pem_x509_certificate(certificate), loaded)
+
+    def issue(
+        self, name: str, *, now: datetime, hosts: Sequence[str] = (), uris: Sequence[str] = (), days: float = DAYS
+    ) -> Issued:
+        """A certificate for a server (with its hosts), a client (without), or both: OPC UA asks both of each.
+
+        Args:
+            name: its common name.
+            now: when.
+            hosts: names and IP addresses under which it is reached.
+            uris: application URIs of OPC UA.
+            days: for how long; negative ones are in the past.
+        """
+        key = rsa.generate_private_key(public_exponent=65537, key_size=_KEY_BITS)
+        subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+        names: list[x509.GeneralName] = [x509.UniformResourceIdentifier(uri) for uri in uris]
+        names += [_host(host) for host in hosts]
+        purposes = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if hosts else [])]
+        builder = (
+            _builder(subject, self._certificate.subject, key.public_key(), now, days)
+            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+            .add_extension(_usage(authority=False), critical=True)
+            .add_extension(x509.ExtendedKeyUsage(purposes), critical=False)
+            .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key()), critical=False)
+        )
+        if names:
+            builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
+        return _issued(builder.sign(self._key, hashes.SHA256()), key)
+
+
+def check_certificate(path: Path, *, what: str, now: datetime | None = None) -> float:
+    """For how many days it is still good.
+
+    Raises:
+        ConfigError: absent, not a certificate, expired or not yet valid.
+    """
+    now = datetime.now(UTC) if now is None else now
+    try:
+        certificate = x509.load_pem_x509_certificate(path.read_bytes())
+    except OSError as error:
+        raise ConfigError(
+            f"{what} {path} cannot be read: {error.strerror}", remedy="Make it with `board51 security init`"
+        ) from None
+    except ValueError:
+        raise ConfigError(f"{what} {path} is not a certificate in PEM", remedy="Give one, or renew it") from None
+    if now >= certificate.not_valid_after_utc:
+        raise ConfigError(
+            f"{what} {path} expired on {certificate.not_valid_after_utc:%Y-%m-%d}",
+            remedy="Renew it with `board51 security renew DIR`",
+        )
+    if now < certificate.not_valid_before_utc:
+        raise ConfigError(
+            f"{what} {path} is valid from {certificate.not_valid_before_utc:%Y-%m-%d} only",
+            remedy="Set this machine's clock right",
+        )
+    return (certificate.not_valid_after_utc - now).total_seconds() / 86400
+
+
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: rsa.RSAPublicKey, now: datetime, days: float
+) -> x509.CertificateBuilder:
+    end = now + timedelta(days=days)
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(min(now, end) - _BACKDATED)
+        .not_valid_after(end)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key), critical=False)
+    )
+
+
+def _usage(*, authority: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=True,
+        content_commitment=not authority,
+        key_encipherment=not authority,
+        data_encipherment=not authority,
+        key_agreement=False,
+        key_cert_sign=authority,
+        crl_sign=authority,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _host(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        return x509.DNSName(host)
+
+
+def _issued(certificate: x509.Certificate, key: rsa.RSAPrivateKey) -> Issued:
+    return Issued(
+        certificate=certificate.public_bytes(serialization.Encoding.PEM),
+        key=key.private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        ),
+        valid_until=certificate.not_valid_after_utc,
+    )

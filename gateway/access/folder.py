@@ -1,0 +1,269 @@
+"""The folder that `board51 security init` makes: everything secret of one plant, and what is where in it.
+
+    security.toml              site and host names
+    ca.pem, ca-key.pem         the authority; take ca-key.pem away and keep it safe, it is needed for new people only
+    users.toml                 logins of OPC UA and the web page
+    bus/router.pem, -key.pem   the router's (or the gateway's, where it is the router)
+    bus/passwords.txt          zenoh's dictionary
+    bus/router.json5           for `board51 router --config` or a stock zenohd
+    opcua/server.pem, -key.pem
+    hmi/server.pem, -key.pem
+    identities/NAME/           see protocol/bus/identity.py; one for each person and for gateway, twin and views
+
+Rule: everything secret has mode 0600, and what has not is refused.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from gateway.access.bus_rules import LARGEST_MESSAGE, SERVICES, access_control, size_limits
+from gateway.access.certificates import DAYS, Authority, Issued, check_certificate
+from gateway.access.private import check_private, read_private, write_private
+from gateway.access.roles import Role
+from gateway.access.users import User, Users, remove_user, set_user
+from protocol.bus.endpoint import zenoh_config
+from protocol.bus.identity import Identity, load_identity
+from protocol.bus.topics import DEFAULT_SITE, check_name
+from protocol.errors import ConfigError, UsageError
+
+OPCUA_URI = "urn:board51:opcua"  # the server's application URI, which its certificate must carry
+ALWAYS_HOSTS = ("localhost", "127.0.0.1", "::1")
+_SERVERS = {"bus/router": (), "opcua/server": (OPCUA_URI,), "hmi/server": ()}
+
+
+@dataclass(frozen=True, slots=True)
+class SecurityFolder:
+    """Paths, and what is in them."""
+
+    path: Path
+
+    @property
+    def users(self) -> Path:
+        """See users.py."""
+        return self.path / "users.toml"
+
+    @property
+    def ca(self) -> Path:
+        """The authority's certificate."""
+        return self.path / "ca.pem"
+
+    @property
+    def passwords(self) -> Path:
+        """Names and passwords of the bus, as zenoh reads them."""
+        return self.path / "bus" / "passwords.txt"
+
+    @property
+    def router_config(self) -> Path:
+        """For a router of its own."""
+        return self.path / "bus" / "router.json5"
+
+    def server(self, which: str) -> tuple[Path, Path]:
+        """(certificate, key) of "bus", "opcua" or "hmi"."""
+        stem = next(s for s in _SERVERS if s.startswith(f"{which}/"))
+        return self.path / f"{stem}.pem", self.path / f"{stem}-key.pem"
+
+    def identity_path(self, name: str) -> Path:
+        """Where the identity of a person or service is."""
+        return self.path / "identities" / name
+
+    def identity(self, name: str) -> Identity:
+        """Raises ConfigError where it is not usable."""
+        return load_identity(self.identity_path(name))
+
+    # -- making
+
+    def init(self, *, site: str = DEFAULT_SITE, hosts: Sequence[str] = (), now: datetime | None = None) -> None:
+        """Make the authority, the servers' certificates and the services' identities.
+
+        Raises:
+            UsageError: there is something already.
+            ConfigError: the site is no name.
+        """
+        check_name(site, what="--site")
+        now = datetime.now(UTC) if now is None else now
+        if self.path.exists() and any(self.path.iterdir()):
+            raise UsageError(
+                f"{self.path} is not empty",
+                remedy="Give a new folder; `board51 security renew` keeps passwords and people of an old one",
+            )
+        self.path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self.path.chmod(0o700)
+        _, made = Authority.create(f"Board51 authority of {site}", now=now)
+        self._write(self.ca, made)
+        listed = ", ".join(json.dumps(host) for host in dict.fromkeys((*ALWAYS_HOSTS, *hosts)))
+        (self.path / "security.toml").write_text(f'site = "{site}"\nhosts = [{listed}]\n', encoding="utf-8")
+        write_private(self.users, b"# No users yet: `board51 security add-user`\n")
+        self.renew(now=now)
+
+    def renew(self, *, now: datetime | None = None, days: float = DAYS) -> None:
+        """New certificates for all servers, services and people; names, roles and passwords stay."""
+        now = datetime.now(UTC) if now is None else now
+        authority, (_, hosts) = self._authority(), self._settings()
+        for stem, uris in _SERVERS.items():
+            issued = authority.issue(stem.replace("/", "-"), now=now, hosts=hosts, uris=uris, days=days)
+            self._write(self.path / f"{stem}.pem", issued)
+        for service in SERVICES:
+            self._write_identity(authority, service, service, now, days)
+        for name, role in self.people().items():
+            self._write_identity(authority, name, role.word, now, days)
+        self._write_bus()
+
+    def add_user(self, user: User, password: str, *, now: datetime | None = None) -> Path:
+        """Login and identity of a person, new or with a new role; the folder of the identity.
+
+        Raises:
+            UsageError: a reserved name, or an unusable password.
+        """
+        if user.name in SERVICES:
+            raise UsageError(
+                f"{user.name} is the name of a service", remedy=f"Choose another than {', '.join(SERVICES)}"
+            )
+        authority = self._authority()
+        set_user(self.users, user, password)
+        now = datetime.now(UTC) if now is None else now
+        self._write_identity(authority, user.name, user.role.word, now, DAYS)
+        self._write_bus()
+        return self.identity_path(user.name)
+
+    def remove_user(self, name: str) -> None:
+        """Take login and bus away.  Raises UsageError where there is none of that name."""
+        if not remove_user(self.users, name):
+            raise UsageError(f"{name} is not a user", remedy=f"There are {', '.join(self.people()) or 'none'}")
+        for file in self.identity_path(name).glob("*"):
+            file.unlink()
+        if self.identity_path(name).exists():
+            self.identity_path(name).rmdir()
+        self._write_bus()
+
+    # -- reading
+
+    def people(self) -> Mapping[str, Role]:
+        """Everybody who may log in."""
+        return Users.load(self.users).names()
+
+    @property
+    def site(self) -> str:
+        """First chunk of the keys that this folder guards."""
+        return self._settings()[0]
+
+    def check(self, *, now: datetime | None = None) -> dict[str, float]:
+        """Days that each certificate is still good for, and that nothing secret is open to others.
+
+        Raises:
+            ConfigError: the first thing that is wrong.
+        """
+        now = datetime.now(UTC) if now is None else now
+        self._settings()
+        people = self.people()
+        check_private(self.passwords, what="The password file of the bus")
+        left = {"ca": check_certificate(self.ca, what="The authority's certificate", now=now)}
+        for stem in _SERVERS:
+            left[stem] = check_certificate(self.path / f"{stem}.pem", what="The certificate", now=now)
+            check_private(self.path / f"{stem}-key.pem", what="The key")
+        for name in (*SERVICES, *people):
+            identity = self.identity(name)
+            left[f"identities/{name}"] = check_certificate(identity.certificate, what="The certificate", now=now)
+            if name in people and identity.role != people[name].word:
+                raise ConfigError(
+                    f"{name} is {people[name].word} in users.toml and {identity.role} on the bus",
+                    remedy="Run `board51 security renew` and restart the router",
+                )
+        if (self.path / "ca-key.pem").exists():
+            check_private(self.path / "ca-key.pem", what="The authority's key")
+        return left
+
+    def router(
+        self, listen: Sequence[str], connect: Sequence[str] = (), *, name: str = "gateway", wait_for_router: bool = True
+    ) -> str:
+        """JSON5 text for `zenoh.Config.from_json5`: a router that lets in only whom this folder knows.
+
+        Args:
+            listen: endpoints.
+            connect: of another router that it joins.
+            name: the identity with which it joins that one.
+            wait_for_router: see `zenoh_config`.
+        """
+        site, _ = self._settings()
+        certificate, key = self.server("bus")
+        config = json.loads(
+            zenoh_config(
+                "router",
+                listen=listen,
+                connect=connect,
+                wait_for_router=wait_for_router,
+                identity=self.identity(name),
+            )
+        )
+        transport = config["transport"]
+        transport["auth"]["usrpwd"]["dictionary_file"] = str(self.passwords.absolute())
+        transport["link"]["tls"] |= {
+            "listen_certificate": str(certificate.absolute()),
+            "listen_private_key": str(key.absolute()),
+            "close_link_on_expiration": True,
+        }
+        transport["link"]["rx"] = {"max_message_size": LARGEST_MESSAGE}
+        config["access_control"] = access_control(site, self.people())
+        config["low_pass_filter"] = size_limits(site)
+        return json.dumps(config, indent=2)
+
+    def _settings(self) -> tuple[str, list[str]]:
+        path = self.path / "security.toml"
+        try:
+            table = tomllib.loads(path.read_text(encoding="utf-8"))
+            return str(table["site"]), [str(host) for host in table["hosts"]]
+        except OSError as error:
+            raise ConfigError(
+                f"{path} cannot be read: {error.strerror}", remedy="Make the folder with `board51 security init DIR`"
+            ) from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+            raise ConfigError(f"{path} lacks site or hosts: {error}", remedy="Correct it") from None
+
+    def _authority(self) -> Authority:
+        key = read_private(self.path / "ca-key.pem", what="The authority's key")
+        try:
+            return Authority.load(self.ca.read_bytes(), key)
+        except (OSError, ValueError) as error:
+            raise ConfigError(
+                f"The authority in {self.path} is not usable: {error}", remedy="Put ca.pem and ca-key.pem back"
+            ) from None
+
+    def _write(self, certificate: Path, issued: Issued) -> None:
+        certificate.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        write_private(certificate.with_name(f"{certificate.stem}-key.pem"), issued.key)
+        certificate.write_bytes(issued.certificate)
+
+    def _write_identity(self, authority: Authority, name: str, role: str, now: datetime, days: float) -> None:
+        folder = self.identity_path(name)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        password = self._bus_passwords().get(name) or secrets.token_hex(32)
+        issued = authority.issue(name, now=now, uris=(f"urn:board51:user:{name}",), days=days)
+        lines = [
+            f'name = "{name}"',
+            f'role = "{role}"',
+            f'site = "{self.site}"',
+            f'password = "{password}"',
+            f"valid_until = {issued.valid_until:%Y-%m-%dT%H:%M:%SZ}",
+        ]
+        write_private(folder / "identity.toml", ("\n".join(lines) + "\n").encode())
+        write_private(folder / "key.pem", issued.key)
+        (folder / "certificate.pem").write_bytes(issued.certificate)
+        (folder / "ca.pem").write_bytes(self.ca.read_bytes())
+
+    def _bus_passwords(self) -> dict[str, str]:
+        if not self.passwords.exists():
+            return {}
+        text = read_private(self.passwords, what="The password file of the bus").decode()
+        return dict(line.split(":", 1) for line in text.splitlines() if ":" in line)
+
+    def _write_bus(self) -> None:
+        names = (*SERVICES, *self.people())
+        lines = [f"{name}:{self.identity(name).password}\n" for name in names]
+        write_private(self.passwords, "".join(lines).encode())
+        write_private(self.router_config, self.router(["tls/0.0.0.0:7447"]).encode())

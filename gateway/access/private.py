@@ -1,0 +1,57 @@
+"""Files that only their owner may read: keys, passwords.  One rule for writing them and one for refusing others."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from protocol.errors import ConfigError
+
+
+def write_private(path: Path, data: bytes) -> None:
+    """Write `data` with mode 0600, all of it or nothing; never for a moment readable by others."""
+    fresh = path.with_name(f".{path.name}.new")
+    fresh.unlink(missing_ok=True)
+    descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(data)
+    fresh.replace(path)
+
+
+def read_private(path: Path, *, what: str) -> bytes:
+    """What is in a file that nobody else may read.
+
+    Args:
+        path: of the file.
+        what: it is, for the error.
+
+    Raises:
+        ConfigError: it is absent, or others may read or change it.
+    """
+    check_private(path, what=what)
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise _unreadable(path, what, error) from None
+
+
+def check_private(path: Path, *, what: str) -> None:
+    """Refuse a file that is absent or open to others.
+
+    Raises:
+        ConfigError: see above.
+    """
+    try:
+        mode = stat.S_IMODE(path.stat().st_mode)
+    except OSError as error:
+        raise _unreadable(path, what, error) from None
+    if mode & 0o077:
+        raise ConfigError(f"{what} {path} is open to others (mode {mode:04o})", remedy=f"chmod 600 {path}")
+
+
+def _unreadable(path: Path, what: str, error: OSError) -> ConfigError:
+    return ConfigError(
+        f"{what} {path} cannot be read: {error.strerror}",
+        remedy="Give the folder that `board51 security init` made, as its owner",
+    )

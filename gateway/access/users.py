@@ -1,0 +1,245 @@
+"""Who may log in at OPC UA and the web page: names, roles and hashed passwords in users.toml.
+
+    [users.ana]
+    role = "operator"
+    password = "scrypt$16384$8$1$...$..."
+
+Rule 1: the file is its owner's alone (mode 0600); a file open to others is refused.
+Rule 2: a wrong name costs as much time as a wrong password and gets the same answer.
+Rule 3: after FAILURES wrong passwords a name is locked for LOCK_S, twice as long each further time up to LOCK_MAX_S.
+        A lock does not end sessions: who is logged in can still press STOP.
+Rule 4: AT_ONCE passwords are looked at at a time; what comes meanwhile is refused at once.  A flood of logins may keep
+        others from logging in, but neither the processor nor a thread from those who are: STOP comes before login.
+Rule 5: a changed file is taken over at the next look; a broken one is reported and changes nothing.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import threading
+import time
+import tomllib
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from gateway.access.passwords import NOBODY, hash_password, is_line, matches
+from gateway.access.private import read_private, write_private
+from gateway.access.roles import ROLE_WORDS, Role, parse_role
+from protocol.bus.topics import check_name
+from protocol.errors import ConfigError
+
+FAILURES = 5
+LOCK_S = 10.0
+LOCK_MAX_S = 300.0
+AT_ONCE = 2
+MAX_TRACKED = 1000  # names with failures; an attacker's invented names must not fill the memory
+_logger = logging.getLogger("gateway.access")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class User:
+    """Somebody who gave the right password, or whose identity the bus has checked."""
+
+    name: str
+    role: Role
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Entry:
+    role: Role
+    password: str
+
+
+@dataclass(slots=True)
+class _Failures:
+    count: int = 0
+    locked_until_s: float = 0.0
+    lock_s: float = LOCK_S
+
+
+class Users:
+    """The users of one file.  Any thread.
+
+    Args:
+        path: of users.toml.
+        clock: monotonic seconds.
+    """
+
+    def __init__(self, path: Path, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._path, self._clock = path, clock
+        self._lock = threading.Lock()
+        self._failures: OrderedDict[str, _Failures] = OrderedDict()
+        self._slots = threading.BoundedSemaphore(AT_ONCE)
+        self._entries = _read(path)
+        self._stamp = self._file_stamp()
+
+    @classmethod
+    def load(cls, path: Path) -> Users:
+        """Read the file.
+
+        Raises:
+            ConfigError: absent, open to others, not TOML, a typo; names the line and what is allowed.
+        """
+        return cls(path)
+
+    def check(self, name: str, password: str) -> User | None:
+        """The user, or None for a wrong name, a wrong password, a locked name and too many at once alike."""
+        with self._lock:
+            self._refresh()
+            entry = self._entries.get(name)
+            if self._locked_s(name) > 0:
+                return None
+        if not self._slots.acquire(blocking=False):
+            return None
+        try:
+            right = matches(password, entry.password if entry is not None else NOBODY)  # slow: outside the lock
+        finally:
+            self._slots.release()
+        with self._lock:
+            if right and entry is not None and self._locked_s(name) <= 0:
+                self._failures.pop(name, None)
+                return User(name=name, role=entry.role)
+            self._note_failure(name)
+        return None
+
+    def find(self, name: str) -> User | None:
+        """The user of that name as the file has it now: for sessions that outlive a change of role."""
+        with self._lock:
+            self._refresh()
+            entry = self._entries.get(name)
+        return None if entry is None else User(name=name, role=entry.role)
+
+    def locked_s(self, name: str) -> float:
+        """For how long `name` may not try again, in s; 0 if it may."""
+        with self._lock:
+            return self._locked_s(name)
+
+    def names(self) -> Mapping[str, Role]:
+        """Everybody and their role."""
+        with self._lock:
+            self._refresh()
+            return {name: entry.role for name, entry in self._entries.items()}
+
+    def _locked_s(self, name: str) -> float:
+        failures = self._failures.get(name)
+        return 0.0 if failures is None else max(0.0, failures.locked_until_s - self._clock())
+
+    def _note_failure(self, name: str) -> None:
+        failures = self._failures.setdefault(name[:64], _Failures())
+        self._failures.move_to_end(name[:64])
+        failures.count += 1
+        if failures.count >= FAILURES:
+            failures.count = 0
+            failures.locked_until_s = self._clock() + failures.lock_s
+            _logger.warning("%d wrong passwords for %r: locked for %g s", FAILURES, name[:64], failures.lock_s)
+            failures.lock_s = min(2 * failures.lock_s, LOCK_MAX_S)
+        while len(self._failures) > MAX_TRACKED:
+            self._failures.popitem(last=False)
+
+    def _refresh(self) -> None:
+        stamp = self._file_stamp()
+        if stamp == self._stamp:
+            return
+        self._stamp = stamp
+        try:
+            self._entries = _read(self._path)
+        except ConfigError as error:
+            _logger.error("the users stay as they were: %s", error)
+        else:
+            _logger.info("%s has changed: %d users", self._path, len(self._entries))
+
+    def _file_stamp(self) -> tuple[int, int, int] | None:
+        try:
+            status = self._path.stat()
+        except OSError:
+            return None
+        return status.st_mtime_ns, status.st_size, status.st_ino
+
+
+def set_user(path: Path, user: User, password: str) -> None:
+    """Add a user, or give an old one a new role and password.
+
+    Raises:
+        UsageError: the password is too short or too long.
+        ConfigError: the file or the name is not usable.
+    """
+    check_name(user.name, what="user")
+    entries = _read(path) if path.exists() else {}
+    entries[user.name] = _Entry(role=user.role, password=hash_password(password))
+    _write(path, entries)
+
+
+def remove_user(path: Path, name: str) -> bool:
+    """Whether there was one."""
+    entries = _read(path)
+    if entries.pop(name, None) is None:
+        return False
+    _write(path, entries)
+    return True
+
+
+def _write(path: Path, entries: Mapping[str, _Entry]) -> None:
+    lines = ["# Logins of OPC UA and the web page; `board51 security add-user` writes this file.\n"]
+    lines += [
+        f'[users.{name}]\nrole = "{entry.role.word}"\npassword = "{entry.password}"\n'
+        for name, entry in sorted(entries.items())
+    ]
+    write_private(path, "\n".join(lines).encode())
+
+
+def _read(path: Path) -> dict[str, _Entry]:
+    data = read_private(path, what="The user file")
+    try:
+        text = data.decode()
+        table = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} is not TOML: {error}", remedy="Correct the file") from None
+    unknown = next((key for key in table if key != "users"), None)
+    if unknown is not None:
+        raise ConfigError(
+            f"{path} line {_line(text, unknown)}: unknown key {unknown!r}", remedy="Write each user as [users.NAME]"
+        )
+    users = table.get("users", {})
+    if not isinstance(users, dict):
+        raise ConfigError(f"{path}: users is not a table", remedy="Write each user as [users.NAME]")
+    return {name: _entry(path, text, name, fields) for name, fields in users.items()}
+
+
+def _entry(path: Path, text: str, name: str, fields: object) -> _Entry:
+    where = f"{path} line {_line(text, name)}: user {name}"
+    check_name(name, what=f"{path} line {_line(text, name)}: user")
+    if not isinstance(fields, dict):
+        raise ConfigError(f"{where} is not a table", remedy=f"Write it as [users.{name}]")
+    for key in fields:
+        if key not in ("role", "password"):
+            raise ConfigError(
+                f"{path} line {_line(text, name, key)}: user {name}: unknown key {key!r}",
+                remedy="Known: role, password",
+            )
+    role, password = fields.get("role"), fields.get("password")
+    if not isinstance(role, str):
+        raise ConfigError(f"{where} has no role", remedy=f'Write role = "..." with one of {", ".join(ROLE_WORDS)}')
+    if not isinstance(password, str) or not is_line(password):
+        raise ConfigError(
+            f"{where} has no usable password", remedy="Set one with `board51 security add-user DIR NAME:ROLE`"
+        )
+    return _Entry(
+        role=parse_role(role, where=f"{path} line {_line(text, name, 'role')}: user {name}"), password=password
+    )
+
+
+def _line(text: str, name: str, key: str = "") -> int:
+    """The line of `[users.name]`, or of a key in it; TOML's reader does not say."""
+    lines = text.splitlines()
+    header = re.compile(rf"""\[\s*(users\s*\.\s*)?["']?{re.escape(name)}["']?\s*\]|{re.escape(name)}\s*=""")
+    start = next((n for n, line in enumerate(lines) if header.match(line.strip())), 0)
+    if key:
+        for n in range(start + 1, len(lines)):
+            if re.match(rf"{re.escape(key)}\s*=", lines[n].strip()):
+                return n + 1
+            if lines[n].lstrip().startswith("["):
+                break
+    return start + 1

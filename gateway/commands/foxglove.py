@@ -1,0 +1,69 @@
+"""The rigs live in Foxglove: a WebSocket server with the topics and schemas of the logs, and ready-made layouts.
+
+In Foxglove: Open connection, Foxglove WebSocket, ws://localhost:8765; then Layouts, Import from file.  The same layout
+opens the MCAP logs.  It shows and never commands.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import signal
+import threading
+from importlib.resources import files
+
+from gateway.client import add_bus_arguments, open_bus
+from gateway.views.listen import add_listen_argument, address
+from protocol.bus import topics
+
+LAYOUTS = {"foxglove": "foxglove.json", "plotjuggler": "plotjuggler.xml"}
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Where, and the layouts."""
+    parser.epilog = (
+        "examples:\n  board51 foxglove                                        ws://127.0.0.1:8765\n"
+        "  board51 foxglove --print-layout > board51.json          for rig1; --board NAME for another\n"
+        "  board51 foxglove --print-layout plotjuggler > board51.xml"
+    )
+    add_bus_arguments(parser)
+    add_listen_argument(parser, "127.0.0.1:8765")
+    parser.add_argument("--insecure", action="store_true", help="serve other machines: there is no login")
+    parser.add_argument(
+        "--print-layout", nargs="?", const="foxglove", choices=tuple(LAYOUTS), help="print a layout and end"
+    )
+    parser.add_argument("--board", default="rig1", help="the board of the layout (rig1)")
+
+
+def layout(kind: str, site: str, board: str) -> str:
+    """The shipped layout for one board."""
+    text = (files("gateway.views") / "layouts" / LAYOUTS[kind]).read_text(encoding="utf-8")
+    return text.replace("board51/rig1/", f"{site}/{board}/")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until SIGTERM or SIGINT."""
+    topics.check_name(args.site, what="--site")
+    topics.check_name(args.board, what="--board")
+    if args.print_layout:
+        print(layout(args.print_layout, args.site, args.board), end="")
+        return 0
+    from gateway.access.listeners import check_listener
+    from gateway.views.foxglove import serve
+    from protocol.bus.identity import find_identity
+
+    host, port = address(args.listen)
+    check_listener(
+        host,
+        protected=False,
+        insecure=args.insecure,
+        what=f"Foxglove at {args.listen}",
+        remedy="It has no login: reach it through an ssh tunnel (ssh -L 8765:127.0.0.1:8765 HOST)",
+    )
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)-7s %(message)s")
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    with open_bus(args.connect, find_identity(args.identity)) as session:
+        serve(session, args.site, host, port, stop, lambda bound: print(f"Foxglove on ws://{host}:{bound}", flush=True))
+    return 0

@@ -1,0 +1,131 @@
+"""The control room in a browser: every rig of the bus, live; commands, alarms, recordings, logs.
+
+It is a client of the bus: it ends, hangs or dies without touching gateway or board.  Without --security or --users
+everybody who reaches the page may do what `board51 send` may: that is for this machine alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gateway.access.listeners import check_listener, is_loopback
+from gateway.client import add_bus_arguments, open_bus
+from gateway.views.account import ACCOUNT, views_identity
+from gateway.views.listen import add_listen_argument, address
+from protocol.bus.endpoint import check_endpoint, zenoh_config
+from protocol.bus.topics import check_name
+from protocol.errors import UsageError
+
+if TYPE_CHECKING:  # NiceGUI takes a second to import: --help answers at once
+    from gateway.access.folder import SecurityFolder
+    from gateway.access.users import Users
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Where it listens, who may log in, which folders it shows."""
+    parser.epilog = (
+        "examples:\n  board51 hmi                      then open http://127.0.0.1:8051\n"
+        "  board51 hmi --log-dir logs --reports diagnosis\n"
+        "  board51 hmi --security /etc/board51 --listen 0.0.0.0:8051"
+    )
+    add_bus_arguments(parser)
+    add_listen_argument(parser, "127.0.0.1:8051")
+    parser.add_argument(
+        "--security", type=Path, metavar="DIR",
+        help="folder made by `board51 security init`: https, logins, and who the page is on the bus",
+    )  # fmt: skip
+    parser.add_argument("--users", type=Path, metavar="FILE", help="logins alone, without https: on loopback only")
+    parser.add_argument("--insecure", action="store_true", help="listen beyond loopback without --security")
+    parser.add_argument("--log-dir", type=Path, default=Path("logs"), metavar="DIR", help="of the gateway (logs)")
+    parser.add_argument(
+        "--data", type=Path, default=Path("hmi-data"), metavar="DIR", help="for recordings and campaigns (hmi-data)"
+    )
+    parser.add_argument(
+        "--reports", type=Path, action="append", default=[], metavar="DIR",
+        help="a folder below which `board51 diagnose` writes; repeatable (diagnosis, and that of --data)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--idle-min", type=float, default=30.0, metavar="MIN", help="a session ends without an act (30)"
+    )
+    parser.add_argument("--session-h", type=float, default=12.0, metavar="H", help="and after this time anyway (12)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until SIGTERM or SIGINT."""
+    from gateway.access.folder import SecurityFolder
+    from gateway.access.users import Users
+
+    host, port = address(args.listen)
+    check_name(args.site, what="--site")
+    check_endpoint(args.connect, where="--connect")
+    for option, value in (("--idle-min", args.idle_min), ("--session-h", args.session_h)):
+        if not (math.isfinite(value) and value > 0.0):
+            raise UsageError(f"{option} {value} is not a positive number", remedy="Correct it")
+    if args.security is not None and args.users is not None:
+        raise UsageError("--security has users of its own", remedy="Leave out --users")
+    check_listener(
+        host,
+        protected=args.security is not None,
+        insecure=args.insecure,
+        what=f"The web page at {args.listen}",
+        remedy="Give --security DIR (made by `board51 security init DIR`)",
+    )
+    folder = SecurityFolder(args.security) if args.security is not None else None
+    users_file = folder.users if folder is not None else args.users
+    users = Users.load(users_file) if users_file is not None else None
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)-7s %(message)s")
+    return _serve(args, host, port, folder, users)
+
+
+def _serve(args: argparse.Namespace, host: str, port: int, folder: SecurityFolder | None, users: Users | None) -> int:
+    from datetime import UTC, datetime
+
+    import zenoh
+
+    from gateway.access.certificates import check_certificate
+    from gateway.access.private import check_private
+    from gateway.views.hmi.app import HmiSettings, listen, serve
+    from gateway.views.hmi.console import Routes
+
+    now = datetime.now(UTC)
+    certificate = key = None
+    if folder is not None:
+        certificate, key = folder.server("hmi")
+        check_private(key, what="The key of the web page")
+        check_certificate(certificate, what="The certificate of the web page", now=now)
+    identity = views_identity(args.identity or (str(folder.identity_path(ACCOUNT)) if folder is not None else None))
+    listener = listen(host, port)
+    with listen("127.0.0.1", 0) as probe:  # a port that nobody has now
+        replay = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    settings = HmiSettings(
+        site=args.site,
+        users=users,
+        guarded=identity is not None,
+        certificate=certificate,
+        key=key,
+        logs=args.log_dir,
+        data=args.data,
+        reports=tuple(args.reports) or (Path("diagnosis"), args.data),
+        idle_s=args.idle_min * 60.0,
+        lifetime_s=args.session_h * 3600.0,
+        loopback=is_loopback(host),
+        routes=Routes(
+            connect=args.connect,
+            site=args.site,
+            replay=replay,
+            identities=folder.path / "identities" if folder is not None else None,
+        ),
+    )
+    # A client, not a router without listeners: the access control of a guarded router tells nobody but the gateway who
+    # answers commands, and a router asks only whom it knows of.
+    replay_text = zenoh_config("router", listen=[replay])
+    with open_bus(args.connect, identity) as bus, zenoh.open(zenoh.Config.from_json5(replay_text)) as replay_bus:
+        scheme = "http" if certificate is None else "https"
+        print(f"control room of {args.site} on {scheme}://{args.listen}", file=sys.stderr, flush=True)
+        serve(settings, listener, bus, replay_bus)
+    return 0

@@ -1,0 +1,130 @@
+"""Keys, certificates, users and the rules of a guarded bus, in one folder.
+
+`init` makes the folder; give it to the gateway (`--security DIR`), to the router, to OPC UA and the web page.  Each
+person gets a login for OPC UA and the web page, and an identity folder for `board51 send`, `watch`, ... (`--identity`).
+Roles: a viewer reads, an operator moves the ball within the limits, an engineer also changes gains and models.
+
+Changed users count at once for OPC UA and the web page, and on the bus when its router (or the gateway, where it is the
+router) starts again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import getpass
+import json
+import secrets
+import sys
+from pathlib import Path
+
+from gateway.access.folder import SecurityFolder
+from gateway.access.roles import ROLE_WORDS, Role, parse_role
+from gateway.access.users import User
+from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint, zenoh_config
+from protocol.bus.identity import load_identity
+from protocol.bus.topics import DEFAULT_SITE, check_name
+from protocol.errors import UsageError
+
+_USER = "NAME:ROLE"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """One sub-command for each step."""
+    parser.epilog = (
+        "examples:\n"
+        "  board51 security init keys --host 10.0.0.5 --user ana:engineer --user ben:operator\n"
+        "  board51 gateway --security keys --listen tcp/127.0.0.1:7447 --listen tls/0.0.0.0:7448 ...\n"
+        "  board51 send rig1 reference 0.003 --connect tls/10.0.0.5:7448 --identity keys/identities/ben\n"
+        "  board51 security add-user keys cyd:viewer\n"
+        "  board51 security check keys\n"
+        "  board51 security zenoh-config keys/identities/ben --connect tls/10.0.0.5:7448 > ben.json5"
+    )
+    steps = parser.add_subparsers(dest="step", required=True, metavar="STEP")
+    init = _step(steps, "init", "make the folder")
+    init.add_argument("--site", default=DEFAULT_SITE, help=f"first chunk of the keys (default {DEFAULT_SITE})")
+    init.add_argument(
+        "--host", action="append", default=[], help="name or address under which others reach this machine; repeatable"
+    )
+    init.add_argument("--user", action="append", default=[], metavar=_USER, help=f"of {', '.join(ROLE_WORDS)}")
+    add = _step(steps, "add-user", "login and identity of a person, or a new role or password for an old one")
+    add.add_argument("user", metavar=_USER)
+    for step in (init, add):
+        step.add_argument(
+            "--ask", action="store_true", help="ask for passwords; default: make them and print them once"
+        )
+    remove = _step(steps, "remove-user", "take login and identity away")
+    remove.add_argument("name")
+    _step(steps, "renew", "new certificates for all; names, roles and passwords stay")
+    config = _step(steps, "zenoh-config", "print an identity as zenoh's own configuration, for clients in any language")
+    config.add_argument("--connect", default=DEFAULT_ENDPOINT, metavar="ENDPOINT", help="the router (%(default)s)")
+    check = _step(steps, "check", "permissions, roles, and for how long the certificates are good")
+    check.add_argument("--json", action="store_true", help="print the days as JSON")
+
+
+def _step(
+    steps: argparse._SubParsersAction[argparse.ArgumentParser],  # argparse has no public name for it
+    name: str,
+    about: str,
+) -> argparse.ArgumentParser:
+    step = steps.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
+    step.add_argument("folder", type=Path, metavar="DIR")
+    return step
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do the step."""
+    folder = SecurityFolder(args.folder)
+    match args.step:
+        case "init":
+            users = [_user(text) for text in args.user]
+            folder.init(site=args.site, hosts=args.host)
+            print(f"{folder.path}: authority, certificates, identities of gateway, twin and views")
+            for user in users:
+                _add(folder, user, ask=args.ask)
+            print(f"Keep {folder.path}/ca-key.pem safe: it is needed to add people and to renew, not to run.")
+        case "add-user":
+            _add(folder, _user(args.user), ask=args.ask)
+            print("On the bus this counts when its router starts again.")
+        case "remove-user":
+            folder.remove_user(args.name)
+            print(f"{args.name} is gone; on the bus this counts when its router starts again.")
+        case "renew":
+            folder.renew()
+            print(f"{folder.path}: new certificates; copy the identity folders to their machines again")
+        case "zenoh-config":
+            endpoint = check_endpoint(args.connect, where="--connect")
+            print(zenoh_config("client", connect=[endpoint], identity=load_identity(args.folder)))
+        case _:
+            return _check(folder, as_json=args.json)
+    return 0
+
+
+def _user(text: str) -> User:
+    name, colon, role = text.partition(":")
+    if not colon:
+        raise UsageError(f"{text!r} names no role", remedy=f"Write {_USER}, e.g. {text or 'ana'}:operator")
+    return User(name=check_name(name, what="user"), role=parse_role(role, where=f"user {name}"))
+
+
+def _add(folder: SecurityFolder, user: User, *, ask: bool) -> None:
+    password = getpass.getpass(f"Password of {user.name}: ") if ask else secrets.token_urlsafe(12)
+    identity = folder.add_user(user, password)
+    shown = "" if ask else f"  password {password}"
+    print(f"{user.name:<12} {user.role.word:<9} {identity}{shown}")
+
+
+def _check(folder: SecurityFolder, *, as_json: bool) -> int:
+    left = folder.check()
+    people = folder.people()
+    if as_json:
+        roles = {name: role.word for name, role in people.items()}
+        print(json.dumps({"site": folder.site, "users": roles, "days_left": {k: round(v, 1) for k, v in left.items()}}))
+        return 0
+    for role in Role:
+        names = ", ".join(name for name, own in people.items() if own is role)
+        print(f"{role.word:<9} {names or '-'}")
+    soonest = min(left, key=lambda name: left[name])
+    print(f"all certificates are good; the first to expire: {soonest}, in {left[soonest]:.0f} days")
+    if (folder.path / "ca-key.pem").exists():
+        print("ca-key.pem is here: move it off this machine once all people are added", file=sys.stderr)
+    return 0

@@ -1,0 +1,180 @@
+"""What needs attention on one board: divergence alarms, faults, a link without samples, a failing log.  Pure.
+
+An alarm is active (the condition holds) and acknowledged (somebody has seen it), independently:
+
+    comes:         active, not acknowledged          listed, calls for attention
+    acknowledged:  active, acknowledged              listed, quiet
+    goes:          not active, not acknowledged      listed until acknowledged: it happened
+    both:          not active, acknowledged          not listed
+
+Rule 1: it comes again after it went: not acknowledged again, `times` counts.
+Rule 2: one alarm for each name of a board; the latest text and value are shown.
+Rule 3: memory is bounded: names come from the bus, so beyond MAX_ALARMS the oldest alarm that is gone is dropped, then
+        the newest is refused.
+Rule 4: `revision` rises with each change that a screen would show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from protocol.bus import board51_pb2 as pb
+from protocol.wire.messages import FAULT_EVENTS, Flag
+
+MAX_ALARMS = 64
+LINK = "link-down"  # names of the conditions that the views judge themselves
+LOG = "log-failing"
+# Faults that the board latches: they hold while its FAULT flag is up, and an EVENT says which it is.
+BOARD_FAULTS = frozenset(code.name.lower().replace("_", "-") for code in FAULT_EVENTS) | {"fault"}
+_REFUSED_BOARD = frozenset({"version-mismatch", "wrong-board", "bad-identity"})  # end when samples come
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alarm:
+    """One condition of one board."""
+
+    board: str
+    name: str  # kebab-case, stable
+    severity: str  # "warning" | "fault"
+    text: str
+    since_ns: int  # Unix time of the latest coming
+    changed_ns: int
+    active: bool = True
+    acknowledged: bool = False
+    acknowledged_by: str = ""
+    times: int = 1  # how often it came
+    value: float | None = None
+    threshold_on: float | None = None
+
+
+class AlarmBook:
+    """The alarms of one board."""
+
+    def __init__(self, board: str) -> None:
+        self.revision = 0
+        self._board = board
+        self._alarms: dict[str, Alarm] = {}
+        self._fault_at = (0, 0)  # session, tick
+
+    def listed(self) -> tuple[Alarm, ...]:
+        """Active or not acknowledged; the most urgent first: active, then faults, then not acknowledged, then new."""
+        urgency = sorted(
+            self._alarms.values(),
+            key=lambda a: (not a.active, a.severity != "fault", a.acknowledged, -a.since_ns),
+        )
+        return tuple(urgency)
+
+    def twin_alarm(self, alarm: pb.Alarm, now_ns: int) -> None:
+        """From `twin/alarm`."""
+        if alarm.active:
+            self.come(
+                alarm.name, "warning", alarm.text, now_ns, value=alarm.value, threshold_on=alarm.threshold_on or None
+            )
+        else:
+            self.go(alarm.name, now_ns)
+
+    def event(self, event: pb.Event, now_ns: int) -> None:
+        """From `event`: faults come, and what ends them."""
+        if event.name in BOARD_FAULTS:
+            self._fault_at = (event.session, event.tick)  # samples from before it may still be on their way
+            self._alarms.pop("fault", None)  # its name is known now
+            self.come(event.name, "fault", event.text, now_ns)
+        elif event.name in _REFUSED_BOARD:
+            self.come(event.name, "fault", event.text, now_ns)
+        elif event.name in ("log-disk-full", "log-failed"):
+            self.come(LOG, "fault", event.text, now_ns)
+        elif event.name == "log-resumed":
+            self.go(LOG, now_ns)
+
+    def state(self, state: pb.State, now_ns: int) -> None:
+        """From each `state`: the board's FAULT flag.  Faults have no end event; the flag is what ends them."""
+        if state.flags & Flag.FAULT:
+            if not self.fault():
+                self.come("fault", "fault", "A fault is active and the coil is off; set a mode to clear it.", now_ns)
+        elif self._alarms and (state.session != self._fault_at[0] or state.tick > self._fault_at[1]):
+            for name in [a.name for a in self._alarms.values() if a.active and a.name in BOARD_FAULTS]:
+                self.go(name, now_ns)
+
+    def link(self, down: str, now_ns: int) -> None:
+        """The judgement of the link: `down` says why no samples come, empty where they do."""
+        if down:
+            self.come(LINK, "fault", down, now_ns)
+            return
+        for name in (LINK, *_REFUSED_BOARD):
+            self.go(name, now_ns)
+
+    def log(self, log_state: str, now_ns: int) -> None:
+        """From `status`: a view that joined late has not seen the event."""
+        if log_state in ("writing", "off"):
+            self.go(LOG, now_ns)
+        elif log_state and not self._is_active(LOG):
+            self.come(LOG, "fault", f"The log is not written: {log_state}.", now_ns)
+
+    def acknowledge(self, name: str, who: str, now_ns: int) -> bool:
+        """Somebody has seen it; False where there is nothing of that name to acknowledge."""
+        alarm = self._alarms.get(name)
+        if alarm is None or alarm.acknowledged:
+            return False
+        self.revision += 1
+        if alarm.active:
+            self._alarms[name] = replace(alarm, acknowledged=True, acknowledged_by=who, changed_ns=now_ns)
+        else:
+            del self._alarms[name]
+        return True
+
+    def come(
+        self,
+        name: str,
+        severity: str,
+        text: str,
+        now_ns: int,
+        *,
+        value: float | None = None,
+        threshold_on: float | None = None,
+    ) -> None:
+        """The condition holds."""
+        known = self._alarms.get(name)
+        if known is not None and known.active:
+            if (known.text, known.value) != (text, value):
+                self.revision += 1
+                self._alarms[name] = replace(known, text=text, value=value, changed_ns=now_ns)
+            return
+        if known is None and len(self._alarms) >= MAX_ALARMS and not self._make_room():
+            return
+        self.revision += 1
+        self._alarms[name] = Alarm(
+            board=self._board,
+            name=name,
+            severity=severity,
+            text=text,
+            since_ns=now_ns,
+            changed_ns=now_ns,
+            times=1 if known is None else known.times + 1,
+            value=value,
+            threshold_on=threshold_on,
+        )
+
+    def go(self, name: str, now_ns: int) -> None:
+        """The condition holds no longer."""
+        alarm = self._alarms.get(name)
+        if alarm is None or not alarm.active:
+            return
+        self.revision += 1
+        if alarm.acknowledged:
+            del self._alarms[name]
+        else:
+            self._alarms[name] = replace(alarm, active=False, changed_ns=now_ns)
+
+    def fault(self) -> str:
+        """The fault that the board has latched; "fault" where it has not said which, empty where none."""
+        return next((a.name for a in self._alarms.values() if a.active and a.name in BOARD_FAULTS), "")
+
+    def _is_active(self, name: str) -> bool:
+        return name in self._alarms and self._alarms[name].active
+
+    def _make_room(self) -> bool:
+        gone = [alarm for alarm in self._alarms.values() if not alarm.active]
+        if not gone:
+            return False
+        del self._alarms[min(gone, key=lambda a: a.changed_ns).name]
+        return True

@@ -1,0 +1,152 @@
+"""Samples at the tick rate in, bins at the rate of a screen out; per channel the lowest, highest and last value.  Pure.
+
+Rule 1: no spike is lost: every finite value lies within low .. high of exactly one bin.
+Rule 2: a bin covers `width_ticks` ticks and begins at a multiple of them, so two readers of one board see equal bins.
+Rule 3: a bin never spans two sessions: ticks of different sessions are not comparable.
+Rule 4: memory is bounded: of bins that nobody takes, the oldest are dropped and counted.
+Rule 5: a channel without a finite value in a bin is NaN in low, high and last of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+INF = math.inf
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bin:
+    """What happened within one width; `low`, `high`, `last` by the name of the channel."""
+
+    session: int
+    first_tick: int
+    last_tick: int
+    t_s: float  # of the last sample, on the board's clock
+    host_time_ns: int  # of the last sample; 0 where the topic carries none
+    samples: int
+    lost: int  # missing before or within
+    low: dict[str, float]
+    high: dict[str, float]
+    last: dict[str, float]
+
+
+class Decimator:
+    """Bins of one topic of one board.
+
+    Args:
+        channels: names of the values, in the order in which `push` gets them.
+        width_ticks: of a bin; 1 or more.
+        keep: bins that may wait to be taken.
+    """
+
+    def __init__(self, channels: Sequence[str], width_ticks: int, *, keep: int = 256) -> None:
+        if width_ticks < 1:
+            raise ValueError(f"a bin of {width_ticks} ticks holds nothing")
+        self.channels = tuple(channels)
+        self.dropped = 0
+        self._width = width_ticks
+        self._done: deque[Bin] = deque()
+        self._keep = keep
+        self._session = self._slot = -1
+        self._samples = 0
+        self._lost = 0
+        self._first_tick = self._last_tick = 0
+        self._t_s, self._host_time_ns = 0.0, 0
+        self._low: list[float] = []
+        self._high: list[float] = []
+        self._last: Sequence[float] = ()
+
+    def push(
+        self, values: Sequence[float], *, session: int, tick: int, t_s: float, host_time_ns: int = 0, lost: int = 0
+    ) -> None:
+        """One sample; its values in the order of `channels`, NaN for an absent one."""
+        slot = tick // self._width
+        if slot != self._slot or session != self._session:
+            self._close()
+            self._slot, self._session = slot, session
+            self._begin(tick)
+        self._samples += 1
+        self._lost += lost
+        self._last_tick, self._t_s, self._host_time_ns = tick, t_s, host_time_ns
+        low, high = self._low, self._high
+        for n, value in enumerate(values):  # comparisons with NaN are false: it moves neither bound
+            if value < low[n]:
+                low[n] = value
+            if value > high[n]:
+                high[n] = value
+        self._last = values
+
+    def take(self, *, unfinished: bool = False) -> list[Bin]:
+        """The finished bins since the last call, oldest first; with `unfinished`, the one being filled too.
+
+        The bin being filled is closed then; what follows of its width comes as another bin.
+        """
+        if unfinished:
+            self._close()
+        taken = list(self._done)
+        self._done.clear()
+        return taken
+
+    def _begin(self, tick: int) -> None:
+        self._first_tick = self._last_tick = tick
+        self._low = [INF] * len(self.channels)
+        self._high = [-INF] * len(self.channels)
+        self._samples = self._lost = 0
+
+    def _close(self) -> None:
+        if not self._samples:
+            return
+        low, high, last = dict[str, float](), dict[str, float](), dict[str, float]()
+        for n, name in enumerate(self.channels):
+            seen = self._low[n] <= self._high[n]
+            low[name] = self._low[n] if seen else math.nan
+            high[name] = self._high[n] if seen else math.nan
+            last[name] = self._last[n] if seen else math.nan
+        closed = Bin(
+            session=self._session,
+            first_tick=self._first_tick,
+            last_tick=self._last_tick,
+            t_s=self._t_s,
+            host_time_ns=self._host_time_ns,
+            samples=self._samples,
+            lost=self._lost,
+            low=low,
+            high=high,
+            last=last,
+        )
+        if len(self._done) >= self._keep:
+            self._done.popleft()
+            self.dropped += 1
+        self._done.append(closed)
+        self._samples = 0
+        self._slot = -1
+
+
+def merge(bins: Sequence[Bin]) -> Bin:
+    """One bin for several of one session, in order: for a screen that shows a longer time.
+
+    Raises:
+        ValueError: no bins, or bins of different sessions.
+    """
+    if not bins or any(b.session != bins[0].session for b in bins):
+        raise ValueError("bins of exactly one session can be merged")
+    first, last = bins[0], bins[-1]
+    return Bin(
+        session=first.session,
+        first_tick=first.first_tick,
+        last_tick=last.last_tick,
+        t_s=last.t_s,
+        host_time_ns=last.host_time_ns,
+        samples=sum(b.samples for b in bins),
+        lost=sum(b.lost for b in bins),
+        low={name: _least([b.low[name] for b in bins]) for name in first.low},
+        high={name: -_least([-b.high[name] for b in bins]) for name in first.high},
+        last=last.last,
+    )
+
+
+def _least(values: list[float]) -> float:
+    return min((value for value in values if value == value), default=math.nan)  # value == value: not NaN

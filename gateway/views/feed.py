@@ -1,0 +1,340 @@
+"""The bus as a view sees it: the latest of everything per board, how fresh it is, alarms, bins, and commands back.
+
+    feed = Feed(session, "board51")
+    feed.boards()                      names, in order; a board appears with its first message
+    board = feed.board("rig1")         None while nothing was heard of it
+    board.link()                       Link(state="live", ...): is what you see true now?
+    board.latest(pb.State)             the latest message of that type, or None; also Status, Parameters, TwinState,
+                                       Divergence, TwinModel.  Do not change it.
+    board.alarms(), board.events(), board.commands()
+    tap = board.tap(pb.State, width_s=1 / 30)          bins with min / max of every channel; tap.take() now and then
+    feed.acknowledge("rig1", "divergence-x", "eva")
+    feed.command("rig1", pb.Command(stop=pb.Stop()), who="eva", role="operator")    blocks up to 5 s: use a thread
+
+Rule 1: poll it.  Messages are taken in by zenoh's thread; nothing of a view's runs there, so a view that is slow falls
+        behind by itself (a tap keeps the newest bins) and stalls neither router nor gateway.
+Rule 2: age is by this process's monotonic clock, never by time stamps of others.
+Rule 3: what is malformed, of unknown type or of one board too many is counted (`refused`), never raised.
+Rule 4: `feed.now_ns()` stamps what the views themselves judge; samples bear the time that the gateway gave them.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any, TypeVar
+
+import zenoh
+from google.protobuf.descriptor import FieldDescriptor
+from google.protobuf.message import Message
+
+from gateway.client import send
+from gateway.views.alarms import Alarm, AlarmBook
+from gateway.views.decimate import Bin, Decimator
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.bus.encoding import parse
+
+M = TypeVar("M", bound=Message)
+
+MAX_BOARDS = 64
+KEPT_EVENTS = 200
+SILENT_S = 0.5  # without a state for so long (and three of its periods) a board is not live
+GRACE_S = 2.0  # a board that is just being found is no alarm yet
+GATEWAY_S = 3.5  # status comes once a second: without it, three times over, there is no gateway
+_WANTED = ("state", "status", "event", "parameters", "command/record", "twin/state", "twin/divergence", "twin/alarm",
+           "twin/model")  # fmt: skip
+_REASONS = {
+    "absent": "Its port is not there.",
+    "silent": "The board sends nothing.",
+    "connecting": "The port is being opened.",
+    "handshake": "The board has not answered yet.",
+}
+_TYPES: dict[str, type[Message]] = {name: topics.BY_NAME[name].message for name in _WANTED}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Link:
+    """Whether samples come, and else why not.
+
+    `state`: "live"; of the gateway "connecting", "handshake", "streaming" (but its samples do not reach this view),
+    "silent", "absent"; "no-gateway" where nothing at all comes.
+    """
+
+    state: str
+    reason: str  # a sentence; empty where live
+    age_s: float  # of the newest sample; infinite where none came
+
+    @property
+    def live(self) -> bool:
+        """Samples come."""
+        return self.state == "live"
+
+
+class Tap:
+    """Bins of one topic of one board for one reader."""
+
+    def __init__(self, message: type[Message], decimator_of: Callable[[], Decimator], lock: threading.Lock) -> None:
+        self.channels = channels(message)
+        self.message = message
+        self._values = attrgetter(*self.channels)
+        self._optional = [name for name in self.channels if _is_optional(message.DESCRIPTOR, name)]
+        self._decimator, self._lock = decimator_of(), lock
+
+    def push(self, message: Message) -> None:
+        """Called by the feed, with its lock."""
+        values = list(self._values(message))
+        for name in self._optional:
+            if not message.HasField(name):
+                values[self.channels.index(name)] = math.nan
+        m: pb.State = message  # type: ignore[assignment]  # the fields that all per-tick messages have
+        self._decimator.push(
+            values,
+            session=m.session,
+            tick=m.tick,
+            t_s=m.t_s,
+            host_time_ns=getattr(message, "host_time_ns", 0),
+            lost=getattr(message, "lost_before", 0),
+        )
+
+    def take(self, *, unfinished: bool = False) -> list[Bin]:
+        """The bins finished since the last call, oldest first; at most the newest 256."""
+        with self._lock:
+            return self._decimator.take(unfinished=unfinished)
+
+
+class BoardFeed:
+    """One board, as heard on the bus."""
+
+    def __init__(self, name: str, lock: threading.Lock, now_s: Callable[[], float]) -> None:
+        self.name = name
+        self._lock, self._now_s = lock, now_s
+        self._latest: dict[str, Message] = {}
+        self._at_s: dict[str, float] = {}
+        self._events: deque[pb.Event] = deque(maxlen=KEPT_EVENTS)
+        self._commands: deque[pb.CommandRecord] = deque(maxlen=KEPT_EVENTS)
+        self._taps: dict[str, list[Tap]] = {}
+        self._book = AlarmBook(name)
+        self._alive = True  # the gateway's token; until one was seen, its absence says nothing
+        self._period_s = 0.0
+        self._first_s = now_s()
+
+    def latest(self, message: type[M]) -> M | None:
+        """The newest message of this type."""
+        found = self._latest.get(message.DESCRIPTOR.full_name)
+        return found if isinstance(found, message) else None
+
+    def age_s(self, message: type[Message]) -> float:
+        """How long ago it came; infinite where none came."""
+        at_s = self._at_s.get(message.DESCRIPTOR.full_name)
+        return math.inf if at_s is None else max(0.0, self._now_s() - at_s)
+
+    def link(self) -> Link:
+        """The link of now."""
+        age_s = self.age_s(pb.State)
+        status = self.latest(pb.Status)
+        limit_s = max(SILENT_S, 3.0 * self._period_s)
+        if age_s < limit_s and self._alive:
+            return Link(state="live", reason="", age_s=age_s)
+        if min(self.age_s(pb.Status), self.age_s(pb.Event), age_s) > GATEWAY_S:
+            return Link(state="no-gateway", reason="Nothing comes from the gateway.", age_s=age_s)
+        word = "connecting" if status is None else status.link
+        if word == "streaming":  # of a status before the loss
+            return Link(state="silent", reason="No samples come.", age_s=age_s)
+        return Link(state=word, reason=_REASONS.get(word, "No samples come."), age_s=age_s)
+
+    def alarms(self) -> tuple[Alarm, ...]:
+        """Active or not acknowledged, the most urgent first."""
+        with self._lock:
+            self._judge()
+            return self._book.listed()
+
+    def alarms_revision(self) -> int:
+        """Rises with each change of `alarms()`."""
+        with self._lock:
+            self._judge()
+            return self._book.revision
+
+    def fault(self) -> str:
+        """The fault that the board has latched, such as "sensor-fault"; empty where none."""
+        with self._lock:
+            return self._book.fault()
+
+    def events(self) -> tuple[pb.Event, ...]:
+        """The newest 200, oldest first."""
+        with self._lock:
+            return tuple(self._events)
+
+    def commands(self) -> tuple[pb.CommandRecord, ...]:
+        """The newest 200, oldest first: who did what, and what became of it."""
+        with self._lock:
+            return tuple(self._commands)
+
+    def tap(self, message: type[Message], *, width_s: float, keep: int = 256) -> Tap:
+        """Bins of pb.State, pb.TwinState or pb.Divergence; `width_s` is rounded to whole ticks, 1 at least."""
+
+        def decimator() -> Decimator:
+            parameters = self.latest(pb.Parameters)
+            period_s = parameters.sample_time_s if parameters is not None and parameters.sample_time_s > 0 else 2e-3
+            return Decimator(channels(message), max(1, round(width_s / period_s)), keep=keep)
+
+        tap = Tap(message, decimator, self._lock)
+        with self._lock:
+            self._taps.setdefault(message.DESCRIPTOR.full_name, []).append(tap)
+        return tap
+
+    def untap(self, tap: Tap) -> None:
+        """The reader is gone."""
+        with self._lock:
+            self._taps[tap.message.DESCRIPTOR.full_name].remove(tap)
+
+    def take(self, message: Message, now_ns: int) -> None:
+        """One message from the bus; with the feed's lock."""
+        name = message.DESCRIPTOR.full_name
+        self._latest[name] = message
+        self._at_s[name] = self._now_s()
+        for tap in self._taps.get(name, ()):
+            tap.push(message)
+        if isinstance(message, pb.State):
+            self._alive = True  # whatever became of the token: here is a sample
+            self._book.state(message, now_ns)
+        elif isinstance(message, pb.Event):
+            self._events.append(message)
+            self._book.event(message, now_ns)
+        elif isinstance(message, pb.Alarm):
+            self._book.twin_alarm(message, now_ns)
+        elif isinstance(message, pb.CommandRecord):
+            self._commands.append(message)
+        elif isinstance(message, pb.Status):
+            self._book.log(message.log_state, now_ns)
+        elif isinstance(message, pb.Parameters):
+            self._period_s = message.sample_time_s * max(1, message.stream_divider)
+
+    def alive_is(self, *, alive: bool) -> None:
+        """The gateway's liveliness token came or went: at once, before any time-out."""
+        self._alive = alive
+
+    def acknowledge(self, name: str, who: str, now_ns: int) -> bool:
+        """See Feed.acknowledge."""
+        with self._lock:
+            return self._book.acknowledge(name, who, now_ns)
+
+    def _judge(self) -> None:
+        link = self.link()
+        if link.live or self._now_s() - self._first_s > GRACE_S:
+            self._book.link("" if link.live else link.reason, time.time_ns())
+
+
+class Feed:
+    """Subscribes to everything a view needs of one site.
+
+    Args:
+        session: of the bus.
+        site: first chunk of the keys.
+        guarded: whether commands go under `command/as/<role>/<who>`, as a bus with roles wants them.
+        now_s: monotonic clock, for tests.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        site: str = topics.DEFAULT_SITE,
+        *,
+        guarded: bool = False,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.site = topics.check_name(site, what="site")
+        self.guarded = guarded
+        self.refused = 0
+        self._session, self._now_s = session, now_s
+        self._lock = threading.Lock()
+        self._boards: dict[str, BoardFeed] = {}
+        self._subscribers = [session.declare_subscriber(f"{site}/*/{topic}", self._arrived) for topic in _WANTED]
+        self._token = session.liveliness().declare_subscriber(f"{site}/*/{topics.ALIVE}", self._alive, history=True)
+
+    def close(self) -> None:
+        """Hear no more."""
+        for subscriber in self._subscribers:
+            subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+        self._token.undeclare()  # type: ignore[no-untyped-call]
+
+    def boards(self) -> tuple[str, ...]:
+        """Names of the boards heard so far, in order."""
+        with self._lock:
+            return tuple(sorted(self._boards))
+
+    def board(self, name: str) -> BoardFeed | None:
+        """One board, None where nothing was heard of it."""
+        return self._boards.get(name)
+
+    def acknowledge(self, board: str, alarm: str, who: str) -> bool:
+        """Somebody has seen this alarm; False where there is none to acknowledge."""
+        feed = self._boards.get(board)
+        return feed is not None and feed.acknowledge(alarm, who, self.now_ns())
+
+    def command(
+        self, board: str, what: pb.Command, *, who: str, role: str = "", timeout_s: float = 5.0
+    ) -> pb.CommandReply:
+        """Send `what` on behalf of `who`, and wait for what becomes of it; an empty id is filled in.
+
+        `refused_by` is "link" where no gateway answered.  The caller has checked who it is; `role` is what the gateway
+        judges the command by on a guarded bus.
+        """
+        command = pb.Command()
+        command.CopyFrom(what)
+        command.who = who
+        as_role = role if self.guarded else ""
+        return send(self._session, self.site, board, command, timeout_s=timeout_s, role=as_role)
+
+    def now_ns(self) -> int:
+        """Unix time of this host."""
+        return time.time_ns()
+
+    def _arrived(self, sample: zenoh.Sample) -> None:
+        place = topics.split(str(sample.key_expr))
+        kind = _TYPES.get(place[2]) if place is not None else None
+        message = parse(kind, sample.payload.to_bytes()) if kind is not None else None
+        if place is None or message is None:
+            self.refused += 1
+            return
+        with self._lock:
+            board = self._boards.get(place[1])
+            if board is None:
+                if len(self._boards) >= MAX_BOARDS:
+                    self.refused += 1
+                    return
+                board = self._boards[place[1]] = BoardFeed(place[1], self._lock, self._now_s)
+            board.take(message, time.time_ns())
+
+    def _alive(self, sample: zenoh.Sample) -> None:
+        _, _, rest = str(sample.key_expr).partition("/")
+        board = self._boards.get(rest.partition("/")[0])
+        if board is not None:
+            board.alive_is(alive=sample.kind == zenoh.SampleKind.PUT)
+
+
+def channels(message: type[Message]) -> tuple[str, ...]:
+    """Names of all floating-point values of a message, `x_m.error` for those within another message."""
+    return tuple(_doubles(message.DESCRIPTOR))
+
+
+def _doubles(descriptor: Any, path: str = "") -> Sequence[str]:
+    names: list[str] = []
+    for field in descriptor.fields:
+        if field.message_type is not None:
+            names += _doubles(field.message_type, f"{path}{field.name}.")
+        elif field.type == FieldDescriptor.TYPE_DOUBLE and field.name != "t_s":
+            names.append(path + field.name)
+    return names
+
+
+def _is_optional(
+    descriptor: Any,  # the stubs know two classes of descriptors
+    name: str,
+) -> bool:
+    return name in descriptor.fields_by_name and descriptor.fields_by_name[name].has_presence

@@ -1,0 +1,105 @@
+"""The bus as a live Foxglove WebSocket: the same topics, bytes and schemas as in the MCAP logs.
+
+Rule 1: it shows and never commands: no parameters, no services, nothing is taken from a client.
+Rule 2: bytes pass as they are; only their time is looked up: the gateway's, as in its log.
+Rule 3: the protocol knows no login, so it stays on loopback unless `--insecure` says otherwise.
+Rule 4: a client that does not read loses messages of its own (`BACKLOG`), nobody else's.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+import foxglove
+import zenoh
+from foxglove import Channel, Context, Schema
+
+from protocol.bus import topics
+from protocol.bus.encoding import MESSAGE_ENCODING, SCHEMA_ENCODING, descriptor_set, parse, schema_name
+from protocol.errors import ServiceError
+
+BACKLOG = 4096  # messages that wait for one client; 8 boards with twins send 12 000 a second
+MAX_CHANNELS = 1000
+_logger = logging.getLogger("gateway.foxglove")
+
+
+class FoxgloveView:
+    """One server over one bus session.
+
+    Args:
+        session: of the bus.
+        site: first chunk of the keys.
+        host: to listen on.
+        port: 0 for any free one.
+
+    Raises:
+        ServiceError: the port is taken.
+    """
+
+    def __init__(self, session: zenoh.Session, site: str, host: str, port: int) -> None:
+        self.refused = 0
+        self._context = Context()
+        self._lock = threading.Lock()  # zenoh calls from several threads
+        self._channels: dict[str, Channel] = {}
+        self._newest_ns: dict[str, int] = {}
+        self._descriptors = descriptor_set()
+        try:
+            self._server = foxglove.start_server(
+                name=f"Board51 {site}", host=host, port=port, context=self._context, message_backlog_size=BACKLOG
+            )
+        except (OSError, RuntimeError) as error:
+            raise ServiceError(
+                f"Foxglove cannot listen on {host}:{port}: {error}",
+                remedy="End the program that uses the port, or give another one with --listen HOST:PORT",
+            ) from None
+        self.port = self._server.port
+        wanted = [t.name for t in topics.TOPICS if t.bus and t.by != "client"]
+        self._subscribers = [session.declare_subscriber(f"{site}/*/{topic}", self._arrived) for topic in wanted]
+
+    def close(self) -> None:
+        """End the server."""
+        for subscriber in self._subscribers:
+            subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+        self._server.stop()
+
+    def _arrived(self, sample: zenoh.Sample) -> None:
+        key, data = str(sample.key_expr), sample.payload.to_bytes()
+        place = topics.split(key)
+        message = parse(topics.BY_NAME[place[2]].message, data) if place is not None else None
+        if place is None or message is None:
+            self.refused += 1
+            return
+        with self._lock:
+            channel = self._channels.get(key) or self._open(key, place[2])
+            if channel is None:
+                self.refused += 1
+                return
+            # What bears no time of its own (twin/*) gets that of its board's newest message, as in `board51 record`.
+            own_ns: int | None = getattr(message, "host_time_ns", getattr(message, "received_ns", None))
+            if own_ns is not None:
+                self._newest_ns[place[1]] = max(own_ns, self._newest_ns.get(place[1], 0))
+            channel.log(data, log_time=own_ns or self._newest_ns.get(place[1], time.time_ns()))
+
+    def _open(self, key: str, topic: str) -> Channel | None:
+        if len(self._channels) >= MAX_CHANNELS:
+            return None
+        schema = Schema(
+            name=schema_name(topics.BY_NAME[topic].message), encoding=SCHEMA_ENCODING, data=self._descriptors
+        )
+        channel = Channel(key, schema=schema, message_encoding=MESSAGE_ENCODING, context=self._context)
+        self._channels[key] = channel
+        return channel
+
+
+def serve(
+    session: zenoh.Session, site: str, host: str, port: int, stop: threading.Event, ready: Callable[[int], None]
+) -> None:
+    """Serve until `stop` is set; `ready` is told the port."""
+    view = FoxgloveView(session, site, host, port)
+    _logger.info("Foxglove on ws://%s:%d", host, view.port)
+    ready(view.port)
+    stop.wait()
+    view.close()

@@ -1,0 +1,198 @@
+"""The web server: guard, pages, requests and live frames around one client of the bus.
+
+It decides nothing about the rig; `console.py` asks the table of rights, the gateway asks it again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import getpass
+import signal
+import socket
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+import uvicorn
+import zenoh
+from fastapi import FastAPI
+from starlette.routing import WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
+
+from gateway.access.roles import Role
+from gateway.access.users import Users
+from gateway.views.feed import Feed
+from gateway.views.hmi.console import REPLAY_SITE, Console, Routes
+from gateway.views.hmi.guard import MAX_BODY, Guard
+from gateway.views.hmi.jobs import Jobs
+from gateway.views.hmi.library import Library
+from gateway.views.hmi.live import STUCK_S, Live, Pictures
+from gateway.views.hmi.requests import Requests
+from gateway.views.hmi.sessions import Session, Sessions
+from protocol.errors import ServiceError
+
+STATIC = Path(__file__).parent / "static"
+END_S = 2  # open connections get so long at the end
+MAX_CONNECTIONS = 256  # beyond it: 503
+SEND_BUFFER = 16_384  # bytes that the system holds for a browser that does not read: a second or two of frames
+
+
+@dataclass(frozen=True, kw_only=True)
+class HmiSettings:
+    """Of one server."""
+
+    site: str
+    users: Users | None  # None: everybody who reaches the server is the local operator
+    guarded: bool  # the bus has roles
+    certificate: Path | None
+    key: Path | None
+    logs: Path
+    data: Path
+    reports: tuple[Path, ...]
+    idle_s: float
+    lifetime_s: float
+    loopback: bool
+    routes: Routes
+
+
+def serve(settings: HmiSettings, listener: socket.socket, bus: zenoh.Session, replay_bus: zenoh.Session) -> None:
+    """Serve until SIGTERM or SIGINT.
+
+    Args:
+        settings: of the server.
+        listener: see `listen`.
+        bus: the live one.
+        replay_bus: where logs are replayed.
+    """
+    jobs = Jobs()
+    feeds = Feed(bus, settings.site, guarded=settings.guarded), Feed(replay_bus, REPLAY_SITE)
+    config = uvicorn.Config(
+        build(settings, *feeds, jobs),
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        ws="websockets-sansio",
+        ws_max_size=MAX_BODY,
+        timeout_graceful_shutdown=END_S,
+        limit_concurrency=MAX_CONNECTIONS,
+        ssl_certfile=settings.certificate,
+        ssl_keyfile=settings.key,
+    )
+    # uvicorn raises the signal that ended it once more, when it has put our handlers back.
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, _nothing)
+    try:
+        uvicorn.Server(config).run(sockets=[listener])
+    finally:
+        jobs.close()
+        for feed in feeds:
+            feed.close()
+
+
+def _nothing(number: int, frame: FrameType | None) -> None:
+    """The server has ended already."""
+
+
+def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGIApp:
+    """The application, without a server around it."""
+    from nicegui import app as nicegui_app
+    from nicegui import ui
+
+    from gateway.views.hmi import pages
+
+    users = settings.users
+    sessions = Sessions(
+        idle_s=settings.idle_s,
+        lifetime_s=settings.lifetime_s,
+        known=lambda name: users is None or users.find(name) is not None,
+    )
+    console = Console(
+        feed,
+        replayed,
+        sessions,
+        users,
+        jobs=jobs,
+        logs=Library({"logs": settings.logs, "recordings": settings.data / "recordings"}, ("*.mcap",)),
+        reports=Library({str(n): path for n, path in enumerate(settings.reports)}, ("report.html",)),
+        data=settings.data,
+        routes=settings.routes,
+    )
+    live, replay = Pictures(feed), Pictures(replayed)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        pumps = [asyncio.create_task(pictures.pump()) for pictures in (live, replay)]
+        yield
+        for pump in pumps:
+            pump.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await pump
+
+    app = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
+    app.mount("/static", StaticFiles(directory=STATIC))
+    for prefix, pictures in (("/live", live), ("/live-replay", replay)):
+        readers = Live(pictures, sessions)
+        app.router.routes.append(WebSocketRoute(prefix, readers.overview))
+        app.router.routes.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
+    requests = Requests(console, users)
+    app.router.routes.extend(requests.routes())
+    pages.register(console)
+    ui.run_with(
+        app,
+        title="Board51",
+        tailwind=False,
+        binding_refresh_interval=None,
+        show_welcome_message=False,
+        favicon="\U0001f9f2",
+    )
+    nicegui_app.config.socket_io_js_transports = ["websocket"]
+
+    guard = Guard(
+        app,
+        sessions,
+        newcomer=None if users is not None else lambda: _local(sessions),
+        loopback=settings.loopback,
+        https=settings.certificate is not None,
+    )
+    requests.guard = guard
+    return guard
+
+
+def _local(sessions: Sessions) -> Session:
+    """Whoever sits at this machine, as for `board51 send`."""
+    try:
+        name = getpass.getuser()
+    except (KeyError, OSError):  # a container's user need not have a name
+        name = "local operator"
+    return sessions.open(name, Role.ENGINEER, time.monotonic())
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A listening socket.
+
+    Raises:
+        ServiceError: the port is in use or not ours to open.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    # Connections inherit both.  Without the second one that takes nothing stays for ever: what ends it, too, waits for
+    # the bytes before it to be taken.
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(STUCK_S * 1e3))
+    try:
+        listener.bind((host, port))
+        listener.listen(128)
+    except OSError as error:
+        listener.close()
+        raise ServiceError(
+            f"Cannot listen on {host}:{port}: {error.strerror or error}",
+            remedy="End what uses the port, or give another one with --listen HOST:PORT",
+        ) from None
+    return listener

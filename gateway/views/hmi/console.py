@@ -1,0 +1,207 @@
+"""What a session may do, and doing it: every act of a page or a request passes here.  Blocking: call it in a thread.
+
+Rule 1: rights are looked up at each act, in the session and the role of now: a page that was open before they changed
+        gives none.
+Rule 2: a refusal is a value with a reason and a sentence, whoever refused: page, gateway, board or link.
+Rule 3: everything a person does goes out under the person's name, so the log shows who did what.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from gateway.access.roles import Role, may, refusal_text
+from gateway.access.users import Users
+from gateway.views.account import ACCOUNT
+from gateway.views.feed import Feed
+from gateway.views.hmi.jobs import Jobs
+from gateway.views.hmi.library import Entry, Library
+from gateway.views.hmi.sessions import Session, Sessions
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.errors import Board51Error
+
+REPLAY_SITE = "replay"  # logs are replayed under this site, and on a bus of their own: never for live
+SUMMARY_S, SUMMARY_CHARACTERS = 120.0, 100_000
+_EVERYTHING = tuple(
+    word for topic in topics.TOPICS if topic.bus and topic.logged for word in ("--topic", topic.name)
+)  # a replay shows what was seen, the twin of then included
+_logger = logging.getLogger("gateway.hmi")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Routes:
+    """How jobs reach the bus, as options of `board51`."""
+
+    connect: str
+    site: str
+    replay: str  # endpoint of the bus on which replays run
+    identities: Path | None  # on a guarded bus: the folder with those of people and of the views
+
+    def live(self, name: str) -> list[str]:
+        """To the live bus, as `name`: a person where the job commands, the views' account where it listens."""
+        words = ["--connect", self.connect, "--site", self.site]
+        return words if self.identities is None else [*words, "--identity", str(self.identities / name)]
+
+    def replayed(self) -> list[str]:
+        """To the replays' bus."""
+        return ["--connect", self.replay, "--as-site", REPLAY_SITE]
+
+
+class Console:
+    """The acts.
+
+    Args:
+        feed: of the live site.
+        replayed: of REPLAY_SITE.
+        sessions: who is logged in.
+        users: where roles come from; None: everybody here is the local operator.
+        jobs: where recordings, campaigns and replays run.
+        logs: files that may be replayed.
+        reports: pages of diagnosis.
+        data: folder for recordings and campaigns.
+        routes: how jobs reach the bus.
+    """
+
+    def __init__(
+        self,
+        feed: Feed,
+        replayed: Feed,
+        sessions: Sessions,
+        users: Users | None,
+        *,
+        jobs: Jobs,
+        logs: Library,
+        reports: Library,
+        data: Path,
+        routes: Routes,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.feed, self.replayed, self.sessions, self.users = feed, replayed, sessions, users
+        self.jobs, self.logs, self.reports = jobs, logs, reports
+        self._data, self._routes, self._clock = data, routes, clock
+
+    def role(self, session: Session) -> Role:
+        """The role of now: a changed users file counts at once."""
+        if self.users is not None:
+            user = self.users.find(session.name)
+            session.role = Role.VIEWER if user is None else user.role  # None: the session is over, too
+        return session.role
+
+    def may(self, session: Session, act: str) -> bool:
+        """Whether a control is shown; each act asks again."""
+        return may(self.role(session), act)
+
+    def command(self, session: Session, board: str, what: pb.Command) -> pb.CommandReply:
+        """Send a command to a board and wait for what becomes of it."""
+        refused = self._refused(session, str(what.WhichOneof("what")))
+        if refused is not None:
+            return refused
+        if self.feed.board(board) is None:
+            return _refusal("no-board", f"Nothing has been heard of a board {board[:32]!r}.")
+        try:
+            return self.feed.command(board, what, who=session.name, role=self.role(session).word)
+        except Exception as error:  # a bus that closed under us must not look like an accepted command
+            _logger.warning("command of %s to %s: %s", session.name, board, error)
+            return _refusal("not-delivered", f"The bus did not take the command: {error}.")
+
+    def acknowledge(self, session: Session, board: str, alarm: str) -> pb.CommandReply:
+        """Somebody has seen an alarm."""
+        refused = self._refused(session, "acknowledge")
+        if refused is not None:
+            return refused
+        if self.feed.acknowledge(board, alarm, session.name):
+            return pb.CommandReply(accepted=True)
+        return _refusal("no-alarm", "There is no such alarm, or it was acknowledged before.")
+
+    def start_recording(self, session: Session, board: str, title: str) -> pb.CommandReply:
+        """Log this board's bus into files of their own, beside the gateway's log."""
+        name = slug(title)[:16] or "rec"
+        words = ["record", "--out", str(self._data / "recordings"), "--prefix", f"{name}-{board}"[:32].rstrip("-_"),
+                 "--board", board, *self._routes.live(ACCOUNT)]  # fmt: skip
+        return self._start(session, "recording", "record", board, words, title=title or "recording")
+
+    def start_campaign(self, session: Session, board: str, *, quick: bool) -> pb.CommandReply:
+        """The paper's experiments into a new folder."""
+        folder = self._data / "campaigns" / f"{board}-{time.strftime('%Y%m%d-%H%M%S')}"
+        words = ["campaign", "run", str(folder), "--board", board, "--who", session.name, *["--quick"] * quick,
+                 *self._routes.live(session.name)]  # fmt: skip
+        return self._start(session, "campaign", "campaign", board, words, title=folder.name)
+
+    def start_replay(self, session: Session, log: str, speed: float) -> pb.CommandReply:
+        """A log onto the replay site, with everything that travelled on the bus."""
+        entry = self.logs.find(log)
+        if entry is None:
+            return _refusal("no-log", "There is no such log.")
+        words = ["replay", str(entry.path), "--speed", f"{speed:g}", *self._routes.replayed(), *_EVERYTHING]
+        return self._start(session, "read", "replay", "*", words, title=entry.name)
+
+    def summary(self, entry: Entry) -> str:
+        """What a log holds, as `board51 info` says it."""
+        try:
+            done = subprocess.run(
+                [sys.executable, "-m", "board51", "info", str(entry.path)],
+                capture_output=True, text=True, errors="replace", timeout=SUMMARY_S, stdin=subprocess.DEVNULL,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            return "It takes too long to read: use `board51 info`."
+        return (done.stdout or done.stderr).replace(str(entry.path), entry.name)[:SUMMARY_CHARACTERS]
+
+    def mark(self, session: Session, board: str, text: str) -> pb.CommandReply:
+        """A remark at this moment, into every log of the board."""
+        return self.command(session, board, pb.Command(mark=pb.Mark(text=text)))
+
+    def stop_job(self, session: Session, kind: str, board: str) -> pb.CommandReply:
+        """Interrupt a job; a campaign parks the ball."""
+        act = {"record": "recording", "campaign": "stop", "replay": "read"}.get(kind, "")
+        refused = self._refused(session, act)
+        if refused is not None:
+            return refused
+        if self.jobs.stop(kind, board):
+            return pb.CommandReply(accepted=True, text="It ends now.")
+        return _refusal("not-running", "Nothing of that kind is running.")
+
+    def _start(
+        self, session: Session, act: str, kind: str, board: str, words: list[str], *, title: str
+    ) -> pb.CommandReply:
+        refused = self._refused(session, act)
+        if refused is not None:
+            return refused
+        if board != "*" and self.feed.board(board) is None:
+            return _refusal("no-board", f"Nothing has been heard of a board {board[:32]!r}.")
+        try:
+            if kind != "replay":
+                self._data.mkdir(parents=True, exist_ok=True)
+            self.jobs.start(kind, board, words, title=title, who=session.name)
+        except Board51Error as error:
+            return _refusal("busy", str(error))
+        except OSError as error:
+            return _refusal("failed", f"It cannot be started: {error.strerror}.")
+        _logger.info("%s started a %s of %s: %s", session.name, kind, board, title)
+        return pb.CommandReply(accepted=True, text=f"{title}: started")
+
+    def _refused(self, session: Session, act: str) -> pb.CommandReply | None:
+        """Why not; None where it is allowed.  An act is what a person does: the idle time begins anew."""
+        now_s = self._clock()
+        if not self.sessions.is_open(session, now_s):
+            return _refusal("session-over", "The session is over: log in again.")
+        self.sessions.acted(session, now_s)
+        if not may(self.role(session), act):
+            return _refusal("not-allowed", refusal_text(session.name, session.role, act))
+        return None
+
+
+def slug(text: str) -> str:
+    """Lower-case letters, digits and hyphens of `text`: it becomes part of a file name."""
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
+
+
+def _refusal(reason: str, text: str) -> pb.CommandReply:
+    return pb.CommandReply(refused_by="hmi", reason=reason, text=text)

@@ -1,0 +1,206 @@
+"""Between the network and the pages: every request passes here first, HTTP and WebSocket alike.  ASGI.
+
+Rule 1: no session, no page: a browser is sent to /login, anything else gets 401.  Only PUBLIC is served without.
+Rule 2: what changes something (any method but GET and HEAD) and every WebSocket must come from our own origin; without
+        an Origin header it is not from a browser's page and is refused as well.
+Rule 3: what changes something bears the session's token in TOKEN_HEADER, a WebSocket bears it as subprotocol.  The
+        login form has no session yet: its origin is checked.  NiceGUI's own socket is known by the page's id, which
+        only the page it was made for has seen.
+Rule 4: on loopback the Host must be a name of loopback: a page elsewhere whose name leads to 127.0.0.1 is no guest.
+Rule 5: a WebSocket ends with its session, also in the middle.
+Rule 6: bodies are bounded.
+"""
+
+from __future__ import annotations
+
+import hmac
+import time
+from collections.abc import Callable
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qs, urlsplit
+
+from starlette.requests import ClientDisconnect
+from starlette.responses import JSONResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from gateway.views.hmi.sessions import Session, Sessions
+
+COOKIE = "board51_session"
+TOKEN_HEADER = "x-board51-token"
+PROTOCOL = "board51"  # of our own WebSockets; the token follows it
+MAX_BODY = 1_000_000  # bytes
+PUBLIC = ("/login", "/static/", "/favicon.ico")
+NICEGUI_SOCKET = "/_nicegui_ws/"
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
+SESSION_OVER = 4401  # WebSocket close code: log in again
+
+_HEADERS = (
+    (b"x-frame-options", b"DENY"),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"same-origin"),
+    # NiceGUI's pages are inline scripts that compile templates; what matters here is that nothing leaves this origin.
+    (
+        b"content-security-policy",
+        b"default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline';"
+        b" img-src 'self' data:; font-src 'self' data:; connect-src 'self'; frame-ancestors 'none'; form-action 'self';"
+        b" base-uri 'self'",
+    ),
+)
+
+
+class Guard:
+    """ASGI middleware; the session of a request is `scope["board51_session"]`.
+
+    Args:
+        app: what is guarded.
+        sessions: all that are open.
+        newcomer: opens a session for a browser without one, where nobody needs a password; else None.
+        loopback: whether the server listens on loopback only.
+        https: whether it speaks TLS.
+    """
+
+    def __init__(
+        self, app: ASGIApp, sessions: Sessions, *, newcomer: Callable[[], Session] | None, loopback: bool, https: bool
+    ) -> None:
+        self._app, self._sessions, self._newcomer = app, sessions, newcomer
+        self._loopback, self._https = loopback, https
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One request or one WebSocket."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
+        session = self._sessions.get(_cookie(headers.get("cookie", "")), time.monotonic())
+        if scope["type"] == "websocket":
+            await self._websocket(scope, receive, send, headers, session)
+        else:
+            await self._http(scope, receive, send, headers, session)
+
+    async def _http(
+        self, scope: Scope, receive: Receive, send: Send, headers: dict[str, str], session: Session | None
+    ) -> None:
+        path, reads = scope["path"], scope["method"] in ("GET", "HEAD")
+        public = path.startswith(PUBLIC)
+        answer: Response | None = None
+        opened = None
+        if not self._host_is_ours(headers):
+            answer = refusal(421, "host", "This server is for this machine alone: use http://127.0.0.1.")
+        elif not reads and not self._same_origin(headers):
+            answer = refusal(403, "origin", "The request comes from a page of another origin.")
+        elif path.startswith(NICEGUI_SOCKET):
+            answer = refusal(403, "polling", "Use a WebSocket.")
+        elif session is None and not public:
+            a_page = reads and "text/html" in headers.get("accept", "")
+            if self._newcomer is not None and a_page:
+                session = opened = self._newcomer()
+            elif a_page:
+                answer = RedirectResponse("/login", status_code=303)
+            else:
+                answer = refusal(401, "session", "Log in: there is no session, or it is over.")
+        elif (
+            not public
+            and (TOKEN_HEADER in headers or not reads)
+            and not _bears_token(headers.get(TOKEN_HEADER, ""), session)
+        ):  # a page of an earlier session asks with a token, too: it must load anew
+            status = 401 if reads else 403
+            answer = refusal(status, "token", f"The request does not bear this session's token in {TOKEN_HEADER}.")
+        if answer is None and _too_long(headers):
+            answer = refusal(413, "oversize", f"At most {MAX_BODY} bytes.")
+        send = self._with_headers(send, opened)
+        if answer is not None:
+            await answer(scope, receive, send)
+            return
+        scope["board51_session"] = session
+        try:
+            await self._app(scope, _bounded(receive), send)
+        except ClientDisconnect:  # it went away in the middle of its body, or that was too long
+            await refusal(413, "oversize", f"At most {MAX_BODY} bytes.")(scope, receive, send)
+
+    async def _websocket(
+        self, scope: Scope, receive: Receive, send: Send, headers: dict[str, str], session: Session | None
+    ) -> None:
+        good = session is not None and self._host_is_ours(headers) and self._same_origin(headers)
+        if good and scope["path"].startswith(NICEGUI_SOCKET):
+            page = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("client_id", [""])[0]
+            good = session is not None and page in session.pages
+        elif good:
+            offered = scope.get("subprotocols", [])
+            good = len(offered) == 2 and offered[0] == PROTOCOL and _bears_token(offered[1], session)
+        if not good or session is None:
+            await receive()  # websocket.connect
+            await send({"type": "websocket.close", "code": SESSION_OVER})  # before accept: HTTP 403
+            return
+        holder = session
+        scope["board51_session"] = holder
+
+        async def watched() -> Message:
+            message = await receive()
+            if message["type"] == "websocket.receive" and not self._sessions.is_open(holder, time.monotonic()):
+                await send({"type": "websocket.close", "code": SESSION_OVER})
+                return {"type": "websocket.disconnect", "code": SESSION_OVER}
+            return message
+
+        await self._app(scope, watched, send)
+
+    def _host_is_ours(self, headers: dict[str, str]) -> bool:
+        if not self._loopback:
+            return True
+        return (urlsplit(f"//{headers.get('host', '')}").hostname or "") in LOOPBACK
+
+    def _same_origin(self, headers: dict[str, str]) -> bool:
+        scheme = "https" if self._https else "http"
+        return headers.get("origin", "") == f"{scheme}://{headers.get('host', '')}"
+
+    def _with_headers(self, send: Send, opened: Session | None) -> Send:
+        async def sender(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                there = {name.lower() for name, _ in message["headers"]}
+                message["headers"] = [*message["headers"], *(h for h in _HEADERS if h[0] not in there)]
+                if opened is not None:
+                    message["headers"].append((b"set-cookie", self.cookie(opened).encode("latin-1")))
+            await send(message)
+
+        return sender
+
+    def cookie(self, session: Session | None) -> str:
+        """The Set-Cookie of a session; None ends it."""
+        secure = "; Secure" if self._https else ""
+        value, age_s = (session.token, round(self._sessions.lifetime_s)) if session is not None else ("", 0)
+        return f"{COOKIE}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={age_s}{secure}"
+
+
+def refusal(status: int, reason: str, text: str) -> JSONResponse:
+    """What a program gets instead of an answer."""
+    return JSONResponse({"accepted": False, "refused_by": "hmi", "reason": reason, "text": text}, status_code=status)
+
+
+def _cookie(header: str) -> str:
+    jar: SimpleCookie = SimpleCookie()
+    try:
+        jar.load(header)
+    except CookieError:
+        return ""
+    return jar[COOKIE].value if COOKIE in jar else ""
+
+
+def _bears_token(given: str, session: Session | None) -> bool:
+    return session is not None and hmac.compare_digest(given.encode(), session.csrf.encode())
+
+
+def _too_long(headers: dict[str, str]) -> bool:
+    length = headers.get("content-length", "0")
+    return not length.isdigit() or int(length) > MAX_BODY
+
+
+def _bounded(receive: Receive) -> Receive:
+    """A body without Content-Length is bounded, too: what comes after MAX_BODY ends the request."""
+    got = 0
+
+    async def bounded() -> Message:
+        nonlocal got
+        message = await receive()
+        got += len(message.get("body", b""))
+        return message if got <= MAX_BODY else {"type": "http.disconnect"}
+
+    return bounded

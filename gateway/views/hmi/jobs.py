@@ -1,0 +1,131 @@
+"""Long work that a page starts: a recording, a campaign, a replay, each `board51 ...` as a process of its own.
+
+Rule 1: one job of a kind and board at a time; jobs end with this process, also after kill -9, and are interrupted as by
+        Ctrl-C, so that a campaign parks the ball and a recording closes its file.
+Rule 2: what a job says is kept, the newest LINES lines of it, each cut: whatever it says, memory is bounded.
+Rule 3: arguments are a list, never a shell's line.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from protocol.bus.identity import VARIABLE as IDENTITY_VARIABLE
+from protocol.errors import UsageError
+
+LINES, WIDTH = 200, 400
+END_S = 15.0  # a campaign parks the ball in this time
+
+
+@dataclass(slots=True, kw_only=True)
+class Job:
+    """One piece of work."""
+
+    kind: str  # "record" | "campaign" | "replay"
+    board: str
+    title: str
+    who: str
+    process: subprocess.Popen[bytes]
+    began_s: float  # monotonic
+    lines: deque[str] = field(default_factory=lambda: deque(maxlen=LINES))
+    listener: threading.Thread = field(default_factory=threading.Thread)  # takes in what it says
+
+    @property
+    def running(self) -> bool:
+        """Whether it goes on."""
+        return self.process.poll() is None
+
+    @property
+    def standing(self) -> str:
+        """In words."""
+        code = self.process.poll()
+        if code is None:
+            return f"running for {time.monotonic() - self.began_s:.0f} s"
+        return "done" if code == 0 else f"ended with exit code {code}"
+
+
+class Jobs:
+    """All jobs of this process.
+
+    Args:
+        environment: of the jobs; None: that of this process.
+    """
+
+    def __init__(self, environment: Mapping[str, str] | None = None) -> None:
+        # Who a job is on the bus is said by its options; that of this process must not stand in for it.
+        given = os.environ if environment is None else environment
+        self._environment = {name: value for name, value in given.items() if name != IDENTITY_VARIABLE}
+        self._jobs: dict[tuple[str, str], Job] = {}
+        self._lock = threading.Lock()
+
+    def start(self, kind: str, board: str, words: Sequence[str], *, title: str, who: str) -> Job:
+        """Start `board51 WORDS`.
+
+        Raises:
+            UsageError: such a job runs already.
+        """
+        with self._lock:
+            present = self._jobs.get((kind, board))
+            if present is not None and present.running:
+                raise UsageError(f"A {kind} of {board} runs already, begun by {present.who}", remedy="Stop it first")
+            process = subprocess.Popen(
+                [sys.executable, "-m", "gateway.views.child", *words],
+                stdin=subprocess.PIPE,  # its end is the end of the job
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+                start_new_session=True,  # Ctrl-C reaches this process alone, which ends its jobs in order
+            )
+            job = Job(kind=kind, board=board, title=title, who=who, process=process, began_s=time.monotonic())
+            self._jobs[(kind, board)] = job
+        job.listener = threading.Thread(target=_listen, args=(job,), name=f"job-{kind}", daemon=True)
+        job.listener.start()
+        return job
+
+    def get(self, kind: str, board: str) -> Job | None:
+        """The latest of its kind."""
+        return self._jobs.get((kind, board))
+
+    def of(self, board: str) -> list[Job]:
+        """The latest of each kind."""
+        return [job for (_, of), job in sorted(self._jobs.items()) if of == board]
+
+    def stop(self, kind: str, board: str) -> bool:
+        """Interrupt it, as Ctrl-C would; False where nothing runs."""
+        job = self._jobs.get((kind, board))
+        if job is None or not job.running:
+            return False
+        job.process.send_signal(signal.SIGINT)
+        return True
+
+    def close(self) -> None:
+        """End them all."""
+        running = [job for job in self._jobs.values() if job.running]
+        for job in running:
+            job.process.send_signal(signal.SIGINT)
+        end_s = time.monotonic() + END_S
+        for job in running:
+            try:
+                job.process.wait(max(0.0, end_s - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                job.process.kill()
+                job.process.wait()
+        for job in self._jobs.values():
+            job.listener.join(1.0)
+
+
+def _listen(job: Job) -> None:
+    assert job.process.stdout is not None
+    assert job.process.stdin is not None
+    with job.process.stdin, job.process.stdout as stream:
+        while line := stream.readline(4096):
+            job.lines.append(line.decode("utf-8", errors="replace").rstrip()[:WIDTH])
+        job.process.wait()

@@ -1,0 +1,71 @@
+"""Files that a page may show: logs, recordings and diagnosis reports, by names that a scan found.
+
+Rule 1: a name from a browser is looked up among those found, never joined to a path: `../` and absolute names, links
+        out of the folder and hidden files are simply not there.
+Rule 2: looking never changes a file; a file that vanishes in between is absent.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+MAX_FILES = 500  # the newest are listed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """One file."""
+
+    name: str  # folder of the scan, slash, path within it
+    path: Path
+    bytes: int
+    changed_s: float  # Unix time
+
+    @property
+    def changed(self) -> str:
+        """For people."""
+        return time.strftime("%Y-%m-%d %H:%M", time.localtime(self.changed_s))
+
+
+class Library:
+    """Files of some kinds below some folders.
+
+    Args:
+        roots: name -> folder; a folder that is absent holds nothing.
+        patterns: of file names, e.g. *.mcap.
+    """
+
+    def __init__(self, roots: dict[str, Path], patterns: Sequence[str]) -> None:
+        self._roots = {name: path.resolve() for name, path in roots.items()}
+        self._patterns = tuple(patterns)
+
+    def entries(self) -> list[Entry]:
+        """The newest first."""
+        found = {entry.name: entry for entry in self._scan()}
+        return sorted(found.values(), key=lambda e: -e.changed_s)[:MAX_FILES]
+
+    def find(self, name: str) -> Entry | None:
+        """The file of that name, None where there is none to show."""
+        return next((entry for entry in self.entries() if entry.name == name), None)
+
+    def _scan(self) -> Iterator[Entry]:
+        for root_name, root in self._roots.items():
+            for pattern in self._patterns:
+                for path in root.rglob(pattern):
+                    inside = path.relative_to(root)
+                    if any(part.startswith(".") for part in inside.parts):
+                        continue
+                    try:
+                        real, stat = path.resolve(strict=True), path.stat()
+                    except OSError:
+                        continue
+                    if path.is_file() and real.is_relative_to(root):
+                        yield Entry(
+                            name=f"{root_name}/{inside.as_posix()}",
+                            path=real,
+                            bytes=stat.st_size,
+                            changed_s=stat.st_mtime,
+                        )

@@ -1,0 +1,157 @@
+"""Frames to a browser, 30 a second, for as long as it reads them.
+
+Rule 1: the newest frame wins: a frame is made when the last one has gone out, so a slow browser gets fewer and memory
+        holds one.  Rows that it missed come with the next frame, as far as the ring of `traces.py` reaches.
+Rule 2: a browser that takes nothing for STUCK_S is cut off.
+Rule 3: a frame goes out only while the session is open.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import math
+import time
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from gateway.views.feed import BoardFeed, Feed
+from gateway.views.hmi import picture
+from gateway.views.hmi.guard import PROTOCOL, SESSION_OVER
+from gateway.views.hmi.sessions import Session, Sessions
+from gateway.views.hmi.traces import Traces
+from protocol.bus import board51_pb2 as pb
+
+FRAME_S = 1.0 / 30.0
+REST_S = 0.25  # lists and health are looked at so often, and sent when they changed
+OVERVIEW_S = 0.2
+STUCK_S = 10.0
+MAX_READERS = 64
+_MARGIN = 1.1  # of the drawing above the highest reference, where nobody told the travel
+
+
+class Pictures:
+    """One feed, prepared for any number of browsers: the traces of its boards, pumped once for all.
+
+    Args:
+        feed: of one site.
+    """
+
+    def __init__(self, feed: Feed) -> None:
+        self.feed = feed
+        self._traces: dict[str, Traces] = {}
+
+    def traces(self, board: BoardFeed) -> Traces:
+        """The traces of a board, from the first look on."""
+        return self._traces.setdefault(board.name, Traces(board))
+
+    async def pump(self) -> None:
+        """Follow every board; runs until it is cancelled."""
+        while True:
+            for name in self.feed.boards():
+                board = self.feed.board(name)
+                if board is not None:
+                    self.traces(board).pump()
+            await asyncio.sleep(FRAME_S)
+
+    def rest(self, board: BoardFeed) -> dict[str, Any]:
+        """See picture.rest; with what the drawing needs."""
+        return picture.rest(board) | {"travel_m": self._travel_m(board)}
+
+    def _travel_m(self, board: BoardFeed) -> float | None:
+        model, parameters = board.latest(pb.TwinModel), board.latest(pb.Parameters)
+        told = travel_of(model.model_json) if model is not None else math.nan
+        if math.isfinite(told):
+            return told
+        return None if parameters is None else parameters.x_ref_max_m * _MARGIN
+
+
+@lru_cache(maxsize=64)
+def travel_of(model_json: str) -> float:
+    """The way between the stops that a model file tells, m; NaN where it does not."""
+    try:
+        value = json.loads(model_json)["plant"]["travel_m"]
+        return float(value) if 0.0 < float(value) < 1.0 else math.nan
+    except (ValueError, TypeError, KeyError):
+        return math.nan
+
+
+class Live:
+    """Serves the WebSockets of one feed.
+
+    Args:
+        pictures: what to show.
+        sessions: who may look.
+    """
+
+    def __init__(self, pictures: Pictures, sessions: Sessions) -> None:
+        self._pictures, self._sessions = pictures, sessions
+        self._readers = 0
+
+    async def board(self, socket: WebSocket) -> None:
+        """Frames of one board, named in the path."""
+        name = socket.path_params["board"]
+        board: BoardFeed | None = None
+        cursor, rest_sent, looked_s = 0, "", -math.inf
+
+        def frame(now_s: float) -> dict[str, Any]:
+            nonlocal board, cursor, rest_sent, looked_s
+            board = board or self._pictures.feed.board(name)
+            if board is None:
+                return {}
+            rows, cursor = self._pictures.traces(board).since(cursor)
+            made: dict[str, Any] = {"now": picture.now(board), "rows": rows}
+            if now_s - looked_s >= REST_S:
+                looked_s = now_s
+                rest = self._pictures.rest(board)
+                text = json.dumps(rest)
+                if text != rest_sent:
+                    rest_sent, made["rest"] = text, rest
+            return made
+
+        await self._serve(socket, frame, FRAME_S)
+
+    async def overview(self, socket: WebSocket) -> None:
+        """A line of each board."""
+        feed = self._pictures.feed
+
+        def frame(_: float) -> dict[str, Any]:
+            boards = [board for board in map(feed.board, feed.boards()) if board is not None]
+            return {"boards": [picture.summary(board) for board in boards]}
+
+        await self._serve(socket, frame, OVERVIEW_S)
+
+    async def _serve(self, socket: WebSocket, frame: Callable[[float], dict[str, Any]], period_s: float) -> None:
+        session: Session = socket.scope["board51_session"]
+        if self._readers >= MAX_READERS:
+            await socket.close(1013)
+            return
+        await socket.accept(subprotocol=PROTOCOL)
+        self._readers += 1
+        listener = asyncio.create_task(self._listen(socket, session))
+        try:
+            while not listener.done():
+                begun_s = time.monotonic()
+                if not self._sessions.is_open(session, begun_s):
+                    await asyncio.wait_for(socket.close(SESSION_OVER), STUCK_S)
+                    return
+                made = frame(begun_s)
+                made["left_s"] = round(self._sessions.left_s(session, begun_s))
+                await asyncio.wait_for(socket.send_text(json.dumps(made, allow_nan=False)), STUCK_S)
+                await asyncio.sleep(max(0.0, begun_s + period_s - time.monotonic()))
+        except (WebSocketDisconnect, TimeoutError, RuntimeError):
+            pass  # it went away, or takes nothing: the end of this reader and of nobody else
+        finally:
+            self._readers -= 1
+            listener.cancel()
+            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                await listener
+
+    async def _listen(self, socket: WebSocket, session: Session) -> None:
+        while True:
+            await socket.receive_text()  # "acted", whatever it says
+            self._sessions.acted(session, time.monotonic())

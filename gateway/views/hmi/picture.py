@@ -1,0 +1,188 @@
+"""What a page shows of a board, as plain data for JSON.  Two paces: `now` with each frame, `rest` when it changed.
+
+`rest` bears a version of its parts, so that a reader which saw it is not sent it again.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+from gateway.views.feed import BoardFeed
+from gateway.views.hmi.traces import number
+from protocol.bus import board51_pb2 as pb
+from protocol.wire.messages import Flag
+
+MODES = {pb.MODE_IDLE: "idle", pb.MODE_OPEN_LOOP: "open loop", pb.MODE_CLOSED_LOOP: "closed loop"}
+_FLAGS = {
+    Flag.FAULT: "FAULT",
+    Flag.HOST_LOST: "host lost",
+    Flag.POSITION_RANGE: "position clipped",
+    Flag.CURRENT_RANGE: "current clipped",
+    Flag.INPUT_SATURATED: "input saturated",
+    Flag.OVERRUN: "overrun",
+}
+EVENTS_SHOWN = 30
+TWIN_STALE_S = 1.0
+
+
+def now(board: BoardFeed) -> dict[str, Any]:
+    """The newest values."""
+    link, state = board.link(), board.latest(pb.State)
+    picture: dict[str, Any] = {
+        "link": link.state,
+        "reason": link.reason,
+        "age_s": round(link.age_s, 2) if math.isfinite(link.age_s) else None,
+    }
+    if state is not None:
+        picture |= {
+            "session": state.session,
+            "tick": state.tick,
+            "t_s": round(state.t_s, 3),
+            "x_m": _if(state, "x_m"),
+            "x_ref_m": _if(state, "x_ref_m"),
+            "i_c_a": _if(state, "i_c_a"),
+            "u_c_v": _if(state, "u_c_v"),
+            "mode": MODES.get(state.mode, str(state.mode)),
+            "flags": [text for flag, text in _FLAGS.items() if state.flags & flag],
+        }
+    twin, divergence = board.latest(pb.TwinState), board.latest(pb.Divergence)
+    if divergence is None:
+        picture["twin"] = "none"
+    elif board.age_s(pb.Divergence) > TWIN_STALE_S:
+        picture["twin"] = "stale"
+    else:
+        picture |= {
+            "twin": divergence.sync,
+            "error_x": number(divergence.x_m.normalised, 3),
+            "error_x_m": number(divergence.x_m.error, 3),
+            "error_i_a": number(divergence.i_c_a.error, 3),
+            "nis_mean": number(divergence.nis_mean, 3) if divergence.innovation_valid else None,
+            "nis_on": number(divergence.nis_on, 4) or None,
+        }
+        if twin is not None and board.age_s(pb.TwinState) <= TWIN_STALE_S:
+            picture["twin_x_m"] = number(twin.x_m)
+    return picture
+
+
+def rest(board: BoardFeed) -> dict[str, Any]:
+    """Health, limits, alarms, what happened and who did it."""
+    return {
+        "status": _status(board),
+        "limits": _limits(board.latest(pb.Parameters)),
+        "model": _model(board.latest(pb.TwinModel)),
+        "alarms": [
+            {
+                "name": a.name,
+                "severity": a.severity,
+                "text": a.text,
+                "active": a.active,
+                "acknowledged": a.acknowledged,
+                "by": a.acknowledged_by,
+                "times": a.times,
+                "value": number(a.value, 3) if a.value is not None else None,
+                "since": _clock(a.since_ns),
+            }
+            for a in board.alarms()
+        ],
+        "events": [
+            {"at": _clock(e.host_time_ns), "source": e.source, "severity": e.severity, "name": e.name, "text": e.text}
+            for e in board.events()[: -EVENTS_SHOWN - 1 : -1]
+        ],
+        "commands": [_command(record) for record in board.commands()[: -EVENTS_SHOWN - 1 : -1]],
+    }
+
+
+def summary(board: BoardFeed) -> dict[str, Any]:
+    """For the list of all boards."""
+    alarms = board.alarms()
+    return now(board) | {
+        "name": board.name,
+        "alarms": sum(a.active or not a.acknowledged for a in alarms),
+        "fault": any(a.active and a.severity == "fault" for a in alarms),
+    }
+
+
+def _if(state: pb.State, name: str) -> float | None:
+    return number(getattr(state, name)) if state.HasField(name) else None
+
+
+def _status(board: BoardFeed) -> dict[str, Any] | None:
+    status = board.latest(pb.Status)
+    if status is None:
+        return None
+    return {
+        "age_s": round(board.age_s(pb.Status)),
+        "port": status.port,
+        "samples_per_s": round(status.samples_per_s),
+        "lost": status.samples_lost,
+        "bad_frames": sum(status.bad_frames.values()),
+        "latency_p99_ms": number(status.latency_p99_ms, 2),
+        "line_load": round(100 * status.line_load),
+        "dropped": status.publish_dropped,
+        "resets": status.board_resets,
+        "reconnects": status.reconnects,
+        "log_state": status.log_state,
+        "log_file": status.log_file,
+        "log_mb": round(status.log_bytes / 1e6, 1),
+        "log_dropped": status.log_dropped,
+    }
+
+
+def _limits(parameters: pb.Parameters | None) -> dict[str, Any] | None:
+    if parameters is None:
+        return None
+    return {
+        "x_min_m": parameters.x_ref_min_m,
+        "x_max_m": parameters.x_ref_max_m,
+        "step_m": parameters.x_ref_step_max_m,
+        "u_max_v": parameters.u_max_v,
+        "law": "PID" if parameters.law == pb.LAW_PID else "LQI",
+        "gains": [number(gain, 4) for gain in parameters.gains],
+        "firmware": parameters.firmware,
+    }
+
+
+def _model(model: pb.TwinModel | None) -> dict[str, Any] | None:
+    if model is None:
+        return None
+    return {"name": model.name, "sha256": model.sha256[:12], "who": model.who}
+
+
+def _command(record: pb.CommandRecord) -> dict[str, Any]:
+    command, reply = record.command, record.reply
+    return {
+        "at": _clock(record.received_ns),
+        "who": command.who,
+        "what": describe(command),
+        "result": "accepted" if reply.accepted else f"refused by {reply.refused_by}: {reply.reason}",
+        "accepted": reply.accepted,
+        "text": reply.text,
+    }
+
+
+def describe(command: pb.Command) -> str:
+    """A command in words."""
+    match command.WhichOneof("what"):
+        case "set_mode":
+            return f"mode {MODES.get(command.set_mode.mode, command.set_mode.mode)}"
+        case "set_reference":
+            return f"reference {command.set_reference.x_ref_m * 1e3:.3f} mm"
+        case "mark":
+            return f"mark {command.mark.text}"
+        case "set_gains":
+            law = "PID" if command.set_gains.law == pb.LAW_PID else "LQI"
+            return f"gains {law} {', '.join(f'{gain:.4g}' for gain in command.set_gains.gains)}"
+        case "excite":
+            e = command.excite
+            shape = pb.Shape.Name(e.shape).removeprefix("SHAPE_").lower() if e.shape in pb.Shape.values() else e.shape
+            return f"excitation {shape} {e.duration_s:g} s"
+        case None:
+            return "nothing"
+        case what:
+            return str(what).replace("_", " ")
+
+
+def _clock(time_ns: int) -> str:
+    return time.strftime("%H:%M:%S", time.localtime(time_ns / 1e9)) if time_ns else ""

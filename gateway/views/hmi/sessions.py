@@ -1,0 +1,82 @@
+"""Who sits behind a browser: sessions by an unguessable cookie, with an end.  Pure: time comes in.
+
+Rule 1: a session ends after `idle_s` without a person's action and after `lifetime_s` in any case.  A page that is open
+        is no action: frames flow for ever on a screen that everybody has left.
+Rule 2: the token of a session is in an HttpOnly cookie; `csrf` is in the page, and every request that changes something
+        must bear it.
+Rule 3: who is removed from the users is out at once, also where a page is open.
+Rule 4: memory is bounded: the session that was idle longest makes room.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from gateway.access.roles import Role
+
+MAX_SESSIONS = 256
+
+
+@dataclass(slots=True, kw_only=True)
+class Session:
+    """One login of one person."""
+
+    name: str
+    role: Role
+    opened_s: float  # monotonic
+    acted_s: float
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(32))
+    csrf: str = field(default_factory=lambda: secrets.token_urlsafe(32))
+    pages: set[str] = field(default_factory=set)  # ids of the pages that were made for it
+
+
+class Sessions:
+    """All that are open.
+
+    Args:
+        idle_s: without an action for so long, a session is over.
+        lifetime_s: so long after login it is over in any case.
+        known: whether somebody of that name may be logged in.
+    """
+
+    def __init__(
+        self, *, idle_s: float, lifetime_s: float, known: Callable[[str], bool] = lambda name: bool(name)
+    ) -> None:
+        self.idle_s, self.lifetime_s, self._known = idle_s, lifetime_s, known
+        self._open: dict[str, Session] = {}
+
+    def open(self, name: str, role: Role, now_s: float) -> Session:
+        """A new session; the caller has checked who it is."""
+        for token in [t for t, s in self._open.items() if self.left_s(s, now_s) <= 0.0]:
+            del self._open[token]
+        if len(self._open) >= MAX_SESSIONS:
+            del self._open[min(self._open.values(), key=lambda s: s.acted_s).token]
+        session = Session(name=name, role=role, opened_s=now_s, acted_s=now_s)
+        self._open[session.token] = session
+        return session
+
+    def get(self, token: str, now_s: float) -> Session | None:
+        """The session of a cookie, None where there is none or it is over."""
+        session = self._open.get(token)
+        if session is not None and (self.left_s(session, now_s) <= 0.0 or not self._known(session.name)):
+            self._open.pop(token, None)
+            return None
+        return session
+
+    def is_open(self, session: Session, now_s: float) -> bool:
+        """Whether it still counts."""
+        return self.get(session.token, now_s) is session
+
+    def acted(self, session: Session, now_s: float) -> None:
+        """A person did something: the idle time begins anew."""
+        session.acted_s = max(session.acted_s, now_s)
+
+    def left_s(self, session: Session, now_s: float) -> float:
+        """Until it is over, if nothing is done."""
+        return min(session.acted_s + self.idle_s, session.opened_s + self.lifetime_s) - now_s
+
+    def close(self, session: Session) -> None:
+        """Log out."""
+        self._open.pop(session.token, None)

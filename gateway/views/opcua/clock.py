@@ -1,0 +1,37 @@
+"""The board's clock on the host's time axis: evenly spaced source timestamps without the jitter of the link.  Pure.
+
+A sample's arrival is late by the link's latency, which varies; its tick is exact but of an unknown origin.  The origin
+is estimated per session: early arrivals pull it at once (a sample cannot arrive before it was made), late ones slowly,
+so that it follows the drift of the quartz and not the queue.
+"""
+
+from __future__ import annotations
+
+PULL = 0.002  # share of a late arrival's error taken per sample
+JUMP_NS = 500_000_000  # a clock that was set, or a long silence: begin anew
+
+
+class StampClock:
+    """Stamps of one board, in ns of Unix time; strictly increasing."""
+
+    def __init__(self) -> None:
+        self._session: int | None = None
+        self._origin_ns = 0
+        self._newest_ns = 0
+
+    def stamp(self, *, session: int, t_s: float, host_time_ns: int) -> int:
+        """When the sample with board time `t_s` was made; `host_time_ns` 0 where its arrival is not known."""
+        t_ns = round(t_s * 1e9)
+        if host_time_ns:
+            late_ns = host_time_ns - (self._origin_ns + t_ns)
+            if session != self._session or abs(late_ns) > JUMP_NS:
+                self._origin_ns = host_time_ns - t_ns
+            else:
+                self._origin_ns += late_ns if late_ns < 0 else round(PULL * late_ns)
+            self._session = session
+        self._newest_ns = max(self._newest_ns + 1000, self._origin_ns + t_ns)  # Python's datetime counts in us
+        return self._newest_ns
+
+    def place(self, t_s: float) -> int:
+        """The time of another message of the same session, such as the twin's, without learning from it."""
+        return self._origin_ns + round(t_s * 1e9)

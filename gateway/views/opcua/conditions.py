@@ -1,0 +1,115 @@
+"""Alarms as OPC UA conditions, and the board's events and commands as OPC UA events.
+
+A condition of a board is `<board>/alarm/<name>`.  Everything is emitted by the Server object and by the board's object:
+clients subscribe at either.  ConditionRefresh shows what is retained; Acknowledge is a method of the condition.
+"""
+
+from __future__ import annotations
+
+import copy
+import uuid
+from datetime import UTC, datetime
+from typing import Any
+
+from asyncua import ua
+from asyncua.common.event_objects import AlarmCondition, BaseEvent
+
+from gateway.views.alarms import Alarm
+from gateway.views.feed import BoardFeed
+from gateway.views.opcua.sessions import GuardedServer
+from gateway.views.opcua.values import datetime_of
+from protocol.bus import board51_pb2 as pb
+
+SEVERITY = {"info": 100, "warning": 500, "fault": 800}
+_SERVER = ua.NodeId(ua.ObjectIds.Server)
+_PROCESS = ua.NodeId(ua.ObjectIds.ProcessConditionClassType)
+
+
+class Conditions:
+    """The alarms and events of one board."""
+
+    def __init__(self, server: GuardedServer, feed: BoardFeed, node: ua.NodeId) -> None:
+        self._server, self._feed, self._node = server, feed, node
+        self._revision = -1
+        self._sent: dict[str, Alarm] = {}
+        self._last_event = self._newest(feed.events())
+        self._last_command = self._newest(feed.commands())
+
+    async def update(self) -> None:
+        """Send what has changed since the last call."""
+        revision = self._feed.alarms_revision()
+        if revision != self._revision:
+            self._revision = revision
+            await self._alarms()
+        for event in self._after(self._feed.events(), self._last_event):
+            self._last_event = event
+            await self._send(_plain(f"{event.name}: {event.text}", event.severity, event.host_time_ns))
+        for record in self._after(self._feed.commands(), self._last_command):
+            self._last_command = record
+            await self._send(_plain(_said(record), "info", record.answered_ns))
+
+    async def _alarms(self) -> None:
+        listed = {alarm.name: alarm for alarm in self._feed.alarms()}
+        for name, alarm in listed.items():
+            if self._sent.get(name) != alarm:
+                await self._condition(alarm, retain=True)
+        for name in self._sent.keys() - listed.keys():
+            await self._condition(self._sent[name], retain=False)
+        self._sent = listed
+
+    async def _condition(self, alarm: Alarm, *, retain: bool) -> None:
+        active, acknowledged = (alarm.active, alarm.acknowledged) if retain else (False, True)
+        event: Any = AlarmCondition(message=alarm.text, severity=SEVERITY[alarm.severity])
+        node = ua.NodeId(f"{alarm.board}/alarm/{alarm.name}", self._server.namespace)
+        self._server.conditions[node] = (alarm.board, alarm.name)
+        event.add_property("NodeId", node, ua.VariantType.NodeId)
+        event.Time = datetime_of(alarm.changed_ns)
+        event.ConditionName, event.ConditionClassId = alarm.name, _PROCESS
+        event.ConditionClassName = ua.LocalizedText("ProcessConditionClassType")
+        event.Retain = retain
+        event.BranchId = ua.NodeId()
+        event.Quality, event.LastSeverity = ua.StatusCode(), event.Severity
+        event.Comment, event.ClientUserId = ua.LocalizedText(""), alarm.acknowledged_by
+        event.SuppressedOrShelved = False
+        for state, holds, words in (
+            ("EnabledState", True, ("Disabled", "Enabled")),
+            ("ActiveState", active, ("Inactive", "Active")),
+            ("AckedState", acknowledged, ("Unacknowledged", "Acknowledged")),
+            ("ConfirmedState", True, ("Unconfirmed", "Confirmed")),
+        ):
+            setattr(event, f"{state}/Id", holds)
+            setattr(event, state, ua.LocalizedText(words[holds]))
+        await self._send(event)
+
+    async def _send(self, event: Any) -> None:
+        event.EventId = uuid.uuid4().bytes
+        event.ReceiveTime = datetime.now(UTC)
+        event.LocalTime = ua.TimeZoneDataType()
+        event.SourceNode, event.SourceName = self._node, self._feed.name
+        for emitter in (self._node, _SERVER):  # the Server last: a refresh repeats the last one
+            emitted = copy.copy(event)
+            emitted.emitting_node = emitter
+            await self._server.subscription_service.trigger_event(emitted)
+
+    @staticmethod
+    def _newest(kept: tuple[Any, ...]) -> Any:
+        return kept[-1] if kept else None
+
+    @staticmethod
+    def _after(kept: tuple[Any, ...], last: Any) -> tuple[Any, ...]:
+        """Those after `last`; all that are kept where it has dropped out."""
+        place = next((n for n in range(len(kept) - 1, -1, -1) if kept[n] is last), -1)
+        return kept[place + 1 :]
+
+
+def _plain(text: str, severity: str, time_ns: int) -> Any:
+    event: Any = BaseEvent(message=text, severity=SEVERITY.get(severity, 100))
+    event.EventType = ua.NodeId(ua.ObjectIds.BaseEventType)
+    event.Time = datetime_of(time_ns)
+    return event
+
+
+def _said(record: pb.CommandRecord) -> str:
+    what, reply = record.command.WhichOneof("what") or "nothing", record.reply
+    end = "accepted" if reply.accepted else f"refused by {reply.refused_by}: {reply.reason}"
+    return f"command {what} by {record.command.who or 'somebody'}: {end}"

@@ -1,0 +1,138 @@
+"""Writes and method calls as commands of the bus, and what became of them as status codes.
+
+Rule 1: the same way as everybody's: feed.command, so the gateway's limits, its log and its record of who apply.
+Rule 2: rights are those of the table in gateway/access/roles.py, whoever looks them up.
+Rule 3: every refusal has a status code and, as output of the method and under last_command, its reason in words.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from asyncua import ua
+
+from gateway.access.roles import Role, may, refusal_text
+from gateway.views.feed import Feed
+from gateway.views.opcua.model import Method
+from protocol.bus import board51_pb2 as pb
+
+S = ua.StatusCodes
+TIMEOUT_S = 5.0
+_CODES: dict[str, int] = {
+    "not-allowed": S.BadUserAccessDenied,
+    "out-of-range": S.BadOutOfRange,
+    "not-finite": S.BadOutOfRange,
+    "slew": S.BadOutOfRange,
+    "wrong-mode": S.BadInvalidState,
+    "fault-active": S.BadInvalidState,
+    "busy": S.BadInvalidState,
+    "no-session": S.BadInvalidState,
+    "not-available": S.BadInvalidState,
+    "flood": S.BadTooManyOperations,
+    "queue-full": S.BadTooManyOperations,
+    "not-delivered": S.BadNoCommunication,
+    "link-down": S.BadNoCommunication,
+    "disconnected": S.BadNoCommunication,
+    "timed-out": S.BadTimeout,
+    "superseded-by-stop": S.BadOperationAbandoned,
+    "board-reset": S.BadOperationAbandoned,
+    "malformed": S.BadInvalidArgument,
+    "oversize": S.BadInvalidArgument,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Visitor:
+    """Who is at the other end of a session."""
+
+    name: str
+    role: Role
+
+
+def code_of(reply: pb.CommandReply) -> int:
+    """The status code of a reply; a reason that is not in the table is still a refusal."""
+    if reply.accepted:
+        return int(S.Good)
+    return int(_CODES.get(reply.reason, S.BadRequestNotAllowed))
+
+
+class Desk:
+    """Sends the commands of all sessions."""
+
+    def __init__(self, feed: Feed) -> None:
+        self._feed = feed
+
+    async def command(self, visitor: Visitor, board: str, act: str, command: pb.Command) -> pb.CommandReply:
+        """What became of it.
+
+        A visitor without the right is refused here; on a guarded bus by the gateway, whose log then has the attempt.
+        """
+        if not self._feed.guarded and not may(visitor.role, act):
+            text = refusal_text(visitor.name, visitor.role, act)
+            return pb.CommandReply(id=command.id, refused_by="gateway", reason="not-allowed", text=text)
+        return await asyncio.to_thread(
+            self._feed.command, board, command, who=visitor.name, role=visitor.role.word, timeout_s=TIMEOUT_S
+        )
+
+    def acknowledge(self, visitor: Visitor, board: str, alarm: str) -> int:
+        """Somebody has seen an alarm."""
+        if not may(visitor.role, "acknowledge"):
+            return int(S.BadUserAccessDenied)
+        done = self._feed.acknowledge(board, alarm, visitor.name)
+        return int(S.Good if done else S.BadConditionBranchAlreadyAcked)
+
+
+def written(field: str, value: ua.DataValue) -> tuple[str, pb.Command] | int:
+    """(act, command) of a value written to a setpoint, or the status code that says why it is none."""
+    if value.StatusCode is not None and not value.StatusCode.is_good():
+        return int(S.BadWriteNotSupported)
+    number = value.Value.Value if value.Value is not None else None
+    if isinstance(number, bool) or not isinstance(number, int | float):
+        return int(S.BadTypeMismatch)
+    if field == "x_ref_m":
+        if not math.isfinite(number):
+            return int(S.BadOutOfRange)
+        return "set_reference", pb.Command(set_reference=pb.SetReference(x_ref_m=float(number)))
+    if number not in pb.Mode.values():
+        return int(S.BadOutOfRange)
+    return "set_mode", pb.Command(set_mode=pb.SetMode(mode=int(number)))  # type: ignore[arg-type]  # checked above
+
+
+def called(method: Method, inputs: list[ua.Variant]) -> pb.Command | tuple[int, list[int]]:
+    """The command of a call, or (status code, one code per argument) that say why it is none."""
+    wanted = method.arguments
+    if len(inputs) != len(wanted):
+        return int(S.BadArgumentsMissing if len(inputs) < len(wanted) else S.BadTooManyArguments), []
+    command = pb.Command()
+    what: Any = getattr(command, method.act)
+    what.SetInParent()
+    codes: list[int] = []
+    for argument, given in zip(wanted, inputs, strict=True):
+        value = given.Value
+        try:
+            if argument.is_array:
+                getattr(what, argument.name).extend([_exact(argument.variant, v) for v in value])
+            else:
+                setattr(what, argument.name, _exact(argument.variant, value))
+            codes.append(int(S.Good))
+        except TypeError:
+            codes.append(int(S.BadTypeMismatch))
+        except ValueError:
+            codes.append(int(S.BadOutOfRange))
+    if any(code != S.Good for code in codes):
+        return int(S.BadInvalidArgument), codes
+    return command
+
+
+def _exact(variant: ua.VariantType, value: object) -> Any:
+    """`value` as the argument's type: a whole number is a good double, nothing else is converted."""
+    if variant is ua.VariantType.Double and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    if variant is ua.VariantType.Boolean and isinstance(value, bool):
+        return value
+    if variant in (ua.VariantType.UInt32, ua.VariantType.Int32) and isinstance(value, int) and value is not True:
+        return value
+    raise TypeError(value)

@@ -1,0 +1,344 @@
+"""One board's nodes, kept up to date from its feed.
+
+Rule 1: a value that nobody subscribes to is made when it is read; only subscribed ones are made at the rate.
+Rule 2: each interval reaches each subscriber, in order, also when this process was late: the feed keeps the bins.
+Rule 3: a status is judged at the moment of reading or sending, never stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from asyncua import ua
+from asyncua.server.internal_server import InternalServer
+
+from gateway.views.decimate import Bin
+from gateway.views.feed import BoardFeed, Tap
+from gateway.views.opcua import quality
+from gateway.views.opcua.build import READ, WRITE, Builder
+from gateway.views.opcua.clock import StampClock
+from gateway.views.opcua.history import RingHistory, Track
+from gateway.views.opcua.model import TICK_TOPICS, TOPICS, Argument, Leaf, leaves, methods
+from gateway.views.opcua.units import unit_of
+from gateway.views.opcua.values import Value, data_value
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.wire.messages import COUNTS_MAX
+
+VALUE = ua.AttributeIds.Value
+_TAPPED = {"state": pb.State, "twin/state": pb.TwinState, "twin/divergence": pb.Divergence}
+_V = ua.VariantType
+OUTPUTS = (
+    Argument(name="accepted", variant=_V.Boolean, is_array=False, about=""),
+    Argument(name="reason", variant=_V.String, is_array=False, about="kebab-case, stable; empty where accepted"),
+    Argument(name="text", variant=_V.String, is_array=False, about="a sentence for people"),
+    Argument(name="tick", variant=_V.UInt64, is_array=False, about="from which it is in force"),
+)
+# What the views know beyond the topics: path, type, whether an array, what it is.
+_EXTRAS: tuple[tuple[str, ua.VariantType, bool, str], ...] = (
+    ("link/state", _V.String, False, "live, or why not: silent, absent, handshake, connecting, no-gateway"),
+    ("link/reason", _V.String, False, "a sentence; empty where live"),
+    ("alarms/active", _V.UInt32, False, "conditions that hold now"),
+    ("alarms/unacknowledged", _V.UInt32, False, "that nobody has seen yet"),
+    ("alarms/list", _V.String, True, "name, severity, state, text of each; the most urgent first"),
+    ("last_command/who", _V.String, False, "of the newest command to this board, by whichever way it came"),
+    ("last_command/what", _V.String, False, "its kind"),
+    ("last_command/accepted", _V.Boolean, False, ""),
+    ("last_command/reason", _V.String, False, "why it was refused, kebab-case"),
+    ("last_command/text", _V.String, False, "why it was refused, a sentence"),
+)
+
+
+@dataclass(slots=True)
+class _Node:
+    """A leaf in the address space."""
+
+    leaf: Leaf
+    attribute: Any  # asyncua's AttributeValue: its datachange_callbacks are the subscribers
+
+
+class BoardNodes:
+    """The nodes of one board.
+
+    Args:
+        server: asyncua's.
+        builder: of the site's namespace.
+        parent: object under which the board comes.
+        feed: of this board.
+        rate_hz: intervals per second.
+        history: where the tracks are kept.
+        history_s: how far they go back.
+    """
+
+    def __init__(
+        self,
+        server: InternalServer,
+        builder: Builder,
+        parent: ua.NodeId,
+        feed: BoardFeed,
+        *,
+        rate_hz: float,
+        history: RingHistory,
+        history_s: float,
+    ) -> None:
+        self.feed = feed
+        self.name = feed.name
+        self._server, self._builder = server, builder
+        self._clock = StampClock()
+        self._taps: dict[str, Tap] = {
+            topic: feed.tap(message, width_s=1.0 / rate_hz) for topic, message in _TAPPED.items()
+        }
+        self._bins: dict[str, Bin] = {}
+        self._stamps_ns: dict[str, int] = {}
+        self._seen: dict[str, tuple[object, int]] = {}  # what was sent last: message, status
+        self._nodes: dict[str, list[_Node]] = {topic: [] for topic in TOPICS}
+        self._extras: dict[str, tuple[Any, object]] = {}
+        self._tracks: dict[str, Track] = {}
+        self._ranges_of: pb.Parameters | None = None
+        rows = max(2, round(history_s * rate_hz))
+        self.object = builder.folder(parent, self.name, "one rig", events=True)
+        self._build(history, rows, 1000.0 / rate_hz)
+
+    # -- building
+
+    def _build(self, history: RingHistory, rows: int, interval_ms: float) -> None:
+        places: dict[str, ua.NodeId] = {"": self.object}
+
+        def place(path: str, about: str) -> ua.NodeId:
+            if path not in places:
+                above, _, _ = path.rpartition("/")
+                places[path] = self._builder.folder(place(above, ""), f"{self.name}/{path}", about)
+            return places[path]
+
+        for topic in TOPICS:
+            above = place(topic, topics.BY_NAME[topic].about)
+            columns = [leaf for leaf in leaves() if leaf.topic == topic and leaf.statistic is not None]
+            track = self._tracks[topic] = Track(len(columns), rows) if columns else Track(0, 1)
+            for leaf in (leaf for leaf in leaves() if leaf.topic == topic):
+                base = self._builder.id(f"{self.name}/{leaf.path.rpartition('/')[0]}")
+                parent = base if leaf.statistic in ("low", "high") else above
+                node = self._builder.leaf(
+                    parent, self.name, leaf, history=leaf.statistic is not None, min_sampling_ms=interval_ms
+                )
+                if leaf.statistic is not None:
+                    history.add(node, track, columns.index(leaf))
+                self._nodes[topic].append(_Node(leaf, self._serve(node, self._reader(leaf))))
+        for path, variant, is_array, about in _EXTRAS:
+            folder, _, _ = path.partition("/")
+            node = self._builder.variable(
+                place(folder, ""), f"{self.name}/{path}", variant, about, is_array=is_array, access=READ
+            )
+            self._extras[path] = (self._serve(node, self._extra_reader(path, variant)), None)
+        for path, field, about in (
+            ("setpoint/x_ref_m", "x_ref_m", "write: a new reference, through the gateway's limits"),
+            ("setpoint/mode", "mode", "write: 0 idle (coil off), 1 open loop, 2 closed loop"),
+        ):
+            self._build_setpoint(place("setpoint", "write here"), path, field, about)
+        for method in methods():
+            self._builder.method(self.object, f"{self.name}/{method.name}", "", method.arguments, OUTPUTS)
+        alarm = Argument(name="alarm", variant=_V.String, is_array=False, about="its name, e.g. divergence-x")
+        self._builder.method(self.object, f"{self.name}/Acknowledge", "somebody has seen it", (alarm,), OUTPUTS[:1])
+
+    def _build_setpoint(self, parent: ua.NodeId, path: str, field: str, about: str) -> None:
+        leaf = next(leaf for leaf in leaves() if leaf.path == f"state/{field}")
+        unit = unit_of(field)
+        node = self._builder.variable(
+            parent,
+            f"{self.name}/{path}",
+            leaf.variant,
+            about,
+            access=READ | WRITE,
+            kind=ua.ObjectIds.AnalogItemType if unit is not None else ua.ObjectIds.BaseDataVariableType,
+        )
+        if unit is not None:
+            self._builder.unit(node, f"{self.name}/{path}", unit)
+        self._nodes["state"].append(_Node(leaf, self._serve(node, self._reader(leaf))))
+
+    def _serve(self, node: ua.NodeId, read: Callable[[], Value]) -> Any:
+        self._server.set_attribute_value_callback(node, lambda _node, _attribute: read())
+        return self._server.aspace[node].attributes[VALUE]
+
+    # -- reading
+
+    def _reader(self, leaf: Leaf) -> Callable[[], Value]:
+        if leaf.statistic is not None:
+            return lambda: self._value_of_bin(leaf, self._bins.get(leaf.topic), self._status(leaf.topic))
+        return lambda: self._value_of_message(leaf, self._status(leaf.topic))
+
+    def _extra_reader(self, path: str, variant: ua.VariantType) -> Callable[[], Value]:
+        return lambda: data_value(self._extra(path), variant, quality.GOOD, 0)
+
+    def _status(self, topic: str) -> int:
+        """Of everything of a topic, now."""
+        feed = self.feed
+        message = topics.BY_NAME[topic].message
+        if feed.latest(message) is None:
+            return quality.WAITING
+        if topic == "state":
+            return quality.of_board(feed.link())
+        if topic.startswith("twin/"):
+            twin = feed.latest(pb.TwinState)
+            if twin is None:
+                return quality.WAITING
+            return quality.of_twin(feed.age_s(pb.TwinState), twin.sync if topic != "twin/model" else "in-step")
+        link, age_s = feed.link(), feed.age_s(pb.Status)
+        if topic == "parameters" and link.state in ("absent", "no-gateway"):
+            return quality.STALE
+        return quality.of_gateway(link, age_s)
+
+    def _value_of_bin(self, leaf: Leaf, shown: Bin | None, status: int) -> Value:
+        if shown is None:
+            return data_value(None, leaf.variant, quality.WAITING if not quality.is_bad(status) else status, 0)
+        value = {"low": shown.low, "high": shown.high}.get(leaf.statistic or "", shown.last)[leaf.field]
+        return data_value(value, leaf.variant, self._status_of(leaf, shown, status), self._stamps_ns[leaf.topic])
+
+    def _status_of(self, leaf: Leaf, shown: Bin, status: int) -> int:
+        if leaf.topic == "state":
+            state = self.feed.latest(pb.State)
+            flags = state.flags if state is not None else 0
+            status = quality.of_signal(status, leaf, flags, sensor_fault=self._sensor_fault())
+        return quality.of_extreme(status, leaf.statistic, shown.lost)
+
+    def _sensor_fault(self) -> bool:
+        return self.feed.fault() == "sensor-fault"
+
+    def _value_of_message(self, leaf: Leaf, status: int) -> Value:
+        message: Any = self.feed.latest(leaf.message)
+        if message is None:
+            return data_value(None, leaf.variant, quality.WAITING, 0)
+        value: Any = message
+        for name in leaf.field.split("."):
+            value = getattr(value, name)
+        if leaf.is_array:
+            value = [f"{k}={v}" for k, v in value.items()] if leaf.variant is _V.String else list(value)
+        if leaf.topic == "state":
+            status = quality.of_signal(status, leaf, message.flags, sensor_fault=self._sensor_fault())
+            value = None if _is_absent(message, leaf.field) else value
+        shown = self._bins.get(leaf.topic)
+        if shown is None:
+            return data_value(value, leaf.variant, status, getattr(message, "host_time_ns", 0))
+        of_bin = {"tick": shown.last_tick, "session": shown.session, "t_s": shown.t_s}  # of the values beside it
+        return data_value(of_bin.get(leaf.field, value), leaf.variant, status, self._stamps_ns[leaf.topic])
+
+    def _extra(self, path: str) -> object:
+        feed = self.feed
+        match path:
+            case "link/state":
+                return feed.link().state
+            case "link/reason":
+                return feed.link().reason
+            case "alarms/active":
+                return sum(alarm.active for alarm in feed.alarms())
+            case "alarms/unacknowledged":
+                return sum(not alarm.acknowledged for alarm in feed.alarms())
+            case "alarms/list":
+                return [
+                    f"{a.name}: {a.severity}, {'active' if a.active else 'gone'},"
+                    f" {'acknowledged' if a.acknowledged else 'not acknowledged'}: {a.text}"
+                    for a in feed.alarms()
+                ]
+        records = feed.commands()
+        if not records:
+            return None
+        record = records[-1]
+        return {
+            "who": record.command.who,
+            "what": record.command.WhichOneof("what") or "",
+            "accepted": record.reply.accepted,
+            "reason": record.reply.reason,
+            "text": record.reply.text,
+        }[path.partition("/")[2]]
+
+    # -- updating
+
+    async def update(self) -> None:
+        """Send what has changed since the last call to whoever subscribed it, and keep history."""
+        self._update_ranges()
+        for topic in TICK_TOPICS:
+            status = self._status(topic)
+            bins = self._taps[topic].take(unfinished=status not in (quality.GOOD, quality.SUBNORMAL))
+            for taken in bins:
+                await self._interval(topic, taken, status)
+            if not bins and topic in self._bins and self._seen.get(topic, (None, status))[1] != status:
+                await self._interval(topic, self._bins[topic], status, again=True)  # its status has changed
+            self._seen[topic] = (None, status)
+        for topic in TOPICS[len(TICK_TOPICS) :]:
+            message, status = self.feed.latest(topics.BY_NAME[topic].message), self._status(topic)
+            if self._seen.get(topic) != (id(message), status):
+                self._seen[topic] = (id(message), status)
+                await self._send_messages(topic, status)
+        await self._update_extras()
+
+    async def _interval(self, topic: str, taken: Bin, status: int, *, again: bool = False) -> None:
+        self._bins[topic] = taken
+        if not again:
+            self._stamps_ns[topic] = self._stamp(topic, taken)
+        values, codes = list[float](), list[int]()
+        for node in self._nodes[topic]:
+            leaf = node.leaf
+            if leaf.statistic is not None and len(values) < self._tracks[topic].columns:
+                source = {"low": taken.low, "high": taken.high}.get(leaf.statistic, taken.last)
+                value = source[leaf.field]
+                values.append(value)
+                code = self._status_of(leaf, taken, status)
+                codes.append(quality.UNAVAILABLE if value != value and not quality.is_bad(code) else code)
+            if node.attribute.datachange_callbacks:
+                if leaf.statistic is not None:
+                    await _tell(node.attribute, self._value_of_bin(leaf, taken, status))
+                else:
+                    await _tell(node.attribute, self._value_of_message(leaf, status))
+        stamp_ns = self._stamps_ns[topic] + (1000 if again else 0)
+        self._tracks[topic].append(stamp_ns, values, codes)
+
+    def _stamp(self, topic: str, taken: Bin) -> int:
+        if topic == "state":
+            return self._clock.stamp(session=taken.session, t_s=taken.t_s, host_time_ns=taken.host_time_ns)
+        return max(self._clock.place(taken.t_s), self._stamps_ns.get(topic, 0) + 1000)
+
+    async def _send_messages(self, topic: str, status: int) -> None:
+        for node in self._nodes[topic]:
+            if node.attribute.datachange_callbacks:
+                await _tell(node.attribute, self._value_of_message(node.leaf, status))
+
+    async def _update_extras(self) -> None:
+        for path, (attribute, sent) in self._extras.items():
+            if attribute.datachange_callbacks:
+                value = self._extra(path)
+                if value != sent:
+                    self._extras[path] = (attribute, value)
+                    await _tell(attribute, attribute.value_callback(None, VALUE))
+
+    def _update_ranges(self) -> None:
+        parameters = self.feed.latest(pb.Parameters)
+        if parameters is None or parameters is self._ranges_of:
+            return
+        self._ranges_of = parameters
+        for path, (low, high) in ranges(parameters).items():
+            node = self._builder.id(f"{self.name}/{path}/EURange")
+            held = self._server.aspace[node].attributes[VALUE]
+            held.value = Value(Value=ua.Variant(ua.Range(Low=low, High=high), _V.ExtensionObject))
+
+
+def ranges(parameters: pb.Parameters) -> dict[str, tuple[float, float]]:
+    """EURange by path: what the converters can show; of the reference, what the board takes."""
+    current = (0.0, COUNTS_MAX * abs(parameters.i_lsb_a))
+    position = (min(0.0, parameters.x_ref_min_m), max(parameters.x_ref_max_m, COUNTS_MAX * abs(parameters.x_lsb_m)))
+    voltage = (min(0.0, parameters.u_min_v), parameters.u_max_v)
+    reference = (parameters.x_ref_min_m, parameters.x_ref_max_m)
+    found = {"setpoint/x_ref_m": reference}
+    for topic in ("state", "twin/state"):
+        for field, span in (("i_c_a", current), ("x_m", position), ("u_c_v", voltage), ("x_ref_m", reference)):
+            found |= {f"{topic}/{field}{end}": span for end in ("", "/min", "/max")}
+    return found
+
+
+async def _tell(attribute: Any, value: Value) -> None:
+    for handle, callback in list(attribute.datachange_callbacks.items()):
+        await callback(handle, value)
+
+
+def _is_absent(message: Any, field: str) -> bool:
+    descriptor = message.DESCRIPTOR.fields_by_name[field]
+    return bool(descriptor.has_presence) and not message.HasField(field)

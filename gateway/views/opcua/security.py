@@ -1,0 +1,119 @@
+"""Certificate, key and users of a secured server, from the folder that `board51 security init` made.
+
+A client application must show a certificate that the plant's authority signed, or one that lies in
+`opcua/trusted/` (PEM or DER): SCADA systems bring their own.  A person logs in with name and password, or with the
+certificate of their identity, whose common name is theirs; the role is that of users.toml in either case.
+"""
+
+from __future__ import annotations
+
+import logging
+from datetime import UTC, datetime
+from pathlib import Path
+
+from asyncua import ua
+from asyncua.common.utils import ServiceError
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.x509.oid import NameOID
+
+from gateway.access.certificates import WARN_DAYS, check_certificate
+from gateway.access.folder import OPCUA_URI, SecurityFolder
+from gateway.access.private import read_private
+from gateway.access.users import User, Users
+from gateway.views.opcua.desk import Visitor
+from protocol.errors import ConfigError
+
+S = ua.StatusCodes
+_RENEW = "Make both anew with `board51 security renew`"
+_HASH = hashes.SHA256()
+_logger = logging.getLogger("gateway.opcua")
+
+
+class Security:
+    """Raises ConfigError where a file is absent, expired or open to others; the text says which."""
+
+    application_uri = OPCUA_URI
+
+    def __init__(self, path: Path) -> None:
+        folder = SecurityFolder(path)
+        certificate, key = folder.server("opcua")
+        days = check_certificate(certificate, what="The certificate of OPC UA")
+        if days < WARN_DAYS:
+            _logger.warning("%s expires in %.0f days: `board51 security renew`", certificate, days)
+        self.key_pem = read_private(key, what="The key of OPC UA")
+        loaded = _load(certificate)
+        try:
+            own = serialization.load_pem_private_key(self.key_pem, password=None).public_key()
+        except (ValueError, TypeError):
+            raise ConfigError(f"{key} is not a key in PEM without a password", remedy=_RENEW) from None
+        if own != loaded.public_key():
+            raise ConfigError(f"{key} is not the key of {certificate}", remedy=_RENEW)
+        self.certificate_der = loaded.public_bytes(serialization.Encoding.DER)
+        check_certificate(folder.ca, what="The authority's certificate")
+        self._authority = _load(folder.ca)
+        self._users = Users.load(folder.users)
+        self._trusted = path / "opcua" / "trusted"
+
+    def identify(self, name: str | None, password: str | None, certificate: bytes | None) -> Visitor | None:
+        """Who this is; None for a wrong password, an unknown certificate and an unknown name alike."""
+        if name is not None:
+            user = self._users.check(name, password or "")
+        else:
+            user = self._of_certificate(certificate or b"")
+        return None if user is None else Visitor(name=user.name, role=user.role)
+
+    async def check_client(self, certificate: x509.Certificate, application: ua.ApplicationDescription) -> None:
+        """The certificate of a client application; raises ServiceError where it is not to be let in."""
+        now = datetime.now(UTC)
+        if not certificate.not_valid_before_utc <= now < certificate.not_valid_after_utc:
+            raise ServiceError(S.BadCertificateTimeInvalid)
+        if self._is_signed(certificate) or certificate.fingerprint(_HASH) in self._trusted_prints():
+            return
+        _logger.warning(
+            "refused a client with the certificate of %s: not trusted", certificate.subject.rfc4514_string()
+        )
+        raise ServiceError(S.BadCertificateUntrusted)
+
+    def _of_certificate(self, der: bytes) -> User | None:
+        try:
+            certificate = x509.load_der_x509_certificate(der)
+        except ValueError:
+            return None
+        now = datetime.now(UTC)
+        if not certificate.not_valid_before_utc <= now < certificate.not_valid_after_utc:
+            return None
+        names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+        if len(names) != 1 or not self._is_signed(certificate):
+            return None
+        return self._users.find(str(names[0].value))
+
+    def _is_signed(self, certificate: x509.Certificate) -> bool:
+        try:
+            certificate.verify_directly_issued_by(self._authority)
+        except (ValueError, TypeError, InvalidSignature):
+            return False
+        return True
+
+    def _trusted_prints(self) -> set[bytes]:
+        prints: set[bytes] = set()
+        for file in sorted(self._trusted.glob("*")):
+            try:
+                data = file.read_bytes()
+                pem = data.lstrip().startswith(b"-----BEGIN")
+                trusted = x509.load_pem_x509_certificate(data) if pem else x509.load_der_x509_certificate(data)
+            except (OSError, ValueError) as error:
+                _logger.warning("%s is not a certificate: %s", file, error)
+                continue
+            prints.add(trusted.fingerprint(_HASH))
+        return prints
+
+
+def _load(path: Path) -> x509.Certificate:
+    try:
+        return x509.load_pem_x509_certificate(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise ConfigError(
+            f"{path} is not a certificate: {error}", remedy="Make it with `board51 security init`"
+        ) from None

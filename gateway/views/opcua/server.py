@@ -1,0 +1,167 @@
+"""The OPC UA server process: bus on one side, asyncua on the other.
+
+Secured (a folder made by `board51 security init`): Basic256Sha256, Aes128Sha256RsaOaep and Aes256Sha256RsaPss, sign and
+encrypt only; users by password or certificate; anonymous off.  Without security: loopback only, anonymous may look.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from asyncua import Server, ua
+
+from gateway.access.roles import Role
+from gateway.views.feed import Feed
+from gateway.views.opcua.build import Builder
+from gateway.views.opcua.conditions import Conditions
+from gateway.views.opcua.desk import Desk, Visitor
+from gateway.views.opcua.history import RingHistory
+from gateway.views.opcua.nodes import BoardNodes
+from gateway.views.opcua.security import Security
+from gateway.views.opcua.sessions import GuardedServer, Reception
+from protocol.errors import ServiceError
+
+DEFAULT_LISTEN = "127.0.0.1:4840"
+APPLICATION_URI = "urn:board51:gateway:opcua"
+NAMESPACE = "urn:board51:{site}"
+POLICIES = (
+    ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt,
+    ua.SecurityPolicyType.Aes128Sha256RsaOaep_SignAndEncrypt,
+    ua.SecurityPolicyType.Aes256Sha256RsaPss_SignAndEncrypt,
+)
+LOOK_S = 1.0  # for new boards, deaf clients
+_logger = logging.getLogger("gateway.opcua")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """How the rigs are served."""
+
+    host: str = "127.0.0.1"
+    port: int = 4840
+    rate_hz: float = 20.0
+    history_s: float = 300.0
+    anonymous: Role | None = Role.VIEWER  # what a client without a name may; None: it may not in
+    security: Security | None = None
+
+
+async def serve(feed: Feed, settings: Settings, stop: asyncio.Event, ready: Callable[[int], None]) -> None:
+    """Serve until `stop` is set.
+
+    Args:
+        feed: of the site.
+        settings: see there.
+        stop: ends it.
+        ready: called with the port once clients may come.
+
+    Raises:
+        ServiceError: the port is taken.
+    """
+    _check_free(settings)
+    security = settings.security
+    anonymous = Visitor(name="anonymous", role=settings.anonymous) if settings.anonymous is not None else None
+
+    def identify(name: str | None, password: str | None, certificate: bytes | None) -> Visitor | None:
+        if name is None and certificate is None:
+            return anonymous
+        return security.identify(name, password, certificate) if security is not None else None
+
+    inner = GuardedServer(Reception(identify), Desk(feed), secured=security is not None)
+    server = Server(iserver=inner)
+    await server.init()
+    server.set_endpoint(f"opc.tcp://{settings.host}:{settings.port}/board51/")
+    server.set_server_name(f"Board51 {feed.site}")
+    await server.set_build_info("urn:board51:gateway", "Board51", "Board51 OPC UA", "0.1", "0", _build_date())
+    tokens: list[type] = [ua.AnonymousIdentityToken] if anonymous is not None else []
+    if security is not None:
+        await server.set_application_uri(security.application_uri)
+        await server.load_certificate(security.certificate_der, format="der")
+        await server.load_private_key(security.key_pem, format="pem")
+        server.set_certificate_validator(security.check_client)
+        server.set_security_policy(list(POLICIES))
+        tokens += [ua.UserNameIdentityToken, ua.X509IdentityToken]
+    else:
+        await server.set_application_uri(APPLICATION_URI)
+        server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+    server.set_identity_tokens(tokens)
+    inner.namespace = await server.register_namespace(NAMESPACE.format(site=feed.site))
+    history = RingHistory()
+    inner.history_manager.set_storage(history)
+    try:
+        await server.start()
+    except OSError as error:
+        raise _taken(settings, error) from None
+    try:
+        port = server.bserver.port if server.bserver is not None else settings.port
+        _logger.info("OPC UA on opc.tcp://%s:%s/board51/%s", settings.host, port, "" if security else ", not secured")
+        ready(int(port or 0))
+        await _keep_up(feed, inner, history, settings, stop)
+    finally:
+        await server.stop()
+
+
+async def _keep_up(
+    feed: Feed, inner: GuardedServer, history: RingHistory, settings: Settings, stop: asyncio.Event
+) -> None:
+    builder = Builder(inner, inner.namespace)
+    site = builder.folder(ua.NodeId(ua.ObjectIds.ObjectsFolder), feed.site, "the site", events=False)
+    boards: dict[str, tuple[BoardNodes, Conditions]] = {}
+    period_s = 1.0 / settings.rate_hz
+    due_s = look_s = time.monotonic()
+    while not stop.is_set():
+        for name in feed.boards():
+            board = feed.board(name)
+            if name not in boards and board is not None:
+                nodes = BoardNodes(
+                    inner,
+                    builder,
+                    site,
+                    board,
+                    rate_hz=settings.rate_hz,
+                    history=history,
+                    history_s=settings.history_s,
+                )
+                boards[name] = nodes, Conditions(inner, board, nodes.object)
+                _logger.info("%s is served", name)
+        for nodes, conditions in boards.values():
+            await nodes.update()
+            await conditions.update()
+        now_s = time.monotonic()
+        if now_s - look_s > LOOK_S:
+            look_s = now_s
+            if deaf := inner.drop_deaf():
+                _logger.warning("%d clients did not read and were dropped", deaf)
+        due_s = max(due_s + period_s, now_s)  # what was missed is not made up: the bins are all there
+        try:
+            await asyncio.wait_for(stop.wait(), max(0.0, due_s - now_s))
+        except TimeoutError:
+            continue
+
+
+def _check_free(settings: Settings) -> None:
+    """Look first: the address space takes seconds to build, and asyncua tells of a taken port with a traceback."""
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+            probe.listen(1)
+    except OSError as error:
+        raise _taken(settings, error) from None
+
+
+def _taken(settings: Settings, error: OSError) -> ServiceError:
+    return ServiceError(
+        f"OPC UA cannot listen on {settings.host}:{settings.port}: {error.strerror or error}",
+        remedy="End the program that uses the port, or give another one with --listen HOST:PORT",
+    )
+
+
+def _build_date() -> datetime:
+    return datetime.now(UTC)

@@ -1,0 +1,316 @@
+"""Who is at the door, and what a session may do.  asyncua's server with its open ends closed.
+
+Rule 1: on a secured server a session without an encrypted channel is refused, whatever its credentials: asyncua
+        accepts an unencrypted channel even where no endpoint offers one.
+Rule 2: a session stays with its channel.  asyncua numbers its session tokens; whoever guesses one would be handed the
+        session of somebody else together with their rights, before their own credentials are looked at.
+Rule 3: nothing can be written but setpoints, nothing called but what `model.py` lists, nothing added to the space.
+Rule 4: every client gets a bounded service: intervals, subscriptions, items, queues, bytes that it has not read.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from asyncua import ua
+from asyncua.common.utils import ServiceError
+from asyncua.crypto.permission_rules import User, UserRole
+from asyncua.server.internal_server import InternalServer
+from asyncua.server.internal_session import InternalSession
+from asyncua.server.subscription_service import SubscriptionService
+
+from gateway.access.roles import Role
+from gateway.views.opcua.desk import Desk, Visitor, called, code_of, written
+from gateway.views.opcua.model import methods
+from protocol.bus import board51_pb2 as pb
+
+S = ua.StatusCodes
+MIN_INTERVAL_MS = 20.0
+MAX_INTERVAL_MS = 3_600_000.0
+MAX_ITEMS = 5_000  # monitored items of one subscription; eight boards have 1500 variables
+MAX_SUBSCRIPTIONS = 100
+MAX_CONNECTIONS = 64
+MAX_QUEUE = 1_000  # values that wait for one item
+MAX_UNREAD_BYTES = 8_000_000  # of one client that does not read
+LOGINS_PER_10_S = 20  # each costs 50 ms of one core
+_NOBODY = User(role=UserRole.Anonymous)  # until the session is activated
+_METHODS = {method.name: method for method in methods()}
+_REFRESH = (
+    ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh),
+    ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh2),
+)
+_ACKNOWLEDGE = ua.NodeId(ua.ObjectIds.AcknowledgeableConditionType_Acknowledge)
+
+
+@dataclass
+class Guest(User):  # type: ignore[misc]  # asyncua's class is untyped
+    """asyncua's user with ours inside."""
+
+    visitor: Visitor | None = None
+
+
+Identify = Callable[[str | None, str | None, bytes | None], Visitor | None]
+
+
+class Reception:
+    """asyncua's user manager over `identify`: (name, password, certificate) -> who it is."""
+
+    def __init__(self, identify: Identify) -> None:
+        self._identify = identify
+        self._logins: deque[float] = deque(maxlen=LOGINS_PER_10_S)
+
+    def get_user(
+        self,
+        iserver: InternalServer,
+        username: str | None = None,
+        password: str | None = None,
+        certificate: bytes | None = None,
+    ) -> Guest | None:
+        """The guest, or None: BadUserAccessDenied."""
+        now_s = time.monotonic()
+        if username is not None or certificate is not None:
+            if len(self._logins) == LOGINS_PER_10_S and now_s - self._logins[0] < 10.0:
+                raise ServiceError(S.BadTooManyOperations)
+            self._logins.append(now_s)
+        visitor = self._identify(username, password, certificate)
+        return None if visitor is None else Guest(role=UserRole.User, name=visitor.name, visitor=visitor)
+
+
+class GuardedServer(InternalServer):  # type: ignore[misc]
+    """asyncua's internal server with our sessions and limits.
+
+    Args:
+        reception: decides who may in.
+        desk: carries out what they command.
+        secured: whether sessions need an encrypted channel.
+    """
+
+    def __init__(self, reception: Reception, desk: Desk, *, secured: bool) -> None:
+        super().__init__(user_manager=reception)
+        self.desk, self.secured = desk, secured
+        self.namespace = 0
+        self.conditions: dict[ua.NodeId, tuple[str, str]] = {}  # condition -> board, alarm
+        self.subscription_service = BoundedSubscriptions(self.aspace, iserver=self)
+        self.isession.subscription_service = self.subscription_service
+        self.bind_condition_methods = 100
+        self.allow_remote_admin = False
+        self.max_connections = MAX_CONNECTIONS
+        self.max_subscriptions = MAX_SUBSCRIPTIONS
+        self.max_monitored_item_queue_size = MAX_QUEUE
+        self.max_unacked_messages_per_subscription = 100
+        self.max_pending_messages_per_connection = 100
+        self.max_pending_activation_seconds = 10.0
+        self.max_session_timeout_ms = 120_000.0
+        self.max_lifetime_count, self.max_keep_alive_count = 15_000, 1_000  # three times, as Part 4 asks
+
+    def create_session(self, name: str, user: User = _NOBODY, external: bool = False) -> InternalSession:
+        """A session of ours."""
+        return GuardedSession(self, self.aspace, self.subscription_service, name, user=user, external=external)
+
+    def lookup_external_session(self, auth_token: ua.NodeId) -> InternalSession | None:
+        """None: rule 2."""
+        return None
+
+    def register_server(self, server: Any, conf: Any = None) -> None:
+        """This is no discovery server; anybody could fill its list."""
+        raise ServiceError(S.BadServiceUnsupported)
+
+    def drop_deaf(self) -> int:
+        """Close connections that do not read what they asked for; returns how many."""
+        deaf = [t for t in self.asyncio_transports if t.get_write_buffer_size() > MAX_UNREAD_BYTES]
+        for transport in deaf:
+            transport.abort()
+        return len(deaf)
+
+
+class BoundedSubscriptions(SubscriptionService):  # type: ignore[misc]
+    """Subscriptions with a shortest interval and a largest number of items."""
+
+    async def create_subscription(
+        self,
+        params: ua.CreateSubscriptionParameters,
+        callback: Callable[..., Any],
+        session_id: ua.NodeId,
+        request_callback: Callable[..., Any] | None = None,
+    ) -> ua.CreateSubscriptionResult:
+        """With the interval revised to what is served."""
+        asked_ms = params.RequestedPublishingInterval
+        if math.isnan(asked_ms):
+            asked_ms = MIN_INTERVAL_MS
+        params.RequestedPublishingInterval = min(max(asked_ms, MIN_INTERVAL_MS), MAX_INTERVAL_MS)
+        return await super().create_subscription(params, callback, session_id, request_callback)
+
+    async def create_monitored_items(
+        self, params: ua.CreateMonitoredItemsParameters
+    ) -> list[ua.MonitoredItemCreateResult]:
+        """As many as there is room for; BadTooManyMonitoredItems for the rest."""
+        subscription = self.subscriptions.get(params.SubscriptionId)
+        items = {} if subscription is None else subscription.monitored_item_srv._monitored_items  # noqa: SLF001
+        held = len(items)
+        room = max(0, MAX_ITEMS - held)
+        surplus = len(params.ItemsToCreate) - room
+        params.ItemsToCreate = params.ItemsToCreate[:room]
+        results: list[ua.MonitoredItemCreateResult] = await super().create_monitored_items(params)
+        for _ in range(surplus):
+            refused = ua.MonitoredItemCreateResult()
+            refused.StatusCode = ua.StatusCode(S.BadTooManyMonitoredItems)
+            results.append(refused)
+        return results
+
+
+class GuardedSession(InternalSession):  # type: ignore[misc]
+    """One client's session."""
+
+    iserver: GuardedServer
+
+    _certificate = b""
+
+    async def create_session(
+        self, params: ua.CreateSessionParameters, sockname: tuple[str, int] | None = None
+    ) -> ua.CreateSessionResult:
+        """With the certificate that is to be judged: asyncua judges none where a client sends none."""
+        self._certificate = params.ClientCertificate or b""
+        if self.iserver.secured and not self._certificate:
+            raise ServiceError(S.BadCertificateInvalid)
+        return await super().create_session(params, sockname=sockname)
+
+    def activate_session(
+        self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
+    ) -> ua.ActivateSessionResult:
+        """Refuse what is not encrypted, or by another certificate than was judged; neither is a person's."""
+        if self.iserver.secured:
+            if not peer_certificate:  # empty on an unencrypted channel
+                raise ServiceError(S.BadSecurityModeInsufficient)
+            if not self._certificate.startswith(peer_certificate):  # a chain begins with it
+                raise ServiceError(S.BadCertificateInvalid)
+        return super().activate_session(params, None)  # an X509 token brings its own, verified by then
+
+    @property
+    def visitor(self) -> Visitor:
+        """Who this is."""
+        found = self.user.visitor if isinstance(self.user, Guest) else None
+        return found if found is not None else Visitor(name="anonymous", role=Role.VIEWER)
+
+    async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
+        """Setpoints, as commands."""
+        return [ua.StatusCode(await self._write(item)) for item in params.NodesToWrite]
+
+    async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
+        """Methods, as commands."""
+        results: list[ua.CallMethodResult] = []
+        for request in params:
+            if request.MethodId in _REFRESH:
+                results += await super().call([request])
+            else:
+                results.append(await self._call(request))
+        return results
+
+    async def add_nodes(self, params: Any) -> list[Any]:
+        """Nobody."""
+        raise ServiceError(S.BadUserAccessDenied)
+
+    async def transfer_subscriptions(self, params: Any, callback: Any) -> list[Any]:
+        """Nobody takes over another's."""
+        raise ServiceError(S.BadServiceUnsupported)
+
+    async def browse_next(self, parameters: ua.BrowseNextParameters) -> list[ua.BrowseResult]:
+        """Browse answers whole; there is never a rest."""
+        raise ServiceError(S.BadNoContinuationPoints)
+
+    async def create_monitored_items(
+        self, params: ua.CreateMonitoredItemsParameters
+    ) -> list[ua.MonitoredItemCreateResult]:
+        """In a subscription of its own."""
+        self._check_own([params.SubscriptionId])
+        results: list[Any] = await super().create_monitored_items(params)
+        return results
+
+    async def delete_monitored_items(self, params: ua.DeleteMonitoredItemsParameters) -> list[ua.StatusCode]:
+        """In a subscription of its own."""
+        self._check_own([params.SubscriptionId])
+        results: list[Any] = await super().delete_monitored_items(params)
+        return results
+
+    async def set_publishing_mode(self, params: ua.SetPublishingModeParameters) -> list[ua.StatusCode]:
+        """Of subscriptions of its own."""
+        self._check_own(params.SubscriptionIds)
+        results: list[Any] = await super().set_publishing_mode(params)
+        return results
+
+    async def delete_subscriptions(self, ids: list[int]) -> list[ua.StatusCode]:
+        """Its own."""
+        self._check_own(ids)
+        results: list[Any] = await super().delete_subscriptions(ids)
+        return results
+
+    def _check_own(self, ids: Iterable[int]) -> None:
+        for number in ids:
+            subscription = self.subscription_service.subscriptions.get(number)
+            if subscription is not None and subscription.session_id != self.session_id:
+                raise ServiceError(S.BadSubscriptionIdInvalid)
+
+    def _place(self, node: ua.NodeId) -> tuple[str, str]:
+        """(board, path) of a node of ours, ("", "") of any other."""
+        if node.NamespaceIndex != self.iserver.namespace or not isinstance(node.Identifier, str):
+            return "", ""
+        board, _, path = node.Identifier.partition("/")
+        return board, path
+
+    async def _write(self, item: ua.WriteValue) -> int:
+        board, path = self._place(item.NodeId)
+        if item.NodeId not in self.aspace:
+            return int(S.BadNodeIdUnknown)
+        if item.AttributeId != ua.AttributeIds.Value or not path.startswith("setpoint/"):
+            return int(S.BadNotWritable)
+        if item.IndexRange:
+            return int(S.BadIndexRangeInvalid)
+        command = written(path.partition("/")[2], item.Value)
+        if isinstance(command, int):
+            return command
+        return code_of(await self.iserver.desk.command(self.visitor, board, *command))
+
+    async def _call(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
+        result = ua.CallMethodResult()
+        inputs = request.InputArguments or []
+        if request.MethodId == _ACKNOWLEDGE:
+            board, alarm = self.iserver.conditions.get(request.ObjectId, ("", ""))
+            code = self.iserver.desk.acknowledge(self.visitor, board, alarm) if board else S.BadNodeIdUnknown
+            result.StatusCode = ua.StatusCode(code)
+            return result
+        board, name = self._place(request.MethodId)
+        if request.MethodId not in self.aspace or request.ObjectId != ua.NodeId(board, self.iserver.namespace):
+            result.StatusCode = ua.StatusCode(S.BadMethodInvalid)
+        elif name == "Acknowledge":
+            alarm = inputs[0].Value if len(inputs) == 1 and isinstance(inputs[0].Value, str) else ""
+            code = self.iserver.desk.acknowledge(self.visitor, board, alarm)
+            result.StatusCode = ua.StatusCode(code)
+            result.OutputArguments = [ua.Variant(code == S.Good, ua.VariantType.Boolean)]
+        elif name in _METHODS:
+            command = called(_METHODS[name], inputs)
+            if isinstance(command, pb.Command):
+                reply = await self.iserver.desk.command(self.visitor, board, _METHODS[name].act, command)
+                result.StatusCode = ua.StatusCode(code_of(reply))
+                result.OutputArguments = _outputs(reply)
+            else:
+                result.StatusCode = ua.StatusCode(command[0])
+                result.InputArgumentResults = [ua.StatusCode(code) for code in command[1]]
+        else:
+            result.StatusCode = ua.StatusCode(S.BadMethodInvalid)
+        while len(result.InputArgumentResults) < len(inputs):
+            result.InputArgumentResults.append(ua.StatusCode())
+        return result
+
+
+def _outputs(reply: pb.CommandReply) -> list[ua.Variant]:
+    v = ua.VariantType
+    return [
+        ua.Variant(reply.accepted, v.Boolean),
+        ua.Variant(reply.reason, v.String),
+        ua.Variant(reply.text, v.String),
+        ua.Variant(reply.tick, v.UInt64),
+    ]

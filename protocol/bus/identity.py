@@ -1,0 +1,106 @@
+"""Who a process is on a guarded bus: a folder with its name, role, password and certificate.
+
+`board51 security init` makes one folder for each person and service, `identities/NAME/`:
+
+    identity.toml     name, role, site, password of the bus, valid_until; mode 0600
+    certificate.pem   signed by the plant's authority, key.pem (mode 0600) beside it
+    ca.pem            the authority: which router to believe
+
+The folder may be copied to the machine that needs it.  `--identity FOLDER` names it, or BOARD51_IDENTITY.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from protocol.errors import ConfigError
+
+VARIABLE = "BOARD51_IDENTITY"
+HELP = (
+    f"who you are on a guarded bus: DIR/identities/NAME of `board51 security init` (default ${VARIABLE})"  # --identity
+)
+FILES = ("identity.toml", "certificate.pem", "key.pem", "ca.pem")
+_PRIVATE = ("identity.toml", "key.pem")
+_REMEDY = "Give a folder that `board51 security init` made: DIR/identities/NAME"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identity:
+    """What the bus must be shown, and what commands are sent as."""
+
+    name: str
+    role: str  # viewer | operator | engineer, or the name of a service
+    password: str
+    folder: Path
+    valid_until: datetime
+
+    @property
+    def certificate(self) -> Path:
+        """PEM."""
+        return self.folder / "certificate.pem"
+
+    @property
+    def key(self) -> Path:
+        """PEM, its owner's alone."""
+        return self.folder / "key.pem"
+
+    @property
+    def ca(self) -> Path:
+        """PEM."""
+        return self.folder / "ca.pem"
+
+    def __repr__(self) -> str:
+        return f"Identity({self.name}, {self.role})"  # no password in a traceback
+
+    def check_valid(self, now: datetime) -> None:
+        """Raises ConfigError where the certificate has run out; the bus would only say nothing."""
+        if now >= self.valid_until:
+            raise ConfigError(
+                f"The identity {self.folder} expired on {self.valid_until:%Y-%m-%d}",
+                remedy="Renew it with `board51 security renew DIR`, and copy the folder anew",
+            )
+
+
+def find_identity(folder: Path | str | None, environment: Mapping[str, str] = os.environ) -> Identity | None:
+    """The identity in `folder`, else in BOARD51_IDENTITY, else None: an unguarded bus.
+
+    Raises:
+        ConfigError: a folder is named but is none, or is open to others.
+    """
+    named = folder or environment.get(VARIABLE)
+    return load_identity(Path(named)) if named else None
+
+
+def load_identity(folder: Path) -> Identity:
+    """Read a folder.
+
+    Raises:
+        ConfigError: a file is missing, open to others, or not what it should be.
+    """
+    folder = folder.absolute()
+    for name in FILES:
+        try:
+            mode = (folder / name).stat().st_mode
+            (folder / name).open("rb").close()
+        except OSError as error:
+            raise ConfigError(f"{folder / name} cannot be read: {error.strerror}", remedy=_REMEDY) from None
+        if name in _PRIVATE and mode & 0o077:
+            raise ConfigError(
+                f"{folder / name} is open to others (mode {mode & 0o777:04o})", remedy=f"chmod 600 {folder / name}"
+            )
+    try:
+        table = tomllib.loads((folder / "identity.toml").read_text(encoding="utf-8"))
+        name, role, password = (str(table[key]) for key in ("name", "role", "password"))
+        valid_until = table["valid_until"]
+        if not isinstance(valid_until, datetime) or valid_until.tzinfo is None:
+            raise KeyError("valid_until")
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{folder / 'identity.toml'} is not TOML: {error}", remedy=_REMEDY) from None
+    except KeyError as error:
+        raise ConfigError(f"{folder / 'identity.toml'} has no {error.args[0]}", remedy=_REMEDY) from None
+    return Identity(name=name, role=role, password=password, folder=folder, valid_until=valid_until)

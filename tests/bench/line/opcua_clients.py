@@ -1,0 +1,75 @@
+"""OPC UA clients: `opcua_clients.py FOLDER PORT COUNT`; each subscribes 20 variables of one board at 50 Hz.
+
+Prints `ready`; on SIGTERM writes counts.json with what came, per client: values per second and variable, and the
+longest interval of any variable in ms.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from asyncua import Client, ua
+
+VARIABLES = [
+    *(f"state/{name}{end}" for name in ("i_c_a", "x_m", "u_c_v", "x_ref_m") for end in ("", "/min", "/max")),
+    *(f"state/{n}" for n in ("tick", "sequence", "t_s", "mode", "host_time_ns", "flags", "session", "lost_before")),
+]
+INTERVAL_MS = 100.0  # publishing; the values come 5 at a time
+
+
+class Counter:
+    """Counts one client's values by variable."""
+
+    def __init__(self) -> None:
+        self.values = 0
+        self.longest_ms = 0.0
+        self._last: dict[Any, Any] = {}
+
+    def datachange_notification(self, node: Any, _: Any, data: Any) -> None:
+        self.values += 1
+        stamp = data.monitored_item.Value.SourceTimestamp
+        last = self._last.get(node.nodeid)
+        if last is not None and stamp is not None:
+            self.longest_ms = max(self.longest_ms, (stamp - last).total_seconds() * 1e3)
+        self._last[node.nodeid] = stamp
+
+    def status_change_notification(self, status: Any) -> None:
+        pass
+
+
+async def main(folder: Path, port: int, count: int) -> None:
+    stop = asyncio.Event()
+    asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, stop.set)
+    counters = [Counter() for _ in range(count)]
+    clients = []
+    for n, counter in enumerate(counters):
+        client = Client(f"opc.tcp://127.0.0.1:{port}/board51/", timeout=30)
+        await client.connect()
+        clients.append(client)
+        index = await client.get_namespace_index("urn:board51:bench")
+        subscription = await client.create_subscription(INTERVAL_MS, counter)
+        nodes = [client.get_node(ua.NodeId(f"b{n}/{path}", index)) for path in VARIABLES]
+        each = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp)  # also what did not change
+        await subscription._subscribe(nodes, mfilter=each, queuesize=100)
+    print("ready", flush=True)
+    for counter in counters:
+        counter.values, counter.longest_ms = 0, 0.0
+    start_s = time.monotonic()
+    await stop.wait()
+    per_s = 1.0 / (time.monotonic() - start_s) / len(VARIABLES)
+    counts = [{"per_s": counter.values * per_s, "longest_ms": counter.longest_ms} for counter in counters]
+    (folder / "counts.json").write_text(json.dumps(counts), encoding="utf-8")
+    for client in clients:
+        await client.disconnect()
+
+
+if __name__ == "__main__":
+    logging.disable(logging.CRITICAL)
+    asyncio.run(main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])))

@@ -1,0 +1,25 @@
+"""Keys and a guarded gateway are made once for all tests that do not change them: six RSA keys cost half a second."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from gateway.access.folder import SecurityFolder
+from tests.gateway.access.access_peers import GuardedRig, guarded_rig, made_folder
+
+
+@pytest.fixture(scope="session")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> SecurityFolder:
+    """A plant with ana (engineer), ben (operator) and vic (viewer).  Not to be changed."""
+    path: Path = tmp_path_factory.mktemp("plant") / "keys"
+    return made_folder(path)
+
+
+@pytest.fixture(scope="session")
+def rig(keys: SecurityFolder, tmp_path_factory: pytest.TempPathFactory) -> Iterator[GuardedRig]:
+    """A gateway behind these keys."""
+    with guarded_rig(keys, tmp_path_factory.mktemp("logs")) as running:
+        yield running

@@ -1,0 +1,367 @@
+"""Attacks on a guarded bus, from within it: with a valid identity, but not the right.  Each must change nothing."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from gateway.access.bus_rules import LARGEST_COMMAND, LARGEST_MESSAGE
+from gateway.access.doorkeeper import BURST, COMMANDS_PER_S, MAX_AGE_S, MAX_AHEAD_S
+from gateway.access.folder import SecurityFolder
+from gateway.record.reader import read
+from protocol.bus import board51_pb2 as pb
+from tests.gateway.access.access_peers import Client, GuardedRig, fresh, guarded_rig
+from tests.gateway.gateway_peers import ScriptedBoard, gateway_and_client, gateway_config, wait_for
+
+pytestmark = pytest.mark.xdist_group("guarded-bus")
+CLOSED = pb.SetMode(mode=pb.MODE_CLOSED_LOOP)
+FORGED = 666  # session number that no board had
+
+
+@pytest.fixture(scope="module")
+def witness(rig: GuardedRig) -> Iterator[Client]:
+    """Somebody who is there all the time."""
+    with rig.join("ana") as client:
+        yield client
+
+
+@pytest.fixture
+def ana(rig: GuardedRig) -> Iterator[Client]:
+    with rig.join("ana") as client:
+        yield client
+
+
+@pytest.fixture
+def ben(rig: GuardedRig) -> Iterator[Client]:
+    with rig.join("ben") as client:
+        yield client
+
+
+@pytest.fixture
+def vic(rig: GuardedRig) -> Iterator[Client]:
+    with rig.join("vic") as client:
+        yield client
+
+
+@pytest.fixture(autouse=True)
+def still_at_work(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Whatever was tried: samples go on, and an honest command is accepted."""
+    client: Client | None = request.getfixturevalue("witness") if "rig" in request.fixturenames else None
+    yield
+    if client is not None:
+        count = len(client.states)
+        wait_for(lambda: len(client.states) > count + 10, "states after the attack")
+        wait_for(lambda: (r := client.command(ping=pb.Ping())) is not None and r.accepted, "an accepted command")
+
+
+def sent_to(board: ScriptedBoard, name: str) -> int:
+    return board.names().count(name)
+
+
+# -- samples
+
+
+@pytest.mark.parametrize("spoofer", ["vic", "ben", "ana", "views", "twin"])
+def test_nobody_but_the_gateway_publishes_a_state(rig: GuardedRig, vic: Client, spoofer: str) -> None:
+    with rig.join(spoofer) as attacker:
+        for topic in ("state", "status", "event", "parameters", "command/record"):
+            attacker.session.put(f"board51/rig/{topic}", pb.State(session=FORGED).SerializeToString())
+        attacker.session.put("board51/other/state", pb.State(session=FORGED).SerializeToString())
+        seen = len(vic.states)
+        wait_for(lambda: len(vic.states) > seen + 50, "real states after the forged ones")
+
+    assert FORGED not in {state.session for state in vic.states}
+
+
+def test_the_forged_state_would_have_been_seen(rig: GuardedRig, vic: Client) -> None:
+    with rig.join("gateway") as holder_of_the_key:
+        holder_of_the_key.session.put("board51/rig/state", pb.State(session=FORGED).SerializeToString())
+
+        wait_for(lambda: FORGED in {state.session for state in vic.states}, "the state put with the gateway's identity")
+
+
+def test_nobody_but_the_twin_publishes_an_alarm(rig: GuardedRig, vic: Client, ana: Client) -> None:
+    alarms: list[bytes] = []
+    vic.session.declare_subscriber("board51/*/twin/alarm", lambda sample: alarms.append(sample.payload.to_bytes()))
+    with rig.join("twin") as twin:
+        for client, name in ((ana, "forged"), (twin, "divergence-x")):
+            client.session.put("board51/rig/twin/alarm", pb.Alarm(name=name, active=True).SerializeToString())
+
+        wait_for(lambda: alarms, "the twin's alarm")
+    assert [pb.Alarm.FromString(alarm).name for alarm in alarms] == ["divergence-x"]
+
+
+def test_nobody_else_holds_the_token_that_says_alive(vic: Client, ana: Client) -> None:
+    token = ana.session.liveliness().declare_token("board51/ghost/alive")
+
+    replies = vic.session.liveliness().get("board51/*/alive", timeout=2.0)
+
+    assert [str(reply.ok.key_expr) for reply in replies if reply.ok is not None] == ["board51/rig/alive"]
+    del token
+
+
+# -- commands of others
+
+
+def test_a_false_gateway_hears_no_commands(vic: Client, ben: Client) -> None:
+    heard: list[zenoh.Query] = []
+    for key in ("board51/rig/command", "board51/rig/command/as/**", "board51/**"):
+        vic.session.declare_queryable(key, heard.append, complete=True)
+
+    reply = ben.command(set_mode=CLOSED)
+
+    assert reply is not None
+    assert reply.accepted
+    assert heard == []
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "board51/rig/command",
+        "board51/rig/command/as/operator/ana",
+        "board51/rig/command/as/engineer/ana",
+        "board51/rig/command/as/engineer/ben",
+        "board51/rig/command/as/*/*",
+        "board51/rig/command/as/**",
+        "board51/**",
+        "board51/rig/twin/command/as/engineer/ben",
+    ],
+)
+def test_nobody_sends_as_somebody_else(rig: GuardedRig, ben: Client, key: str) -> None:
+    before = sent_to(rig.board, "SET_GAINS")
+
+    assert ben.command(key=key, set_gains=pb.SetGains(gains=[0, 0, 0, 0])) is None
+
+    assert sent_to(rig.board, "SET_GAINS") == before
+
+
+def test_the_name_in_the_message_counts_for_nothing(ben: Client) -> None:
+    command = fresh(who="ana", role="engineer", ping=pb.Ping())
+
+    assert ben.ask(command.SerializeToString())[0].accepted
+
+    record = ben.record_of(command.id)
+    assert (record.command.who, record.command.role) == ("ben", "operator")
+
+
+@pytest.mark.parametrize(
+    ("name", "what", "needs"),
+    [
+        ("vic", {"stop": pb.Stop()}, "operator"),
+        ("vic", {"set_mode": CLOSED}, "operator"),
+        ("vic", {"set_reference": pb.SetReference(x_ref_m=0.003)}, "operator"),
+        ("ben", {"set_gains": pb.SetGains(gains=[0, 0, 0, 0])}, "engineer"),
+        ("ben", {"set_host_loss": pb.SetHostLoss(policy=0, timeout_s=1.0)}, "engineer"),
+        ("ben", {"set_stream": pb.SetStream(divider=1000)}, "engineer"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else next(iter(value)),
+)
+def test_a_command_without_the_right_is_refused_and_logged(
+    rig: GuardedRig, name: str, what: dict[str, Any], needs: str
+) -> None:
+    wire_name = next(iter(what)).upper()
+    before = sent_to(rig.board, wire_name)
+    with rig.join(name) as attacker:
+        command = fresh(**what)
+
+        (reply,) = attacker.ask(command.SerializeToString())
+
+        assert (reply.accepted, reply.refused_by, reply.reason) == (False, "gateway", "not-allowed")
+        assert needs in reply.text
+        assert attacker.record_of(command.id).command.who == name
+    assert sent_to(rig.board, wire_name) == before
+
+
+def test_the_views_send_for_whom_they_have_checked(rig: GuardedRig) -> None:
+    with rig.join("views") as views:
+        operator = views.command(key="board51/rig/command/as/operator/eva", ping=pb.Ping())
+        viewer = views.command(key="board51/rig/command/as/viewer/eva", stop=pb.Stop())
+        nobody = views.command(key="board51/rig/command/as/admin/eva", stop=pb.Stop())
+
+    assert operator is not None
+    assert operator.accepted
+    for refused in (viewer, nobody):
+        assert refused is not None
+        assert refused.reason == "not-allowed"
+
+
+# -- replay
+
+
+def test_the_same_bytes_are_executed_once(rig: GuardedRig, ben: Client) -> None:
+    payload = fresh(set_mode=CLOSED).SerializeToString()
+    (first,) = ben.ask(payload)
+    before = sent_to(rig.board, "SET_MODE")
+
+    (again,) = ben.ask(payload)
+
+    assert first.accepted
+    assert again == first  # what became of it, not once more
+    assert sent_to(rig.board, "SET_MODE") == before
+
+
+def test_the_same_id_for_something_else_is_refused(ben: Client) -> None:
+    command = fresh(ping=pb.Ping())
+    assert ben.ask(command.SerializeToString())[0].accepted
+    command.set_mode.CopyFrom(CLOSED)
+
+    assert ben.ask(command.SerializeToString())[0].reason == "id-reused"
+
+
+@pytest.mark.parametrize("age_s", [MAX_AGE_S + 1.0, -(MAX_AHEAD_S + 1.0), 1e9, None], ids=str)
+def test_an_old_a_future_and_an_undated_command_are_refused(rig: GuardedRig, ben: Client, age_s: float | None) -> None:
+    issued_ns = 0 if age_s is None else round(time.time_ns() - age_s * 1e9)
+    before = sent_to(rig.board, "SET_MODE")
+
+    (reply,) = ben.ask(fresh(set_mode=CLOSED, issued_ns=issued_ns).SerializeToString())
+
+    assert reply.reason == "not-fresh"
+    assert sent_to(rig.board, "SET_MODE") == before
+
+
+def test_a_wrong_clock_keeps_nobody_from_stop(rig: GuardedRig, ben: Client) -> None:
+    before = sent_to(rig.board, "STOP")
+
+    (reply,) = ben.ask(fresh(stop=pb.Stop(), issued_ns=1).SerializeToString())
+
+    assert reply.accepted
+    assert sent_to(rig.board, "STOP") > before
+
+
+def test_a_command_is_not_replayed_to_the_next_gateway(keys: SecurityFolder, tmp_path: Path) -> None:
+    with guarded_rig(keys, tmp_path / "one") as rig, rig.join("ben") as ben:
+        payload = fresh(set_mode=CLOSED).SerializeToString()
+        assert ben.ask(payload)[0].accepted
+    with guarded_rig(keys, tmp_path / "two") as rig, rig.join("ben") as ben:
+        (reply,) = ben.ask(payload)
+
+        assert reply.reason == "not-fresh"
+        assert sent_to(rig.board, "SET_MODE") == 0
+
+
+# -- too much, too large, nonsense
+
+
+def test_a_flood_of_one_sender_does_not_keep_another_from_stop(rig: GuardedRig, ana: Client, ben: Client) -> None:
+    stop = threading.Event()
+    refused: list[str] = []
+
+    def flood() -> None:
+        while not stop.is_set():
+            handlers = [
+                ben.session.get(ben.own_key, payload=fresh(ping=pb.Ping()).SerializeToString(), timeout=3.0)
+                for _ in range(200)
+            ]
+            for handler in handlers:
+                for reply in handler:
+                    if reply.ok is not None:
+                        answer = pb.CommandReply.FromString(reply.ok.payload.to_bytes())
+                        refused.append(answer.reason)
+
+    thread = threading.Thread(target=flood)
+    thread.start()
+    try:
+        wait_for(lambda: refused.count("flood") > BURST, "refusals for flood")
+        states = len(ana.states)
+        begin_s = time.monotonic()
+
+        reply = ana.command(stop=pb.Stop())
+        own = ben.command(stop=pb.Stop())
+        took_s = time.monotonic() - begin_s
+    finally:
+        stop.set()
+        thread.join()
+
+    assert reply is not None
+    assert reply.accepted
+    assert own is not None  # STOP of the flooding sender, too
+    assert own.accepted
+    assert took_s < 1.0
+    assert len(ana.states) > states
+    event = wait_for(lambda: next((e for e in ana.events if e.name == "command-flood"), None), "event about the flood")
+    assert "ben" in event.text
+    wait_for(lambda: (r := ben.command(ping=pb.Ping())) is not None and r.accepted, "the end of the refusals", 5.0)
+
+
+def test_the_flood_of_one_sender_takes_nothing_from_another(rig: GuardedRig, ana: Client, ben: Client) -> None:
+    flood = [
+        ben.session.get(ben.own_key, payload=b"\xff", timeout=5.0) for _ in range(round(BURST + 3 * COMMANDS_PER_S))
+    ]
+
+    reply = ana.command(ping=pb.Ping())
+
+    reasons = [
+        pb.CommandReply.FromString(reply.ok.payload.to_bytes()).reason
+        for replies in flood
+        for reply in replies
+        if reply.ok is not None
+    ]
+    assert reply is not None
+    assert reply.accepted
+    assert set(reasons) == {"malformed", "flood"}
+
+
+@pytest.mark.parametrize("size", [5_000, LARGEST_COMMAND + 1, 1_000_000, LARGEST_MESSAGE + 1_000_000])
+def test_an_oversize_payload_is_refused_or_goes_nowhere(rig: GuardedRig, ben: Client, size: int) -> None:
+    replies = ben.ask(b"\x0a" * size, timeout_s=3.0 if size < LARGEST_COMMAND else 1.0)
+
+    assert [reply.reason for reply in replies] == (["oversize"] if size < LARGEST_COMMAND else [])
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [b"", b"\xff" * 40, b"\x0a\xff\xff\xff\xff\x0f", pb.Command(id="1").SerializeToString()],
+    ids=["empty", "noise", "length beyond the end", "nothing to do"],
+)
+def test_a_malformed_message_is_refused_and_its_sender_logged(ben: Client, payload: bytes) -> None:
+    before = len(ben.records)
+
+    (reply,) = ben.ask(payload)
+
+    assert reply.refused_by == "gateway"
+    assert reply.reason in ("malformed", "bad-id", "empty-command")
+    wait_for(lambda: len(ben.records) > before, "record")
+    assert ben.records[-1].command.who == "ben"
+
+
+def test_random_bytes_in_every_key_change_nothing(rig: GuardedRig, ana: Client) -> None:
+    keys = ("board51/rig/command/as/engineer/ana/more", "board51/rig/command/as", "board51/rig/command/as/engineer")
+    for key in keys:
+        assert ana.ask(b"\x00\x01", key, timeout_s=1.0) == []
+
+
+# -- the log
+
+
+def test_the_log_says_who_did_what(keys: SecurityFolder, tmp_path: Path) -> None:
+    with guarded_rig(keys, tmp_path) as rig, rig.join("ana") as ana, rig.join("vic") as vic:
+        done, tried = fresh(set_mode=CLOSED, who="somebody"), fresh(stop=pb.Stop(), who="somebody")
+        ana.ask(done.SerializeToString())
+        vic.ask(tried.SerializeToString())
+        ana.record_of(tried.id)
+
+    records = {
+        message.command.id: message
+        for log in tmp_path.glob("*.mcap")
+        for message in (m.message for m in read(log))
+        if isinstance(message, pb.CommandRecord)
+    }
+    assert (records[done.id].command.who, records[done.id].command.role) == ("ana", "engineer")
+    assert records[done.id].reply.accepted
+    assert (records[tried.id].command.who, records[tried.id].command.role) == ("vic", "viewer")
+    assert records[tried.id].reply.reason == "not-allowed"
+
+
+def test_on_an_unguarded_bus_nobody_has_a_role() -> None:
+    with ScriptedBoard() as board, gateway_and_client(gateway_config(board.url)) as bus:
+        assert bus.ask(pb.Command(id="1", who="eve", role="engineer", ping=pb.Ping()).SerializeToString()).accepted
+
+        record = wait_for(lambda: bus.messages["rig/command/record"], "record")[0]
+    assert (record.command.who, record.command.role) == ("eve", "")

@@ -1,0 +1,161 @@
+"""Freshness, memory of ids and shares of senders, on times that the test makes."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from gateway.access.doorkeeper import BURST, COMMANDS_PER_S, MAX_AGE_S, MAX_AHEAD_S, MAX_SENDERS, Doorkeeper, Sender
+from gateway.access.roles import Role
+from gateway.config import BoardConfig, LimitsConfig
+from gateway.limits import Gate
+from gateway.link.clock import HostClock
+from gateway.link.desk import KEPT_IDS, KEPT_S
+from gateway.link.driver import BoardDriver
+from gateway.link.loop import LinkThread
+from gateway.samples import Refusal
+from protocol.bus import board51_pb2 as pb
+from tests.gateway.gateway_peers import Collector, ScriptedBoard, wait_for
+
+S = 1_000_000_000
+START_NS = 1_700_000_000 * S
+
+
+def sender(role: Role = Role.OPERATOR, *, after_s: float = 100.0, name: str = "ben") -> Sender:
+    return Sender(name=name, role=role, arrived_ns=START_NS + round(after_s * S), started_ns=START_NS)
+
+
+def issued(after_s: float, **what: object) -> pb.Command:
+    what = what or {"ping": pb.Ping()}
+    return pb.Command(id="1", issued_ns=START_NS + round(after_s * S), **what)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("age_s", [0.0, MAX_AGE_S, -MAX_AHEAD_S])
+def test_a_command_of_now_is_fresh(age_s: float) -> None:
+    assert sender().fresh(issued(100.0 - age_s)) is None
+
+
+@pytest.mark.parametrize("age_s", [MAX_AGE_S + 0.01, -MAX_AHEAD_S - 0.01, 99.5])
+def test_a_command_of_another_time_is_not(age_s: float) -> None:
+    refusal = sender().fresh(issued(100.0 - age_s))
+
+    assert refusal is not None
+    assert refusal.reason == "not-fresh"
+
+
+def test_what_the_gateway_before_may_have_executed_is_refused() -> None:
+    """Its clock and the sender's may differ by MAX_AHEAD_S: a command just before the restart may bear a later time."""
+    early = sender(after_s=MAX_AHEAD_S)
+
+    assert early.fresh(issued(MAX_AHEAD_S - 0.01)) is not None
+    assert early.fresh(issued(MAX_AHEAD_S)) is None
+    assert early.fresh(issued(MAX_AHEAD_S - 0.01, stop=pb.Stop())) is None
+
+
+def test_a_clock_set_back_does_not_shut_everybody_out() -> None:
+    door = Doorkeeper(START_NS, lambda *_: None)
+    now_ns = START_NS - 3600 * S  # as a host without a battery finds after its first contact with a time server
+    command = pb.Command(id="1", issued_ns=now_ns, ping=pb.Ping())
+
+    before = door.sender("board51/rig/command/as/operator/ben", now_ns)
+    assert isinstance(before, Sender)
+    assert before.fresh(command) is not None
+
+    door.clock_stepped(-3700 * S)
+    after = door.sender("board51/rig/command/as/operator/ben", now_ns)
+    assert isinstance(after, Sender)
+    assert after.fresh(command) is None
+
+
+def test_ids_are_remembered_for_longer_than_a_command_is_fresh() -> None:
+    assert KEPT_S > MAX_AGE_S + MAX_AHEAD_S
+
+
+def test_many_commands_do_not_make_the_desk_forget_one_that_is_still_fresh() -> None:
+    """At 50 commands per second 256 ids are 5 s, and a command is fresh for 10 s."""
+    replies: list[pb.CommandReply] = []
+    with ScriptedBoard() as board:
+        driver = BoardDriver(
+            BoardConfig(name="rig", port=board.url, limits=LimitsConfig(commands_per_s=1000.0)),
+            Collector(),
+            HostClock(),
+        )
+        link = LinkThread([driver])
+        link.start()
+        try:
+            wait_for(lambda: driver.link == "streaming", "stream")
+            for n in (*range(KEPT_IDS + 50), 0):
+                now_ns = time.time_ns()
+                by = Sender(name="ben", role=Role.OPERATOR, arrived_ns=now_ns, started_ns=START_NS)
+                command = pb.Command(id=str(n), issued_ns=now_ns, set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP))
+                count = len(replies)
+                link.command(driver, command.SerializeToString(), replies.append, by)
+                wait_for(lambda count=count: len(replies) > count, "reply")  # type: ignore[misc]
+        finally:
+            link.stop()
+
+    assert all(reply.accepted for reply in replies)
+    assert replies[-1] == replies[0]
+    assert board.names().count("SET_MODE") == KEPT_IDS + 50
+
+
+def test_one_sender_has_a_share_and_gets_it_back() -> None:
+    told: list[tuple[str, int]] = []
+    door = Doorkeeper(START_NS, lambda who, count: told.append((who, count)))
+    ben, ana = sender(), sender(name="ana")
+
+    refused = [door.flooded(ben, 0.0) for _ in range(round(BURST) + 50)]
+
+    assert refused.count(False) == BURST
+    assert not door.flooded(ana, 0.0)
+    assert door.flooded(ben, 0.0)
+    assert not door.flooded(ben, 1.0 / COMMANDS_PER_S + 1e-6)
+    assert told == [("ben", 1)]  # once a second, not once a command
+    door.flooded(ben, 1.0)
+    for _ in range(round(BURST) + 50):
+        door.flooded(ben, 1.5)
+    assert [who for who, _ in told] == ["ben", "ben"]
+    assert told[1][1] > 50
+
+
+def test_invented_names_do_not_fill_the_memory() -> None:
+    door = Doorkeeper(START_NS, lambda *_: None)
+
+    for n in range(3 * MAX_SENDERS):
+        door.flooded(sender(name=f"eve{n}"), 0.0)
+
+    assert len(door._floods) == MAX_SENDERS
+
+
+@pytest.mark.parametrize(
+    "key",
+    ["board51/rig/command", "board51/rig/command/as/**", "board51/rig/command/as/boss/ben",
+     "board51/rig/command/as/operator", "board51/rig/command/as/operator/b/n", "board51/rig/command/as/operator/*",
+     "board51/rig/command/as/OPERATOR/ben"],
+)  # fmt: skip
+def test_a_key_that_does_not_say_who_and_role_is_nobodys(key: str) -> None:
+    found = Doorkeeper(START_NS, lambda *_: None).sender(key, START_NS)
+
+    assert isinstance(found, Refusal)
+    assert found.reason == "not-allowed"
+
+
+def test_looking_at_a_sender_costs_little() -> None:
+    """A flood is judged in zenoh's threads; a slow look would be felt by the others."""
+    door = Doorkeeper(START_NS, lambda *_: None)
+    begin_s = time.thread_time()
+    for n in range(1000):
+        found = door.sender("board51/rig/command/as/operator/ben", START_NS)
+        assert isinstance(found, Sender)
+        door.flooded(found, float(n))
+
+    assert time.thread_time() - begin_s < 0.1  # 100 us each; measured: some 5
+
+
+def test_the_board_limits_hold_behind_the_door() -> None:
+    gate = Gate(LimitsConfig(commands_per_s=1.0))
+    command = issued(0.0)
+
+    assert gate.admit(command, 0.0) is None
+    assert gate.admit(command, 0.0) is not None

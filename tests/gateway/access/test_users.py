@@ -1,0 +1,197 @@
+"""Logins: passwords, locks, the file and its mistakes."""
+
+from __future__ import annotations
+
+import stat
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from gateway.access import users as module
+from gateway.access.passwords import hash_password, is_line, matches
+from gateway.access.roles import Role
+from gateway.access.users import FAILURES, LOCK_S, MAX_TRACKED, User, Users, remove_user, set_user
+from protocol.errors import ConfigError, UsageError
+
+ANA = User(name="ana", role=Role.OPERATOR)
+LINE = hash_password("correct horse")
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    file = tmp_path / "users.toml"
+    set_user(file, ANA, "correct horse")
+    return file
+
+
+class Clock:
+    now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text)
+    path.chmod(0o600)
+    return path
+
+
+def test_the_right_password_gives_name_and_role(path: Path) -> None:
+    users = Users.load(path)
+
+    assert users.check("ana", "correct horse") == ANA
+    assert users.check("ana", "battery staple") is None
+    assert users.check("eve", "correct horse") is None
+    assert users.check("ana", "") is None
+
+
+def test_the_file_is_private_and_holds_no_password(path: Path) -> None:
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert "correct horse" not in path.read_text()
+
+
+def test_equal_passwords_have_unequal_lines() -> None:
+    other = hash_password("correct horse")
+
+    assert other != LINE
+    assert matches("correct horse", other)
+
+
+def test_a_wrong_name_costs_the_time_of_a_wrong_password(path: Path) -> None:
+    users = Users.load(path)
+
+    def cpu_s(name: str) -> float:
+        start_s = time.thread_time()
+        assert users.check(name, "wrong password") is None
+        return time.thread_time() - start_s
+
+    known, unknown = min(cpu_s("ana") for _ in range(3)), min(cpu_s("eve") for _ in range(3))
+
+    assert unknown > 0.5 * known
+
+
+def test_a_name_is_locked_after_failures_and_the_lock_ends(path: Path) -> None:
+    clock = Clock()
+    users = Users(path, clock=clock)
+
+    for _ in range(FAILURES):
+        users.check("ana", "wrong password")
+
+    assert users.locked_s("ana") == pytest.approx(LOCK_S)
+    assert users.check("ana", "correct horse") is None
+    clock.now_s += LOCK_S
+    assert users.check("ana", "correct horse") == ANA
+
+
+def test_the_second_lock_is_longer_and_others_are_not_locked(path: Path) -> None:
+    clock = Clock()
+    users = Users(path, clock=clock)
+    set_user(path, User(name="bob", role=Role.VIEWER), "tr0ub4dor&3")
+
+    for _ in range(2):
+        for _ in range(FAILURES):
+            users.check("ana", "wrong password")
+        locked_s = users.locked_s("ana")
+        clock.now_s += locked_s
+
+    assert locked_s == pytest.approx(2 * LOCK_S)
+    assert users.check("bob", "tr0ub4dor&3") is not None
+
+
+def test_invented_names_do_not_fill_the_memory(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "matches", lambda *_: False)  # the cost of scrypt is not the matter here
+    users = Users.load(path)
+
+    for n in range(MAX_TRACKED + 50):
+        users.check(f"eve{n}", "x")
+
+    assert len(users._failures) == MAX_TRACKED
+
+
+def test_a_flood_of_logins_takes_neither_threads_nor_processor(path: Path) -> None:
+    users = Users.load(path)
+    begin_s = time.process_time()
+    users.check("eve", "wrong password")
+    one_s = time.process_time() - begin_s
+
+    def flood(thread: int) -> int:
+        return sum(users.check(f"eve{thread}-{n}", "wrong password") is None for n in range(15))
+
+    begin_s = time.process_time()
+    with ThreadPoolExecutor(16) as pool:
+        assert sum(pool.map(flood, range(16))) == 240
+    took_s = time.process_time() - begin_s
+
+    assert took_s < 240 * one_s / 3
+    assert users.check("ana", "correct horse") == ANA
+
+
+def test_a_change_of_the_file_is_taken_over(path: Path) -> None:
+    users = Users.load(path)
+
+    set_user(path, User(name="ana", role=Role.ENGINEER), "correct horse")
+    assert users.find("ana") == User(name="ana", role=Role.ENGINEER)
+    assert remove_user(path, "ana")
+    assert users.find("ana") is None
+    assert users.check("ana", "correct horse") is None
+
+
+def test_a_change_that_breaks_the_file_leaves_the_users_as_they_were(path: Path) -> None:
+    users = Users.load(path)
+
+    write(path, "[users.ana")
+
+    assert users.find("ana") == ANA
+
+
+def test_a_file_open_to_others_is_refused(path: Path) -> None:
+    path.chmod(0o644)
+
+    with pytest.raises(ConfigError, match=r"open to others \(mode 0644\).*chmod 600"):
+        Users.load(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            f'[users.ana]\nrole = "operater"\npassword = "{LINE}"',
+            r"line 2: user ana: 'operater' is not a role.*viewer, op",
+        ),
+        (f'# x\n\n[users.ana]\npassword = "{LINE}"\nrole = "admin"', r"line 5: user ana: 'admin' is not a role"),
+        (f'[users.ana]\npassword = "{LINE}"', "line 1: user ana has no role"),
+        ('[users.ana]\nrole = "viewer"\npassword = "secret"', "line 1: user ana has no usable password"),
+        ('[users.ana]\nrole = "viewer"', "line 1: user ana has no usable password"),
+        (f'[users.ana]\nrole = "viewer"\npasswort = "{LINE}"', "line 3: user ana: unknown key 'passwort'"),
+        (f'[user.ana]\nrole = "viewer"\npassword = "{LINE}"', "unknown key 'user'"),
+        ('[users."a b"]\nrole = "viewer"', "user 'a b' is not a name"),
+        ("users = 3", "users is not a table"),
+        ("[users]\nana = 3", "line 2: user ana is not a table"),
+        ("[users.ana", "not TOML"),
+    ],
+)
+def test_a_mistake_in_the_file_is_named_with_its_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Users.load(write(tmp_path / "users.toml", text))
+
+
+def test_an_absent_file_says_what_makes_one(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"No such file.*security init"):
+        Users.load(tmp_path / "users.toml")
+
+
+@pytest.mark.parametrize("password", ["short", "x" * 257])
+def test_a_password_has_a_sensible_length(password: str) -> None:
+    with pytest.raises(UsageError, match="characters"):
+        hash_password(password)
+
+
+@pytest.mark.parametrize(
+    "line", ["", "plain", LINE.replace("16384", "1073741824"), LINE.replace("16384", "3"), LINE[:-2], LINE + "$"]
+)
+def test_a_damaged_password_line_is_known_as_such(line: str) -> None:
+    assert is_line(LINE)
+    assert not is_line(line)

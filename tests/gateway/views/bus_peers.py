@@ -1,0 +1,79 @@
+"""A bus of a test's own: a router session that also plays the gateway, and a client session for the view."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import zenoh
+from google.protobuf.message import Message
+
+from gateway.views.feed import Feed
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.bus.endpoint import zenoh_config
+from tests.gateway.gateway_peers import free_port
+
+CommandHandler = Callable[[str, pb.Command], pb.CommandReply]
+
+
+class PlayedGateway:
+    """Publishes what a test wants of a gateway, and answers commands as the test says."""
+
+    def __init__(self, session: zenoh.Session, endpoint: str) -> None:
+        self.session, self.endpoint = session, endpoint
+        self.commands: list[tuple[str, pb.Command]] = []
+        self.answer: CommandHandler = lambda _, command: pb.CommandReply(id=command.id, accepted=True, tick=7)
+        self.tick = 0
+        self.last = pb.State()
+        self._queryable = session.declare_queryable("board51/*/command/**", self._on_query)
+
+    def send(self, topic: str, message: Message, board: str = "rig") -> None:
+        self.session.put(topics.key("board51", board, topic), message.SerializeToString())
+
+    def state(self, board: str = "rig", **fields: object) -> None:
+        """One tick."""
+        self.tick += 1
+        values: dict[str, object] = {
+            "tick": self.tick, "sequence": self.tick & 0xFFFF, "session": 1, "t_s": self.tick * 2e-3,
+            "host_time_ns": time.time_ns(), "i_c_a": 0.6, "x_m": 3e-3, "u_c_v": 2.1, "x_ref_m": 3e-3,
+            "mode": pb.MODE_CLOSED_LOOP,
+        }  # fmt: skip
+        values.update(fields)
+        self.last = pb.State(**values)  # type: ignore[arg-type]
+        self.send("state", self.last, board)
+
+    def status(self, board: str = "rig", link: str = "streaming") -> None:
+        self.send("status", pb.Status(link=link, host_time_ns=time.time_ns(), log_state="writing"), board)
+
+    def parameters(self, board: str = "rig") -> None:
+        parameters = pb.Parameters(
+            firmware="1.0 test", board_id=7, sample_time_s=2e-3, gains=[0.49, 1700.0, 17.7, -17600.0],
+            x_ref_min_m=0.3e-3, x_ref_max_m=5.2e-3, u_min_v=0.0, u_max_v=5.0, stream_divider=1, i_lsb_a=5e-4,
+            x_lsb_m=1.5e-6, u_lsb_v=1.25e-3, host_time_ns=time.time_ns(),
+        )  # fmt: skip
+        self.send("parameters", parameters, board)
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        key = str(query.key_expr)
+        command = pb.Command.FromString(query.payload.to_bytes() if query.payload is not None else b"")
+        self.commands.append((key, command))
+        with query:
+            query.reply(key, self.answer(key, command).SerializeToString())
+
+
+@contextmanager
+def played_gateway() -> Iterator[PlayedGateway]:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with zenoh.open(zenoh.Config.from_json5(zenoh_config("router", listen=[endpoint]))) as session:
+        yield PlayedGateway(session, endpoint)
+
+
+@contextmanager
+def feed_of(gateway: PlayedGateway) -> Iterator[Feed]:
+    config = zenoh_config("client", connect=[gateway.endpoint])
+    with zenoh.open(zenoh.Config.from_json5(config)) as session:
+        feed = Feed(session)
+        yield feed
+        feed.close()

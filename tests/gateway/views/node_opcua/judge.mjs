@@ -1,0 +1,143 @@
+// node judge.mjs '{"url": ..., "board": ..., "seconds": 5, ...}': prints one JSON object with what was found, and the
+// transcript on stderr.  Options: see the destructuring below.
+import { readFileSync } from "node:fs";
+
+import { OPCUACertificateManager } from "node-opcua-certificate-manager";
+import * as opcua from "node-opcua-client";
+
+const {
+  AttributeIds, DataChangeFilter, DataChangeTrigger, DataType, DeadbandType, MessageSecurityMode, NodeClass,
+  OPCUAClient, SecurityPolicy, TimestampsToReturn, UserTokenType,
+} = opcua;
+
+const { url, board, namespaceUri, seconds, variables, policy, certificate, key, user, password, pki, ca, within, outside } =
+  JSON.parse(process.argv[2]);
+const found = { browsed: 0, series: {}, writes: {}, calls: {} };
+const say = (text) => process.stderr.write(`${text}\n`);
+const sleep = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
+
+const options = { endpointMustExist: false, connectionStrategy: { maxRetry: 2, initialDelay: 200, maxDelay: 1000 } };
+if (policy) {
+  const clientCertificateManager = new OPCUACertificateManager({
+    rootFolder: pki, automaticallyAcceptUnknownCertificate: true,
+  });
+  await clientCertificateManager.initialize();
+  const pem = readFileSync(ca, "utf8").replace(/-----[A-Z ]+-----|\s/g, "");
+  await clientCertificateManager.addIssuer(Buffer.from(pem, "base64"), false, true);
+  Object.assign(options, {
+    securityMode: MessageSecurityMode.SignAndEncrypt, securityPolicy: SecurityPolicy[policy],
+    certificateFile: certificate, privateKeyFile: key, clientCertificateManager,
+  });
+}
+const client = OPCUAClient.create(options);
+await client.connect(url);
+const endpoints = await client.getEndpoints();
+found.endpoints = endpoints.map((e) => `${e.securityPolicyUri.split("#")[1]} ${MessageSecurityMode[e.securityMode]}`);
+say(`connected to ${url} with ${policy ?? "no security"}; endpoints: ${found.endpoints.join(", ")}`);
+let session;
+try {
+  session = await client.createSession(
+    user ? { type: UserTokenType.UserName, userName: user, password } : { type: UserTokenType.Anonymous },
+  );
+} catch (error) {
+  found.refused = error.message;
+  say(`session refused: ${error.message}`);
+  await client.disconnect();
+  console.log(JSON.stringify(found));
+  process.exit(0);
+}
+const namespaces = await session.readNamespaceArray();
+const index = namespaces.indexOf(namespaceUri);
+const id = (path) => `ns=${index};s=${path}`;
+say(`session of ${user ?? "anonymous"}; ${namespaceUri} is namespace ${index}`);
+
+const waiting = [id(board)];
+while (waiting.length > 0) {
+  const result = await session.browse({
+    nodeId: waiting.pop(), referenceTypeId: "HierarchicalReferences", includeSubtypes: true,
+    browseDirection: 0, nodeClassMask: 0, resultMask: 63,
+  });
+  for (const reference of result.references) {
+    found.browsed += 1;
+    if (reference.nodeClass !== NodeClass.Method) waiting.push(reference.nodeId.toString());
+  }
+}
+say(`browsed ${found.browsed} nodes below ${board}`);
+
+for (const path of [`${board}/state/x_m/EngineeringUnits`, `${board}/state/x_m/EURange`]) {
+  const value = await session.read({ nodeId: id(path), attributeId: AttributeIds.Value });
+  found[path.split("/").at(-1)] = value.value.value;
+}
+
+const subscription = await session.createSubscription2({
+  requestedPublishingInterval: 100, requestedLifetimeCount: 600, requestedMaxKeepAliveCount: 50,
+  maxNotificationsPerPublish: 0, publishingEnabled: true, priority: 1,
+});
+const filter = new DataChangeFilter({
+  trigger: DataChangeTrigger.StatusValueTimestamp, deadbandType: DeadbandType.None, deadbandValue: 0,
+});
+const items = [];
+for (const path of variables) {
+  const series = (found.series[path] = { count: 0, gaps: [], statuses: {}, last_ms: null });
+  const item = await subscription.monitor(
+    { nodeId: id(`${board}/${path}`), attributeId: AttributeIds.Value },
+    { samplingInterval: 20, discardOldest: true, queueSize: 100, filter }, TimestampsToReturn.Both,
+  );
+  item.on("changed", (value) => {
+    const name = value.statusCode.name;
+    series.statuses[name] = (series.statuses[name] ?? 0) + 1;
+    // Picoseconds fill what the millisecond of a JavaScript Date leaves out.
+    const at_ms = value.sourceTimestamp ? value.sourceTimestamp.getTime() + (value.sourcePicoseconds ?? 0) / 1e9 : null;
+    if (series.last_ms !== null && at_ms !== null) series.gaps.push(at_ms - series.last_ms);
+    series.last_ms = at_ms;
+    series.count += 1;
+  });
+  items.push(item);
+}
+await sleep(300);
+for (const series of Object.values(found.series)) Object.assign(series, { count: 0, gaps: [] });
+const start = performance.now();
+await sleep(seconds * 1000);
+found.seconds = (performance.now() - start) / 1000;
+await subscription.terminate();
+for (const [path, series] of Object.entries(found.series)) {
+  const gaps = series.gaps;
+  Object.assign(series, { longest_ms: Math.max(...gaps), shortest_ms: Math.min(...gaps), gaps: gaps.length });
+  say(`${path}: ${series.count} values in ${found.seconds.toFixed(1)} s, intervals ${series.shortest_ms.toFixed(1)}` +
+    ` to ${series.longest_ms.toFixed(1)} ms, ${JSON.stringify(series.statuses)}`);
+}
+
+async function write(name, path, value) {
+  const code = await session.write({
+    nodeId: id(`${board}/${path}`), attributeId: AttributeIds.Value, value: { value },
+  });
+  found.writes[name] = code.name;
+  say(`write ${path} = ${value.value}: ${code.name}`);
+}
+const metres = (value) => ({ dataType: DataType.Double, value });
+await write("within", "setpoint/x_ref_m", metres(within));
+await write("outside", "setpoint/x_ref_m", metres(outside));
+await write("wrong type", "setpoint/x_ref_m", { dataType: DataType.String, value: "up" });
+await write("measured", "state/x_m", metres(within));
+
+async function call(name, inputs) {
+  const result = await session.call({ objectId: id(board), methodId: id(`${board}/${name}`), inputArguments: inputs });
+  found.calls[name] = { code: result.statusCode.name, outputs: (result.outputArguments ?? []).map((o) => o.value) };
+  say(`call ${name}: ${result.statusCode.name} ${JSON.stringify(found.calls[name].outputs)}`);
+}
+await call("SetReference", [metres(outside)]);
+await call("SetGains", [
+  { dataType: DataType.Int32, value: 0 }, { dataType: DataType.Double, arrayType: 1, value: [0.49, 1700, 17.7, -17600] },
+  metres(0.6), metres(2.85e-3), metres(2.1),
+]);
+await call("Stop", []);
+
+const end = new Date(Date.now() - 500);
+const history = await session.readHistoryValue(id(`${board}/state/x_m`), new Date(end.getTime() - 2000), end);
+found.history = history.historyData?.dataValues?.length ?? 0;
+say(`history of 2 s: ${found.history} values`);
+
+await session.close();
+await client.disconnect();
+console.log(JSON.stringify(found));
+process.exit(0);

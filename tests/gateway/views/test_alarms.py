@@ -1,0 +1,148 @@
+"""The alarm book: what is listed, what an acknowledgement does, what ends a fault."""
+
+from __future__ import annotations
+
+from gateway.views.alarms import LINK, LOG, MAX_ALARMS, AlarmBook
+from protocol.bus import board51_pb2 as pb
+from protocol.wire.messages import Flag
+
+
+def names(book: AlarmBook) -> list[tuple[str, bool, bool]]:
+    return [(a.name, a.active, a.acknowledged) for a in book.listed()]
+
+
+def divergence(*, active: bool) -> pb.Alarm:
+    return pb.Alarm(name="divergence-x", active=active, value=9.0, threshold_on=5.0, text="x is off")
+
+
+def test_an_alarm_is_listed_until_it_is_gone_and_seen() -> None:
+    book = AlarmBook("rig")
+
+    book.twin_alarm(divergence(active=True), 10)
+    came = names(book)
+    book.twin_alarm(divergence(active=False), 20)
+    went = names(book)
+    done = book.acknowledge("divergence-x", "eva", 30)
+
+    assert came == [("divergence-x", True, False)]
+    assert went == [("divergence-x", False, False)]
+    assert done
+    assert names(book) == []
+
+
+def test_an_alarm_that_comes_again_calls_again() -> None:
+    book = AlarmBook("rig")
+    book.twin_alarm(divergence(active=True), 10)
+    assert book.acknowledge("divergence-x", "eva", 20)
+    seen = book.listed()[0]
+    assert not book.acknowledge("divergence-x", "eva", 21)
+
+    book.twin_alarm(divergence(active=False), 30)
+    book.twin_alarm(divergence(active=True), 40)
+
+    assert (seen.acknowledged_by, seen.value, seen.threshold_on) == ("eva", 9.0, 5.0)
+    assert names(book) == [("divergence-x", True, False)]
+
+
+def test_it_counts_how_often_an_unseen_alarm_came() -> None:
+    book = AlarmBook("rig")
+
+    for n in range(3):
+        book.twin_alarm(divergence(active=True), 10 * n)
+        book.twin_alarm(divergence(active=False), 10 * n + 5)
+
+    assert [a.times for a in book.listed()] == [3]
+
+
+def test_a_fault_of_the_board_lasts_as_long_as_its_flag() -> None:
+    book = AlarmBook("rig")
+
+    book.event(pb.Event(name="over-current", severity="fault", text="coil off"), 1)
+    book.state(pb.State(flags=Flag.FAULT, tick=2), 2)
+    during = names(book)
+    book.state(pb.State(tick=3), 3)
+
+    assert during == [("over-current", True, False)]
+    assert names(book) == [("over-current", False, False)]
+
+
+def test_a_sample_from_before_a_fault_does_not_end_it() -> None:
+    book = AlarmBook("rig")
+
+    book.event(pb.Event(name="sensor-fault", severity="fault", session=1, tick=100), 1)
+    book.state(pb.State(session=1, tick=99), 2)
+    late = book.fault()
+    book.state(pb.State(session=1, tick=101), 3)
+
+    assert (late, book.fault()) == ("sensor-fault", "")
+
+
+def test_an_event_gives_a_fault_its_name() -> None:
+    book = AlarmBook("rig")
+
+    book.state(pb.State(flags=Flag.FAULT, tick=5), 1)
+    book.event(pb.Event(name="over-current", severity="fault", tick=5), 2)
+
+    assert names(book) == [("over-current", True, False)]
+
+
+def test_a_flag_without_its_event_is_a_fault_too() -> None:
+    book = AlarmBook("rig")
+
+    book.state(pb.State(flags=Flag.FAULT, tick=2), 2)
+
+    assert names(book) == [("fault", True, False)]
+
+
+def test_log_and_link_come_and_go() -> None:
+    book = AlarmBook("rig")
+
+    book.event(pb.Event(name="log-disk-full", severity="fault", text="no room"), 1)
+    book.log("disk-full", 2)
+    book.link("No samples come.", 3)
+    during = {a.name: a.text for a in book.listed()}
+    book.event(pb.Event(name="log-resumed"), 4)
+    book.link("", 5)
+
+    assert during == {LOG: "no room", LINK: "No samples come."}
+    assert not any(a.active for a in book.listed())
+
+
+def test_a_view_that_joins_late_learns_of_a_failing_log_from_the_status() -> None:
+    book = AlarmBook("rig")
+
+    book.log("disk-full", 1)
+
+    assert names(book) == [(LOG, True, False)]
+
+
+def test_faults_come_before_warnings_and_gone_ones_last() -> None:
+    book = AlarmBook("rig")
+    book.twin_alarm(pb.Alarm(name="gone", active=True), 1)
+    book.twin_alarm(pb.Alarm(name="gone", active=False), 2)
+    book.twin_alarm(divergence(active=True), 3)
+    book.event(pb.Event(name="sensor-fault"), 4)
+
+    assert [a.name for a in book.listed()] == ["sensor-fault", "divergence-x", "gone"]
+
+
+def test_names_from_the_bus_cannot_fill_the_memory() -> None:
+    book = AlarmBook("rig")
+
+    for n in range(10 * MAX_ALARMS):
+        book.twin_alarm(pb.Alarm(name=f"made-up-{n}", active=True), n)
+
+    assert len(book.listed()) == MAX_ALARMS
+
+
+def test_the_revision_rises_with_what_is_shown_only() -> None:
+    book = AlarmBook("rig")
+    book.state(pb.State(tick=1), 1)
+    book.link("", 1)
+    quiet = book.revision
+
+    book.link("down", 2)
+    once = book.revision
+    book.link("down", 3)
+
+    assert (quiet, once, book.revision) == (0, 1, 1)

@@ -1,0 +1,126 @@
+"""Views as children: started, restarted, ended with the gateway however it ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gateway.config import BoardConfig, GatewayConfig, SecurityConfig, ZenohConfig
+from gateway.views import children
+from gateway.views.children import View, running, views_for
+from protocol.errors import ConfigError
+from tests.gateway.gateway_peers import free_port, wait_for
+
+ROOT = Path(__file__).parents[3]
+CONFIG = GatewayConfig(boards=(BoardConfig(name="rig", port="/dev/null"),))
+
+
+def listening(port: int) -> Callable[[], bool]:
+    def look() -> bool:
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", port)) == 0
+
+    return look
+
+
+def router(port: int) -> View:
+    """A command that shows that it runs: its port is open."""
+    return View(name="router", arguments=("--listen", f"tcp/127.0.0.1:{port}"))
+
+
+def children_of(pid: int) -> list[int]:
+    listed = subprocess.run(["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False)
+    return [int(word) for word in listed.stdout.split()]
+
+
+def test_a_view_that_dies_is_started_again_and_ends_with_the_gateway(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(children, "FIRST_WAIT_S", 0.1)
+    port = free_port()
+
+    with running([router(port)]):
+        wait_for(listening(port), "view", 20.0)
+        first = view_at(port)
+        os.kill(first, signal.SIGKILL)
+        second = wait_for(lambda: (pid := view_at(port)) != first and pid, "another process", 20.0)
+        wait_for(listening(port), "view again", 20.0)
+
+    assert second != first
+    assert not listening(port)()
+
+
+def view_at(port: int) -> int:
+    """The pid of our child with this port in its command line; 0 for none."""
+    for pid in children_of(os.getpid()):
+        try:
+            words = Path(f"/proc/{pid}/cmdline").read_bytes()
+        except OSError:
+            continue
+        if str(port).encode() in words and b"gateway.views.child" in words:
+            return pid
+    return 0
+
+
+def test_a_view_with_a_wrong_option_is_not_started_again(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(children, "FIRST_WAIT_S", 0.05)
+
+    with running([View(name="foxglove", arguments=("--listen", "nowhere"))]):
+        wait_for(lambda: "not started again" in caplog.text, "verdict", 20.0)
+
+    errors = [line for line in capfd.readouterr().err.splitlines() if line]
+    assert errors == ["board51 foxglove: --listen 'nowhere' is not an address. Write HOST:PORT, e.g. 127.0.0.1:4840."]
+
+
+def test_no_view_outlives_a_gateway_that_is_killed() -> None:
+    port = free_port()
+    code = (
+        "from gateway.views.children import View, running\nimport time\n"
+        f"with running([View(name='router', arguments=('--listen', 'tcp/127.0.0.1:{port}'))]): time.sleep(60)"
+    )
+    gateway = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.DEVNULL)
+    wait_for(listening(port), "view", 20.0)
+
+    gateway.kill()
+    gateway.wait()
+
+    wait_for(lambda: not listening(port)(), "end of the view")
+
+
+def test_a_view_joins_the_bus_of_its_gateway() -> None:
+    config = replace(CONFIG, site="lab", zenoh=ZenohConfig(listen=("tcp/0.0.0.0:7447",)))
+
+    opcua, hmi = views_for({"opcua": ("127.0.0.1", 4840), "hmi": ("::1", 8051)}, config)
+
+    assert opcua == View(
+        name="opcua",
+        arguments=("--listen", "127.0.0.1:4840", "--connect", "tcp/127.0.0.1:7447", "--site", "lab"),
+    )
+    assert hmi.arguments[:2] == ("--listen", "[::1]:8051")
+    assert "logs" in hmi.arguments
+
+
+def test_a_guarded_gateway_hands_its_keys_on(tmp_path: Path) -> None:
+    config = replace(CONFIG, security=SecurityConfig(directory=str(tmp_path)))
+
+    (opcua,) = views_for({"opcua": ("0.0.0.0", 4840)}, config)
+
+    assert ("--security", str(tmp_path)) == opcua.arguments[-2:]
+    assert str(tmp_path / "identities" / "views") in opcua.arguments
+
+
+@pytest.mark.parametrize("name", ["opcua", "hmi", "foxglove"])
+def test_no_view_is_opened_to_the_network_unguarded(name: str) -> None:
+    with pytest.raises(ConfigError, match="without protection"):
+        views_for({name: ("0.0.0.0", 4000)}, CONFIG)
+
+    insecure = replace(CONFIG, security=SecurityConfig(insecure=True))
+    assert views_for({name: ("0.0.0.0", 4000)}, insecure)[0].arguments[-1] == "--insecure"

@@ -1,0 +1,208 @@
+"""The feed on a real bus: the latest, freshness, bins, alarms, commands; junk costs nothing."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+import pytest
+
+from gateway.views.alarms import LINK
+from gateway.views.feed import SILENT_S, BoardFeed, Feed, channels
+from protocol.bus import board51_pb2 as pb
+from tests.gateway.gateway_peers import ScriptedBoard, client, gateway_config, running, wait_for
+from tests.gateway.views.bus_peers import PlayedGateway, feed_of, played_gateway
+
+
+@pytest.fixture
+def gateway() -> Iterator[PlayedGateway]:
+    with played_gateway() as played:
+        yield played
+
+
+@pytest.fixture
+def feed(gateway: PlayedGateway) -> Iterator[Feed]:
+    with feed_of(gateway) as feed:
+        yield feed
+
+
+def heard(feed: Feed, gateway: PlayedGateway, board: str = "rig") -> BoardFeed:
+    """The board, once its first sample has arrived; subscriptions take a moment to reach the router."""
+
+    def look() -> BoardFeed | None:
+        gateway.state(board)
+        found = feed.board(board)
+        return found if found is not None and found.latest(pb.State) is not None else None
+
+    return wait_for(look, f"board {board} in the feed")
+
+
+def test_the_latest_of_each_type_is_kept_for_each_board(feed: Feed, gateway: PlayedGateway) -> None:
+    rig, other = heard(feed, gateway), heard(feed, gateway, "other")
+
+    gateway.state(x_m=1e-3)
+    gateway.state("other", x_m=2e-3)
+    gateway.parameters()
+    wait_for(lambda: rig.latest(pb.Parameters), "parameters")
+
+    def x_of(board: BoardFeed) -> float:
+        state = board.latest(pb.State)
+        return state.x_m if state is not None else math.nan
+
+    wait_for(lambda: (x_of(rig), x_of(other)) == (1e-3, 2e-3), "positions")
+    assert feed.boards() == ("other", "rig")
+    assert rig.age_s(pb.State) < 5.0
+    assert rig.age_s(pb.TwinState) == math.inf
+    assert feed.board("nobody") is None
+
+
+def test_a_board_that_falls_silent_is_not_live_within_a_second(feed: Feed, gateway: PlayedGateway) -> None:
+    rig = heard(feed, gateway)
+    gateway.status()
+    gateway.state()
+    wait_for(lambda: rig.latest(pb.Status), "status")
+    assert rig.link().live
+
+    start_s = time.monotonic()
+    link = wait_for(lambda: None if rig.link().live else rig.link(), "loss of the board")
+
+    assert time.monotonic() - start_s < 1.0 + SILENT_S
+    assert (link.state, link.age_s >= SILENT_S) == ("silent", True)
+    gateway.status(link="absent")
+    assert wait_for(lambda: rig.link() if rig.link().state == "absent" else None, "absent").reason
+
+
+def test_silence_is_judged_by_the_clock_of_the_view(gateway: PlayedGateway) -> None:
+    now_s = [100.0]
+    with client(gateway.endpoint) as bus:
+        feed = Feed(bus.session, now_s=lambda: now_s[0])
+        rig = heard(feed, gateway)
+        assert rig.link().live
+
+        now_s[0] += 0.6
+        silent = rig.link().state
+        now_s[0] += 3.0
+        gone = rig.link()
+        alarms = [(a.name, a.active) for a in rig.alarms()]
+        heard(feed, gateway)
+        wait_for(lambda: rig.link().live, "samples")
+
+        assert (silent, gone.state) == ("connecting", "no-gateway")
+        assert alarms == [(LINK, True)]
+        assert [(a.name, a.active) for a in rig.alarms()] == [(LINK, False)]
+        feed.close()
+
+
+def test_a_board_that_is_just_being_found_is_no_alarm(feed: Feed, gateway: PlayedGateway) -> None:
+    def look() -> BoardFeed | None:
+        gateway.status(link="handshake")
+        return feed.board("rig")
+
+    rig = wait_for(look, "board")
+
+    assert rig.link().state == "handshake"
+    assert rig.alarms() == ()
+
+
+def test_a_tap_gets_every_spike(feed: Feed, gateway: PlayedGateway) -> None:
+    rig = heard(feed, gateway)
+    tap = rig.tap(pb.State, width_s=0.02)
+
+    for n in range(100):
+        gateway.state(x_m=9e-3 if n == 41 else 3e-3)
+    bins = tap.take()
+
+    def all_taken() -> bool:
+        bins.extend(tap.take())
+        return sum(b.samples for b in bins) >= 90  # the last bin is still open
+
+    wait_for(all_taken, "all samples")
+
+    assert max(b.high["x_m"] for b in bins) == 9e-3
+    assert len(bins) < 30
+    rig.untap(tap)
+
+
+def test_an_absent_value_is_nan_and_not_zero(feed: Feed, gateway: PlayedGateway) -> None:
+    rig = heard(feed, gateway)
+    tap = rig.tap(pb.State, width_s=0.002)
+
+    gateway.state(i_c_a=None, x_m=1e-3)
+    wait_for(lambda: rig.latest(pb.State) == gateway.last, "sample")
+    absent = tap.take(unfinished=True)[-1]
+
+    assert math.isnan(absent.last["i_c_a"])
+    assert absent.last["x_m"] == 1e-3
+
+
+def test_channels_are_the_numbers_of_the_message() -> None:
+    assert channels(pb.State) == ("i_c_a", "x_m", "u_c_v", "x_ref_m")
+    assert {"x_m.error", "i_c_a.normalised", "nis"} <= set(channels(pb.Divergence))
+
+
+def test_alarms_of_twin_and_board_are_listed_and_acknowledged(feed: Feed, gateway: PlayedGateway) -> None:
+    rig = heard(feed, gateway)
+
+    gateway.send("twin/alarm", pb.Alarm(name="divergence-x", active=True, text="off"))
+    wait_for(rig.alarms, "alarm")
+    done = feed.acknowledge("rig", "divergence-x", "eva")
+
+    assert done
+    assert [(a.name, a.acknowledged_by) for a in rig.alarms() if a.name != LINK] == [("divergence-x", "eva")]
+    assert not feed.acknowledge("nobody", "divergence-x", "eva")
+
+
+def test_a_command_says_who_and_comes_back_with_the_answer(feed: Feed, gateway: PlayedGateway) -> None:
+    reply = feed.command("rig", pb.Command(stop=pb.Stop()), who="eva", role="operator")
+
+    key, command = gateway.commands[0]
+    assert reply.accepted
+    assert reply.id == command.id
+    assert (command.who, command.WhichOneof("what"), key) == ("eva", "stop", "board51/rig/command")
+
+
+def test_junk_on_the_bus_is_counted_and_changes_nothing(feed: Feed, gateway: PlayedGateway) -> None:
+    rig = heard(feed, gateway)
+
+    gateway.session.put("board51/rig/state", b"\xff\xff\xff")
+    wait_for(lambda: feed.refused, "refusal")
+    for n in range(200):
+        gateway.send("status", pb.Status(), f"made-up-{n}")
+    wait_for(lambda: feed.refused > 100, "refusals")
+
+    assert len(feed.boards()) <= 64
+    assert rig.latest(pb.State) is not None
+
+
+def test_a_board_behind_a_real_gateway_is_lost_and_found_within_a_second() -> None:
+    with ScriptedBoard() as board:
+        config = gateway_config(board.url)
+        endpoint = config.zenoh.listen[0]
+        with running(config), client(endpoint) as bus:
+            feed = Feed(bus.session)
+            rig = wait_for(lambda: feed.board("rig"), "board")
+            wait_for(lambda: rig.link().live, "samples")
+
+            board.streaming = False
+            wait_for(lambda: not rig.link().live, "loss", timeout_s=1.0)
+            board.streaming = True
+            wait_for(lambda: rig.link().live, "samples again")
+            feed.close()
+
+
+def test_a_view_finds_a_gateway_that_was_restarted() -> None:
+    with ScriptedBoard() as board, ExitStack() as stack:
+        config = gateway_config(board.url)
+        with running(config):
+            bus = stack.enter_context(client(config.zenoh.listen[0]))
+            feed = Feed(bus.session)
+            rig = wait_for(lambda: feed.board("rig"), "board")
+            wait_for(lambda: rig.link().live, "samples")
+        wait_for(lambda: not rig.link().live, "loss", timeout_s=1.0)
+
+        with running(config):
+            wait_for(lambda: rig.link().live, "samples of the new gateway", timeout_s=20.0)
+            assert feed.command("rig", pb.Command(ping=pb.Ping()), who="test").accepted
+            feed.close()

@@ -1,0 +1,138 @@
+"""The live Foxglove WebSocket, read by a client of its protocol; the shipped layouts name topics that exist."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import struct
+from collections.abc import Iterator
+from typing import Any
+from xml.etree import ElementTree
+
+import aiohttp
+import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+from gateway.commands.foxglove import layout
+from gateway.views.foxglove import FoxgloveView
+from protocol.bus import topics
+from protocol.errors import ServiceError
+from tests.gateway.gateway_peers import client, free_port
+from tests.gateway.views.bus_peers import PlayedGateway, played_gateway
+from tests.gateway.views.opcua_peers import ticking
+
+
+@pytest.fixture
+def gateway() -> Iterator[PlayedGateway]:
+    with played_gateway() as played:
+        yield played
+
+
+async def listen(port: int, wanted: str) -> tuple[dict[str, Any], list[tuple[int, bytes]]]:
+    """The advertisement of a topic, and its first messages: (log time, payload)."""
+    async with aiohttp.ClientSession() as session:
+        async with session.ws_connect(f"ws://127.0.0.1:{port}", protocols=["foxglove.sdk.v1"]) as socket:
+            channel: dict[str, Any] = {}
+            messages: list[tuple[int, bytes]] = []
+            async for frame in socket:
+                if frame.type is aiohttp.WSMsgType.TEXT:
+                    said = json.loads(frame.data)
+                    for offered in said.get("channels", []) if said["op"] == "advertise" else []:
+                        if offered["topic"] == wanted and not channel:
+                            channel = offered
+                            subscription = {"id": 1, "channelId": offered["id"]}
+                            await socket.send_json({"op": "subscribe", "subscriptions": [subscription]})
+                elif frame.type is aiohttp.WSMsgType.BINARY and frame.data[0] == 1:
+                    _, time_ns = struct.unpack_from("<IQ", frame.data, 1)
+                    messages.append((time_ns, frame.data[13:]))
+                    if len(messages) == 20:
+                        return channel, messages
+    raise AssertionError("the server hung up")
+
+
+def decode(channel: dict[str, Any], payload: bytes) -> Any:
+    """As a client does that knows nothing but what the server said."""
+    import base64
+
+    files = descriptor_pb2.FileDescriptorSet.FromString(base64.b64decode(channel["schema"]))
+    pool = descriptor_pool.DescriptorPool()
+    for file in files.file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(channel["schemaName"])).FromString(payload)
+
+
+def test_a_client_that_knows_only_the_protocol_reads_the_samples(gateway: PlayedGateway) -> None:
+    with client(gateway.endpoint) as bus, ticking(gateway, "rig1"):
+        view = FoxgloveView(bus.session, "board51", "127.0.0.1", 0)
+        channel, messages = asyncio.run(asyncio.wait_for(listen(view.port, "board51/rig1/state"), 15.0))
+        view.close()
+
+    states = [decode(channel, payload) for _, payload in messages]
+    assert channel["encoding"] == "protobuf"
+    assert channel["schemaName"] == "board51.v1.State"
+    assert [s.tick - states[0].tick for s in states] == list(range(20))
+    assert [time_ns for time_ns, _ in messages] == [s.host_time_ns for s in states]
+
+
+def test_junk_is_counted_and_not_passed_on(gateway: PlayedGateway) -> None:
+    with client(gateway.endpoint) as bus, ticking(gateway, "rig1"):
+        view = FoxgloveView(bus.session, "board51", "127.0.0.1", 0)
+        asyncio.run(asyncio.wait_for(listen(view.port, "board51/rig1/state"), 15.0))
+        gateway.session.put("board51/rig1/state", b"\xff\xff\xff")
+        asyncio.run(asyncio.wait_for(listen(view.port, "board51/rig1/state"), 15.0))
+        view.close()
+
+        assert view.refused == 1
+
+
+def test_a_port_in_use_is_an_error_that_says_so(gateway: PlayedGateway) -> None:
+    port = free_port()
+    with client(gateway.endpoint) as bus:
+        view = FoxgloveView(bus.session, "board51", "127.0.0.1", port)
+        with pytest.raises(ServiceError, match="Foxglove cannot listen") as said:
+            FoxgloveView(bus.session, "board51", "127.0.0.1", port)
+        view.close()
+
+    assert "--listen" in str(said.value)
+
+
+def has_field(descriptor: Any, path: list[str]) -> bool:
+    field = descriptor.fields_by_name.get(path[0])
+    if field is None:
+        return False
+    if field.message_type is None:
+        return len(path) == 1
+    return len(path) == 1 or has_field(field.message_type, path[1:])
+
+
+def expect_field(topic: str, path: list[str]) -> None:
+    place = topics.split(topic)
+    assert place is not None, topic
+    assert place[:2] == ("lab", "rig7")
+    assert not path or has_field(topics.BY_NAME[place[2]].message.DESCRIPTOR, path), (topic, path)
+
+
+def test_every_path_of_the_foxglove_layout_exists() -> None:
+    text = layout("foxglove", "lab", "rig7")
+
+    made = json.loads(text)
+    paths = re.findall(r'\\"([^"\\]+)\\"((?:\.\w+)*)', text)
+
+    assert len(paths) > 12
+    for topic, fields in paths:
+        expect_field(topic, fields.split(".")[1:])
+    panels = re.findall(r'"([A-Za-z]+!\w+)"', json.dumps(made["layout"]))
+    assert set(panels) == set(made["configById"])
+
+
+def test_every_curve_of_the_plotjuggler_layout_exists() -> None:
+    curves = [c.attrib["name"] for c in ElementTree.fromstring(layout("plotjuggler", "lab", "rig7")).iter("curve")]
+
+    assert len(curves) > 12
+    for curve in curves:
+        words = curve.split("/")
+        topic = next(
+            "/".join(words[:n]) for n in range(len(words) - 1, 2, -1) if topics.split("/".join(words[:n])) is not None
+        )
+        expect_field(topic, words[len(topic.split("/")) :])

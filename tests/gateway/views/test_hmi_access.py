@@ -1,0 +1,373 @@
+"""Who gets in at the web page, and what is refused: plain HTTP and WebSocket clients against the running server."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from gateway.access.roles import Role
+from gateway.access.users import FAILURES, User, remove_user, set_user
+from protocol.bus import board51_pb2 as pb
+from tests.gateway.gateway_peers import wait_for
+from tests.gateway.views.bus_peers import PlayedGateway, played_gateway
+from tests.gateway.views.hmi_peers import Page, drain, frame, hmi, users_file
+
+pytestmark = pytest.mark.xdist_group("hmi-access")
+STOP = "/api/rig/stop"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Server:
+    port: int
+    folder: Path
+    gateway: PlayedGateway
+
+    def page(self, name: str = "") -> Page:
+        page = Page(self.port)
+        if name:
+            assert page.log_in(name).status_code == 303
+        return page
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """With logins; the gateway behind it accepts everything."""
+    folder = tmp_path_factory.mktemp("hmi")
+    (folder / "logs").mkdir()
+    (folder / "logs" / "a.mcap").write_bytes(b"not a log")
+    (folder / "secret.mcap").write_bytes(b"secret")
+    (folder / "logs" / "link.mcap").symlink_to(folder / "secret.mcap")
+    (folder / "logs" / ".hidden.mcap").write_bytes(b"hidden")
+    with (
+        played_gateway() as gateway,
+        hmi(folder, gateway.endpoint, "--users", str(users_file(folder)), "--reports", str(folder / "data")) as (
+            port,
+            _,
+        ),
+    ):
+        made = Server(port=port, folder=folder, gateway=gateway)
+        heard = made.page("vic")
+
+        def known() -> bool:
+            gateway.state()
+            gateway.parameters()
+            gateway.status()
+            time.sleep(0.02)
+            with heard.live("/live") as socket:
+                return bool(frame(socket)["boards"])
+
+        wait_for(known, "the board on the page")
+        yield made
+
+
+def test_without_a_session_there_is_the_login_and_nothing_else(server: Server) -> None:
+    page = server.page()
+
+    for path in ("/", "/rig/rig", "/logs", "/replay/"):
+        answer = page.http.get(path, headers={"accept": "text/html"})
+        assert (answer.status_code, answer.headers["location"]) == (303, "/login")
+    for path in ("/api/session", "/log/logs/a.mcap", "/report/0/report.html", "/_nicegui/x"):
+        assert page.http.get(path).status_code == 401
+    assert page.post(STOP).status_code == 401
+    assert page.http.get("/login").status_code == 200
+
+
+def test_a_wrong_password_is_refused_and_too_many_lock_the_name(server: Server) -> None:
+    page = server.page()
+
+    for _ in range(FAILURES):
+        assert page.log_in("ana", "wrong").status_code == 401
+    locked = page.log_in("ana")
+
+    assert locked.status_code == 429
+    assert "Try again in" in locked.text
+    assert page.log_in("nobody-<b>", "x").status_code == 401
+    assert page.cookie == ""
+    assert server.page("ben").cookie, "others are not locked out"
+
+
+def test_the_cookie_is_out_of_reach_of_scripts_and_other_sites(server: Server) -> None:
+    page = server.page()
+
+    cookie = page.log_in("vic").headers["set-cookie"]
+
+    assert "HttpOnly" in cookie
+    assert "SameSite=Strict" in cookie
+    assert "Path=/" in cookie
+
+
+def test_a_login_from_another_origin_is_refused(server: Server) -> None:
+    answer = server.page().http.post(
+        "/login", data={"name": "ben", "password": "operator-pass"}, headers={"origin": "http://evil.example"}
+    )
+
+    assert answer.status_code == 403
+    assert answer.json()["reason"] == "origin"
+
+
+@pytest.mark.parametrize(
+    ("headers", "reason"),
+    [
+        ({"x-board51-token": ""}, "token"),
+        ({"x-board51-token": "guessed"}, "token"),
+        ({"origin": "http://evil.example"}, "origin"),
+        ({"origin": "null"}, "origin"),
+        ({"origin": ""}, "origin"),
+        ({"host": "evil.example", "origin": "http://evil.example"}, "host"),
+    ],
+)
+def test_a_forged_request_does_nothing(server: Server, headers: dict[str, str], reason: str) -> None:
+    page = server.page("ben")
+    before = len(server.gateway.commands)
+
+    answer = page.post(STOP, **headers)
+
+    assert answer.status_code in (403, 421)
+    assert answer.json()["reason"] == reason
+    assert len(server.gateway.commands) == before
+
+
+def test_the_token_of_another_session_is_none(server: Server) -> None:
+    other = server.page("ben")
+
+    answer = server.page("ben").post(STOP, **{"x-board51-token": other.token})
+
+    assert answer.status_code == 403
+
+
+@pytest.mark.parametrize(
+    ("name", "body", "status"),
+    [
+        ("vic", {"stop": {}}, 403),
+        ("vic", {"set_reference": {"x_ref_m": 0.003}}, 403),
+        ("ben", {"set_reference": {"x_ref_m": 0.003}}, 200),
+        ("ben", {"set_mode": {"mode": "MODE_IDLE"}}, 200),
+        ("ben", {"mark": {"text": "here"}}, 200),
+        ("ben", {"set_gains": {"law": 0, "gains": [1, 2, 3, 4]}}, 403),
+        ("ben", {"set_host_loss": {"policy": 0, "timeout_s": 1}}, 403),
+        ("ben", {"id": "mine", "who": "ana", "stop": {}}, 400),
+        ("ben", {"what": "stop"}, 400),
+        ("ben", {}, 400),
+        ("ben", {"set_reference": {"x_ref_m": "far"}}, 400),
+    ],
+)
+def test_a_role_may_what_the_table_says_and_no_more(
+    server: Server, name: str, body: dict[str, object], status: int
+) -> None:
+    page = server.page(name)
+    before = len(server.gateway.commands)
+
+    answer = page.post("/api/rig/command", body)
+
+    assert answer.status_code == status, answer.text
+    assert len(server.gateway.commands) - before == (status == 200)
+    if status == 200:
+        assert server.gateway.commands[-1][1].who == name, "the log shows who did it"
+    if status == 403:
+        assert answer.json()["reason"] == "not-allowed"
+
+
+def test_a_role_or_a_person_taken_away_counts_at_once(server: Server) -> None:
+    users = server.folder / "users.toml"
+    set_user(users, User(name="zoe", role=Role.OPERATOR), "zoe-password")
+    page = Page(server.port)
+    assert page.log_in("zoe", "zoe-password").status_code == 303
+    assert page.post(STOP).status_code == 200
+
+    set_user(users, User(name="zoe", role=Role.VIEWER), "zoe-password")
+    as_viewer = page.post(STOP)
+    with page.live("/live/rig") as live:
+        frame(live)
+        remove_user(users, "zoe")
+        with pytest.raises(ConnectionClosed):
+            drain(live)
+
+    assert as_viewer.status_code == 403
+    assert page.post(STOP).status_code == 401
+
+
+def test_an_alarm_is_listed_until_an_operator_has_seen_it(server: Server) -> None:
+    server.gateway.send("twin/alarm", pb.Alarm(name="divergence-x", active=True, text="more than noise"))
+
+    def alarm(field: str, expected: object) -> bool:
+        with server.page("vic").live("/live/rig") as live:
+            listed = next(f["rest"]["alarms"] for f in iter(lambda: frame(live), None) if "rest" in f)
+        return any(a["name"] == "divergence-x" and a[field] == expected for a in listed)
+
+    wait_for(lambda: alarm("acknowledged", False), "the alarm")
+    assert server.page("vic").post("/api/rig/acknowledge", {"name": "divergence-x"}).status_code == 403
+    assert server.page("ben").post("/api/rig/acknowledge", {"name": "divergence-x"}).status_code == 200
+    assert alarm("by", "ben")
+    assert server.page("ben").post("/api/rig/acknowledge", {"name": "nothing"}).json()["reason"] == "no-alarm"
+    assert server.page("ben").post("/api/rig/acknowledge", {"name": 7}).status_code == 400
+
+
+def test_the_last_report_opens_and_can_reach_nothing(server: Server) -> None:
+    folder = server.folder / "data" / "diagnosis"
+    folder.mkdir(parents=True)
+    (folder / "report.html").write_text("<p>air-gap-offset")
+    page = server.page("vic")
+
+    text = page.open("/rig/rig")
+    address = "/report/" + text.partition("/report/")[2].partition('"')[0].rstrip("\\")
+    report = page.http.get(address)
+
+    assert "air-gap-offset" in report.text
+    assert report.headers["content-security-policy"].startswith("sandbox; default-src 'none'")
+
+
+def test_controls_are_on_the_pages_of_those_who_may_use_them(server: Server) -> None:
+    viewer, operator = (server.page(name).open("/rig/rig") for name in ("vic", "ben"))
+
+    for control in ("STOP", "Closed loop", "Start excitation", "Mark now"):
+        assert control in operator
+        assert control not in viewer
+    assert "Gains from a file" not in operator, "an engineer's"
+    assert "Run quick" not in operator
+
+
+def test_a_refusal_of_the_gateway_comes_back_with_its_reason(server: Server) -> None:
+    page = server.page("ben")
+    usual = server.gateway.answer
+    server.gateway.answer = lambda _, command: pb.CommandReply(
+        id=command.id, refused_by="gateway", reason="slew", text="The jump is too large."
+    )
+
+    answer = page.post("/api/rig/command", {"set_reference": {"x_ref_m": 0.003}})
+
+    server.gateway.answer = usual
+    assert answer.status_code == 409
+    body = answer.json()
+    assert (body["accepted"], body["refused_by"], body["reason"]) == (False, "gateway", "slew")
+
+
+def test_a_board_that_nobody_knows_gets_no_command(server: Server) -> None:
+    answer = server.page("ben").post("/api/../*/stop".replace("../", "%2e%2e%2f"))
+
+    assert answer.status_code in (404, 405)
+    assert server.page("ben").post("/api/*/stop").json()["reason"] == "no-board"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "logs/../secret.mcap", "../secret.mcap", "logs/..%2fsecret.mcap", "%2e%2e/secret.mcap", "/etc/passwd",
+        "logs//etc/passwd", "logs/link.mcap", "logs/.hidden.mcap", "logs/%00a.mcap", "logs/",
+        "logs/a.mcap/../../secret.mcap", "recordings/a.mcap",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("route", ["log", "report"])
+def test_path_tricks_find_nothing(server: Server, route: str, name: str) -> None:
+    page = server.page("vic")
+    # httpx tidies paths; a raw one must reach the server as an attacker would send it.
+    url = httpx.URL(scheme="http", host="127.0.0.1", port=server.port, raw_path=f"/{route}/{name}".encode())
+
+    answer = page.http.get(url)
+
+    assert answer.status_code in (400, 404)
+    assert b"secret" not in answer.content
+    assert b"root:" not in answer.content
+    assert page.http.get("/log/logs/a.mcap").content == b"not a log", "its own files are found"
+
+
+def test_a_large_body_is_refused_before_it_is_read(server: Server) -> None:
+    page = server.page("ben")
+
+    assert page.post("/api/rig/command", {"x": "y" * 2_000_000}).status_code == 413
+    without_length = page.http.build_request(
+        "POST",
+        "/api/rig/command",
+        content=(b"y" * 100_000 for _ in range(30)),
+        headers={"origin": page.base, "x-board51-token": page.token},
+    )
+    before = len(server.gateway.commands)
+    with contextlib.suppress(httpx.TransportError):  # the server may cut the line, or answer
+        assert page.http.send(without_length).status_code >= 400
+    assert len(server.gateway.commands) == before
+
+
+def test_frames_go_to_a_page_of_ours_only(server: Server) -> None:
+    page = server.page("vic")
+
+    with page.live("/live/rig") as socket:
+        assert "now" in frame(socket)
+    for wrong in ({"origin": "http://evil.example"}, {"token": "guessed"}, {"cookie": "guessed"}, {"cookie": ""}):
+        with pytest.raises(InvalidStatus) as refused, page.live("/live/rig", **wrong):
+            pass
+        assert refused.value.response.status_code == 403
+
+
+def test_nicegui_s_socket_knows_only_the_page_of_this_session(server: Server) -> None:
+    page, other = server.page("vic"), server.page("ben")
+    text = other.open("/rig/rig")
+    client_id = text.partition("client_id")[2].partition(":")[2].partition(",")[0].strip(" \"'&quot;")
+    assert len(client_id) > 20
+
+    path = f"/_nicegui_ws/socket.io/?client_id={client_id}&EIO=4&transport=websocket"
+
+    with pytest.raises(InvalidStatus) as refused, page.live(path):
+        pass
+    assert refused.value.response.status_code == 403
+    with other.live(path):
+        pass
+    polling = other.http.get("/_nicegui_ws/socket.io/?EIO=4&transport=polling")
+    assert polling.status_code == 403
+
+
+def test_logging_out_ends_the_session_and_its_frames(server: Server) -> None:
+    page = server.page("vic")
+
+    with page.live("/live/rig") as socket:
+        frame(socket)
+        assert page.post("/logout").status_code == 200
+        with pytest.raises(ConnectionClosed) as closed:
+            drain(socket)
+
+    assert closed.value.rcvd is not None
+    assert closed.value.rcvd.code == 4401
+
+
+def test_a_page_cannot_be_framed_or_sniffed(server: Server) -> None:
+    headers = server.page("vic").http.get("/", headers={"accept": "text/html"}).headers
+
+    assert headers["x-frame-options"] == "DENY"
+    assert "frame-ancestors 'none'" in headers["content-security-policy"]
+    assert headers["x-content-type-options"] == "nosniff"
+
+
+def test_a_session_ends_when_nobody_acts(server: Server, tmp_path: Path) -> None:
+    idle_s = 1.5
+    users = server.folder / "users.toml"
+    with hmi(tmp_path, server.gateway.endpoint, "--users", str(users), "--idle-min", str(idle_s / 60)) as (port, _):
+        page = Page(port)
+        page.log_in("ben")
+
+        begun_s = time.monotonic()
+        with page.live("/live") as socket, pytest.raises(ConnectionClosed) as closed:
+            drain(socket)  # a page that is open is no action
+        lasted_s = time.monotonic() - begun_s
+
+    assert closed.value.rcvd is not None
+    assert closed.value.rcvd.code == 4401
+    assert idle_s - 0.5 < lasted_s < idle_s + 3.0
+
+
+def test_a_stale_session_can_do_nothing(server: Server, tmp_path: Path) -> None:
+    users = server.folder / "users.toml"
+    with hmi(tmp_path, server.gateway.endpoint, "--users", str(users), "--session-h", "0.0003") as (port, _):
+        page = Page(port)
+        page.log_in("ben")
+
+        wait_for(lambda: page.http.get("/api/session").status_code == 401, "end of the session")
+        before = len(server.gateway.commands)
+        answer = page.post(STOP)
+
+    assert answer.status_code == 401
+    assert len(server.gateway.commands) == before

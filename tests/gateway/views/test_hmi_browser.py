@@ -1,0 +1,326 @@
+"""The web page in a real browser, on an emulated rig behind a real gateway: what an operator sees and does."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from protocol.bus import board51_pb2 as pb
+from tests.gateway.gateway_peers import Bus, client, free_port, wait_for
+from tests.gateway.views.hmi_peers import Process, hmi
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+pytestmark = [
+    pytest.mark.xdist_group("hmi-browser"),
+    pytest.mark.skipif(CHROMIUM is None, reason="Debian's chromium is not installed"),
+]
+expect.set_options(timeout=15_000)  # of what is no requirement: the machine may be busy
+STOP_LIMIT_S = 0.2  # from the key to the first sample with the coil off
+SHOWN_LIMIT_S = 1.0  # from the last sample to the words on the page
+NOTE_THE_LOSS = """() => {
+    window.lostAt = 0;
+    const look = () => { if (document.body.dataset.live === 'no' && !window.lostAt) window.lostAt = Date.now(); };
+    new MutationObserver(look).observe(document.body, { attributes: true });
+}"""
+NOTE_THE_PRESS = """() => {
+    for (const kind of ['keydown', 'pointerdown'])
+        window.addEventListener(kind, () => { window.pressedAt = Date.now(); }, { capture: true });
+}"""
+INK_OF_A_PLOT = """() => {
+    const canvas = document.querySelector('canvas.plot-x');
+    const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+    return pixels.filter((value, n) => n % 4 === 3 && value > 0).length;
+}"""
+NOTE_CHANGES = """() => {
+    window.changes = 0;
+    const options = { childList: true, characterData: true, subtree: true };
+    window.observer?.disconnect();
+    window.observer = new MutationObserver(() => { window.changes += 1; });
+    window.observer.observe(document.querySelector('[data-live=x]'), options);
+}"""
+
+
+class Rig:
+    """Emulated board, gateway and page as processes that can be taken away and come back."""
+
+    def __init__(self, folder: Path, emulator: Process, stack: ExitStack) -> None:
+        self.folder, self.emulator, self._stack = folder, emulator, stack
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.port = free_port()
+        self.url = f"http://127.0.0.1:{self.port}"
+        self.gateway = self.start_gateway()
+        self.hmi = self.start_hmi()
+
+    def start_gateway(self) -> Process:
+        words = ("--board", f"rig={self.folder / 'tty'}", "--listen", self.endpoint)
+        process = Process(self.folder, "gateway", *words, "--log-dir", str(self.folder / "logs"))
+        self._stack.enter_context(process)
+        process.wait_for_words("streaming")
+        return process
+
+    def start_hmi(self) -> Process:
+        _, process = self._stack.enter_context(hmi(self.folder, self.endpoint, port=self.port))
+        return process
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=["--headless=new", "--no-sandbox", "--disable-gpu"]
+        )
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    folder = tmp_path_factory.mktemp("hmi-rig")
+    with ExitStack() as stack:
+        emulator = stack.enter_context(Process(folder, "emulate", "--pty", str(folder / "tty")))
+        emulator.wait_for_words("tty")
+        yield Rig(folder, emulator, stack)
+
+
+@pytest.fixture
+def bus(rig: Rig) -> Iterator[Bus]:
+    with client(rig.endpoint) as bus:
+        wait_for(lambda: bus.states(), "a sample")
+        yield bus
+
+
+@pytest.fixture(scope="module")
+def tab(browser: Browser, rig: Rig) -> Iterator[Page]:
+    """One tab for all tests, as an operator's; no script in it may fail."""
+    context = browser.new_context(viewport={"width": 1400, "height": 900})
+    tab = context.new_page()
+    errors: list[str] = []
+    tab.on("pageerror", lambda error: errors.append(str(error)))
+    yield tab
+    context.close()
+    assert errors == []
+
+
+@pytest.fixture
+def page(tab: Page, rig: Rig) -> Page:
+    """The rig's page, live; the board is idle."""
+    if tab.url != f"{rig.url}/rig/rig":
+        tab.goto(f"{rig.url}/rig/rig")
+    tab.wait_for_selector("body[data-live=yes]")
+    tab.keyboard.press("Escape")  # STOP; closes what hangs open, too
+    expect(tab.locator('[data-live="mode"]')).to_contain_text("idle")
+    return tab
+
+
+def live(page: Page, name: str) -> str:
+    return page.locator(f'[data-live="{name}"]').first.inner_text()
+
+
+def millimetres(page: Page, name: str) -> float:
+    text = live(page, name)
+    return float(text) if text.replace(".", "").replace("-", "").isdigit() else float("nan")
+
+
+def flying(page: Page, bus: Bus) -> None:
+    """The ball is held."""
+    page.click('[data-mode="closed loop"]')
+    wait_for(lambda: bus.states()[-1].mode == pb.MODE_CLOSED_LOOP and bus.states()[-1].x_m > 1e-3, "flight")
+
+
+def set_reference(page: Page, bus: Bus, mm: float) -> None:
+    field = page.locator('input[data-number="reference"], [data-number="reference"] input').first
+    field.fill(f"{mm:g}")
+    field.press("Enter")
+    wait_for(lambda: abs(bus.states()[-1].x_ref_m - mm * 1e-3) < 2e-6, f"reference of {mm} mm")
+
+
+def test_an_operator_flies_the_ball_and_sees_it(page: Page, bus: Bus) -> None:
+    flying(page, bus)
+    set_reference(page, bus, 2.2)
+
+    wait_for(lambda: abs(millimetres(page, "x") - 2.2) < 0.1, "2.2 mm on the page")
+    expect(page.locator('[data-mode="closed loop"]')).to_have_attribute("aria-pressed", "true")
+    assert "closed loop" in live(page, "mode")
+    assert "LIVE" in live(page, "link")
+    expect(page.locator('[data-live="commands"]')).to_contain_text("reference 2.200 mm")
+    assert page.evaluate(INK_OF_A_PLOT) > 1000, "the plot is not empty"
+
+
+def test_values_move_thirty_times_a_second(page: Page) -> None:
+    def changes_in_a_second() -> int:
+        page.evaluate(NOTE_CHANGES)
+        page.wait_for_timeout(1000)  # what is measured is a rate
+        return int(page.evaluate("window.changes"))
+
+    wait_for(lambda: changes_in_a_second() > 10, "10 changes in a second, also on a machine that does other work", 30.0)
+
+
+@pytest.mark.parametrize("how", ["key, page scrolled and a field focused", "key, dialog open", "button"])
+def test_stop_takes_the_current_off_the_coil_at_once(page: Page, bus: Bus, how: str) -> None:
+    flying(page, bus)
+    if "scrolled" in how:
+        page.locator('[data-number="reference"]').first.click()
+        page.evaluate("window.scrollTo(0, document.body.scrollHeight)")
+    elif "dialog" in how:
+        page.locator(".q-select").first.click()
+        page.wait_for_selector(".q-menu")
+
+    page.evaluate(NOTE_THE_PRESS)  # the driver itself takes its time until it presses a button
+    if how == "button":
+        page.click("button.stop")
+    else:
+        page.keyboard.press("Escape")
+    wait_for(lambda: bus.states()[-1].mode == pb.MODE_IDLE, "idle")
+
+    pressed_ns = int(page.evaluate("window.pressedAt")) * 1_000_000
+    first = next(s for s in bus.states() if s.host_time_ns > pressed_ns and s.mode == pb.MODE_IDLE)
+    took_s = (first.host_time_ns - pressed_ns) / 1e9
+    print(f"STOP by {how}: {took_s * 1e3:.0f} ms")
+    assert took_s < STOP_LIMIT_S
+    assert first.u_c_v < 0.01
+    expect(page.locator('[data-live="stop-said"]')).to_contain_text("STOP accepted")
+    page.evaluate("window.scrollTo(0, 0)")
+
+
+def test_a_refusal_says_who_refused_and_why(page: Page, bus: Bus) -> None:
+    page.locator(".q-select").nth(1).click()
+    page.get_by_role("option", name="input u_c").click()
+    page.get_by_text("Start excitation").click()
+
+    expect(page.locator(".q-notification.bg-negative")).to_contain_text(
+        "Refused by gateway (wrong-mode)", timeout=30_000
+    )
+
+
+def test_gains_are_shown_before_they_are_sent(page: Page, bus: Bus) -> None:
+    wait_for(lambda: bus.messages["rig/parameters"], "parameters")
+    parameters = bus.messages["rig/parameters"][-1]
+    point = {"i_0_a": parameters.i_0_a, "x_0_m": parameters.x_0_m, "u_0_v": parameters.u_0_v}
+    gains = [*list(parameters.gains)[:3], 1.01 * parameters.gains[3]]
+    file = json.dumps({"law": "lqi", "gains": gains, "operating_point": point, "sample_time_s": 0.002}).encode()
+
+    page.set_input_files("input[type=file]", {"name": "g.json", "mimeType": "application/json", "buffer": file})
+    expect(page.locator(".preview")).to_contain_text("Nothing is sent yet")
+    assert not [r for r in bus.messages["rig/command/record"] if r.command.HasField("set_gains")]
+    page.get_by_text("Send these gains to the board").click()
+
+    records = bus.messages["rig/command/record"]
+    wait_for(lambda: records and records[-1].command.HasField("set_gains"), "the command")
+    record = records[-1]
+    assert list(record.command.set_gains.gains) == pytest.approx(gains)
+    assert record.reply.accepted, record.reply.text
+    page.set_input_files("input[type=file]", {"name": "x.json", "mimeType": "application/json", "buffer": b"{"})
+    expect(page.locator(".preview")).to_contain_text("neither JSON nor TOML")
+
+
+def test_a_mark_is_in_the_log(page: Page, bus: Bus) -> None:
+    page.get_by_label("remark").fill("ball changed")
+    page.get_by_text("Mark now").click()
+
+    assert "ball changed" in bus.await_event("mark").text
+
+
+def test_a_recording_is_started_stopped_and_replayed_apart_from_the_live_rig(page: Page, rig: Rig, bus: Bus) -> None:
+    page.get_by_role("button", name="Start", exact=True).click()
+    wait_for(lambda: list((rig.folder / "data" / "recordings").glob("*.mcap")), "the recording", timeout_s=60.0)
+    bus.await_states(500)
+    page.get_by_role("button", name="Stop recording").click()
+    expect(page.get_by_role("button", name="Start", exact=True)).to_be_visible(timeout=60_000)
+
+    page.goto(f"{rig.url}/logs")
+    row = page.locator(".file", has_text="recordings/").first
+    row.get_by_role("button", name="Replay").click()
+    page.wait_for_url("**/replay/", timeout=60_000)
+    page.goto(f"{rig.url}/replay/rig")
+
+    expect(page.locator(".replay-banner")).to_contain_text("NOT LIVE")
+    page.wait_for_selector("body[data-live=yes]", timeout=60_000)
+    assert page.locator("button.stop").count() == 0, "a recording cannot be commanded"
+    assert {key.split("/")[0] for key in bus.messages} == {"rig"}, "nothing of it is on the live bus"
+
+
+@pytest.mark.slow
+def test_a_campaign_shows_its_progress_and_parks_the_ball_when_interrupted(page: Page, bus: Bus) -> None:
+    page.get_by_role("button", name="Run quick").click()
+    wait_for(lambda: bus.states()[-1].x_m > 1e-3, "flight", timeout_s=60.0)
+    expect(page.locator(".job-lines")).not_to_be_empty()
+
+    page.get_by_role("button", name="Interrupt").click()
+
+    expect(page.get_by_text("ended with exit code 1")).to_be_visible(timeout=30_000)
+    wait_for(lambda: bus.states()[-1].mode == pb.MODE_IDLE, "idle")
+    expect(page.locator(".job-lines")).to_contain_text("ball parked, coil off")
+
+
+def test_a_lost_board_is_shown_within_a_second_and_comes_back(page: Page, rig: Rig, bus: Bus) -> None:
+    page.evaluate(NOTE_THE_LOSS)
+
+    rig.emulator.signal(signal.SIGSTOP)  # its port is there, nothing comes
+    try:
+        page.wait_for_function("window.lostAt > 0", timeout=5_000)
+        took_s = page.evaluate("window.lostAt") / 1e3 - bus.states()[-1].host_time_ns / 1e9
+        expect(page.locator('[data-live="lost"]')).to_contain_text("NO DATA for")
+        assert "LIVE" not in live(page, "link")
+    finally:
+        rig.emulator.signal(signal.SIGCONT)
+
+    print(f"lost board shown after {took_s:.2f} s")
+    assert took_s < SHOWN_LIMIT_S
+    page.wait_for_selector("body[data-live=yes]", timeout=60_000)
+
+
+def test_the_page_recovers_when_the_gateway_restarts(page: Page, rig: Rig) -> None:
+    page.evaluate("window.mine = true")
+
+    rig.gateway.end()
+    page.wait_for_selector("body[data-live=no]", timeout=5_000)
+    expect(page.locator('[data-live="link"]')).to_contain_text("NO GATEWAY", timeout=30_000)
+    rig.gateway = rig.start_gateway()
+
+    page.wait_for_selector("body[data-live=yes]", timeout=60_000)
+    assert page.evaluate("window.mine"), "without being loaded anew"
+    page.keyboard.press("Escape")
+    expect(page.locator('[data-live="stop-said"]')).to_contain_text("STOP accepted")
+
+
+def test_the_page_says_that_its_server_is_gone_and_recovers(page: Page, rig: Rig) -> None:
+    page.evaluate(NOTE_THE_LOSS)
+
+    gone_s = time.time()
+    rig.hmi.kill()
+    page.wait_for_function("window.lostAt > 0", timeout=5_000)
+    took_s = page.evaluate("window.lostAt") / 1e3 - gone_s
+    expect(page.locator('[data-live="lost"]')).to_contain_text("lost its server")
+    page.keyboard.press("Escape")
+    expect(page.locator('[data-live="stop-said"]')).to_contain_text("STOP NOT DELIVERED")
+    rig.hmi = rig.start_hmi()
+
+    assert took_s < SHOWN_LIMIT_S
+    page.wait_for_selector("body[data-live=yes]", timeout=60_000)
+    page.keyboard.press("Escape")
+    expect(page.locator('[data-live="stop-said"]')).to_contain_text("STOP accepted", timeout=30_000)
+
+
+def test_on_a_phone_stop_is_under_the_thumb_and_nothing_sticks_out(browser: Browser, rig: Rig) -> None:
+    context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    page = context.new_page()
+    page.goto(f"{rig.url}/rig/rig")
+    page.wait_for_selector("body[data-live=yes]")
+
+    for scroll in ("0", "document.body.scrollHeight"):
+        page.evaluate(f"window.scrollTo(0, {scroll})")
+        box = page.locator("button.stop").bounding_box()
+        assert box is not None
+        assert box["y"] > 700
+        assert box["y"] + box["height"] <= 844
+        assert box["width"] > 340
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    context.close()

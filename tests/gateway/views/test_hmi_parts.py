@@ -1,0 +1,259 @@
+"""The parts of the web page that need no server: sessions, rows of a plot, files of gains, names of files, jobs."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+import board51
+from gateway.access.roles import Role
+from gateway.views.hmi.console import Routes, slug
+from gateway.views.hmi.gains import parse_gains, rows
+from gateway.views.hmi.jobs import LINES, WIDTH, Jobs
+from gateway.views.hmi.library import Library
+from gateway.views.hmi.live import travel_of
+from gateway.views.hmi.picture import describe
+from gateway.views.hmi.sessions import MAX_SESSIONS, Sessions
+from gateway.views.hmi.traces import MAX_ROWS, Traces
+from protocol.bus import board51_pb2 as pb
+from protocol.errors import DataError, UsageError
+from tests.gateway.gateway_peers import free_port, wait_for
+from tests.gateway.views.bus_peers import feed_of, played_gateway
+
+BOARD = pb.Parameters(sample_time_s=2e-3, x_ref_min_m=0.3e-3, x_ref_max_m=5.2e-3, gains=[0.5, 1700.0, 17.7, -17600.0])
+FILE = {
+    "law": "lqi",
+    "gains": [0.5, 1700.0, 17.7, -17600.0],
+    "operating_point": {"i_0_a": 0.63, "x_0_m": 2.85e-3, "u_0_v": 2.14},
+    "sample_time_s": 2e-3,
+}
+
+
+def test_a_session_ends_by_idleness_and_by_age() -> None:
+    sessions = Sessions(idle_s=10.0, lifetime_s=25.0)
+    session = sessions.open("ben", Role.OPERATOR, 0.0)
+
+    assert sessions.get(session.token, 9.9) is session
+    sessions.acted(session, 9.9)
+    assert sessions.get(session.token, 19.8) is session
+    sessions.acted(session, 19.8)
+    assert sessions.left_s(session, 20.0) == pytest.approx(5.0), "an act does not make a session older than it may get"
+    assert sessions.get(session.token, 25.0) is None
+    assert sessions.get("", 0.0) is None
+
+
+def test_sessions_are_bounded_and_the_idlest_makes_room() -> None:
+    sessions = Sessions(idle_s=1e6, lifetime_s=1e6)
+    first = sessions.open("first", Role.VIEWER, 0.0)
+    second = sessions.open("second", Role.VIEWER, 1.0)
+    sessions.acted(first, 2.0)
+
+    for n in range(MAX_SESSIONS - 1):
+        sessions.open(f"n{n}", Role.VIEWER, 3.0 + n)
+
+    assert sessions.get(second.token, 500.0) is None
+    assert sessions.get(first.token, 500.0) is first
+
+
+def test_no_spike_is_lost_between_500_hz_and_a_screen() -> None:
+    with played_gateway() as gateway, feed_of(gateway) as feed:
+        gateway.state()
+        board = wait_for(lambda: feed.board("rig"), "the board")
+        traces = Traces(board)
+        traces.pump()
+
+        for n in range(1000):
+            gateway.state(x_m=4.5e-3 if n == 333 else 3e-3, i_c_a=math.nan)
+        wait_for(lambda: (s := board.latest(pb.State)) is not None and s.tick == 1001, "the last sample")
+        traces.pump()
+
+    seen, cursor = traces.since(0)
+    assert 50 < len(seen) < 70, "30 bins a second"
+    assert max(float(str(row[4])) for row in seen) == pytest.approx(4.5e-3)
+    assert seen[0][6] is None, "what does not exist is null: JSON has no NaN"
+    assert traces.since(cursor) == ([], cursor)
+
+
+def test_a_reader_that_was_away_gets_what_the_ring_holds_and_no_more() -> None:
+    with played_gateway() as gateway, feed_of(gateway) as feed:
+        gateway.state()
+        board = wait_for(lambda: feed.board("rig"), "the board")
+        traces = Traces(board)
+        traces.pump()
+        for _ in range(MAX_ROWS * 17 // 200 + 3):
+            for _ in range(200):
+                gateway.state(tick=gateway.tick * 17)
+            end = gateway.last.tick
+            wait_for(lambda end=end: (s := board.latest(pb.State)) is not None and s.tick == end, "samples")  # type: ignore[misc]
+            traces.pump()
+
+    missed, cursor = traces.since(0)
+    assert len(missed) == MAX_ROWS
+    assert cursor > MAX_ROWS
+    json.dumps(missed, allow_nan=False)
+
+
+def test_a_file_of_gains_becomes_a_command_and_a_table() -> None:
+    toml = (
+        'law = "pid"\ngains = [900.0, 8000.0, 12.0]\n[operating_point]\ni_0_a = 0.63\nx_0_m = 0.00285\nu_0_v = 2.14\n'
+    )
+
+    gains = parse_gains(json.dumps(FILE).encode(), BOARD)
+    pid = parse_gains(toml.encode(), BOARD)
+
+    assert list(gains.gains) == FILE["gains"]
+    assert gains.x_0_m == 2.85e-3
+    assert (pid.law, list(pid.gains)) == (pb.LAW_PID, [900.0, 8000.0, 12.0, 0.0])
+    assert rows(gains, BOARD)[1] == {"name": "k_x", "new": "1700", "now": "1700", "unit": "V/m"}
+    assert rows(pid, BOARD)[0]["now"] == "other law"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"law": "lqr"}, "law is 'lqr'"),
+        ({"gains": [1, 2]}, "gains is"),
+        ({"gains": [1, 2, 3, math.inf]}, "gains is"),
+        ({"gains": [1, 2, 3, True]}, "gains is"),
+        ({"operating_point": {"i_0_a": 1.0}}, "operating_point is not complete"),
+        ({"sample_time_s": 1e-3}, "T_s = 0.001 s, the board runs at 0.002 s"),
+        ({"operating_point": {"i_0_a": 0.6, "x_0_m": 9e-3, "u_0_v": 2.0}}, "outside the board's references"),
+        ({"stable": False}, "unstable"),
+    ],
+)
+def test_a_wrong_file_of_gains_is_refused_by_name(change: dict[str, object], said: str) -> None:
+    with pytest.raises(DataError, match=said):
+        parse_gains(json.dumps(FILE | change).encode(), BOARD)
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"\xff\xfe", b"{", b"[1, 2]", b"{" * 5000, b"x" * 100_000, b'{"gains": ' + b"[" * 3000]
+)
+def test_what_is_no_file_of_gains_is_told_so(data: bytes) -> None:
+    with pytest.raises(DataError):
+        parse_gains(data, BOARD)
+
+
+def test_a_library_shows_its_own_files_newest_first_and_nothing_else(tmp_path: Path) -> None:
+    inside, outside = tmp_path / "logs", tmp_path / "outside"
+    for folder in (inside / "deep", outside):
+        folder.mkdir(parents=True)
+    for path in (
+        inside / "a.mcap",
+        inside / "deep" / "b.mcap",
+        inside / "c.txt",
+        inside / ".d.mcap",
+        outside / "e.mcap",
+    ):
+        path.write_bytes(b"x")
+    (inside / "f.mcap").symlink_to(outside / "e.mcap")
+    (inside / "g.mcap").symlink_to(inside / "nowhere.mcap")
+    (inside / "a.mcap").touch()
+    library = Library({"logs": inside, "none": tmp_path / "absent"}, ("*.mcap",))
+
+    assert {entry.name for entry in library.entries()} == {"logs/a.mcap", "logs/deep/b.mcap"}
+    assert library.entries()[0].name == "logs/a.mcap"
+    assert library.find("logs/../outside/e.mcap") is None
+    assert library.find(str(inside / "a.mcap")) is None
+    found = library.find("logs/deep/b.mcap")
+    assert found is not None
+    assert found.path == inside / "deep" / "b.mcap"
+
+
+def test_jobs_run_once_say_a_bounded_amount_and_end_with_us(tmp_path: Path) -> None:
+    jobs = Jobs()
+    words = ["emulate", "--tcp", "127.0.0.1:0"]
+
+    job = jobs.start("record", "rig", words, title="t", who="ben")
+    with pytest.raises(UsageError, match="runs already, begun by ben"):
+        jobs.start("record", "rig", words, title="t", who="ana")
+    wait_for(lambda: job.lines, "its first line", timeout_s=90.0)
+    jobs.close()
+
+    assert not job.running
+    assert job.lines.maxlen == LINES
+    assert all(len(line) <= WIDTH for line in job.lines)
+    assert not jobs.stop("record", "rig")
+
+
+def test_a_job_is_on_the_bus_as_the_person_who_started_it(tmp_path: Path) -> None:
+    open_bus = Routes(connect="tcp/h:1", site="s", replay="tcp/127.0.0.1:2", identities=None)
+    guarded = Routes(connect="tcp/h:1", site="s", replay="tcp/127.0.0.1:2", identities=tmp_path)
+
+    assert open_bus.live("ana") == ["--connect", "tcp/h:1", "--site", "s"]
+    assert guarded.live("ana")[-2:] == ["--identity", str(tmp_path / "ana")]
+    assert guarded.replayed() == ["--connect", "tcp/127.0.0.1:2", "--as-site", "replay"]
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (pb.Command(stop=pb.Stop()), "stop"),
+        (pb.Command(set_reference=pb.SetReference(x_ref_m=0.003)), "reference 3.000 mm"),
+        (pb.Command(set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP)), "mode closed loop"),
+        (pb.Command(mark=pb.Mark(text="here")), "mark here"),
+        (pb.Command(excite=pb.Excite(shape=pb.SHAPE_CHIRP, duration_s=3.0)), "excitation chirp 3 s"),
+        (pb.Command(), "nothing"),
+    ],
+)
+def test_a_command_is_told_in_words(command: pb.Command, words: str) -> None:
+    assert describe(command) == words
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"plant": {"travel_m": "far"}}', '{"plant": {"travel_m": -1}}', "{" * 9]
+)
+def test_a_model_without_a_travel_tells_none(text: str) -> None:
+    assert math.isnan(travel_of(text))
+
+
+def test_a_title_becomes_a_part_of_a_file_name() -> None:
+    assert slug("../Étude 1: a/b") == "tude-1-a-b"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--listen", "8051"], "is not an address"),
+        (["--listen", "127.0.0.1:99999"], "is not an address"),
+        (["--listen", "0.0.0.0:8051"], "open to the network without protection"),
+        (["--users", "nowhere.toml"], "nowhere.toml cannot be read"),
+        (["--idle-min", "0"], "--idle-min 0.0 is not a positive number"),
+        (["--security", "nowhere"], "cannot be read"),
+        (["--site", "a/b"], "is not a name"),
+        (["--connect", "nowhere"], "is not a zenoh endpoint"),
+    ],
+)
+def test_wrong_options_are_one_clear_line(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    assert board51.main(["hmi", *words]) == 2
+
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_a_role_with_a_typo_names_its_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "users.toml"
+    path.write_text('[users.ana]\nrole = "enginer"\npassword = "x"\n')
+    path.chmod(0o600)
+
+    assert board51.main(["hmi", "--users", str(path)]) == 2
+
+    assert "line" in capsys.readouterr().err
+
+
+def test_a_port_in_use_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    from gateway.views.hmi.app import listen
+
+    port = free_port()
+    with listen("127.0.0.1", port):
+        assert board51.main(["hmi", "--listen", f"127.0.0.1:{port}"]) == 1
+
+    assert f"Cannot listen on 127.0.0.1:{port}: Address already in use" in capsys.readouterr().err

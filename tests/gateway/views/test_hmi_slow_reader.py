@@ -1,0 +1,107 @@
+"""A browser that never reads: it is cut off, costs no memory, and nobody else notices."""
+
+from __future__ import annotations
+
+import base64
+import os
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.gateway.gateway_peers import wait_for
+from tests.gateway.views.bus_peers import PlayedGateway, played_gateway
+from tests.gateway.views.hmi_peers import Page, frame, hmi
+
+
+@contextmanager
+def samples(gateway: PlayedGateway) -> Iterator[None]:
+    """500 a second, as far as this machine allows."""
+    stop = threading.Event()
+
+    def work() -> None:
+        while not stop.wait(0.002):
+            gateway.state()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+@contextmanager
+def never_reading(page: Page) -> Iterator[socket.socket]:
+    """A WebSocket that asks for frames and takes none."""
+    with socket.socket() as line:
+        line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        line.connect(("127.0.0.1", page.port))
+        lines = [
+            "GET /live/rig HTTP/1.1",
+            f"Host: 127.0.0.1:{page.port}",
+            f"Origin: {page.base}",
+            "Upgrade: websocket",
+            "Connection: Upgrade",
+            f"Sec-WebSocket-Key: {base64.b64encode(os.urandom(16)).decode()}",
+            "Sec-WebSocket-Version: 13",
+            f"Sec-WebSocket-Protocol: board51, {page.token}",
+            f"Cookie: board51_session={page.cookie}",
+        ]
+        line.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
+        yield line
+
+
+def resident_mb(pid: int) -> float:
+    text = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
+    return int(text.partition("VmRSS:")[2].split()[0]) / 1e3
+
+
+def sockets(pid: int) -> int:
+    return sum(os.readlink(entry.path).startswith("socket:") for entry in os.scandir(f"/proc/{pid}/fd"))
+
+
+def test_others_get_their_frames_while_some_do_not_read(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        gateway = stack.enter_context(played_gateway())
+        port, _ = stack.enter_context(hmi(tmp_path, gateway.endpoint))
+        stack.enter_context(samples(gateway))
+        page = Page(port)
+        page.open()
+        for _ in range(4):
+            stack.enter_context(never_reading(page))
+
+        with page.live("/live/rig") as reader:
+            wait_for(lambda: "now" in frame(reader), "the board")
+            begun_s = time.monotonic()
+            for _ in range(30):
+                frame(reader)
+            took_s = time.monotonic() - begun_s
+
+    assert took_s < 2.0, "30 frames are a second's; twice that on a busy machine"
+
+
+@pytest.mark.slow
+def test_who_never_reads_is_cut_off_and_costs_no_memory(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        gateway = stack.enter_context(played_gateway())
+        port, process = stack.enter_context(hmi(tmp_path, gateway.endpoint))
+        stack.enter_context(samples(gateway))
+        page = Page(port)
+        page.open()
+        with page.live("/live/rig") as reader:
+            wait_for(lambda: "now" in frame(reader), "the board")
+        before, before_mb = sockets(process.pid), resident_mb(process.pid)
+
+        for _ in range(8):
+            stack.enter_context(never_reading(page))
+        wait_for(lambda: sockets(process.pid) >= before + 8, "the eight")
+        wait_for(lambda: sockets(process.pid) <= before, "the end of the eight", timeout_s=90.0)
+
+        print(f"resident: {before_mb:.1f} MB before, {resident_mb(process.pid):.1f} MB after")
+        assert resident_mb(process.pid) < before_mb + 20.0

@@ -1,0 +1,221 @@
+"""What the address space is made of: units, descriptions, status codes, stamps, history, commands.  No server."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from datetime import UTC, datetime, timedelta
+from itertools import pairwise
+
+import pytest
+from asyncua import ua
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.views.feed import Link
+from gateway.views.opcua import quality
+from gateway.views.opcua.clock import StampClock
+from gateway.views.opcua.desk import called, code_of, written
+from gateway.views.opcua.history import RingHistory, Track
+from gateway.views.opcua.model import TOPICS, leaves, methods
+from gateway.views.opcua.units import unit_of
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.wire.messages import Flag
+
+S = ua.StatusCodes
+NODE = ua.NodeId("rig/state/x_m", 2)
+
+
+@pytest.mark.parametrize(
+    ("field", "symbol"),
+    [
+        ("i_c_a", "A"), ("x_m", "m"), ("u_c_v", "V"), ("v_m_s", "m/s"), ("x_ref_slew_m_s", "m/s"), ("t_s", "s"),
+        ("latency_p99_ms", "ms"), ("samples_per_s", "1/s"), ("x_m.error", "m"), ("x_m.normalised", None),
+        ("x_m.fit_percent", "%"), ("nis", None), ("innovation_i_c_a", "A"),
+    ],
+)  # fmt: skip
+def test_the_unit_is_the_end_of_the_name(field: str, symbol: str | None) -> None:
+    unit = unit_of(field)
+
+    assert (unit.DisplayName.Text if unit is not None else None) == symbol
+
+
+def test_unit_codes_are_those_of_unece() -> None:
+    metre = unit_of("x_m")
+
+    assert metre is not None
+    assert metre.UnitId == 5067858  # "MTR" as OPC UA counts it (Part 8, table of UNECE units)
+
+
+def test_every_field_of_the_topics_is_a_variable() -> None:
+    paths = {leaf.path for leaf in leaves()}
+
+    for topic in TOPICS:
+        for field in topics.BY_NAME[topic].message.DESCRIPTOR.fields:
+            assert any(path.startswith(f"{topic}/{field.name}") for path in paths), (topic, field.name)
+    assert {"state/x_m", "state/x_m/min", "state/x_m/max", "twin/divergence/x_m.error/max"} <= paths
+    assert "status/latency_p99_ms/max" not in paths
+
+
+def test_descriptions_are_the_comments_of_the_proto() -> None:
+    about = {leaf.path: leaf.about for leaf in leaves()}
+
+    assert about["state/u_c_v"] == "in force from this tick to the next"
+    assert about["twin/state/sync"] == '"in-step" | "settling" | "out-of-step"'
+
+
+def test_every_kind_of_command_is_a_method() -> None:
+    by_act = {method.act: method for method in methods()}
+
+    assert set(by_act) == {field.name for field in pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields}
+    assert by_act["set_reference"].name == "SetReference"
+    assert [a.name for a in by_act["set_gains"].arguments] == ["law", "gains", "i_0_a", "x_0_m", "u_0_v"]
+    assert by_act["stop"].arguments == ()
+
+
+@pytest.mark.parametrize(
+    ("state", "code"),
+    [
+        ("live", S.Good),
+        ("silent", S.UncertainLastUsableValue),
+        ("handshake", S.UncertainLastUsableValue),
+        ("absent", S.BadNoCommunication),
+        ("no-gateway", S.BadNoCommunication),
+    ],
+)
+def test_the_link_decides_the_status(state: str, code: int) -> None:
+    assert quality.of_board(Link(state=state, reason="", age_s=1.0)) == code
+
+
+def test_a_twin_is_good_in_step_only() -> None:
+    found = [quality.of_twin(0.1, "in-step"), quality.of_twin(0.1, "settling"), quality.of_twin(0.1, "out-of-step"),
+             quality.of_twin(1.0, "in-step"), quality.of_twin(60.0, "in-step")]  # fmt: skip
+
+    assert found == [S.Good, S.UncertainSubNormal, S.UncertainSubNormal, S.UncertainLastUsableValue,
+                     S.BadNoCommunication]  # fmt: skip
+
+
+def test_a_signal_is_no_better_than_its_sensor() -> None:
+    x, i_c = (next(leaf for leaf in leaves() if leaf.path == f"state/{name}") for name in ("x_m", "i_c_a"))
+
+    assert quality.of_signal(S.Good, x, 0, sensor_fault=True) == S.BadSensorFailure
+    assert quality.of_signal(S.Good, i_c, 0, sensor_fault=True) == S.Good
+    assert quality.of_signal(S.Good, x, Flag.POSITION_RANGE, sensor_fault=False) == S.UncertainSensorNotAccurate
+    assert quality.of_signal(S.Good, i_c, Flag.CURRENT_RANGE, sensor_fault=False) == S.UncertainSensorNotAccurate
+    assert quality.of_signal(S.BadNoCommunication, x, 0, sensor_fault=True) == S.BadNoCommunication
+    assert quality.of_extreme(S.Good, "high", 3) == S.UncertainSubNormal
+    assert quality.of_extreme(S.Good, "last", 3) == S.Good
+
+
+def test_stamps_are_the_boards_ticks_without_the_jitter_of_the_link() -> None:
+    clock, start_ns = StampClock(), 1_700_000_000_000_000_000
+
+    stamps = [
+        clock.stamp(session=1, t_s=n * 0.02, host_time_ns=start_ns + n * 20_000_000 + (n * 7 % 5) * 300_000)
+        for n in range(500)
+    ]
+
+    steps = [b - a for a, b in pairwise(stamps)]
+    assert max(abs(step - 20_000_000) for step in steps[10:]) < 20_000  # arrivals jitter by 1.2 ms
+
+
+@given(st.lists(st.tuples(st.integers(1, 3), st.floats(0, 1e6), st.integers(1, 2**60)), max_size=50))
+def test_stamps_always_rise(samples: list[tuple[int, float, int]]) -> None:
+    clock = StampClock()
+
+    stamps = [clock.stamp(session=s, t_s=t, host_time_ns=h) for s, t, h in samples]
+
+    assert all(a < b for a, b in pairwise(stamps))
+
+
+def history_of(rows: int, kept: int) -> RingHistory:
+    track, history = Track(1, kept), RingHistory()
+    history.add(NODE, track, 0)
+    for n in range(rows):
+        track.append(n * 1_000_000_000, [float(n)], [S.Good if n % 10 else S.BadNoCommunication])
+    return history
+
+
+def at(second: float) -> datetime:
+    return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=second)
+
+
+def read(history: RingHistory, start: float | None, end: float | None, count: int = 0) -> list[float | None]:
+    values, _ = asyncio.run(
+        history.read_node_history(NODE, None if start is None else at(start), None if end is None else at(end), count)
+    )
+    return [value.Value.Value for value in values]
+
+
+def test_history_is_the_newest_rows_between_two_times() -> None:
+    history = history_of(25, 8)
+
+    assert read(history, 19, 22) == [19.0, None, 21.0, 22.0]  # 20: no communication, and it says so
+    assert read(history, 1, 60) == [17.0, 18.0, 19.0, None, 21.0, 22.0, 23.0, 24.0]
+    assert read(history, 23, 21) == [23.0, 22.0, 21.0]
+    assert read(history, None, None, 3) == [24.0, 23.0, 22.0]
+    assert read(history, 100, 200) == []
+
+
+def test_a_long_history_is_read_in_pages() -> None:
+    history = history_of(30, 30)
+
+    values, more = asyncio.run(history.read_node_history(NODE, at(1), at(29), 5))
+    assert more is not None
+    rest, end = asyncio.run(history.read_node_history(NODE, more, at(29), 0))
+
+    assert len(values) + len(rest) == 29
+    assert end is None
+
+
+@pytest.mark.parametrize(
+    ("reason", "code"),
+    [
+        ("out-of-range", S.BadOutOfRange),
+        ("slew", S.BadOutOfRange),
+        ("wrong-mode", S.BadInvalidState),
+        ("fault-active", S.BadInvalidState),
+        ("not-allowed", S.BadUserAccessDenied),
+        ("flood", S.BadTooManyOperations),
+        ("link-down", S.BadNoCommunication),
+        ("not-delivered", S.BadNoCommunication),
+        ("timed-out", S.BadTimeout),
+        ("a reason of a later gateway", S.BadRequestNotAllowed),
+    ],
+)
+def test_every_refusal_has_its_status(reason: str, code: int) -> None:
+    assert code_of(pb.CommandReply(accepted=False, reason=reason)) == code
+    assert code_of(pb.CommandReply(accepted=True)) == S.Good
+
+
+def double(value: object) -> ua.DataValue:
+    return ua.DataValue(ua.Variant(value))
+
+
+def test_a_written_value_becomes_a_command_or_says_why_not() -> None:
+    assert written("x_ref_m", double(3e-3)) == (
+        "set_reference",
+        pb.Command(set_reference=pb.SetReference(x_ref_m=3e-3)),
+    )
+    assert written("mode", double(2)) == ("set_mode", pb.Command(set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP)))
+    assert written("mode", double(7)) == S.BadOutOfRange
+    assert written("x_ref_m", double("high")) == S.BadTypeMismatch
+    assert written("x_ref_m", double(True)) == S.BadTypeMismatch
+    assert written("x_ref_m", double(math.nan)) == S.BadOutOfRange
+
+
+def test_a_call_becomes_a_command_or_says_which_argument_is_wrong() -> None:
+    by_act = {method.act: method for method in methods()}
+    gains = [ua.Variant(0), ua.Variant([0.5, 1700.0, 17.7, -17600.0]), ua.Variant(0.6), ua.Variant(2.85e-3)]
+
+    good = called(by_act["set_gains"], [*gains, ua.Variant(2.1)])
+    few = called(by_act["set_gains"], gains)
+    wrong = called(by_act["set_stream"], [ua.Variant("every")])
+    negative = called(by_act["set_stream"], [ua.Variant(-1)])
+
+    assert isinstance(good, pb.Command)
+    assert list(good.set_gains.gains) == [0.5, 1700.0, 17.7, -17600.0]
+    assert few == (S.BadArgumentsMissing, [])
+    assert wrong == (S.BadInvalidArgument, [S.BadTypeMismatch])
+    assert negative == (S.BadInvalidArgument, [S.BadOutOfRange])

@@ -1,0 +1,178 @@
+"""The OPC UA server judged by node-opcua, which shares no code with it; board, gateway and all are processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.access.folder import SecurityFolder
+from gateway.access.roles import Role
+from gateway.access.users import User
+from tests.gateway.gateway_peers import free_port, wait_for
+
+HERE = Path(__file__).parent / "node_opcua"
+ROOT = Path(__file__).parents[3]
+PASSWORDS = {"vera": "look-only-1", "otto": "fly-it-now-2"}
+VARIABLES = [
+    *(f"state/{name}{end}" for name in ("i_c_a", "x_m", "u_c_v", "x_ref_m") for end in ("", "/min", "/max")),
+    *(f"state/{n}" for n in ("tick", "sequence", "t_s", "mode", "host_time_ns", "flags", "session", "lost_before")),
+]
+INTERVAL_MS = 20.0
+
+pytestmark = pytest.mark.timeout(300)  # the packages of npm, five processes, a minute
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plant:
+    url: str
+    folder: Path
+    node: Path  # where the judge and its packages are
+
+
+@pytest.fixture(scope="module")
+def node(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with judge.mjs and its packages."""
+    npm = shutil.which("npm")
+    if npm is None or shutil.which("node") is None:
+        pytest.skip("node and npm are not installed")
+    folder = tmp_path_factory.mktemp("node_opcua")
+    for name in ("package.json", "judge.mjs"):
+        shutil.copy(HERE / name, folder / name)
+    command = [npm, "install", "--no-package-lock", "--no-audit", "--no-fund", "--ignore-scripts"]
+    try:
+        installed = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=90, check=False)
+    except subprocess.TimeoutExpired:
+        pytest.skip("npm did not answer within 90 s")
+    if installed.returncode:
+        pytest.skip(f"the packages cannot be installed: {installed.stderr.strip()[-200:]}")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def plant(node: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
+    """`board51 emulate` and `board51 gateway --opcua --security`, as a user starts them."""
+    folder = tmp_path_factory.mktemp("opcua")
+    security = SecurityFolder(folder / "security")
+    security.init()
+    security.add_user(User(name="vera", role=Role.VIEWER), PASSWORDS["vera"])
+    security.add_user(User(name="otto", role=Role.OPERATOR), PASSWORDS["otto"])
+    bus, port = f"tcp/127.0.0.1:{free_port()}", free_port()
+    with ExitStack() as stack:
+        run(stack, folder, "emulate", "--pty", str(folder / "tty"))
+        wait_for((folder / "tty").exists, "pty", 30.0)
+        run(stack, folder, "gateway", "--board", f"rig1={folder / 'tty'}", "--listen", bus, "--security",
+            str(security.path), "--log-dir", str(folder / "logs"), "--opcua", f"127.0.0.1:{port}",
+            BOARD51_OPCUA_RATE="50")  # fmt: skip
+        wait_for(lambda: "rig1 is served" in said(folder), "OPC UA server", 90.0)
+        mode = board51("send", "rig1", "mode", "closed-loop", "--connect", bus, "--identity",
+                       str(security.identity_path("otto")))  # fmt: skip
+        assert mode.returncode == 0, mode.stdout + mode.stderr
+        yield Plant(url=f"opc.tcp://127.0.0.1:{port}/board51/", folder=security.path, node=node)
+
+
+def run(stack: ExitStack, folder: Path, *words: str, **environment: str) -> None:
+    errors = stack.enter_context((folder / f"{words[0]}.log").open("wb"))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "board51", *words],
+        cwd=ROOT,
+        stderr=errors,
+        stdout=errors,
+        env={**os.environ, **environment},
+    )
+    stack.callback(process.wait, 20)
+    stack.callback(process.terminate)
+
+
+def said(folder: Path) -> str:
+    return (folder / "gateway.log").read_text()
+
+
+def board51(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "board51", *words], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+
+
+def judge(plant: Plant, tmp_path: Path, name: str, *, seconds: float = 1.0, **options: Any) -> dict[str, Any]:
+    identity = plant.folder / "identities" / name
+    asked = {
+        "url": plant.url, "board": "rig1", "namespaceUri": "urn:board51:board51", "seconds": seconds,
+        "variables": VARIABLES, "policy": "Basic256Sha256", "certificate": str(identity / "certificate.pem"),
+        "key": str(identity / "key.pem"), "user": name, "password": PASSWORDS[name], "pki": str(tmp_path / "pki"),
+        "ca": str(plant.folder / "ca.pem"),
+        "within": 2.9e-3, "outside": 9e-3, **options,
+    }  # fmt: skip
+    done = subprocess.run(
+        ["node", "judge.mjs", json.dumps(asked)],
+        cwd=plant.node,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=seconds + 120,
+    )
+    print(done.stderr)
+    assert done.returncode == 0, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def expect_no_loss(found: dict[str, Any]) -> None:
+    """Each interval of the board's time came: a lost one would show as 40 ms.
+
+    How many came per second of this machine's time is the emulated board's affair on a busy machine; half of them at
+    least, or nothing was tested.
+    """
+    assert len(found["series"]) == 20
+    for path, series in found["series"].items():
+        assert series["longest_ms"] < 1.5 * INTERVAL_MS, (path, series)
+        assert series["count"] > 0.5 * found["seconds"] * 1000.0 / INTERVAL_MS, (path, series)
+        assert set(series["statuses"]) == {"Good"}, (path, series)
+
+
+def test_an_operator_sees_20_variables_at_50_hz_and_commands_within_limits(plant: Plant, tmp_path: Path) -> None:
+    found = judge(plant, tmp_path, "otto", seconds=4.0)
+
+    assert found["browsed"] > 300
+    assert sorted(found["endpoints"]) == [
+        "Aes128_Sha256_RsaOaep SignAndEncrypt", "Aes256_Sha256_RsaPss SignAndEncrypt", "Basic256Sha256 SignAndEncrypt",
+    ]  # fmt: skip
+    assert found["EngineeringUnits"]["displayName"]["text"] == "m"
+    expect_no_loss(found)
+    assert found["writes"] == {
+        "within": "Good", "outside": "BadOutOfRange", "wrong type": "BadTypeMismatch", "measured": "BadNotWritable",
+    }  # fmt: skip
+    assert found["calls"]["SetReference"]["code"] == "BadOutOfRange"
+    assert found["calls"]["SetGains"]["code"] == "BadUserAccessDenied"
+    assert found["calls"]["Stop"]["code"] == "Good"
+    assert found["history"] > 30
+
+
+def test_a_viewer_is_refused_every_command(plant: Plant, tmp_path: Path) -> None:
+    found = judge(plant, tmp_path, "vera", policy="Aes256_Sha256_RsaPss")
+
+    assert found["writes"]["within"] == "BadUserAccessDenied"
+    assert {call["code"] for call in found["calls"].values()} == {"BadUserAccessDenied"}
+    assert found["series"]["state/x_m"]["count"] > 0
+
+
+def test_a_wrong_password_gets_no_session(plant: Plant, tmp_path: Path) -> None:
+    found = judge(plant, tmp_path, "otto", password="guess", policy="Aes128_Sha256_RsaOaep")
+
+    assert "BadUserAccessDenied" in found["refused"]
+
+
+@pytest.mark.slow
+def test_20_variables_at_50_hz_for_a_minute_without_loss(plant: Plant, tmp_path: Path) -> None:
+    found = judge(plant, tmp_path, "otto", seconds=60.0)
+
+    expect_no_loss(found)

@@ -1,0 +1,387 @@
+"""The OPC UA server over a real bus, asked by asyncua's client: values, truth of status, history, alarms, commands."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from asyncua import ua
+
+from gateway.access.roles import Role
+from gateway.views.opcua.server import Settings
+from protocol.bus import board51_pb2 as pb
+from protocol.errors import ServiceError
+from protocol.wire.messages import Flag
+from tests.gateway.views.bus_peers import played_gateway
+from tests.gateway.views.opcua_peers import Peer, Served, peer, ticking, until
+
+S = ua.StatusCodes
+DOUBLE = ua.VariantType.Double
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Served]:
+    """At 50 Hz; anonymous clients may command, as on a loopback that somebody opened."""
+    with played_gateway() as gateway:
+        gateway.answer = answer
+        with Served(gateway, Settings(port=0, rate_hz=50.0, anonymous=Role.ENGINEER)) as served:
+            yield served
+
+
+def answer(_: str, command: pb.Command) -> pb.CommandReply:
+    """As a gateway with limits of 0.3 to 5.2 mm."""
+    if command.WhichOneof("what") == "set_reference" and not 0.3e-3 <= command.set_reference.x_ref_m <= 5.2e-3:
+        text = "x_ref is outside the gateway's limits."
+        return pb.CommandReply(id=command.id, refused_by="gateway", reason="out-of-range", text=text)
+    if command.WhichOneof("what") == "capture":
+        return pb.CommandReply(id=command.id, refused_by="gateway", reason="wrong-mode", text="not now")
+    return pb.CommandReply(id=command.id, accepted=True, tick=1234)
+
+
+class Kept:
+    """Keeps what a subscription brings."""
+
+    def __init__(self) -> None:
+        self.values: dict[str, list[ua.DataValue]] = {}
+        self.events: list[Any] = []
+
+    def datachange_notification(self, node: Any, _: Any, data: Any) -> None:
+        self.values.setdefault(node.nodeid.Identifier, []).append(data.monitored_item.Value)
+
+    def event_notification(self, event: Any) -> None:
+        self.events.append(event)
+
+    def status_change_notification(self, status: Any) -> None:
+        pass
+
+
+async def subscribe(client: Peer, kept: Kept, *paths: str, interval_ms: float = 20.0) -> Any:
+    subscription = await client.client.create_subscription(interval_ms, kept)
+    await subscription.subscribe_data_change([client.node(path) for path in paths], queuesize=100)
+    return subscription
+
+
+def test_a_board_has_values_units_ranges_and_descriptions(server: Served) -> None:
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            x = await client.await_status("units/state/x_m", S.Good)
+            unit, span = await client.read("units/state/x_m/EngineeringUnits"), None
+            span = await until(lambda: known(client, "units/state/x_ref_m/EURange"), "range")
+            node = client.node("units/state/u_c_v")
+            mode = await client.read("units/state/mode")
+            words = await client.read("units/state/mode/EnumStrings")
+
+            assert x.Value.Value == 3e-3
+            assert abs(x.SourceTimestamp - datetime.now(UTC)) < timedelta(seconds=2)
+            assert unit.Value.Value.DisplayName.Text == "m"
+            assert (span.Low, span.High) == (0.3e-3, 5.2e-3)
+            assert (await node.read_description()).Text == "in force from this tick to the next"
+            assert (await node.read_type_definition()).Identifier == ua.ObjectIds.AnalogItemType
+            assert words.Value.Value[mode.Value.Value].Text == "MODE_CLOSED_LOOP"
+            assert list((await client.read("units/parameters/gains")).Value.Value) == [0.49, 1700.0, 17.7, -17600.0]
+            assert (await client.read("units/twin/state/x_m")).StatusCode.value == S.BadWaitingForInitialData
+            names = [child.nodeid.Identifier for child in await client.node("units").get_children()]
+            assert {"units/state", "units/twin", "units/SetReference", "units/Stop"} <= set(names)
+
+    with ticking(server.gateway, "units"):
+        asyncio.run(ask())
+
+
+async def known(client: Peer, path: str) -> Any:
+    value = (await client.read(path)).Value
+    return None if value is None else value.Value
+
+
+def test_a_spike_of_one_tick_is_in_the_maximum(server: Served) -> None:
+    kept = Kept()
+
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            await client.await_status("spike/state/x_m", S.Good)
+            await subscribe(client, kept, "spike/state/x_m", "spike/state/x_m/max", "spike/state/x_m/min")
+            await asyncio.sleep(0.2)
+            server.gateway.state("spike", x_m=4.5e-3)
+
+            async def seen() -> bool | None:
+                maxima = [v.Value.Value for v in kept.values.get("spike/state/x_m/max", [])]
+                return True if 4.5e-3 in maxima else None
+
+            await until(seen, "spike", 3.0)
+
+    with ticking(server.gateway, "spike"):
+        asyncio.run(ask())
+
+    assert {v.Value.Value for v in kept.values["spike/state/x_m/min"]} == {3e-3}
+
+
+def test_a_subscriber_at_50_hz_gets_every_interval_in_order(server: Served) -> None:
+    kept, paths = Kept(), [f"fast/state/{name}" for name in ("i_c_a", "x_m", "u_c_v")]
+
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            await client.await_status("fast/state/x_m", S.Good)
+            await subscribe(client, kept, *paths)
+            await asyncio.sleep(2.0)
+
+    with ticking(server.gateway, "fast", values=lambda n: {"i_c_a": n * 1e-6, "x_m": n * 1e-6, "u_c_v": n * 1e-6}):
+        asyncio.run(ask())
+
+    for path in paths:
+        values = [v.Value.Value for v in kept.values[path]]
+        ticks = [round(v * 1e6) for v in values]
+        assert len(values) > 20  # ticks of 2 ms come every 4 ms here: 25 intervals of 10 ticks per second
+        assert all(b - a == 10 for a, b in pairwise(ticks[1:])), ticks
+
+
+def test_the_status_tells_the_truth_about_a_board_that_falls_silent(server: Served) -> None:
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            with ticking(server.gateway, "silent"):
+                await client.await_status("silent/state/x_m", S.Good)
+            stale = await client.await_status("silent/state/x_m", S.UncertainLastUsableValue, 2.0)
+            assert stale.Value.Value == 3e-3
+            server.gateway.status("silent", link="absent")
+            gone = await client.await_status("silent/state/x_m", S.BadNoCommunication, 2.0)
+            assert gone.Value.Value is None
+            assert (await client.read("silent/link/state")).Value.Value == "absent"
+            with ticking(server.gateway, "silent"):
+                await client.await_status("silent/state/x_m", S.Good)
+
+    asyncio.run(ask())
+
+
+def test_a_subscriber_is_told_of_a_loss_within_a_second(server: Served) -> None:
+    kept = Kept()
+
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            with ticking(server.gateway, "lost"):
+                await client.await_status("lost/state/x_m", S.Good)
+                await subscribe(client, kept, "lost/state/x_m")
+                await asyncio.sleep(0.3)
+            end_s = time.monotonic()
+
+            async def told() -> bool | None:
+                newest = kept.values["lost/state/x_m"][-1]
+                return True if newest.StatusCode.value == S.UncertainLastUsableValue else None
+
+            await until(told, "status", 2.0)
+            assert time.monotonic() - end_s < 1.0
+
+    asyncio.run(ask())
+
+
+def test_faults_and_clipping_are_in_the_status_of_the_signal(server: Served) -> None:
+    flags = [0]
+
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            await client.await_status("faulty/state/x_m", S.Good)
+            flags[0] = Flag.POSITION_RANGE
+            await client.await_status("faulty/state/x_m", S.UncertainSensorNotAccurate)
+            assert (await client.read("faulty/state/i_c_a")).StatusCode.value == S.Good
+            fault = pb.Event(name="sensor-fault", severity="fault", tick=server.gateway.tick, session=1)
+            flags[0] = Flag.FAULT
+            server.gateway.send("event", fault, "faulty")
+            await client.await_status("faulty/state/x_m", S.BadSensorFailure)
+            assert (await client.read("faulty/alarms/active")).Value.Value == 1
+            flags[0] = 0
+            await client.await_status("faulty/state/x_m", S.Good)
+
+    with ticking(server.gateway, "faulty", values=lambda _: {"flags": flags[0]}):
+        asyncio.run(ask())
+
+
+def test_a_twin_out_of_step_is_uncertain(server: Served) -> None:
+    def twin(sync: str) -> None:
+        state = pb.TwinState(tick=server.gateway.tick, session=1, x_m=3e-3, sync=sync)
+        server.gateway.send("twin/state", state, "stepping")
+
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            await client.await_status("stepping/state/x_m", S.Good)
+
+            async def with_sync(sync: str, code: int) -> ua.DataValue | None:
+                twin(sync)
+                value = await client.read("stepping/twin/state/x_m")
+                return value if value.StatusCode.value == code else None
+
+            await until(lambda: with_sync("in-step", S.Good), "good twin")
+            await until(lambda: with_sync("out-of-step", S.UncertainSubNormal), "uncertain twin")
+
+    with ticking(server.gateway, "stepping"):
+        asyncio.run(ask())
+
+
+def test_the_last_minutes_can_be_read(server: Served) -> None:
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            await client.await_status("past/state/x_m", S.Good)
+            await asyncio.sleep(1.2)
+            node, end = client.node("past/state/x_m"), datetime.now(UTC) - timedelta(seconds=0.2)
+            start = end - timedelta(seconds=0.8)
+            values = await node.read_raw_history(start, end)
+            highest = await client.node("past/state/x_m/max").read_raw_history(start, end)
+
+            assert len(values) >= 10
+            assert len(highest) == len(values)
+            stamps = [v.SourceTimestamp for v in values]
+            assert stamps == sorted(stamps)
+            assert (await node.read_attribute(ua.AttributeIds.Historizing)).Value.Value is True
+
+    with ticking(server.gateway, "past"):
+        asyncio.run(ask())
+
+
+def test_setpoints_are_commands_and_refusals_are_status_codes(server: Served) -> None:
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            await client.await_status("rig/state/x_m", S.Good)
+            within = await client.write("rig/setpoint/x_ref_m", ua.Variant(2e-3, DOUBLE))
+            outside = await client.write("rig/setpoint/x_ref_m", ua.Variant(9e-3, DOUBLE))
+            mode = await client.write("rig/setpoint/mode", ua.Variant(2, ua.VariantType.Int32))
+            measured = await client.write("rig/state/x_m", ua.Variant(2e-3, DOUBLE))
+            unknown = await client.write("rig/nothing", ua.Variant(2e-3, DOUBLE))
+
+            assert (within, outside, mode) == (S.Good, S.BadOutOfRange, S.Good)
+            assert (measured, unknown) == (S.BadNotWritable, S.BadNodeIdUnknown)
+            assert (await client.read("rig/state/x_m")).Value.Value == 3e-3
+
+    server.gateway.commands.clear()
+    with ticking(server.gateway, "rig"):
+        asyncio.run(ask())
+
+    sent = [command for _, command in server.gateway.commands]
+    assert [c.WhichOneof("what") for c in sent] == ["set_reference", "set_reference", "set_mode"]
+    assert [c.set_reference.x_ref_m for c in sent[:2]] == [2e-3, 9e-3]
+    assert {c.who for c in sent} == {"anonymous"}
+
+
+def test_methods_are_commands_and_say_why_they_were_refused(server: Served) -> None:
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            await client.await_status("rig/state/x_m", S.Good)
+            stop = await client.call("rig", "Stop")
+            far = await client.call("rig", "SetReference", ua.Variant(9e-3, DOUBLE))
+            capture = await client.call("rig", "Capture", *[ua.Variant(v, DOUBLE) for v in (0.0, 1.0, 0.04, 0.004)])
+            few = await client.call("rig", "SetReference")
+            other = await client.call("rig", "Nothing")
+
+            assert (stop.StatusCode.value, stop.OutputArguments[3].Value) == (S.Good, 1234)
+            assert far.StatusCode.value == S.BadOutOfRange
+            assert [v.Value for v in far.OutputArguments[:3]] == [
+                False, "out-of-range", "x_ref is outside the gateway's limits.",
+            ]  # fmt: skip
+            assert capture.StatusCode.value == S.BadInvalidState
+            assert few.StatusCode.value == S.BadArgumentsMissing
+            assert other.StatusCode.value == S.BadMethodInvalid
+            record = pb.CommandRecord(
+                command=pb.Command(who="eva", stop=pb.Stop()), reply=pb.CommandReply(reason="slew")
+            )
+            server.gateway.send("command/record", record, "rig")
+
+            async def reason() -> str | None:
+                value = (await client.read("rig/last_command/reason")).Value.Value
+                return "slew" if value == "slew" else None
+
+            await until(reason, "reason of the last command")
+
+    with ticking(server.gateway, "rig"):
+        asyncio.run(ask())
+
+
+def test_no_gateway_is_no_communication(server: Served) -> None:
+    def silent(_: str, command: pb.Command) -> pb.CommandReply:
+        return pb.CommandReply(id=command.id, refused_by="link", reason="link-down", text="the board is not there")
+
+    async def ask() -> int:
+        async with peer(server.port) as client:
+            await client.await_status("rig/state/x_m", S.Good)
+            return (await client.call("rig", "Stop")).StatusCode.value  # type: ignore[no-any-return]
+
+    usual, server.gateway.answer = server.gateway.answer, silent
+    with ticking(server.gateway, "rig"):
+        code = asyncio.run(ask())
+    server.gateway.answer = usual
+
+    assert code == S.BadNoCommunication
+
+
+def test_alarms_are_conditions_that_can_be_acknowledged(server: Served) -> None:
+    kept = Kept()
+
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            await client.await_status("alarming/state/x_m", S.Good)
+            subscription = await client.client.create_subscription(50, kept)
+            await subscription.subscribe_alarms_and_conditions(evtypes=ua.ObjectIds.AlarmConditionType)
+            alarm = pb.Alarm(name="divergence-x", active=True, text="x is off", value=9.0)
+            server.gateway.send("twin/alarm", alarm, "alarming")
+
+            async def condition(acknowledged: bool) -> Any:
+                return next(
+                    (
+                        e
+                        for e in kept.events
+                        if getattr(e, "ConditionName", "") == "divergence-x"
+                        and getattr(e, "AckedState/Id") is acknowledged
+                    ),
+                    None,
+                )
+
+            came = await until(lambda: condition(False), "condition")
+            assert (getattr(came, "ActiveState/Id"), came.Retain, came.SourceName) == (True, True, "alarming")
+            assert came.Message.Text == "x is off"
+            assert came.Severity == 500
+            request = ua.CallMethodRequest()
+            request.ObjectId = ua.NodeId("alarming/alarm/divergence-x", client.namespace)
+            request.MethodId = ua.NodeId(ua.ObjectIds.AcknowledgeableConditionType_Acknowledge)
+            request.InputArguments = [ua.Variant(came.EventId), ua.Variant(ua.LocalizedText("seen"))]
+            done = (await client.client.uaclient.call([request]))[0]
+            assert done.StatusCode.is_good()
+            await until(lambda: condition(True), "acknowledged condition")
+            assert (await client.read("alarming/alarms/unacknowledged")).Value.Value == 0
+            again = await client.call("alarming", "Acknowledge", ua.Variant("divergence-x"))
+            assert again.StatusCode.value == S.BadConditionBranchAlreadyAcked
+
+    with ticking(server.gateway, "alarming"):
+        asyncio.run(ask())
+
+
+def test_a_client_that_wants_everything_at_1_ms_gets_a_bounded_service(server: Served) -> None:
+    kept = Kept()
+
+    async def ask() -> tuple[float, float]:
+        async with peer(server.port) as client:
+            await client.await_status("greedy/state/x_m", S.Good)
+            nodes, folders = list[Any](), [client.node("greedy")]
+            while folders:
+                for child in await folders.pop().get_children():
+                    folders.append(child)
+                    if await child.read_node_class() is ua.NodeClass.Variable:
+                        nodes.append(child)
+            subscription = await client.client.create_subscription(1, kept)
+            await subscription.subscribe_data_change(nodes)
+            start_s = time.monotonic()
+            async with peer(server.port) as other:  # somebody else is served meanwhile
+                await other.read("greedy/state/x_m")
+            return len(nodes), time.monotonic() - start_s
+
+    with ticking(server.gateway, "greedy"):
+        count, took_s = asyncio.run(ask())
+
+    assert count > 150
+    assert took_s < 3.0
+
+
+def test_a_port_in_use_is_said_in_one_line(server: Served) -> None:
+    with pytest.raises(ServiceError, match="cannot listen on") as said:
+        with Served(server.gateway, Settings(port=server.port)):
+            pass
+
+    assert "--listen" in str(said.value)

@@ -1,0 +1,69 @@
+"""The commands as a user meets them: what is wrong is said in one line, with exit code 2."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import board51
+from gateway.views.listen import address
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["opcua", "--listen", "0.0.0.0:4840"], "open to the network without protection"),
+        (["opcua", "--listen", "4840"], "not an address"),
+        (["opcua", "--listen", "localhost:99999"], "not an address"),
+        (["opcua", "--rate", "500"], "Give 10 .. 50"),
+        (["opcua", "--rate", "nan"], "Give 10 .. 50"),
+        (["opcua", "--history", "1e9"], "Give 10 .. 3600"),
+        (["opcua", "--security", "/nowhere"], "cannot be read"),
+        (["opcua", "--listen", "0.0.0.0:4840", "--insecure", "--anonymous", "operator"], "everybody in the network"),
+        (["opcua", "--site", "a/b"], "is not a name"),
+        (["foxglove", "--listen", "0.0.0.0:8765"], "ssh"),
+        (["foxglove", "--board", "Rig 1", "--print-layout"], "is not a name"),
+        (["gateway", "--board", "rig=/dev/null", "--opcua", "nowhere"], "--opcua 'nowhere' is not an address"),
+        (["gateway", "--board", "rig=/dev/null", "--foxglove", "0.0.0.0:1"], "without protection"),
+    ],
+)
+def test_a_wrong_option_is_one_line_and_exit_code_2(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = board51.main(words)
+
+    errors = capsys.readouterr().err
+    assert code == 2
+    assert said in errors
+    assert errors.count("\n") == 1
+
+
+def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in ("opcua", "foxglove"):
+        with pytest.raises(SystemExit):
+            board51.main([command, "--help"])
+        assert f"board51 {command}" in capsys.readouterr().out.partition("examples:")[2]
+
+
+def test_a_layout_is_printed_for_the_board_that_was_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    assert board51.main(["foxglove", "--print-layout", "--site", "lab", "--board", "rig7"]) == 0
+
+    printed = capsys.readouterr().out
+    assert "lab/rig7/state" in printed
+    assert "board51/rig1" not in printed
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [("127.0.0.1:4840", ("127.0.0.1", 4840)), ("[::1]:1", ("::1", 1)), ("scada.plant:4840", ("scada.plant", 4840))],
+)
+def test_an_address_is_host_and_port(text: str, meant: tuple[str, int]) -> None:
+    assert address(text) == meant
+
+
+def test_the_shipped_page_names_what_exists() -> None:
+    page = (Path(board51.__file__).parent / "gateway" / "views" / "README.md").read_text()
+
+    assert "board51 opcua" in page
+    assert all(word in page for word in ("Ignition", "Node-RED", "Grafana", "PlotJuggler", "zenoh"))
