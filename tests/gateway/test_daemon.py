@@ -357,7 +357,10 @@ def test_the_printed_configuration_is_one_that_passes_the_check(tmp_path: Path) 
 def test_a_signal_ends_it_cleanly_and_moves_nothing(number: signal.Signals, tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with Emulator() as emulator:
-        arguments = ["--board", f"rig={emulator.urls[0]}", "--listen", endpoint, "--log-dir", str(tmp_path)]
+        # Not a second, as by default: the next gateway may take longer to come on a busy machine.
+        board = f'[[board]]\nname = "rig"\nport = "{emulator.urls[0]}"\nhost_loss_timeout_s = 30.0\n'
+        (tmp_path / "gateway.toml").write_text(board)
+        arguments = ["--config", str(tmp_path / "gateway.toml"), "--listen", endpoint, "--log-dir", str(tmp_path)]
         gateway = subprocess.Popen(
             [sys.executable, "-m", "board51", "gateway", *arguments], stderr=subprocess.PIPE, text=True
         )
