@@ -12,8 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from twin.diagnose.estimate import Criterion, Fit
+from twin.diagnose.estimate import Fit
 from twin.diagnose.floor import Floor
+from twin.diagnose.likelihood import Criterion
 from twin.identify.innovations import FLIES
 from twin.identify.whiteness import whiteness
 

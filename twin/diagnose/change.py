@@ -20,13 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.diagnose.adequacy import adequate
-from twin.diagnose.estimate import PASSES, Criterion, Theta, climb, derivative_step, inverse, moved
+from twin.diagnose.estimate import PASSES, climb, inverse
 from twin.diagnose.filter import OUT_COLUMNS
 from twin.diagnose.floor import Floor
+from twin.diagnose.likelihood import Criterion
 from twin.diagnose.probes import probes_of
 from twin.diagnose.result import Finding
 from twin.diagnose.screen import probed
 from twin.diagnose.select import Selection, select, stand_ins
+from twin.diagnose.theta import Theta, derivative_step, moved
 from twin.identify.innovations import information
 from twin.identify.record import BoolArray, FloatArray, Record, runs
 from twin.model.causes.cause import Cause

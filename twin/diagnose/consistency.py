@@ -16,7 +16,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from twin.diagnose.estimate import Criterion, Fit, parameter_of, unit_of
+from twin.diagnose.estimate import Fit
+from twin.diagnose.likelihood import Criterion
+from twin.diagnose.theta import parameter_of, unit_of
 from twin.identify.innovations import FOLLOWS, information
 from twin.identify.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME

@@ -26,24 +26,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from protocol.campaign import Controller
-from twin.diagnose.estimate import (
-    NOISES,
-    PARAMETERS,
-    STOPS,
-    Criterion,
-    Fit,
-    derivative_step,
-    inverse,
-    moved,
-)
+from twin.diagnose.estimate import Fit, inverse
 from twin.diagnose.evidence import Evidence, gather
 from twin.diagnose.filter import RESTS_HIGH, RESTS_LOW
+from twin.diagnose.likelihood import Criterion
 from twin.diagnose.measurements import measurement_for
 from twin.diagnose.menu import MENU, Item, schedule_of, sentence
 from twin.diagnose.operating import lift_off_input
 from twin.diagnose.playback import converters_of
 from twin.diagnose.select import MARGIN, Trial
 from twin.diagnose.synthetic import input_limit, simulate
+from twin.diagnose.theta import NOISES, PARAMETERS, STOPS, derivative_step, moved
 from twin.identify.innovations import information
 from twin.identify.record import FloatArray, Record
 

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.diagnose.estimate import FLOORS, Criterion, Theta
 from twin.diagnose.evidence import noise_error, sensor_noise
+from twin.diagnose.likelihood import Criterion
+from twin.diagnose.theta import FLOORS, Theta
 from twin.identify.innovations import USE_X
 from twin.identify.record import FloatArray
 

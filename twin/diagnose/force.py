@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from protocol.campaign import Plant
 from twin.compiled import Packed, kernel
-from twin.diagnose.estimate import Theta
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.filter import OUT_COLUMNS, run_extended
 from twin.diagnose.regimes import Blocks, Estimate, by_edges, estimate, even_edges, means, shared_edges, solid
+from twin.diagnose.theta import Theta
 from twin.identify.innovations import FLIES, FOLLOWS, USE_I, USE_X
 from twin.identify.record import FloatArray
 from twin.model.causes import periodic_disturbance, position_sensor_lag

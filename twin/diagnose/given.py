@@ -10,8 +10,8 @@ from dataclasses import replace
 
 from protocol.campaign import Plant
 from protocol.errors import DataError
-from twin.diagnose.estimate import PARAMETERS, Theta
 from twin.diagnose.measure import Gain
+from twin.diagnose.theta import PARAMETERS, Theta
 from twin.model.parameters import Model
 
 SAME = 0.01  # relative: a balance or a caliper errs by less

@@ -16,11 +16,11 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from protocol.campaign import Plant
-from twin.diagnose.estimate import FLOORS, Theta
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.floor import Floor
 from twin.diagnose.horizon import predict_ahead
 from twin.diagnose.phase import has_phase, predict_in_phase
+from twin.diagnose.theta import FLOORS, Theta
 from twin.identify.innovations import FLIES
 from twin.identify.record import FloatArray
 from twin.model.extended import STATES, X, advance, magnetic_force, position_of_reading

@@ -6,9 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 
 from protocol.campaign import Campaign
-from twin.diagnose.estimate import PARAMETERS, Fit
+from twin.diagnose.estimate import Fit
 from twin.diagnose.floor import Floor
 from twin.diagnose.result import fit_parameters
+from twin.diagnose.theta import PARAMETERS
 from twin.identify.record import Record
 from twin.model import parameters as file
 

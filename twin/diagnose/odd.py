@@ -19,9 +19,11 @@ from protocol.errors import DataError
 from twin.diagnose.adequacy import adequate
 from twin.diagnose.begin import no_better, start_theta
 from twin.diagnose.consistency import MATTERS
-from twin.diagnose.estimate import BASE, FLOORS, PASSES, Criterion, Fit, climb, inverse, roused
+from twin.diagnose.estimate import PASSES, Fit, climb, inverse
 from twin.diagnose.evidence import gather
 from twin.diagnose.floor import Floor, expected
+from twin.diagnose.likelihood import Criterion
+from twin.diagnose.theta import BASE, FLOORS, roused
 from twin.identify.innovations import FLIES, information
 from twin.identify.record import runs
 

@@ -18,7 +18,7 @@ from scipy.linalg import LinAlgError, solve_discrete_are
 from protocol.campaign import Controller, OperatingPoint, Plant
 from twin.control import LawNumbers
 from twin.design.gains import LARGEST_U_SHARE, LARGEST_X_SHARE, TIME_CONSTANTS, augmented
-from twin.diagnose.estimate import Theta
+from twin.diagnose.theta import Theta
 from twin.identify.lawcheck import WIDE_V, numbers_of
 from twin.model.causes import current_limit
 from twin.model.extended import (

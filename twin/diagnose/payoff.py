@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.diagnose.estimate import Criterion, Theta
 from twin.diagnose.horizon import predict_ahead
+from twin.diagnose.likelihood import Criterion
 from twin.diagnose.phase import has_phase
+from twin.diagnose.theta import Theta
 
 HORIZON_S = 0.02
 _FEWEST = 200  # predictions

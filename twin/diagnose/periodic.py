@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnose.estimate import Criterion, Fit, Theta, climb
+from twin.diagnose.estimate import Fit, climb
+from twin.diagnose.likelihood import Criterion
+from twin.diagnose.theta import Theta
 from twin.identify.innovations import FLIES
 from twin.identify.record import FloatArray, runs
 from twin.model.causes import periodic_disturbance

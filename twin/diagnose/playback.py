@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from protocol.campaign import Plant
 from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, law
-from twin.diagnose.estimate import Theta
 from twin.diagnose.filter import drive_over
 from twin.diagnose.operating import carrying_current
+from twin.diagnose.theta import Theta
 from twin.identify.record import FloatArray, Record
 from twin.model.causes import position_sensor_lag
 from twin.model.extended import I_C, SENSOR, Base, V, X, current_reading, position_reading

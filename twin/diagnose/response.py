@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from protocol.campaign import Controller, Plant
-from twin.diagnose.estimate import FLOORS, Theta
 from twin.diagnose.floor import Floor
 from twin.diagnose.synthetic import resimulate
+from twin.diagnose.theta import FLOORS, Theta
 from twin.identify.record import FloatArray, Record
 from twin.validate.loop import LoopRun
 from twin.validate.steps import Compared, compare_steps, responses

@@ -7,11 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from twin.diagnose.estimate import Fit, Theta
+from twin.diagnose.estimate import Fit
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.floor import Floor
 from twin.diagnose.measure import Gain
 from twin.diagnose.select import Selection
+from twin.diagnose.theta import Theta
 from twin.model.parameters import Model, Parameter
 
 Verdict = Literal["causes-found", "model-adequate", "unknown-cause"]

@@ -16,15 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnose.estimate import (
-    Criterion,
-    Theta,
-    coordinates_of,
-    derivative_step,
-    inverse,
-    moved,
-)
+from twin.diagnose.estimate import inverse
+from twin.diagnose.likelihood import Criterion
 from twin.diagnose.probes import probes_of
+from twin.diagnose.theta import Theta, coordinates_of, derivative_step, moved
 from twin.identify.innovations import information
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause

@@ -17,11 +17,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from twin.diagnose import periodic
-from twin.diagnose.estimate import PASSES, Criterion, Fit, climb, coordinates_of, parameter_of, roused
+from twin.diagnose.estimate import PASSES, Fit, climb
 from twin.diagnose.floor import Floor
+from twin.diagnose.likelihood import Criterion
 from twin.diagnose.payoff import removed
 from twin.diagnose.screen import Score, screen
 from twin.diagnose.starts import beside, start_of
+from twin.diagnose.theta import coordinates_of, parameter_of, roused
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 

@@ -12,9 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.diagnose.estimate import PARAMETERS, Criterion, Theta, most_step, moved
+from twin.diagnose.likelihood import Criterion
 from twin.diagnose.probes import probes_of
 from twin.diagnose.screen import Score, probed
+from twin.diagnose.theta import PARAMETERS, Theta, most_step, moved
 from twin.identify.record import Record
 from twin.identify.start import amplifier_start
 from twin.model.causes.catalogue import BY_NAME

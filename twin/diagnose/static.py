@@ -22,7 +22,7 @@ from scipy.stats import f as f_distribution
 from protocol.campaign import Plant
 from protocol.errors import DataError
 from twin.compiled import Packed, kernel
-from twin.diagnose.estimate import Theta, parameter_of
+from twin.diagnose.theta import Theta, parameter_of
 from twin.identify.record import FloatArray, Record
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Vector

@@ -19,7 +19,6 @@ from scipy.stats import t as t_distribution
 
 from protocol.campaign import Campaign, Plant
 from protocol.errors import DataError
-from twin.diagnose.estimate import Theta
 from twin.diagnose.measurements import measurement_for
 from twin.diagnose.static import (
     AMPLIFIER,
@@ -38,6 +37,7 @@ from twin.diagnose.static import (
     rounding,
     standard_error,
 )
+from twin.diagnose.theta import Theta
 from twin.identify.record import FloatArray, Record
 from twin.model import parameters as file
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from protocol.campaign import Controller, Kind, Plant, Use
 from twin.control import LawNumbers, law
-from twin.diagnose.estimate import Theta
 from twin.diagnose.operating import at_rest, carrying_current, law_of, position_shown_as, settled_current
 from twin.diagnose.playback import Converters, converters_of, run, twelve_bits
+from twin.diagnose.theta import Theta
 from twin.identify.record import Capture, FloatArray, Record, intervals
 from twin.model.causes import lost_samples
 from twin.model.extended import (

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.campaign import Controller, OperatingPoint, Plant
-from twin.diagnose.estimate import BASE, Criterion, Fit, Theta, climb, coordinates_of
+from twin.diagnose.estimate import Fit, climb
 from twin.diagnose.evidence import gather
+from twin.diagnose.likelihood import Criterion
 from twin.diagnose.menu import MENU, Item, schedule_of
 from twin.diagnose.operating import at_rest, lift_off_input
 from twin.diagnose.screen import probed
 from twin.diagnose.synthetic import Schedule, simulate
+from twin.diagnose.theta import BASE, Theta, coordinates_of
 from twin.identify.record import Record
 from twin.model.causes.catalogue import BY_NAME
 

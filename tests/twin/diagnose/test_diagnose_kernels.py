@@ -11,11 +11,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.twin.identify.independent_plant import Ball, wandering
-from twin.diagnose.estimate import BASE, Criterion, Theta, climb, coordinates_of
+from twin.diagnose.estimate import climb
 from twin.diagnose.evidence import gather
+from twin.diagnose.likelihood import Criterion
 from twin.diagnose.measure import bootstrap
 from twin.diagnose.screen import screen
 from twin.diagnose.starts import start_of
+from twin.diagnose.theta import BASE, Theta, coordinates_of
 from twin.identify.fit import Likelihood, Point
 from twin.identify.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE, neutral

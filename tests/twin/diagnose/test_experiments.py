@@ -26,11 +26,13 @@ from tests.twin.diagnose.simulated_rig import (
 )
 from tests.twin.identify.emulated_campaign import Lab
 from twin.diagnose import experiments
-from twin.diagnose.estimate import Criterion, Fit, moved
+from twin.diagnose.estimate import Fit
 from twin.diagnose.experiments import ENOUGH_Z, Proposal, propose
+from twin.diagnose.likelihood import Criterion
 from twin.diagnose.measurements import measurement_for
 from twin.diagnose.menu import MENU, Item, Level, Wave, schedule_of, sentence
 from twin.diagnose.select import Trial
+from twin.diagnose.theta import moved
 from twin.identify.record import Record
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause

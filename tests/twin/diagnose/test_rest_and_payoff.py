@@ -12,10 +12,12 @@ import pytest
 from protocol.campaign import Campaign, load
 from tests.twin.diagnose.hidden_campaign import make_campaign
 from twin.diagnose.begin import no_better, start_theta
-from twin.diagnose.estimate import BASE, STOPS, Criterion, Theta, climb
+from twin.diagnose.estimate import climb
 from twin.diagnose.evidence import gather, sensor_noise
+from twin.diagnose.likelihood import Criterion
 from twin.diagnose.payoff import removed
 from twin.diagnose.starts import beside
+from twin.diagnose.theta import BASE, STOPS, Theta
 from twin.identify.reading import read_campaign
 from twin.model.causes.catalogue import BY_NAME
 

@@ -1,0 +1,294 @@
+"""From a finished search to the diagnosis: findings, next experiments, what was ruled out, the gain, the sentence."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+from protocol.campaign import Campaign, Plant
+from twin.diagnose.adequacy import where_left
+from twin.diagnose.change import Change, late_finding
+from twin.diagnose.confidence import confidence_of
+from twin.diagnose.consistency import beginnings, contradictions
+from twin.diagnose.estimate import Fit, spreads
+from twin.diagnose.evidence import Evidence
+from twin.diagnose.experiments import propose
+from twin.diagnose.floor import Floor
+from twin.diagnose.given import off_sentence, theta_of
+from twin.diagnose.likelihood import Criterion
+from twin.diagnose.lost import Lost, lost_samples
+from twin.diagnose.measure import HORIZONS_S, Gain, gain
+from twin.diagnose.models import model_of
+from twin.diagnose.result import (
+    Diagnosis,
+    Finding,
+    Member,
+    NotTestable,
+    Proposal,
+    RuledOut,
+    Verdict,
+    fit_parameters,
+)
+from twin.diagnose.select import SHARE, Selection, Trial
+from twin.diagnose.theta import Theta
+from twin.diagnose.words import bound_sentence, finding_sentence, summary_sentence
+from twin.identify.record import Record
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.model.causes.cause import Cause
+from twin.model.parameters import Model, Parameter
+
+LOST = "lost-samples"
+PERIODIC = "periodic-disturbance"
+Say = Callable[[str], None]
+
+
+@dataclass(kw_only=True)
+class Searched:
+    """What the search ended with; a change puts its own criterion, causes and recordings in place of the first ones."""
+
+    criterion: Criterion
+    base: Fit
+    floor: Floor
+    found: Selection
+    fine: bool  # what is left is noise
+    why_not: str
+    change: Change | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """How the user wants it done."""
+
+    model: Model | None
+    quick: bool
+    share: float
+    seed: int
+    workers: int
+    say: Say
+
+
+@contextmanager
+def timed(stages: dict[str, float], name: str) -> Iterator[None]:
+    """Add the seconds that the block takes to that stage."""
+    began = time.perf_counter()
+    yield
+    stages[name] = stages.get(name, 0.0) + time.perf_counter() - began
+
+
+def testable_causes(records: Sequence[Record]) -> tuple[Cause, ...]:
+    """The causes whose channels the recordings have."""
+    return tuple(
+        cause
+        for cause in CATALOGUE
+        if not cause.not_testable and cause.name != LOST and not missing_channels(cause, records)
+    )
+
+
+def missing_channels(cause: Cause, records: Sequence[Record]) -> list[str]:
+    """Channels that a cause needs and no recording has."""
+    return [channel for channel in cause.needs if not any(record.has(channel) for record in records)]
+
+
+def told(
+    campaign: Campaign,
+    done: Searched,
+    records: Sequence[Record],
+    judges: Sequence[Record],
+    evidence: Evidence,
+    judge: Evidence | None,
+    warnings: list[str],
+    asked: Asked,
+    stages: dict[str, float],
+) -> Diagnosis:
+    """The diagnosis of a finished search; `warnings` and `stages` grow on the way."""
+    criterion, found, floor, model = done.criterion, done.found, done.floor, asked.model
+    with timed(stages, "what is left"):
+        where = "" if done.fine else where_left(criterion, found.fit)
+        spread = spreads(criterion, found.fit)
+        warnings += contradictions(criterion, found.fit)
+        always = [name for name in found.causes if name != PERIODIC and done.change is None]
+        warnings += [
+            f"{late.cause} is not there from the start: it begins in {late.recording} at about {late.t_s:.0f} s"
+            for late in beginnings(criterion, found.fit, always)
+        ]
+    with timed(stages, "next experiments"):
+        proposals = {} if asked.quick else _proposals(criterion, found, campaign, asked.say)
+    with timed(stages, "gain"):
+        before = done.base.theta if model is None else theta_of(model, done.base.theta)
+        after, tick_s = found.fit.theta, criterion.tick_s
+        gains = _gains(judge, before, after, floor, campaign.plant, tick_s, asked.seed)
+        at_20_ms = next((one for one in gains if abs(one.horizon_s - 0.02) < 0.5 * tick_s), None)
+        off = ""
+        if model is not None and judge is not None and at_20_ms is not None:
+            anew = gain(judge, done.base.theta, after, floor, campaign.plant, tick_s, at_20_ms.samples, asked.seed)
+            off = off_sentence(model, done.base.theta, at_20_ms, anew)
+            warnings += [off] if off else []
+    lost = lost_samples([*records, *judges])
+    findings = _findings(found, floor, spread, proposals, done.fine, asked.quick, lost)
+    if done.change is not None:
+        findings = [late_finding(one, done.change) for one in findings]
+    verdict: Verdict = "causes-found" if findings else "model-adequate"
+    if not done.fine:
+        verdict = "unknown-cause"
+        warnings.append(done.why_not)
+    left = max(floor.excess(found.fit.loglik), 0.0) / max(_excess(found, floor), floor.readings * 1e-3)
+    diagnosis = Diagnosis(
+        verdict=verdict,
+        sentence="",
+        causes=tuple(findings),
+        not_testable=tuple(_not_testable(found, records)),
+        ruled_out=tuple(_ruled_out(found, findings)),
+        unexplained_share=0.0 if done.fine else min(left, 1.0),
+        unexplained_where=where,
+        gains=tuple(gains),
+        gain=at_20_ms,
+        baseline=model or model_of(campaign, done.base, {}, records, floor, "the paper's model at its best"),
+        extended=model_of(campaign, found.fit, spread, records, floor, "extended by board51 diagnose"),
+        warnings=tuple(dict.fromkeys(warnings)),
+        quick=asked.quick or asked.share < SHARE,
+        stages_s=stages,
+        selection=found,
+        floor=floor,
+        fit_evidence=evidence,
+        judge_evidence=judge,
+        before=before,
+        after=after,
+        tick_s=tick_s,
+    )
+    sentence = summary_sentence(diagnosis)
+    if not any(record.has("x") for record in records):
+        sentence = f"Of the amplifier alone, as no recording has x: {sentence}"
+    if off and verdict == "model-adequate":
+        sentence = f"The form of the model is adequate, but {off}."
+    return replace(diagnosis, sentence=sentence)
+
+
+def _gains(
+    judge: Evidence | None, before: Theta, after: Theta, floor: Floor, plant: Plant, tick_s: float, seed: int
+) -> list[Gain]:
+    if judge is None or not len(judge.series):
+        return []
+    found = []
+    for samples in sorted({max(round(horizon / tick_s), 1) for horizon in HORIZONS_S}):
+        one = gain(judge, before, after, floor, plant, tick_s, samples, seed)
+        if one is not None:
+            found.append(one)
+    return found
+
+
+def _gained(found: Selection) -> float:
+    """Log-likelihood that all causes together gain."""
+    return found.fit.loglik - found.base.loglik
+
+
+def _excess(found: Selection, floor: Floor) -> float:
+    """Log-likelihood that the paper's model lacks against sensor noise alone; not less than the causes gain."""
+    return max(floor.excess(found.base.loglik), _gained(found), 1e-9)
+
+
+def _findings(
+    found: Selection,
+    floor: Floor,
+    spread: dict[str, float],
+    proposals: dict[str, Proposal],
+    fine: bool,
+    quick: bool,
+    lost: Lost | None,
+) -> list[Finding]:
+    total = _excess(found, floor)
+    findings = []
+    for cause in found.causes:
+        near = found.classes.get(cause, ())
+        parameters = fit_parameters(found.fit, cause, spread)
+        findings.append(
+            Finding(
+                name=cause,
+                sentence=finding_sentence(cause, parameters),
+                parameters=parameters,
+                confidence=confidence_of(found, cause, fine, quick),
+                indistinguishable_from=tuple(_member(trial) for trial in near),
+                share_of_excess_explained=min(found.gains[cause] / total, 1.0),
+                loglik_gain=found.gains[cause],
+                next_experiment=proposals.get(cause),
+            )
+        )
+    if lost is not None:
+        value = Parameter(value=lost.probability, unit="", ci95=lost.ci95, verdict="identified", method="gaps counted")
+        findings.append(
+            Finding(
+                name=LOST,
+                sentence=f"{100 * lost.probability:.2g} % of the samples are missing, most in {lost.worst}",
+                parameters={"probability": value},
+                confidence=0.99,
+                indistinguishable_from=(),
+                share_of_excess_explained=0.0,
+                loglik_gain=0.0,
+            )
+        )
+    return findings
+
+
+def _proposals(criterion: Criterion, found: Selection, campaign: Campaign, say: Say) -> dict[str, Proposal]:
+    """For each cause with a class, the experiment that splits it best, or why none can."""
+    result = {}
+    for cause in found.causes:
+        near = found.classes.get(cause, ())
+        if not near:
+            continue
+        say(f"which experiment tells {cause} from {', '.join(trial.cause for trial in near)}?")
+        ranked = propose(criterion, found.fit, cause, near, campaign.controller)
+        if not ranked:
+            continue
+        best = ranked[0]
+        outside = tuple(
+            f"{pair.own} and {pair.rival}: no experiment on this rig tells them apart; {pair.measurement}"
+            for pair in best.pairs
+            if not pair.separable
+        )
+        result[cause] = Proposal(
+            what=best.what if best.separable else " ".join(outside) or best.what,
+            separation_z=best.separation_z,
+            command=best.command if best.separable else "",
+            outside=outside,
+            others=tuple((one.name, one.separation_z) for one in ranked[1:4]),
+        )
+    return result
+
+
+def _member(trial: Trial) -> Member:
+    return Member(name=trial.cause, parameters=fit_parameters(trial.fit, trial.cause, _own_spread(trial.fit)))
+
+
+def _own_spread(fit: Fit) -> dict[str, float]:
+    return {name: math.nan for name in fit.free}
+
+
+def _not_testable(found: Selection, records: Sequence[Record]) -> list[NotTestable]:
+    entries = []
+    last = {score.cause: score for score in found.rounds[-1].scores} if found.rounds else {}
+    for cause in CATALOGUE:
+        missing = missing_channels(cause, records)
+        score = last.get(cause.name)
+        if cause.not_testable:
+            entries.append(NotTestable(name=cause.name, why=cause.not_testable))
+        elif missing:
+            entries.append(NotTestable(name=cause.name, why=f"no recording has {' and '.join(missing)}"))
+        elif score is not None and not score.testable:
+            shows = ", ".join(cause.shows_in) or "no experiment"
+            why = f"these recordings would not show it ({shows} would): what it does, the other parameters can do"
+            entries.append(NotTestable(name=cause.name, why=why))
+    return entries
+
+
+def _ruled_out(found: Selection, findings: Sequence[Finding]) -> list[RuledOut]:
+    """Every other cause, with the size that it has at most."""
+    named = {finding.name for finding in findings}
+    named |= {member.name for finding in findings for member in finding.indistinguishable_from}
+    entries = []
+    for score in found.rounds[-1].scores if found.rounds else ():
+        if score.cause not in named and score.testable:
+            entries.append(RuledOut(name=score.cause, why=bound_sentence(BY_NAME[score.cause], score)))
+    return entries

@@ -1,0 +1,160 @@
+"""Log-likelihood of the innovations of the extended model: one parameter set for the whole campaign.
+
+Rule 1: sums over samples do not depend on the number of workers: each worker computes whole derivatives.
+Rule 2: what is no series speaks too: priors of the stops, lift-off points, equilibria.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.campaign import Plant
+from twin.diagnose.evidence import Evidence
+from twin.diagnose.filter import OUT_COLUMNS, run_extended
+from twin.diagnose.theta import STOP_UNIT_M, STOPS, Theta, derivative_step, moved
+from twin.identify.innovations import information, whiten
+from twin.identify.liftoff import LiftOff
+from twin.identify.record import FloatArray
+from twin.model.extended import STATES, magnetic_force
+
+STOP_STD_M = 2e-5  # how well anybody knows where a stop is
+_NO_STATE = np.empty((0, STATES))
+
+
+class Criterion:
+    """The likelihood of one evidence.
+
+    Args:
+        evidence: of `gather`.
+        plant: mass, travel, x_max, gravity.
+        tick_s: the interval that process noise refers to.
+        workers: threads; the kernels run outside the interpreter's lock.
+    """
+
+    def __init__(self, evidence: Evidence, plant: Plant, tick_s: float, *, workers: int = 2) -> None:
+        self.evidence, self.plant, self.tick_s = evidence, plant, tick_s
+        self.shift_s: FloatArray = np.zeros(len(evidence.series))  # phases of a periodic cause, `periodic.py`
+        self._pool = ThreadPoolExecutor(max_workers=workers)
+        self.evaluations = 0
+
+    def close(self) -> None:
+        """End the workers."""
+        self._pool.shutdown()
+
+    def outputs(
+        self, theta: Theta, state: NDArray[np.float64] = _NO_STATE, shift_s: FloatArray | None = None
+    ) -> FloatArray:
+        """Innovations and their covariance, shape (n, 5); `shift_s` as `self.shift_s`, for once."""
+        s = self.evidence.series
+        out = np.empty((len(s), OUT_COLUMNS))
+        noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, self.tick_s)
+        run_extended(
+            tuple(theta.base(self.plant)),
+            theta.vector(),
+            noise,
+            (theta.stop_low_m, theta.stop_high_m),
+            self.evidence.t + (self.shift_s if shift_s is None else shift_s),
+            s.step,
+            s.u,
+            s.i,
+            s.x,
+            s.flags,
+            out,
+            state,
+        )
+        self.evaluations += 1
+        return out
+
+    def several(self, thetas: Sequence[Theta]) -> list[FloatArray]:
+        """`outputs` of each."""
+        return list(self._pool.map(self.outputs, thetas))
+
+    def value(self, theta: Theta) -> float:
+        """Log-likelihood with the priors; -inf for impossible parameters."""
+        return self.loglik(self.outputs(theta)) + self.outside(theta)
+
+    @staticmethod
+    def loglik(out: FloatArray) -> float:
+        """Of innovations."""
+        return float(whiten(out, np.empty(len(out)), np.empty((len(out), 2))))
+
+    def values(self, thetas: Sequence[Theta]) -> list[float]:
+        """`value` of each, -inf for those that are not finite."""
+        return [value if math.isfinite(value) else -math.inf for value in self._pool.map(self.value, thetas)]
+
+    def white(self, theta: Theta) -> tuple[FloatArray, FloatArray]:
+        """(log-likelihood of each sample, shape (n,); whitened innovations, shape (n, 2))."""
+        out = self.outputs(theta)
+        loglik, white = np.zeros(len(out)), np.full((len(out), 2), np.nan)
+        whiten(out, loglik, white)
+        return loglik, white
+
+    def outside(self, theta: Theta) -> float:
+        """What is not in the series: priors of the stops, lift-off points, equilibria."""
+        total = -0.5 * ((theta.stop_low_m / STOP_STD_M) ** 2 + (theta.stop_high_m / STOP_STD_M) ** 2)
+        for point in self.evidence.statics:
+            residual, sigma = self._static(theta, point)
+            total -= 0.5 * (residual / sigma) ** 2
+        return total
+
+    def _static(self, theta: Theta, point: LiftOff) -> tuple[float, float]:
+        p, c = theta.base(self.plant), theta.vector()
+        x = self.plant.x_max_m - point.gap_m
+        sigma = 0.5 * point.relative_error
+        force = magnetic_force(p, c, point.i_c_a, x)
+        weight = self.plant.mass_kg * self.plant.gravity_m_s2
+        return 0.5 * math.log(max(force, 1e-12) / weight), max(sigma, 0.003)
+
+    def derivatives(self, theta: Theta, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+        """(outputs, shape (n, 5); their derivatives by the coordinates, shape (count, n, 5))."""
+        steps = [derivative_step(theta, name, self.plant) for name in names]
+        thetas = [theta, *(moved(theta, name, by, self.plant) for name, by in zip(names, steps, strict=True))]
+        base, *outs = self.several(thetas)
+        change = np.empty((len(names), *base.shape))
+        for place, (out, by) in enumerate(zip(outs, steps, strict=True)):
+            np.subtract(out, base, out=change[place])
+            change[place] /= by
+        return base, change
+
+    def gradient(self, theta: Theta, names: Sequence[str]) -> tuple[float, FloatArray, FloatArray]:
+        """(log-likelihood, score, Fisher information) in the coordinates `names`."""
+        base, change = self.derivatives(theta, names)
+        return self.slopes(theta, names, base, change)
+
+    def slopes(
+        self, theta: Theta, names: Sequence[str], base: FloatArray, change: FloatArray
+    ) -> tuple[float, FloatArray, FloatArray]:
+        """`gradient` from outputs and derivatives; those of a point nearby will do for the last steps of a climb."""
+        n, count = len(base), len(names)
+        fisher, each = np.zeros((count, count)), np.empty((n, count))
+        here = self.outside(theta)
+        total = whiten(base, np.empty(n), np.empty((n, 2))) + here
+        information(base, change, each, fisher)
+        score = each.sum(axis=0)
+        steps = [derivative_step(theta, name, self.plant) for name in names]
+        for place, (name, by) in enumerate(zip(names, steps, strict=True)):
+            # The few terms outside the series: differences and a curvature of the same kind.
+            score[place] += (self.outside(moved(theta, name, by, self.plant)) - here) / by
+            if name in STOPS:
+                fisher[place, place] += (STOP_UNIT_M / STOP_STD_M) ** 2
+        if self.evidence.statics:
+            rows = np.array(
+                [
+                    [
+                        (self._ratio(moved(theta, name, by, self.plant), point) - self._ratio(theta, point)) / by
+                        for name, by in zip(names, steps, strict=True)
+                    ]
+                    for point in self.evidence.statics
+                ]
+            )
+            fisher += rows.T @ rows
+        return total, score, fisher
+
+    def _ratio(self, theta: Theta, point: LiftOff) -> float:
+        residual, sigma = self._static(theta, point)
+        return residual / sigma

@@ -1,0 +1,155 @@
+"""The numbers of the extended model and the coordinates in which a search moves them.
+
+Rule 1: a coordinate moves in units in which 1 is a moderate change: logarithms, b / m in 1/s, stops in 10 um, causes in
+        units of their first probe.
+Rule 2: bounds are physical: b is not negative, a cause stays within its range.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.campaign import Plant
+from twin.model.causes.catalogue import BY_NAME, neutral
+from twin.model.causes.cause import CauseParameter
+from twin.model.extended import Base
+
+PARAMETERS = ("K_A", "T_A", "K_c", "b")
+NOISES = ("sigma_i_c_a", "sigma_x_m", "process_i_c_a", "process_a_m_s2")
+STOPS = ("stop_low_m", "stop_high_m")
+BASE = PARAMETERS + NOISES
+FLOORS = {"process_i_c_a": 1e-6, "process_a_m_s2": 1e-3}
+STOP_UNIT_M = 1e-5
+_ROUSED_M_S2 = 0.3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Theta:
+    """All numbers of the extended model, in SI units; causes by `name.parameter`."""
+
+    K_A: float
+    T_A: float
+    K_c: float
+    b: float
+    sigma_i_c_a: float
+    sigma_x_m: float
+    process_i_c_a: float
+    process_a_m_s2: float
+    stop_low_m: float = 0.0
+    stop_high_m: float = 0.0
+    causes: tuple[tuple[str, float], ...] = ()  # (coordinate, value), in the order of acceptance
+    least_i_c_a: float = 1e-6  # the sensors are not better than this: a noise level at 0 finds no way back
+    least_x_m: float = 1e-8
+
+    def value(self, name: str) -> float:
+        """One number; a cause's that is not in `causes` is neutral."""
+        if "." not in name:
+            return float(getattr(self, name))
+        return dict(self.causes).get(name, parameter_of(name).neutral)
+
+    def having(self, name: str, value: float) -> Theta:
+        """With one number changed."""
+        if "." not in name:
+            return self._with(name, value)
+        causes = dict(self.causes)
+        causes[name] = value
+        return replace(self, causes=tuple(causes.items()))
+
+    def _with(self, name: str, value: float) -> Theta:
+        number: dict[str, Any] = {name: value}
+        return replace(self, **number)
+
+    def without(self, cause: str) -> Theta:
+        """The same without one cause."""
+        return replace(self, causes=tuple(pair for pair in self.causes if not pair[0].startswith(cause + ".")))
+
+    def vector(self) -> NDArray[np.float64]:
+        """c, as the kernels take it."""
+        c = neutral()
+        for name, value in self.causes:
+            c[parameter_of(name).place] = value
+        return c
+
+    def base(self, plant: Plant) -> Base:
+        """The paper's parameters, as the kernels take them."""
+        return Base(
+            K_A=self.K_A,
+            T_A=self.T_A,
+            K_c=self.K_c,
+            b=self.b,
+            mass_kg=plant.mass_kg,
+            gravity_m_s2=plant.gravity_m_s2,
+            x_max_m=plant.x_max_m,
+            travel_m=plant.travel_m,
+        )
+
+
+def parameter_of(name: str) -> CauseParameter:
+    """The parameter behind `cause.parameter`."""
+    cause, _, parameter = name.partition(".")
+    return next(entry for entry in BY_NAME[cause].parameters if entry.name == parameter)
+
+
+def coordinates_of(cause: str) -> tuple[str, ...]:
+    """The coordinates of a cause: all its parameters."""
+    return tuple(f"{cause}.{entry.name}" for entry in BY_NAME[cause].parameters)
+
+
+def unit_of(parameter: CauseParameter) -> float:
+    """The change of a cause's coordinate that counts as 1."""
+    scale = abs(parameter.coordinate(parameter.probes[0]))
+    return scale if scale > 0.0 else 0.3 * abs(parameter.neutral)
+
+
+def moved(theta: Theta, name: str, by: float, plant: Plant) -> Theta:
+    """One coordinate moved, kept within its bounds."""
+    value = theta.value(name)
+    if "." in name:
+        parameter = parameter_of(name)
+        coordinate = parameter.coordinate(value) + by * unit_of(parameter)
+        return theta.having(name, parameter.value(coordinate))
+    if name == "b":
+        return replace(theta, b=min(max(value + by * plant.mass_kg, 0.0), most_drag(plant)))
+    if name in STOPS:
+        return theta.having(name, value + by * STOP_UNIT_M)
+    return theta.having(name, max(value * math.exp(by), _floor(theta, name)))
+
+
+def _floor(theta: Theta, name: str) -> float:
+    return {"sigma_i_c_a": theta.least_i_c_a, "sigma_x_m": theta.least_x_m}.get(name, FLOORS.get(name, 0.0))
+
+
+def roused(theta: Theta) -> Theta:
+    """With process noise to climb from: at its floor the likelihood is flat, a model made worse would stay there."""
+    return replace(
+        theta,
+        process_i_c_a=max(theta.process_i_c_a, 0.3 * theta.sigma_i_c_a),
+        process_a_m_s2=max(theta.process_a_m_s2, _ROUSED_M_S2),
+    )
+
+
+def most_drag(plant: Plant) -> float:
+    """B that equals the unstable pole in the middle of the travel, N s/m: no ball in air has it."""
+    return plant.mass_kg * math.sqrt(2.0 * plant.gravity_m_s2 / (plant.x_max_m - 0.5 * plant.travel_m))
+
+
+def derivative_step(theta: Theta, name: str, plant: Plant) -> float:
+    """A step for differences in that coordinate, inwards at a bound."""
+    by = 1e-2 if name == "b" else 0.05 if name in STOPS else 1e-3 if "." in name else 1e-4
+    return by if moved(theta, name, by, plant) != theta else -by
+
+
+def most_step(name: str) -> float:
+    """The largest move of a coordinate in one pass."""
+    if name == "b":
+        return 20.0
+    if name in STOPS:
+        return 10.0
+    if "." in name:
+        return 5.0
+    return 1.5 if name in NOISES or name == "T_A" else 0.5
