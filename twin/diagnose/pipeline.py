@@ -41,6 +41,7 @@ from twin.identify.reading import read_campaign
 from twin.identify.record import Record
 from twin.model.parameters import Model
 
+UNASKED = "--quick: not asked whether an effect begins or ends in the middle of the campaign"
 FLIGHT_LEAST_S = 2.0  # 120 time constants of the unstable pole
 
 
@@ -61,7 +62,8 @@ def diagnose(
         campaign: of `protocol.campaign.load`.
         data: folder of recordings that are not beside the campaign.
         model: the simulation to be judged; default: the paper's model, identified from the campaign itself.
-        quick: fewer candidates are fitted, and none is asked for a stand-in: confidence is not calibrated.
+        quick: fewer candidates are fitted to shorter flights, and nothing is asked about stand-ins of several causes or
+            a change in the middle: confidence is not calibrated.
         share: least part of what is left that a cause must explain; with a smaller one confidence is not calibrated.
         seed: of the bootstrap.
         workers: threads.
@@ -118,7 +120,14 @@ def diagnose_records(
     with ExitStack() as closing:
         closing.callback(criterion.close)
         done = _search(criterion, start, records, asked, stages)
-        if not done.fine and look_for_odd and (odd := odd_one(criterion, done.base, done.floor)) is not None:
+        if not done.fine and quick:
+            warnings.append(UNASKED)
+        if (
+            not done.fine
+            and look_for_odd
+            and not quick
+            and (odd := odd_one(criterion, done.base, done.floor)) is not None
+        ):
             say(f"{odd.name} contradicts the others: once more without it")
             rest = diagnose_records(
                 campaign,
@@ -177,7 +186,7 @@ def _search(
     with timed(stages, "what is left"):
         fine, why_not = adequate(criterion, found.fit, floor)
     change = None
-    if not fine:
+    if not fine and not asked.quick:
         with timed(stages, "change"):
             change = find_change(
                 criterion, found, floor, candidates=candidates, few=few, workers=asked.workers, say=say

@@ -39,6 +39,7 @@ MARGIN = 4.5
 MOST_CAUSES = 4
 FEW = 5  # candidates that are fitted in a round
 _SHORT = 2  # passes of a first fit
+_PASSES_QUICK = 5  # of a model without one of its causes: enough to see that it is worse, not by how much
 # Then: passes, least share of the best gain, most candidates that go on.
 _HEATS = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))
 _STEEPER = 8.0  # the likelihood of a cause that is far away rises up to five times as much as its slope promises
@@ -108,7 +109,9 @@ def select(
     """
     found = Selection(base=base, fit=base)
     most = MOST_CAUSES if share >= SHARE else len(candidates)
-    while len(found.causes) < most and _add(criterion, found, floor, candidates, few, share, say):
+    while len(found.causes) < most and _add(
+        criterion, found, floor, candidates, few, share, say, _PASSES_QUICK if quick else PASSES
+    ):
         pass
     if share == SHARE and not quick and floor.material(found.fit.loglik):
         found = _together(criterion, found, floor, candidates, few, say)
@@ -142,8 +145,9 @@ def _add(
     few: int,
     least: float,
     say: Say,
+    passes: int = PASSES,
 ) -> bool:
-    """One step forward and what it makes superfluous; False where nothing earns its place."""
+    """One step forward, and out with what it makes superfluous (`passes` tell); False where nothing earns its place."""
     step = _forward(criterion, found.fit, floor, candidates, few, found.fit.loglik - found.base.loglik, least, say)
     found.rounds.append(step)
     if not step.taken:
@@ -155,7 +159,7 @@ def _add(
         found.fit = periodic.rephased(criterion, found.fit, PASSES)
     say(f"taken: {step.taken} ({step.why})")
     if len(found.causes) > 1:
-        _backward(criterion, found, say)
+        _backward(criterion, found, say, passes)
     return True
 
 
@@ -322,10 +326,10 @@ def _without(criterion: Criterion, fit: Fit, cause: str, passes: int = PASSES) -
     return climb(criterion, roused(fit.theta.without(cause)), free, passes=passes)
 
 
-def _backward(criterion: Criterion, found: Selection, say: Say) -> None:
+def _backward(criterion: Criterion, found: Selection, say: Say, passes: int) -> None:
     """Out with whatever the later ones have made superfluous."""
     for cause in found.causes[:-1]:
-        smaller = _without(criterion, found.fit, cause)
+        smaller = _without(criterion, found.fit, cause, passes)
         loss = found.fit.loglik - smaller.loglik
         if loss < THRESHOLD:
             found.causes.remove(cause)
