@@ -34,6 +34,7 @@ POLE_SHARE = 0.06  # of the travel below x_max, where (3) has its pole: no fligh
 EDGE_SAMPLES = 4  # left out at both ends of a rest: the ball rocks
 RESTLESS = 5.0  # of the median window's sum of squares: of ten thousand windows of noise none reaches it
 CLIPPED_SHARE = 0.8  # of a rest
+NOISE_LEAST_M = 1e-7  # with less, a ball at rest has one reading wherever it rests
 END_SHARE = 0.15  # of readings within 50 ms at the converter's end: the noise is cut off there, and its mean is not 0
 _LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
 _OPEN_LOOP = ("sawtooth", "prbs", "free")
@@ -68,13 +69,14 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
     records = tuple(records)
     held = [held_samples(record, plant) for record in records]
     notes: list[str] = []
-    low, high = _stops(records, held, plant, notes) if stops is None else stops
     blind = _range_ends(records, held)
-    lifted = [_on_platform(record, still, low, plant) for record, still in zip(records, held, strict=True)]
+    seen = [still & ~np.isin(record.x, blind) for record, still in zip(records, held, strict=True)]
+    low, high = _stops(records, seen, plant, notes) if stops is None else stops
+    lifted = [_on_platform(record, still, low, plant) for record, still in zip(records, seen, strict=True)]
     if stops is None and any(lifted):
         # Wherever a ball ends that jumped off a platform, it is no stop of the other recordings.
         kept = [place for place, platform in enumerate(lifted) if not platform]
-        low, high = _stops([records[place] for place in kept], [held[place] for place in kept], plant, notes)
+        low, high = _stops([records[place] for place in kept], [seen[place] for place in kept], plant, notes)
     parts: list[Series] = []
     times: list[FloatArray] = []
     usages: list[Usage] = []
@@ -84,7 +86,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
     for number, (record, still) in enumerate(zip(records, held, strict=True)):
         if record.kind == "equilibria":
             continue
-        on_stop = _on(record, still, low, high, plant)
+        on_stop = _on(record, seen[number], low, high, plant)
         if lifted[number]:
             platform.append(record)
             on_stop = (on_stop[0] & False, on_stop[1] & False)
@@ -201,8 +203,7 @@ def _stops(
     """Readings at the lower and the upper stop, where the recordings agree on them."""
     found: tuple[list[float], list[float]] = ([], [])
     for record, still in zip(records, held, strict=True):
-        pieces = [piece for piece in runs(still, HELD_SAMPLES) if _clipped(record.x, piece) is None]
-        levels = [float(np.median(record.x[piece])) for piece in pieces]
+        levels = [float(np.median(record.x[piece])) for piece in runs(still, HELD_SAMPLES)]
         for side, stop in enumerate((0.0, plant.travel_m)):
             near = [level for level in levels if abs(level - stop) < NEAR_SHARE * plant.travel_m]
             if near:
@@ -217,19 +218,25 @@ def _stops(
     return places[0], places[1]
 
 
-def _clipped(x: FloatArray, piece: slice) -> float | None:
-    """The end of the converter's range that a resting ball is beyond: all its readings are that one, without noise."""
-    for end in (float(np.nanmin(x)), float(np.nanmax(x))):
-        if np.mean(x[piece] == end) > CLIPPED_SHARE and noise_of(x[np.isfinite(x) & (x != end)]) > 0.0:
-            return end
-    return None
-
-
 def _range_ends(records: Sequence[Record], held: Sequence[BoolArray]) -> list[float]:
-    """Readings beyond which the position sensor shows nothing."""
-    pairs = zip(records, held, strict=True)
-    found = {_clipped(record.x, piece) for record, still in pairs for piece in runs(still, HELD_SAMPLES)}
-    return sorted(end for end in found if end is not None)
+    """Readings beyond which the position sensor shows nothing: a ball at rest there reads that one, without noise."""
+    if _noise(records) < NOISE_LEAST_M:
+        return []
+    found = set()
+    for record, still in zip(records, held, strict=True):
+        for piece in runs(still, HELD_SAMPLES):
+            ends = float(np.nanmin(record.x)), float(np.nanmax(record.x))
+            found |= {end for end in ends if np.mean(record.x[piece] == end) > CLIPPED_SHARE}
+    return sorted(found)
+
+
+def _noise(records: Sequence[Record]) -> float:
+    """Noise of position readings between the ends of their recording, m: the least that one of them shows."""
+    found = []
+    for x in (record.x[np.isfinite(record.x)] for record in records):
+        between = x[(x != x.min()) & (x != x.max())] if len(x) else x
+        found += [noise_of(between)] if len(between) >= HELD_SAMPLES else []
+    return min(found, default=0.0)
 
 
 def _on(
@@ -241,7 +248,7 @@ def _on(
         if stop is not None:
             for piece in runs(still, HELD_SAMPLES):
                 near = abs(float(np.median(record.x[piece])) - stop) < AGREE_SHARE * plant.travel_m
-                if near and _clipped(record.x, piece) is None:
+                if near:
                     mask[piece.start + EDGE_SAMPLES : piece.stop - EDGE_SAMPLES] = True
         masks.append(mask)
     return masks[0], masks[1]

@@ -91,3 +91,15 @@ def test_a_rival_is_tried_at_the_size_of_the_cause_whose_place_it_takes(campaign
     assert values[1] > values[0] + 1000.0
     assert found.value("sampling-delay.delay_s") == size
     assert found.value("actuation-delay.delay_s") == 0.0
+
+
+def test_a_ball_beyond_the_range_of_its_sensor_shows_no_stop(campaign: Campaign) -> None:
+    """Readings that are all the converter's last value say "below", not "at": a stop there would become a gap."""
+    records, offset_m = read_campaign(campaign), 0.6e-3
+    shown = [replace(record, x=record.x + offset_m) for record in records]
+    hidden = [replace(record, x=np.maximum(record.x - offset_m, 0.0)) for record in records]
+
+    seen, unseen = gather(shown, campaign.plant), gather(hidden, campaign.plant)
+
+    assert seen.low_m == pytest.approx(offset_m, abs=5e-5)
+    assert unseen.low_m is None
