@@ -277,7 +277,11 @@ def run_extended(
                 y[X], y[V], in_flight = position_of_reading(p, c, y_x[n], y[I_C]), 0.0, True
                 speed_seen = False
                 y[SENSOR] = y_x[n]
-                P[1, 1], P[2, 2] = r_x, SPEED_STD_M_S**2
+                # A reading that shows the current, too, places the ball as well as the current is known.
+                shown = (position_reading(p, c, y[X], y[I_C] + 1e-3) - position_reading(p, c, y[X], y[I_C])) / 1e-3
+                P[1, 1], P[2, 2] = r_x + shown * shown * P[0, 0], SPEED_STD_M_S**2
+                P[0, 1] = -shown * P[0, 0]
+                P[1, 0] = P[0, 1]
                 if eddies:
                     P[k_field, k_field] = P[0, 0]
                     P[0, k_field] = P[0, 0]
