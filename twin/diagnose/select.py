@@ -39,7 +39,7 @@ MARGIN = 4.5
 MOST_CAUSES = 4
 FEW = 5  # candidates that are fitted in a round
 _SHORT = 2  # passes of a first fit
-_PASSES_QUICK = 5  # of a model without one of its causes: enough to see that it is worse, not by how much
+_PASSES_QUICK = 10  # of a model without one of its causes: enough to see that it is worse, hardly by how much
 # Then: passes, least share of the best gain, most candidates that go on.
 _HEATS = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))
 _STEEPER = 8.0  # the likelihood of a cause that is far away rises up to five times as much as its slope promises
