@@ -26,7 +26,7 @@ from twin.diagnose.floor import Floor
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.probes import probes_of
 from twin.diagnose.result import Finding
-from twin.diagnose.screen import probed
+from twin.diagnose.screen import LEAST_INFORMATION, VISIBLE, probed
 from twin.diagnose.select import Selection, select, stand_ins
 from twin.diagnose.theta import Theta, derivative_step, moved
 from twin.identify.innovations import information
@@ -220,7 +220,7 @@ def _best_gain(scores: FloatArray, fishers: FloatArray, side: BoolArray, inner: 
     for place in range(k, scores.shape[1]):
         cross, own = fisher[:k, place], float(fisher[place, place])
         left = own - float(cross @ inner @ cross)
-        if own > 0.0 and math.isfinite(own) and left > 1e-5 * own and left > 1.0:
+        if own > 0.0 and math.isfinite(own) and left > VISIBLE * own and left > LEAST_INFORMATION:
             slope = float(score[place] - cross @ inner @ total)
             best = max(best, 0.5 * slope * slope / left)
     return best

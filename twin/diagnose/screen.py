@@ -24,7 +24,9 @@ from twin.identify.innovations import information
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
 
-VISIBLE = 1e-5  # of the square of a signature: what must be left of it beside the parameters
+# Of the square of a signature: what must be left of it beside the parameters.  Less is rounding; more would leave out a
+# displaced sensor, which shows most at rest, where the places of the stops take it up.
+VISIBLE = 1e-7
 LEAST_INFORMATION = 1.0  # a signature of less than one standard error at its probe cannot be seen
 
 

@@ -30,7 +30,7 @@ GRADES: tuple[Grade, ...] = get_args(Grade)
 DELAYING = frozenset({"actuation-delay", "eddy-current-lag", "position-sensor-lag", "sampling-delay"})
 # A gain of the current sensor is exactly a change of K_A and K_c (design.md): asked alone, to hear "not testable".
 INVISIBLE = frozenset({"current-sensor-gain"})
-_DRAW = 18
+_DRAW = 19
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
