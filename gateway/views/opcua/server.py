@@ -129,6 +129,7 @@ async def _keep_up(
                 )
                 boards[name] = nodes, Conditions(inner, board, nodes.object)
                 _logger.info("%s is served", name)
+                await asyncio.sleep(0)  # a board's 361 nodes take a while: who is connected is answered in between
         for nodes, conditions in boards.values():
             await nodes.update()
             await conditions.update()
