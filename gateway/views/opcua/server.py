@@ -133,6 +133,7 @@ async def _keep_up(
         for nodes, conditions in boards.values():
             await nodes.update()
             await conditions.update()
+            await asyncio.sleep(0)  # however much there is to send: between two boards clients are answered
         now_s = time.monotonic()
         if now_s - look_s > LOOK_S:
             look_s = now_s

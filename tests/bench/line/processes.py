@@ -13,6 +13,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 ROOT = Path(__file__).parents[3]
 LISTENS_S = 60.0
+END_S = 60.0
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
@@ -64,10 +65,14 @@ def free_port() -> int:
 
 
 def end(processes: list[subprocess.Popen[str]]) -> None:
-    """SIGTERM to the youngest first, so that nobody loses what is under way; wait for all."""
+    """SIGTERM to the youngest first, so that nobody loses what is under way; who does not end is killed."""
     for process in reversed(processes):
         process.terminate()
-        process.wait(timeout=60)
+        try:
+            process.wait(timeout=END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 def cpu_s(pid: int) -> float:
