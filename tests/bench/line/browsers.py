@@ -8,6 +8,7 @@ second, the longest time between two in ms, and how often the shown position cha
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import json
 import os
 import shutil
@@ -19,7 +20,7 @@ from pathlib import Path
 from playwright.async_api import async_playwright
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-LIVE_MS = 120_000.0  # for a page to come up on a machine that is busy
+LIVE_MS = 300_000.0  # for a page to come up where everything else goes first
 # Counted in the page: to hand each frame out to this process would cost more than the page itself.
 COUNT = """
 window.frames_seen = 0; window.longest_ms = 0; window.values_shown = 0;
@@ -43,6 +44,15 @@ WATCH_VALUES = """() => {
     new MutationObserver(() => { window.values_shown += 1; })
         .observe(document.querySelector('[data-live=x]'), options);
 }"""
+
+
+PR_CAPBSET_DROP, CAP_SYS_NICE = 24, 23  # prctl(2), capabilities(7)
+
+
+def keep_below() -> None:
+    """Chromium lifts its threads to nice 0 and -8, above the gateway, where it may: as root it may.  Not here."""
+    os.nice(int(os.environ.get("BOARD51_BENCH_NICE", "0")))
+    ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, CAP_SYS_NICE, 0, 0, 0)  # fails for who is not root, and may not anyway
 
 
 async def main(folder: Path, port: int, count: int, boards: int) -> None:
@@ -79,5 +89,5 @@ async def main(folder: Path, port: int, count: int, boards: int) -> None:
 
 
 if __name__ == "__main__":
-    os.nice(int(os.environ.get("BOARD51_BENCH_NICE", "0")))
+    keep_below()
     asyncio.run(main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4])))
