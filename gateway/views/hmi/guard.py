@@ -187,7 +187,8 @@ def cookie_name(host: str) -> str:
 
 
 def _cookie(headers: dict[str, str]) -> str:
-    name, jar = cookie_name(headers.get("host", "")), SimpleCookie[str]()
+    name = cookie_name(headers.get("host", ""))
+    jar: SimpleCookie = SimpleCookie()
     try:
         jar.load(headers.get("cookie", ""))
     except CookieError:
