@@ -7,9 +7,7 @@ this one.  The baseline, in the same run with the same load and subscriber, is l
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
-import sys
 import tempfile
 import time
 from dataclasses import dataclass
@@ -18,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-HERE = Path(__file__).parent / "line"
-ROOT = Path(__file__).parents[2]
+from tests.bench.line.processes import HERE, cpu_s, end, free_port, listening, ready, start
+
 WARM_S = 4.0  # start-up, handshake, caches
 WINDOW_S = float(os.environ.get("BOARD51_BENCH_SECONDS", "10"))
 TAIL_S = 1.5
@@ -64,108 +62,60 @@ def measure(boards: int, *, bare: bool, keys: Path | None = None) -> Result:
     """
     with tempfile.TemporaryDirectory(prefix="board51-bench-") as name:
         folder = Path(name)
-        endpoint = f"{'tls' if keys else 'tcp'}/127.0.0.1:{_free_port()}"
+        endpoint = f"{'tls' if keys else 'tcp'}/127.0.0.1:{free_port()}"
         guard = ["--security", keys] if keys else []
         identity = {"BOARD51_IDENTITY": str(keys / "identities" / "views")} if keys else {}
         processes: list[subprocess.Popen[str]] = []
         try:
             seconds = WARM_S + WINDOW_S + TAIL_S + 30
-            processes.append(_start(HERE / "load.py", folder, boards, seconds))
-            _ready(processes[-1])
+            processes.append(start(HERE / "load.py", folder, boards, seconds))
+            ready(processes[-1])
             if bare:
-                middle = _start(HERE / "bare_loop.py", folder, boards, endpoint)
+                middle = start(HERE / "bare_loop.py", folder, boards, endpoint)
             else:
                 names = [word for n in range(boards) for word in ("--board", f"b{n}={folder}/tty{n}")]
-                middle = _start(
-                    "-m",
-                    "board51",
-                    "gateway",
-                    "--site",
-                    "bench",
-                    *names,
-                    "--listen",
-                    endpoint,
-                    "--log-dir",
-                    folder / "logs",
-                    *guard,
-                )
+                middle = start("-m", "board51", "gateway", "--site", "bench", *names, "--listen", endpoint,
+                               "--log-dir", folder / "logs", *guard)  # fmt: skip
             processes.append(middle)
-            _listening(endpoint)
-            processes.append(_start(HERE / "subscriber.py", folder, endpoint, **identity))
-            _ready(processes[-1])
+            listening(endpoint)
+            processes.append(start(HERE / "subscriber.py", folder, endpoint, **identity))
+            ready(processes[-1])
             time.sleep(WARM_S)
-            begin, cpu = time.monotonic_ns(), _cpu_s(middle.pid)
+            begin, cpu = time.monotonic_ns(), cpu_s(middle.pid)
             time.sleep(WINDOW_S)
-            end, cpu = time.monotonic_ns(), _cpu_s(middle.pid) - cpu
+            over, cpu = time.monotonic_ns(), cpu_s(middle.pid) - cpu
             time.sleep(TAIL_S)  # what was written at the end of the window may arrive
         finally:
-            for process in reversed(processes):
-                process.terminate()
-            for process in processes:
-                process.wait(timeout=60)
-        return _result(folder, begin, end, cpu)
+            end(processes)
+        return result(folder, begin, over, cpu)
 
 
-def _result(folder: Path, begin: int, end: int, cpu_s: float) -> Result:
+def result(folder: Path, begin: int, over: int, cpu: float) -> Result:
+    """What load and subscriber wrote down.
+
+    Args:
+        folder: with written.npy and arrived.npy.
+        begin: of the window, CLOCK_MONOTONIC, ns.
+        over: its end, likewise.
+        cpu: CPU time of the gateway within the window, s.
+    """
     written = np.load(folder / "written.npy")
     arrived = np.load(folder / "arrived.npy")
     at = np.zeros_like(written)
     at[arrived[:, 0], arrived[:, 1] % written.shape[1]] = arrived[:, 2]
-    inside = (written >= begin) & (written < end)
+    inside = (written >= begin) & (written < over)
     got = inside & (at > 0)
     latency_ms = (at[got] - written[got]) * 1e-6
     sent = int(inside.sum())
-    seconds = (end - begin) * 1e-9
+    seconds = (over - begin) * 1e-9
     return Result(
         median_ms=float(np.median(latency_ms)) if latency_ms.size else float("nan"),
         p99_ms=float(np.percentile(latency_ms, 99)) if latency_ms.size else float("nan"),
         lost=sent - int(got.sum()),
         sent=sent,
-        cores=cpu_s / seconds,
-        us_per_frame=cpu_s * 1e6 / max(1, sent),
+        cores=cpu / seconds,
+        us_per_frame=cpu * 1e6 / max(1, sent),
     )
-
-
-def _start(*words: object, **variables: str) -> subprocess.Popen[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
-    return subprocess.Popen(
-        [sys.executable, *map(str, words)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,  # a line per board and change of link
-        text=True,
-        env=environment,
-        cwd=ROOT,
-    )
-
-
-def _ready(process: subprocess.Popen[str]) -> None:
-    assert process.stdout is not None
-    line = process.stdout.readline()
-    if line.strip() != "ready":
-        raise RuntimeError(f"{process.args!r} did not start: {line!r}")
-
-
-def _listening(endpoint: str, limit_s: float = 30.0) -> None:
-    host, port = endpoint.partition("/")[2].rsplit(":", 1)
-    end = time.monotonic() + limit_s
-    while True:
-        with socket.socket() as probe:
-            if probe.connect_ex((host, int(port))) == 0:
-                return
-        if time.monotonic() > end:
-            raise RuntimeError(f"nobody listens on {endpoint}")
-        time.sleep(0.05)
-
-
-def _cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 if __name__ == "__main__":

@@ -1,101 +1,166 @@
-"""What clients cost: 8 boards at 500 Hz, with OPC UA and 4 clients (20 variables, 50 Hz), against none.
+"""What the control room costs: 8 boards at 500 Hz with OPC UA, web page and their clients, against the gateway alone.
 
-As in gateway.py: the load, the gateway as a user starts it (log on), a zenoh subscriber; then the same with
-`--opcua` and a process of four OPC UA clients beside them.  All of it shares this machine's cores.
+As in gateway.py: the load, the gateway as a user starts it (log on), a zenoh subscriber that notes each arrival.  Then
+the same with `--opcua --hmi`, four OPC UA clients (20 variables each, 50 Hz) and four headless Chromiums.  All of it
+shares this machine's cores; in a plant browsers and SCADA are other machines, so their processes run at nice
+CLIENTS_NICE here: BOARD51_BENCH_NICE=0 lets them compete with the gateway on equal terms.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import signal
+import subprocess
 import tempfile
 import time
-from contextlib import suppress
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tests.bench import gateway as line
+import numpy as np
+
+from gateway.record.reader import read
+from protocol.bus import board51_pb2 as pb
+from tests.bench.gateway import TAIL_S, WARM_S, WINDOW_S, Result, result
+from tests.bench.line import processes as line
+from tests.bench.line.browsers import CHROMIUM
 
 BOARDS = 8
-CLIENTS = 4
-SERVED_S = 20.0  # until the server has the boards; eight of them have 3000 nodes
+CLIENTS = 4  # of either kind
+CLIENTS_NICE = os.environ.get("BOARD51_BENCH_NICE", "10")
+START_UP_S = 400.0  # until all views and clients are up, on a busy machine
+Row = dict[str, Any]
+Counts = list[dict[str, float]]
+Begin = Callable[..., subprocess.Popen[str]]  # title, words, environment
 
 
-def run() -> list[dict[str, Any]]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """What one run showed within the window."""
+
+    line: Result
+    not_logged: int  # samples that were sent and are not in the log
+    own_p99_ms: float  # read to handed to zenoh, as the gateway says itself; median of its seconds
+    cores: dict[str, float]  # CPU seconds per second, by process
+    values: Counts  # by OPC UA client
+    frames: Counts  # by browser
+
+
+def run() -> list[Row]:
     """Rows for `board51 bench`."""
-    alone, with_clients = measure(clients=0), measure(clients=CLIENTS)
-    rows: list[dict[str, Any]] = []
-    for name, unit in (("median_ms", "ms"), ("p99_ms", "ms"), ("cores", "cores"), ("lost", "samples")):
-        value, baseline = getattr(with_clients["line"], name), getattr(alone["line"], name)
+    alone, loaded = measure(clients=False), measure(clients=True)
+    busy = f"baseline: no views, no clients; {WINDOW_S:.0f} s"
+    rows: list[Row] = []
+    for name, unit in (("p99_ms", "ms"), ("median_ms", "ms")):
         rows.append(
-            {"name": f"{BOARDS} boards, {CLIENTS} OPC UA clients: {name}", "value": value, "unit": unit,
-             "baseline": baseline, "ratio": value / baseline if baseline else None, "note": "baseline: no clients"}
-        )  # fmt: skip
+            _row(f"gateway with clients: {name}", getattr(loaded.line, name), unit, busy, getattr(alone.line, name))
+        )
+    rows.append(_row("read to zenoh, the gateway's own p99", loaded.own_p99_ms, "ms", busy, alone.own_p99_ms))
     rows.append(
-        {"name": "OPC UA server", "value": with_clients["cores"], "unit": "cores", "note": f"{CLIENTS} clients"}
+        _row(f"lost for the subscriber, of {loaded.line.sent}", loaded.line.lost, "samples", busy, alone.line.lost)
     )
-    for n, counts in enumerate(with_clients["counts"]):
-        rows.append(
-            {"name": f"client {n + 1}: values per second and variable", "value": counts["per_s"], "unit": "1/s",
-             "note": f"longest interval {counts['longest_ms']:.0f} ms"}
-        )  # fmt: skip
+    rows.append(_row(f"lost in the log, of {loaded.line.sent}", loaded.not_logged, "samples", busy, alone.not_logged))
+    for n, counts in enumerate(loaded.values):
+        longest = f"longest interval {counts['longest_ms']:.0f} ms"
+        rows.append(_row(f"OPC UA client {n + 1}: each variable", counts["per_s"], "values/s", longest))
+    for n, counts in enumerate(loaded.frames):
+        longest = f"longest interval {counts['longest_ms']:.0f} ms; number changes {counts['values_per_s']:.0f}/s"
+        rows.append(_row(f"browser {n + 1}", counts["per_s"], "frames/s", longest))
+    if not loaded.frames:
+        rows.append({"name": "browsers", "value": None, "unit": "", "note": "NOT MEASURED: chromium is not installed"})
+    for name, cores in loaded.cores.items():
+        rows.append(_row(f"CPU: {name}", cores, "cores", "", alone.cores.get(name)))
     return rows
 
 
-def measure(*, clients: int) -> dict[str, Any]:
-    """One run."""
+def measure(*, clients: bool) -> Found:
+    """One run, with views and clients or without."""
     with tempfile.TemporaryDirectory(prefix="board51-bench-") as name:
         folder = Path(name)
-        endpoint, opcua = f"tcp/127.0.0.1:{line._free_port()}", line._free_port()
-        processes = []
+        endpoint, opcua, hmi = f"tcp/127.0.0.1:{line.free_port()}", line.free_port(), line.free_port()
+        running: list[subprocess.Popen[str]] = []
+        counting: list[subprocess.Popen[str]] = []
+        clocks: dict[str, Callable[[], float]] = {}
+
+        def begin(title: str, *words: object, **variables: str) -> subprocess.Popen[str]:
+            running.append(line.start(*words, **variables))
+            pid = running[-1].pid
+            clocks[title] = lambda: line.tree_cpu_s(pid)
+            return running[-1]
+
         try:
-            processes.append(line._start(line.HERE / "load.py", folder, BOARDS, 120))
-            line._ready(processes[-1])
-            names = [word for n in range(BOARDS) for word in ("--board", f"b{n}={folder}/tty{n}")]
-            views = ["--opcua", f"127.0.0.1:{opcua}"] if clients else []
-            os.environ["BOARD51_OPCUA_RATE"] = "50"
-            processes.append(
-                line._start("-m", "board51", "gateway", "--site", "bench", *names, "--listen", endpoint,
-                            "--log-dir", folder / "logs", *views)
-            )  # fmt: skip
-            middle = processes[-1]
-            line._listening(endpoint)
-            processes.append(line._start(line.HERE / "subscriber.py", folder, endpoint))
-            line._ready(processes[-1])
+            seconds = START_UP_S + WARM_S + WINDOW_S + TAIL_S
+            line.ready(begin("emulated boards", line.HERE / "load.py", folder, BOARDS, seconds))
+            boards = [word for n in range(BOARDS) for word in ("--board", f"b{n}={folder}/tty{n}")]
+            views = ["--opcua", f"127.0.0.1:{opcua}", "--hmi", f"127.0.0.1:{hmi}"] if clients else []
+            middle = begin("gateway", "-m", "board51", "gateway", "--site", "bench", *boards, "--listen", endpoint,
+                           "--log-dir", folder / "logs", *views, BOARD51_OPCUA_RATE="50")  # fmt: skip
+            clocks["gateway"] = lambda: line.cpu_s(middle.pid)  # its views apart
+            line.listening(endpoint)
+            line.ready(begin("zenoh subscriber", line.HERE / "subscriber.py", folder, endpoint))
             if clients:
-                line._listening(f"tcp/127.0.0.1:{opcua}")
-                time.sleep(SERVED_S / 4)
-                processes.append(line._start(line.HERE / "opcua_clients.py", folder, opcua, clients))
-                line._ready(processes[-1])
-            time.sleep(line.WARM_S)
-            server = _view_of(middle.pid) if clients else 0
-            begin, cpu = time.monotonic_ns(), line._cpu_s(middle.pid)
-            view_cpu = line._cpu_s(server) if server else 0.0
-            time.sleep(line.WINDOW_S)
-            view_cpu = (line._cpu_s(server) - view_cpu) if server else 0.0
-            end, cpu = time.monotonic_ns(), line._cpu_s(middle.pid) - cpu
-            time.sleep(line.TAIL_S)
+                counting = _begin_clients(begin, folder, opcua, hmi)
+                for view in ("opcua", "hmi"):
+                    pid = line.child(middle.pid, view)
+                    clocks[f"{view} server"] = lambda pid=pid: line.cpu_s(pid)  # type: ignore[misc]  # mypy infers no lambda with a default
+            time.sleep(WARM_S)
+            for process in counting:
+                process.send_signal(signal.SIGUSR1)
+            since_ns, before = time.monotonic_ns(), _read(clocks)
+            time.sleep(WINDOW_S)
+            until_ns, after = time.monotonic_ns(), _read(clocks)
+            time.sleep(TAIL_S)  # what was written at the end of the window may arrive
         finally:
-            os.environ.pop("BOARD51_OPCUA_RATE", None)
-            for process in reversed(processes):
-                process.terminate()
-            for process in processes:
-                process.wait(timeout=60)
-        found: dict[str, Any] = {"line": line._result(folder, begin, end, cpu), "counts": []}
-        found["cores"] = view_cpu / line.WINDOW_S
-        if clients:
-            found["counts"] = json.loads((folder / "counts.json").read_text(encoding="utf-8"))
-        return found
+            line.end(running)
+        cores = {title: (after[title] - before[title]) / WINDOW_S for title in after}
+        cores["everything else on this machine"] = cores.pop("machine") - sum(cores.values())
+        outcome = result(folder, since_ns, until_ns, cores["gateway"] * WINDOW_S)
+        not_logged, own_p99_ms = _of_log(folder, since_ns, until_ns)
+        return Found(line=outcome, not_logged=not_logged, own_p99_ms=own_p99_ms, cores=cores,
+                     values=_counts(folder / "counts.json"), frames=_counts(folder / "frames.json"))  # fmt: skip
 
 
-def _view_of(gateway: int) -> int:
-    """The pid of the gateway's view."""
-    for entry in Path("/proc").iterdir():
-        with suppress(OSError, ValueError):
-            fields = (entry / "stat").read_text(encoding="ascii").rpartition(")")[2].split()
-            if int(fields[1]) == gateway and b"gateway.views.child" in (entry / "cmdline").read_bytes():
-                return int(entry.name)
-    raise RuntimeError("the gateway has no view")
+def _begin_clients(begin: Begin, folder: Path, opcua: int, hmi: int) -> list[subprocess.Popen[str]]:
+    nice = {"BOARD51_BENCH_NICE": CLIENTS_NICE}
+    line.listening(f"tcp/127.0.0.1:{opcua}")
+    clients = [begin("OPC UA clients", line.HERE / "opcua_clients.py", folder, opcua, CLIENTS, BOARDS, **nice)]
+    line.ready(clients[0])
+    if CHROMIUM is not None:
+        line.listening(f"tcp/127.0.0.1:{hmi}")
+        clients.append(begin("browsers", line.HERE / "browsers.py", folder, hmi, CLIENTS, BOARDS, **nice))
+        line.ready(clients[1])
+    return clients
+
+
+def _read(clocks: dict[str, Callable[[], float]]) -> dict[str, float]:
+    return {"machine": line.machine_cpu_s(), **{title: clock() for title, clock in clocks.items()}}
+
+
+def _of_log(folder: Path, since_ns: int, until_ns: int) -> tuple[int, float]:
+    """(samples of the window that the log lacks, median of the gateway's own p99 in ms)."""
+    written = np.load(folder / "written.npy")
+    logged = np.zeros(written.shape, bool)
+    own_ms = []
+    offset_ns = time.time_ns() - time.monotonic_ns()  # of Unix time
+    for record in read(sorted((folder / "logs").glob("*.mcap")), topics=("state", "status")):
+        if isinstance(record.message, pb.State):
+            logged[int(record.board[1:]), record.message.tick % written.shape[1]] = True
+        elif isinstance(record.message, pb.Status) and since_ns < record.time_ns - offset_ns < until_ns:
+            own_ms.append(record.message.latency_p99_ms)
+    inside = (written >= since_ns) & (written < until_ns)
+    return int((inside & ~logged).sum()), float(np.median(own_ms)) if own_ms else float("nan")
+
+
+def _counts(path: Path) -> Counts:
+    found: Counts = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
+    return found
+
+
+def _row(name: str, value: float, unit: str, note: str, baseline: float | None = None) -> Row:
+    ratio = value / baseline if baseline else None
+    return {"name": name, "value": value, "unit": unit, "baseline": baseline, "ratio": ratio, "note": note}
 
 
 if __name__ == "__main__":

@@ -118,7 +118,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
         sessions,
         users,
         jobs=jobs,
-        logs=Library({"logs": settings.logs, "recordings": settings.data / "recordings"}, ("*.mcap",)),
+        logs=Library(_recorded(settings), ("*.mcap",)),
         reports=Library({str(n): path for n, path in enumerate(settings.reports)}, ("report.html",)),
         data=settings.data,
         routes=settings.routes,
@@ -162,6 +162,11 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
     )
     requests.guard = guard
     return guard
+
+
+def _recorded(settings: HmiSettings) -> dict[str, Path]:
+    made = {name: settings.data / name for name in ("recordings", "campaigns")}
+    return {"logs": settings.logs, **made}
 
 
 def _local(sessions: Sessions) -> Session:

@@ -6,6 +6,7 @@ Rule: a control says what became of it, in the words of whoever decided: page, g
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
@@ -24,6 +25,7 @@ _SHAPES = {pb.SHAPE_STEP: "step", pb.SHAPE_RECTANGLE: "rectangle", pb.SHAPE_SAWT
            pb.SHAPE_MULTISINE: "multisine", pb.SHAPE_CHIRP: "chirp"}  # fmt: skip
 _FOLLOW_S = 0.5  # how often controls look at what others did
 _LINES_SHOWN = 12
+_GAPS = re.compile(r"\s{2,}")
 COUNT_M = 5e-7  # the board's reference is in counts of its converter: smaller differences are rounding
 
 
@@ -270,6 +272,8 @@ def campaign(place: Place) -> None:
         full.set_visibility(not running)
         end.set_visibility(running)
         said.text = f"{job.title}: {job.standing}" if job is not None else "The board must be idle. It moves the ball."
-        lines.text = "\n".join(list(job.lines)[-_LINES_SHOWN:]) if job is not None else ""
+        # A table's columns do not fit into a card: what stood in columns is separated by dots.
+        shown = list(job.lines)[-_LINES_SHOWN:] if job is not None else []
+        lines.text = "\n".join(_GAPS.sub(" \u00b7 ", line.strip()) for line in shown)
 
     ui.timer(_FOLLOW_S, follow)

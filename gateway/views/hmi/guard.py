@@ -25,7 +25,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from gateway.views.hmi.sessions import Session, Sessions
 
-COOKIE = "board51_session"
+COOKIE = "board51_session"  # with the port: see `cookie_name`
 TOKEN_HEADER = "x-board51-token"
 PROTOCOL = "board51"  # of our own WebSockets; the token follows it
 MAX_BODY = 1_000_000  # bytes
@@ -71,7 +71,7 @@ class Guard:
             await self._app(scope, receive, send)
             return
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
-        session = self._sessions.get(_cookie(headers.get("cookie", "")), time.monotonic())
+        session = self._sessions.get(_cookie(headers), time.monotonic())
         if scope["type"] == "websocket":
             await self._websocket(scope, receive, send, headers, session)
         else:
@@ -95,7 +95,8 @@ class Guard:
             if self._newcomer is not None and a_page:
                 session = opened = self._newcomer()
             elif a_page:
-                answer = RedirectResponse("/login", status_code=303)
+                over = cookie_name(headers.get("host", "")) in headers.get("cookie", "")
+                answer = RedirectResponse("/login?over" if over else "/login", status_code=303)
             else:
                 answer = refusal(401, "session", "Log in: there is no session, or it is over.")
         elif (
@@ -107,7 +108,7 @@ class Guard:
             answer = refusal(status, "token", f"The request does not bear this session's token in {TOKEN_HEADER}.")
         if answer is None and _too_long(headers):
             answer = refusal(413, "oversize", f"At most {MAX_BODY} bytes.")
-        send = self._with_headers(send, opened)
+        send = self._with_headers(send, opened, headers.get("host", ""))
         if answer is not None:
             await answer(scope, receive, send)
             return
@@ -152,22 +153,22 @@ class Guard:
         scheme = "https" if self._https else "http"
         return headers.get("origin", "") == f"{scheme}://{headers.get('host', '')}"
 
-    def _with_headers(self, send: Send, opened: Session | None) -> Send:
+    def _with_headers(self, send: Send, opened: Session | None, host: str) -> Send:
         async def sender(message: Message) -> None:
             if message["type"] == "http.response.start":
                 there = {name.lower() for name, _ in message["headers"]}
                 message["headers"] = [*message["headers"], *(h for h in _HEADERS if h[0] not in there)]
                 if opened is not None:
-                    message["headers"].append((b"set-cookie", self.cookie(opened).encode("latin-1")))
+                    message["headers"].append((b"set-cookie", self.cookie(opened, host).encode("latin-1")))
             await send(message)
 
         return sender
 
-    def cookie(self, session: Session | None) -> str:
-        """The Set-Cookie of a session; None ends it."""
+    def cookie(self, session: Session | None, host: str) -> str:
+        """The Set-Cookie of a session for a browser that asked `host`; a session of None ends it."""
         secure = "; Secure" if self._https else ""
         value, age_s = (session.token, round(self._sessions.lifetime_s)) if session is not None else ("", 0)
-        return f"{COOKIE}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={age_s}{secure}"
+        return f"{cookie_name(host)}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={age_s}{secure}"
 
 
 def refusal(status: int, reason: str, text: str) -> JSONResponse:
@@ -175,13 +176,24 @@ def refusal(status: int, reason: str, text: str) -> JSONResponse:
     return JSONResponse({"accepted": False, "refused_by": "hmi", "reason": reason, "text": text}, status_code=status)
 
 
-def _cookie(header: str) -> str:
+def cookie_name(host: str) -> str:
+    """The cookie for a Host header, by the port in the browser's address bar.
+
+    Cookies do not tell ports apart: with one name, two control rooms on one host, or behind two ssh tunnels, would log
+    each other out.  Our own port would not do: behind two tunnels to two machines it may be the same.
+    """
+    port = host.rpartition(":")[2]
+    return f"{COOKIE}_{port}" if port.isascii() and port.isdigit() else COOKIE
+
+
+def _cookie(headers: dict[str, str]) -> str:
+    name = cookie_name(headers.get("host", ""))
     jar: SimpleCookie = SimpleCookie()
     try:
-        jar.load(header)
+        jar.load(headers.get("cookie", ""))
     except CookieError:
         return ""
-    return jar[COOKIE].value if COOKIE in jar else ""
+    return jar[name].value if name in jar else ""
 
 
 def _bears_token(given: str, session: Session | None) -> bool:

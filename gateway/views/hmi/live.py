@@ -133,6 +133,7 @@ class Live:
         await socket.accept(subprotocol=PROTOCOL)
         self._readers += 1
         listener = asyncio.create_task(self._listen(socket, session))
+        due_s = time.monotonic()
         try:
             while not listener.done():
                 begun_s = time.monotonic()
@@ -142,7 +143,8 @@ class Live:
                 made = frame(begun_s)
                 made["left_s"] = round(self._sessions.left_s(session, begun_s))
                 await asyncio.wait_for(socket.send_text(json.dumps(made, allow_nan=False)), STUCK_S)
-                await asyncio.sleep(max(0.0, begun_s + period_s - time.monotonic()))
+                due_s = max(due_s + period_s, time.monotonic())  # a late frame does not make the next one late
+                await asyncio.sleep(due_s - time.monotonic())
         except (WebSocketDisconnect, TimeoutError, RuntimeError):
             pass  # it went away, or takes nothing: the end of this reader and of nobody else
         finally:

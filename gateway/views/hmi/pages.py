@@ -112,7 +112,9 @@ def _bar(console: Console, session: Session, title: str, *, live: bool = False, 
                     ui.link(text, target)
             ui.label(f"{session.name}, {console.role(session).word}").classes("who")
             if console.users is not None:
-                ui.button("Log out", on_click=lambda: _log_out(console, session)).props("flat dense no-caps")
+                ui.button("Log out", on_click=lambda: _log_out(console, session)).props(
+                    "flat dense no-caps color=white"
+                )
         if stop:
             with ui.element("button").classes("stop").props('data-act="stop" type="button" aria-keyshortcuts="Escape"'):
                 ui.html('<svg viewBox="0 0 24 24" aria-hidden="true"><path d="M8 1h8l7 7v8l-7 7H8l-7-7V8z"/></svg>',

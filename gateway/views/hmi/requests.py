@@ -119,7 +119,7 @@ class Requests:
         """The form."""
         if self._users is None:
             return RedirectResponse("/", status_code=303)
-        return _form("")
+        return _form("Your session is over: log in again." if "over" in request.query_params else "")
 
     async def login(self, request: Request) -> Response:
         """Name and password in, a session out."""
@@ -134,13 +134,15 @@ class Requests:
         if user is None:
             return _form("The name or the password is wrong.", status=401)
         session = self._console.sessions.open(user.name, user.role, time.monotonic())
-        return RedirectResponse("/", status_code=303, headers={"set-cookie": self.guard.cookie(session)})
+        return RedirectResponse(
+            "/", status_code=303, headers={"set-cookie": self.guard.cookie(session, _host(request))}
+        )
 
     async def logout(self, request: Request) -> Response:
         """End the session."""
         assert self.guard is not None
         self._console.sessions.close(_session(request))
-        return JSONResponse({"accepted": True}, headers={"set-cookie": self.guard.cookie(None)})
+        return JSONResponse({"accepted": True}, headers={"set-cookie": self.guard.cookie(None, _host(request))})
 
     async def _command(self, request: Request, command: pb.Command) -> Response:
         reply = await asyncio.to_thread(self._console.command, _session(request), request.path_params["board"], command)
@@ -153,6 +155,10 @@ _WHAT = [field.name for field in pb.Command.DESCRIPTOR.oneofs_by_name["what"].fi
 def _session(request: Request) -> Session:
     session: Session = request.scope["board51_session"]  # the guard has seen to it
     return session
+
+
+def _host(request: Request) -> str:
+    return str(request.headers.get("host", ""))
 
 
 def _answer(reply: pb.CommandReply) -> JSONResponse:

@@ -7,6 +7,7 @@ Rule 3: a status is judged at the moment of reading or sending, never stored.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -261,6 +262,9 @@ class BoardNodes:
             bins = self._taps[topic].take(unfinished=status not in (quality.GOOD, quality.SUBNORMAL))
             for taken in bins:
                 await self._interval(topic, taken, status)
+                await asyncio.sleep(
+                    0
+                )  # many have gathered where this process was held up: clients are answered meanwhile
             if not bins and topic in self._bins and self._seen.get(topic, (None, status))[1] != status:
                 await self._interval(topic, self._bins[topic], status, again=True)  # its status has changed
             self._seen[topic] = (None, status)

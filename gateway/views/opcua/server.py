@@ -129,9 +129,11 @@ async def _keep_up(
                 )
                 boards[name] = nodes, Conditions(inner, board, nodes.object)
                 _logger.info("%s is served", name)
+                await asyncio.sleep(0)  # a board's 361 nodes take a while: who is connected is answered in between
         for nodes, conditions in boards.values():
             await nodes.update()
             await conditions.update()
+            await asyncio.sleep(0)  # however much there is to send: between two boards clients are answered
         now_s = time.monotonic()
         if now_s - look_s > LOOK_S:
             look_s = now_s

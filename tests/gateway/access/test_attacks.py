@@ -31,22 +31,18 @@ def witness(rig: GuardedRig) -> Iterator[Client]:
         yield client
 
 
-@pytest.fixture
-def ana(rig: GuardedRig) -> Iterator[Client]:
-    with rig.join("ana") as client:
-        yield client
+def person(name: str) -> Any:
+    """A fixture: a new session of this person for each test."""
+
+    @pytest.fixture(name=name)
+    def joined(rig: GuardedRig) -> Iterator[Client]:
+        with rig.join(name) as client:
+            yield client
+
+    return joined
 
 
-@pytest.fixture
-def ben(rig: GuardedRig) -> Iterator[Client]:
-    with rig.join("ben") as client:
-        yield client
-
-
-@pytest.fixture
-def vic(rig: GuardedRig) -> Iterator[Client]:
-    with rig.join("vic") as client:
-        yield client
+ana, ben, vic = person("ana"), person("ben"), person("vic")
 
 
 @pytest.fixture(autouse=True)

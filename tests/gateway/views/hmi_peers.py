@@ -105,8 +105,12 @@ class Page:
         return self.http.post(path, content=json.dumps({} if body is None else body), headers=kept)
 
     @property
+    def cookie_name(self) -> str:
+        return f"board51_session_{self.port}"
+
+    @property
     def cookie(self) -> str:
-        return self.http.cookies.get("board51_session") or ""
+        return self.http.cookies.get(self.cookie_name) or ""
 
     @contextmanager
     def live(
@@ -118,7 +122,7 @@ class Page:
             f"ws://127.0.0.1:{self.port}{path}",
             origin=Origin(origin or self.base),
             subprotocols=[Subprotocol("board51"), Subprotocol(self.token if token is None else token)],
-            additional_headers={"cookie": f"board51_session={shown}"},
+            additional_headers={"cookie": f"{self.cookie_name}={shown}"},
             open_timeout=10.0,
             close_timeout=1.0,
         ) as live:

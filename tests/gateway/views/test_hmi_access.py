@@ -103,6 +103,31 @@ def test_the_cookie_is_out_of_reach_of_scripts_and_other_sites(server: Server) -
     assert "Path=/" in cookie
 
 
+def test_who_held_a_session_is_told_to_log_in_again(server: Server) -> None:
+    page = server.page()
+    page.http.cookies.set(page.cookie_name, "of-a-server-that-has-restarted", domain="127.0.0.1")
+
+    answer = page.http.get("/rig/rig", headers={"accept": "text/html"})
+    form = page.http.get(answer.headers["location"])
+
+    assert answer.status_code == 303
+    assert "Your session is over" in form.text
+    assert "Your session is over" not in page.http.get("/login").text
+
+
+def test_two_pages_on_one_host_keep_their_sessions_apart(server: Server) -> None:
+    """As behind two ssh tunnels: browsers send cookies to all ports of a host."""
+    here, there = server.page("vic"), Page(server.port)
+    there.http.headers["host"], there.base = "127.0.0.1:9999", "http://127.0.0.1:9999"
+
+    cookie = there.log_in("ben").headers["set-cookie"]
+    here.http.cookies.update(there.http.cookies)
+
+    assert cookie.startswith("board51_session_9999=")
+    assert here.http.get("/api/session").json()["name"] == "vic"
+    assert there.http.get("/api/session").json()["name"] == "ben"
+
+
 def test_a_login_from_another_origin_is_refused(server: Server) -> None:
     answer = server.page().http.post(
         "/login", data={"name": "ben", "password": "operator-pass"}, headers={"origin": "http://evil.example"}
@@ -364,10 +389,12 @@ def test_a_stale_session_can_do_nothing(server: Server, tmp_path: Path) -> None:
     with hmi(tmp_path, server.gateway.endpoint, "--users", str(users), "--session-h", "0.0003") as (port, _):
         page = Page(port)
         page.log_in("ben")
+        kept = {"cookie": f"{page.cookie_name}={page.cookie}"}
+        page.http.cookies.clear()  # a browser forgets it in time; who has stolen it does not
 
-        wait_for(lambda: page.http.get("/api/session").status_code == 401, "end of the session")
+        wait_for(lambda: page.http.get("/api/session", headers=kept).status_code == 401, "end of the session")
         before = len(server.gateway.commands)
-        answer = page.post(STOP)
+        answer = page.post(STOP, **kept)
 
     assert answer.status_code == 401
     assert len(server.gateway.commands) == before

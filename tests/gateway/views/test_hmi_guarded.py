@@ -2,16 +2,121 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import httpx
 import pytest
+from playwright.sync_api import Browser, expect, sync_playwright
+from playwright.sync_api import Page as Tab
 
+from gateway.record.reader import read
+from protocol.bus import board51_pb2 as pb
+from protocol.campaign import load
 from tests.gateway.access.access_peers import PASSWORD, guarded_rig, made_folder
-from tests.gateway.gateway_peers import wait_for
-from tests.gateway.views.hmi_peers import Page, hmi
+from tests.gateway.gateway_peers import free_port, wait_for
+from tests.gateway.views.hmi_peers import Page, Process, hmi
 
 pytestmark = pytest.mark.xdist_group("hmi-access")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason="Debian's chromium is not installed")
+UP_MS, CAMPAIGN_MS = 60_000, 240_000  # a quick campaign takes 35 s, and longer to start on a busy machine
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=["--headless=new", "--no-sandbox", "--disable-gpu"]
+        )
+        yield browser
+        browser.close()
+
+
+class Plant:
+    """An emulated board behind a guarded gateway, and its page, all as processes."""
+
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
+        self.folder, self.keys, self._stack = folder, made_folder(folder / "keys"), stack
+        self.endpoint, self.port = f"tls/127.0.0.1:{free_port()}", free_port()
+        emulator = stack.enter_context(Process(folder, "emulate", "--pty", str(folder / "tty")))
+        emulator.wait_for_words("tty")
+        words = ("--board", f"rig={folder / 'tty'}", "--listen", self.endpoint, "--security", str(self.keys.path))
+        self.gateway = Process(folder, "gateway", *words, "--log-dir", str(folder / "logs"))
+        stack.enter_context(self.gateway).wait_for_words("streaming")
+        self.hmi = self.start_hmi()
+
+    def start_hmi(self) -> Process:
+        _, process = self._stack.enter_context(
+            hmi(self.folder, self.endpoint, "--security", str(self.keys.path), port=self.port)
+        )
+        return process
+
+    def records(self) -> list[pb.CommandRecord]:
+        """What the gateway's log says of commands; call it when the gateway has ended."""
+        logs = sorted((self.folder / "logs").glob("*.mcap"))
+        return [record.message for record in read(logs, topics=("command/record",))]  # type: ignore[misc]  # by topic
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
+    with ExitStack() as stack:
+        yield Plant(tmp_path_factory.mktemp("guarded"), stack)
+
+
+@contextmanager
+def logged_in(browser: Browser, plant: Plant, name: str) -> Iterator[Tab]:
+    """The rig's page of a person who has come in by the form."""
+    # Chromium takes authorities from the system's store only; that httpx trusts ours is the test at the end.
+    context = browser.new_context(viewport={"width": 1400, "height": 900}, ignore_https_errors=True)
+    tab = context.new_page()
+    tab.goto(f"https://127.0.0.1:{plant.port}/rig/rig")
+    log_in(tab, name)
+    tab.wait_for_url(f"https://127.0.0.1:{plant.port}/")
+    tab.goto(f"https://127.0.0.1:{plant.port}/rig/rig")
+    tab.wait_for_selector("body[data-live=yes]", timeout=UP_MS)
+    yield tab
+    context.close()
+
+
+def log_in(tab: Tab, name: str) -> None:
+    tab.get_by_label("Name").fill(name)
+    tab.get_by_label("Password").fill(PASSWORD)
+    tab.get_by_role("button", name="Log in").click()
+
+
+@in_a_browser
+def test_a_page_whose_server_restarted_asks_to_log_in_again(browser: Browser, plant: Plant) -> None:
+    with logged_in(browser, plant, "ben") as tab:
+        plant.hmi.kill()
+        plant.hmi = plant.start_hmi()
+
+        expect(tab.get_by_text("Your session is over: log in again.")).to_be_visible(timeout=UP_MS)
+        log_in(tab, "ben")
+        expect(tab.locator(".board-card", has_text="rig")).to_be_visible(timeout=UP_MS)
+
+
+@in_a_browser
+@pytest.mark.slow
+def test_a_campaign_from_the_page_is_an_engineer_s_and_bears_the_name(browser: Browser, plant: Plant) -> None:
+    with logged_in(browser, plant, "ben") as tab:
+        expect(tab.locator(".card", has_text="Excitation").first).to_be_visible()
+        assert tab.get_by_role("button", name="Run quick").count() == 0, "an operator may not"
+
+    with logged_in(browser, plant, "ana") as tab:
+        tab.get_by_role("button", name="Run quick").click()
+        card = tab.locator(".card", has_text="Campaign").last
+        expect(card).to_contain_text("[1/", timeout=UP_MS)
+        expect(card).to_contain_text(": done", timeout=CAMPAIGN_MS)
+    plant.gateway.end()
+
+    (folder,) = (plant.folder / "data" / "campaigns").iterdir()
+    assert len(load(folder).recordings) >= 8
+    excitations = [record for record in plant.records() if record.command.HasField("excite")]
+    assert len(excitations) >= 8
+    assert {(r.command.who, r.command.role, r.reply.accepted) for r in excitations} == {("ana", "engineer", True)}
 
 
 def test_a_person_s_command_reaches_the_board_under_that_person_s_name_and_role(tmp_path: Path) -> None:

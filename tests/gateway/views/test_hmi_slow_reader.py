@@ -51,7 +51,7 @@ def never_reading(page: Page) -> Iterator[socket.socket]:
             f"Sec-WebSocket-Key: {base64.b64encode(os.urandom(16)).decode()}",
             "Sec-WebSocket-Version: 13",
             f"Sec-WebSocket-Protocol: board51, {page.token}",
-            f"Cookie: board51_session={page.cookie}",
+            f"Cookie: {page.cookie_name}={page.cookie}",
         ]
         line.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
         yield line

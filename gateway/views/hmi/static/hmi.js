@@ -10,6 +10,7 @@ import { Plot, SPAN_S } from "./plot.js";
 const page = document.querySelector("meta[name=board51]").dataset;
 const FRAME_LIMIT_S = 0.7; // without a frame for so long, the server or the line to it is gone
 const ACTED_EVERY_S = 20;
+const IDLE_DRAW_MS = 100; // between drawings while no frames come: the age of what is shown counts up
 
 // NiceGUI mounts the page after this script runs, and may replace what it mounted: elements are looked up when needed.
 const $ = (name) => document.querySelector(`[data-live="${name}"]`);
@@ -118,6 +119,7 @@ async function knowsNobody() {
 
 function take(frame) {
   lastFrame = performance.now();
+  drawSoon();
   if (frame.boards) boards = frame.boards;
   if (frame.now) now = frame.now;
   if (frame.rest) {
@@ -167,7 +169,8 @@ function lost() {
 
 function values() {
   const missing = lost(), gone = missing !== "";
-  document.body.dataset.live = gone ? "no" : "yes";
+  const live = gone ? "no" : "yes";
+  if (document.body.dataset.live !== live) document.body.dataset.live = live;
   if (!gone) everLive = true;
   put("lost", gone && (everLive || now) ? missing : gone ? "waiting for data \u2026" : "", gone ? "bad" : "none");
   if (!now) return;
@@ -191,7 +194,8 @@ function values() {
   put("error_i", shown(now.error_i_a, 1e3, 0));
   put("nis", shown(now.nis_mean, 1, 2));
   for (const button of document.querySelectorAll("[data-mode]")) {
-    button.setAttribute("aria-pressed", String(button.dataset.mode === now.mode));
+    const pressed = String(button.dataset.mode === now.mode);
+    if (button.getAttribute("aria-pressed") !== pressed) button.setAttribute("aria-pressed", pressed);
   }
 }
 
@@ -339,8 +343,16 @@ function boardNow() {
   return Math.min(head.t, newest + 0.05);
 }
 
+// Drawn when a frame has come, 30 times a second, and not 60: between two of them there is nothing new to show.
+let drawing = false;
+
+function drawSoon() {
+  if (!drawing) requestAnimationFrame(draw);
+  drawing = true;
+}
+
 function draw() {
-  requestAnimationFrame(draw);
+  drawing = false;
   setUp();
   overview();
   if (page.board) values();
@@ -352,6 +364,6 @@ function draw() {
 }
 
 connect();
+setInterval(drawSoon, IDLE_DRAW_MS);
 // A hidden tab gets no animation frames, but what it says must still be true when somebody looks.
 setInterval(() => page.board && values(), 250);
-draw();
