@@ -138,8 +138,6 @@ class BoardNodes:
             self._build_setpoint(place("setpoint", "write here"), path, field, about)
         for method in methods():
             self._builder.method(self.object, f"{self.name}/{method.name}", "", method.arguments, OUTPUTS)
-        alarm = Argument(name="alarm", variant=_V.String, is_array=False, about="its name, e.g. divergence-x")
-        self._builder.method(self.object, f"{self.name}/Acknowledge", "somebody has seen it", (alarm,), OUTPUTS[:1])
 
     def _build_setpoint(self, parent: ua.NodeId, path: str, field: str, about: str) -> None:
         leaf = next(leaf for leaf in leaves() if leaf.path == f"state/{field}")

@@ -14,7 +14,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from asyncua import ua
@@ -38,6 +38,7 @@ MAX_CONNECTIONS = 64
 MAX_QUEUE = 1_000  # values that wait for one item
 MAX_UNREAD_BYTES = 8_000_000  # of one client that does not read
 LOGINS_PER_10_S = 20  # each costs 50 ms of one core
+LONGEST_COMMENT = 200  # characters that the gateway takes; the rest of a longer one is cut
 _NOBODY = User(role=UserRole.Anonymous)  # until the session is activated
 _METHODS = {method.name: method for method in methods()}
 _REFRESH = (
@@ -52,6 +53,15 @@ class Guest(User):  # type: ignore[misc]  # asyncua's class is untyped
     """asyncua's user with ours inside."""
 
     visitor: Visitor | None = None
+
+
+@dataclass
+class Condition:
+    """What a condition's node stands for, and the events of its present branch that a client may acknowledge."""
+
+    board: str
+    alarm: str
+    event_ids: deque[bytes] = field(default_factory=lambda: deque(maxlen=64))
 
 
 Identify = Callable[[str | None, str | None, bytes | None], Visitor | None]
@@ -94,7 +104,7 @@ class GuardedServer(InternalServer):  # type: ignore[misc]
         super().__init__(user_manager=reception)
         self.desk, self.secured = desk, secured
         self.namespace = 0
-        self.conditions: dict[ua.NodeId, tuple[str, str]] = {}  # condition -> board, alarm
+        self.conditions: dict[ua.NodeId, Condition] = {}
         self.subscription_service = BoundedSubscriptions(self.aspace, iserver=self)
         self.isession.subscription_service = self.subscription_service
         self.bind_condition_methods = 100
@@ -278,18 +288,11 @@ class GuardedSession(InternalSession):  # type: ignore[misc]
         result = ua.CallMethodResult()
         inputs = request.InputArguments or []
         if request.MethodId == _ACKNOWLEDGE:
-            board, alarm = self.iserver.conditions.get(request.ObjectId, ("", ""))
-            code = self.iserver.desk.acknowledge(self.visitor, board, alarm) if board else S.BadNodeIdUnknown
-            result.StatusCode = ua.StatusCode(code)
+            result.StatusCode = ua.StatusCode(await self._acknowledge(request.ObjectId, inputs))
             return result
         board, name = self._place(request.MethodId)
         if request.MethodId not in self.aspace or request.ObjectId != ua.NodeId(board, self.iserver.namespace):
             result.StatusCode = ua.StatusCode(S.BadMethodInvalid)
-        elif name == "Acknowledge":
-            alarm = inputs[0].Value if len(inputs) == 1 and isinstance(inputs[0].Value, str) else ""
-            code = self.iserver.desk.acknowledge(self.visitor, board, alarm)
-            result.StatusCode = ua.StatusCode(code)
-            result.OutputArguments = [ua.Variant(code == S.Good, ua.VariantType.Boolean)]
         elif name in _METHODS:
             command = called(_METHODS[name], inputs)
             if isinstance(command, pb.Command):
@@ -304,6 +307,20 @@ class GuardedSession(InternalSession):  # type: ignore[misc]
         while len(result.InputArgumentResults) < len(inputs):
             result.InputArgumentResults.append(ua.StatusCode())
         return result
+
+    async def _acknowledge(self, node: ua.NodeId, inputs: list[ua.Variant]) -> int:
+        """Part 9, 5.7.3: of a condition, by EventId and comment."""
+        condition = self.iserver.conditions.get(node)
+        if condition is None:
+            return int(S.BadNodeIdUnknown)
+        if len(inputs) != 2:
+            return int(S.BadArgumentsMissing if len(inputs) < 2 else S.BadTooManyArguments)
+        event_id, comment = inputs[0].Value, inputs[1].Value
+        if event_id not in condition.event_ids:
+            return int(S.BadEventIdUnknown)
+        said = comment.Text or "" if isinstance(comment, ua.LocalizedText) else ""
+        seen = pb.Command(acknowledge=pb.Acknowledge(alarm=condition.alarm, comment=said[:LONGEST_COMMENT]))
+        return code_of(await self.iserver.desk.command(self.visitor, condition.board, "acknowledge", seen))
 
 
 def _outputs(reply: pb.CommandReply) -> list[ua.Variant]:

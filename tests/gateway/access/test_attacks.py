@@ -156,6 +156,7 @@ def test_the_name_in_the_message_counts_for_nothing(ben: Client) -> None:
     [
         ("vic", {"stop": pb.Stop()}, "operator"),
         ("vic", {"set_mode": CLOSED}, "operator"),
+        ("vic", {"acknowledge": pb.Acknowledge(alarm="divergence-x")}, "operator"),
         ("vic", {"set_reference": pb.SetReference(x_ref_m=0.003)}, "operator"),
         ("ben", {"set_gains": pb.SetGains(gains=[0, 0, 0, 0])}, "engineer"),
         ("ben", {"set_host_loss": pb.SetHostLoss(policy=0, timeout_s=1.0)}, "engineer"),

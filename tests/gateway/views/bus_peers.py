@@ -29,6 +29,10 @@ class PlayedGateway:
         self.last = pb.State()
         self._queryable = session.declare_queryable("board51/*/command/**", self._on_query)
 
+    def stop_answering(self) -> None:
+        """As if the gateway had ended, and not its router."""
+        self._queryable.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+
     def send(self, topic: str, message: Message, board: str = "rig") -> None:
         self.session.put(topics.key("board51", board, topic), message.SerializeToString())
 

@@ -139,7 +139,7 @@ def test_a_viewer_reads_and_nothing_else(server: Served) -> None:
             stop = await client.call("rig", "Stop")
             assert stop.StatusCode.value == S.BadUserAccessDenied
             assert stop.OutputArguments[1].Value == "not-allowed"
-            seen = await client.call("rig", "Acknowledge", ua.Variant("x"))
+            seen = await client.call("rig", "Acknowledge", ua.Variant("x"), ua.Variant(""))
             assert seen.StatusCode.value == S.BadUserAccessDenied
 
     server.gateway.commands.clear()

@@ -341,14 +341,20 @@ def test_alarms_are_conditions_that_can_be_acknowledged(server: Served) -> None:
             request = ua.CallMethodRequest()
             request.ObjectId = ua.NodeId("alarming/alarm/divergence-x", client.namespace)
             request.MethodId = ua.NodeId(ua.ObjectIds.AcknowledgeableConditionType_Acknowledge)
-            request.InputArguments = [ua.Variant(came.EventId), ua.Variant(ua.LocalizedText("seen"))]
-            done = (await client.client.uaclient.call([request]))[0]
-            assert done.StatusCode.is_good()
-            await until(lambda: condition(True), "acknowledged condition")
+            codes = []
+            for event_id in (b"of another event", came.EventId, came.EventId):
+                request.InputArguments = [ua.Variant(event_id), ua.Variant(ua.LocalizedText("a cold coil"))]
+                codes.append((await client.client.uaclient.call([request]))[0].StatusCode.value)
+            assert codes == [S.BadEventIdUnknown, S.Good, S.BadConditionBranchAlreadyAcked]
+            seen = await until(lambda: condition(True), "acknowledged condition")
+            assert (seen.ClientUserId, seen.Comment.Text) == ("anonymous", "a cold coil")
             assert (await client.read("alarming/alarms/unacknowledged")).Value.Value == 0
-            again = await client.call("alarming", "Acknowledge", ua.Variant("divergence-x"))
+            again = await client.call("alarming", "Acknowledge", ua.Variant("divergence-x"), ua.Variant(""))
             assert again.StatusCode.value == S.BadConditionBranchAlreadyAcked
+            assert again.OutputArguments[1].Value == "no-alarm"
+            assert [command.acknowledge.alarm for _, command in server.gateway.commands] == ["divergence-x"]
 
+    server.gateway.commands.clear()
     with ticking(server.gateway, "alarming"):
         asyncio.run(ask())
 
