@@ -7,7 +7,6 @@ As in gateway.py: the load, the gateway as a user starts it (log on), a zenoh su
 from __future__ import annotations
 
 import json
-import os
 import tempfile
 import time
 from contextlib import suppress
@@ -52,8 +51,7 @@ def measure(*, clients: int) -> dict[str, Any]:
             processes.append(line._start(line.HERE / "load.py", folder, BOARDS, 120))
             line._ready(processes[-1])
             names = [word for n in range(BOARDS) for word in ("--board", f"b{n}={folder}/tty{n}")]
-            views = ["--opcua", f"127.0.0.1:{opcua}"] if clients else []
-            os.environ["BOARD51_OPCUA_RATE"] = "50"
+            views = ["--opcua", f"127.0.0.1:{opcua}", "--opcua-rate", "50"] if clients else []
             processes.append(
                 line._start("-m", "board51", "gateway", "--site", "bench", *names, "--listen", endpoint,
                             "--log-dir", folder / "logs", *views)
@@ -76,7 +74,6 @@ def measure(*, clients: int) -> dict[str, Any]:
             end, cpu = time.monotonic_ns(), line._cpu_s(middle.pid) - cpu
             time.sleep(line.TAIL_S)
         finally:
-            os.environ.pop("BOARD51_OPCUA_RATE", None)
             for process in reversed(processes):
                 process.terminate()
             for process in processes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -72,7 +71,7 @@ def plant(node: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plan
         wait_for((folder / "tty").exists, "pty", 30.0)
         run(stack, folder, "gateway", "--board", f"rig1={folder / 'tty'}", "--listen", bus, "--security",
             str(security.path), "--log-dir", str(folder / "logs"), "--opcua", f"127.0.0.1:{port}",
-            BOARD51_OPCUA_RATE="50")  # fmt: skip
+            "--opcua-rate", "50")  # fmt: skip
         wait_for(lambda: "rig1 is served" in said(folder), "OPC UA server", 90.0)
         mode = board51("send", "rig1", "mode", "closed-loop", "--connect", bus, "--identity",
                        str(security.identity_path("otto")))  # fmt: skip
@@ -80,14 +79,13 @@ def plant(node: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plan
         yield Plant(url=f"opc.tcp://127.0.0.1:{port}/board51/", folder=security.path, node=node)
 
 
-def run(stack: ExitStack, folder: Path, *words: str, **environment: str) -> None:
+def run(stack: ExitStack, folder: Path, *words: str) -> None:
     errors = stack.enter_context((folder / f"{words[0]}.log").open("wb"))
     process = subprocess.Popen(
         [sys.executable, "-m", "board51", *words],
         cwd=ROOT,
         stderr=errors,
         stdout=errors,
-        env={**os.environ, **environment},
     )
     stack.callback(process.wait, 20)
     stack.callback(process.terminate)

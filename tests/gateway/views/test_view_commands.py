@@ -24,7 +24,12 @@ from gateway.views.listen import address
         (["opcua", "--site", "a/b"], "is not a name"),
         (["foxglove", "--listen", "0.0.0.0:8765"], "ssh"),
         (["foxglove", "--board", "Rig 1", "--print-layout"], "is not a name"),
-        (["gateway", "--board", "rig=/dev/null", "--opcua", "nowhere"], "--opcua 'nowhere' is not an address"),
+        (
+            ["gateway", "--board", "rig=/dev/null", "--opcua", "nowhere"],
+            "--opcua or [opcua] listen: 'nowhere' is not an address",
+        ),
+        (["gateway", "--board", "rig=/dev/null", "--opcua", "--opcua-rate", "500"], "Give 10.0 .. 50.0 Hz"),
+        (["gateway", "--board", "rig=/dev/null", "--opcua-rate", "nan"], "--opcua-rate"),
         (["gateway", "--board", "rig=/dev/null", "--foxglove", "0.0.0.0:1"], "without protection"),
     ],
 )
