@@ -287,7 +287,7 @@ class Feed:
         """Hear no more."""
         for subscriber in self._subscribers:
             subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
-        self._token.undeclare()  # type: ignore[no-untyped-call]
+        self._token.undeclare()  # type: ignore[no-untyped-call]  # the same
 
     def boards(self) -> tuple[str, ...]:
         """Names of the boards heard so far, in order."""

@@ -58,7 +58,9 @@ def test_a_late_view_lists_the_alarms_of_the_twin_until_they_end() -> None:
             with Served(gateway, ServerSettings(port=0)) as server:
                 shown = asyncio.run(shown_by(server.port, lambda lines: RAISED <= names(lines)))
                 wait_for(lambda: len(early.messages["rig/twin/alarms"]) >= 3, "repeats", timeout_s=20.0)
-                times = {a.times for a in late.board(BOARD).alarms() if a.of_twin}  # type: ignore[union-attr]
+                board = late.board(BOARD)
+                assert board is not None
+                times = {a.times for a in board.alarms() if a.of_twin}
 
         assert listed == raised, "listed with the time at which it was raised"
         assert all("active, not acknowledged" in line for line in shown if line.partition(":")[0] in RAISED)

@@ -5,12 +5,11 @@ Rule 1: on a secured server a session without an encrypted channel is refused, w
 Rule 2: a session stays with its channel.  asyncua numbers its session tokens; whoever guesses one would be handed the
         session of somebody else together with their rights, before their own credentials are looked at.
 Rule 3: nothing can be written but setpoints, nothing called but what `model.py` lists, nothing added to the space.
-Rule 4: every client gets a bounded service: intervals, subscriptions, items, queues, bytes that it has not read.
+Rule 4: every client gets a bounded service: sessions, logins, queues, bytes that it has not read; see subscriptions.py.
 """
 
 from __future__ import annotations
 
-import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -22,17 +21,14 @@ from asyncua.common.utils import ServiceError
 from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
-from asyncua.server.subscription_service import SubscriptionService
 
 from gateway.access.roles import Role
 from gateway.views.opcua.desk import Desk, Visitor, called, code_of, written
 from gateway.views.opcua.model import methods
+from gateway.views.opcua.subscriptions import BoundedSubscriptions
 from protocol.bus import board51_pb2 as pb
 
 S = ua.StatusCodes
-MIN_INTERVAL_MS = 20.0
-MAX_INTERVAL_MS = 3_600_000.0
-MAX_ITEMS = 5_000  # monitored items of one subscription; eight boards have 1500 variables
 MAX_SUBSCRIPTIONS = 100
 MAX_CONNECTIONS = 64
 MAX_QUEUE = 1_000  # values that wait for one item
@@ -91,7 +87,7 @@ class Reception:
         return None if visitor is None else Guest(role=UserRole.User, name=visitor.name, visitor=visitor)
 
 
-class GuardedServer(InternalServer):  # type: ignore[misc]
+class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes are untyped
     """asyncua's internal server with our sessions and limits.
 
     Args:
@@ -138,42 +134,7 @@ class GuardedServer(InternalServer):  # type: ignore[misc]
         return len(deaf)
 
 
-class BoundedSubscriptions(SubscriptionService):  # type: ignore[misc]
-    """Subscriptions with a shortest interval and a largest number of items."""
-
-    async def create_subscription(
-        self,
-        params: ua.CreateSubscriptionParameters,
-        callback: Callable[..., Any],
-        session_id: ua.NodeId,
-        request_callback: Callable[..., Any] | None = None,
-    ) -> ua.CreateSubscriptionResult:
-        """With the interval revised to what is served."""
-        asked_ms = params.RequestedPublishingInterval
-        if math.isnan(asked_ms):
-            asked_ms = MIN_INTERVAL_MS
-        params.RequestedPublishingInterval = min(max(asked_ms, MIN_INTERVAL_MS), MAX_INTERVAL_MS)
-        return await super().create_subscription(params, callback, session_id, request_callback)
-
-    async def create_monitored_items(
-        self, params: ua.CreateMonitoredItemsParameters
-    ) -> list[ua.MonitoredItemCreateResult]:
-        """As many as there is room for; BadTooManyMonitoredItems for the rest."""
-        subscription = self.subscriptions.get(params.SubscriptionId)
-        items = {} if subscription is None else subscription.monitored_item_srv._monitored_items  # noqa: SLF001
-        held = len(items)
-        room = max(0, MAX_ITEMS - held)
-        surplus = len(params.ItemsToCreate) - room
-        params.ItemsToCreate = params.ItemsToCreate[:room]
-        results: list[ua.MonitoredItemCreateResult] = await super().create_monitored_items(params)
-        for _ in range(surplus):
-            refused = ua.MonitoredItemCreateResult()
-            refused.StatusCode = ua.StatusCode(S.BadTooManyMonitoredItems)
-            results.append(refused)
-        return results
-
-
-class GuardedSession(InternalSession):  # type: ignore[misc]
+class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
     """One client's session."""
 
     iserver: GuardedServer

@@ -45,7 +45,7 @@ class PlayedGateway:
             "mode": pb.MODE_CLOSED_LOOP,
         }  # fmt: skip
         values.update(fields)
-        self.last = pb.State(**values)  # type: ignore[arg-type]
+        self.last = pb.State(**values)  # type: ignore[arg-type]  # a test may send what it likes
         self.send("state", self.last, board)
 
     def status(self, board: str = "rig", link: str = "streaming") -> None:

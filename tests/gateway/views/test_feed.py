@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from functools import partial
 
 import pytest
 
@@ -165,7 +166,7 @@ def test_what_is_seen_in_one_view_is_seen_in_all_and_in_those_that_come_later() 
         endpoint = config.zenoh.listen[0]
         with running(config), client(endpoint) as bus, client(endpoint) as elsewhere:
             feeds = [Feed(bus.session), Feed(elsewhere.session)]
-            boards = [wait_for(lambda feed=feed: feed.board("rig"), "board") for feed in feeds]  # type: ignore[misc]
+            boards = [wait_for(partial(feed.board, "rig"), "board") for feed in feeds]
             raised = pb.Alarm(name="divergence-x", active=True, text="off", host_time_ns=time.time_ns())
             for topic, message in (("alarm", raised), ("alarms", pb.TwinAlarms(active=[raised]))):
                 bus.session.put(f"board51/rig/twin/{topic}", message.SerializeToString())

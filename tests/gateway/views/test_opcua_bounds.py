@@ -13,7 +13,7 @@ from asyncua import ua
 from asyncua.ua.uaerrors import UaError
 
 from gateway.views.feed import Feed
-from gateway.views.opcua import sessions
+from gateway.views.opcua import sessions, subscriptions
 from gateway.views.opcua.desk import Desk
 from gateway.views.opcua.server import Settings
 from gateway.views.opcua.sessions import GuardedServer, Reception
@@ -46,13 +46,13 @@ def test_the_shortest_interval_and_the_longest_life_are_revised(server: Served) 
 
     revised = asyncio.run(ask())
 
-    assert revised.RevisedPublishingInterval == sessions.MIN_INTERVAL_MS
+    assert revised.RevisedPublishingInterval == subscriptions.MIN_INTERVAL_MS
     assert revised.RevisedLifetimeCount >= 3 * revised.RevisedMaxKeepAliveCount
     assert revised.RevisedLifetimeCount * revised.RevisedPublishingInterval <= 3600e3
 
 
 def test_a_subscription_holds_so_many_items_and_no_more(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sessions, "MAX_ITEMS", 7)
+    monkeypatch.setattr(subscriptions, "MAX_ITEMS", 7)
 
     async def ask() -> list[int | ua.StatusCode]:
         async with peer(server.port) as client:
