@@ -255,6 +255,25 @@ def test_the_last_minutes_can_be_read(server: Served) -> None:
         asyncio.run(ask())
 
 
+def test_an_empty_history_says_why_it_is_empty(server: Served) -> None:
+    async def ask() -> list[int]:
+        async with peer(server.port) as client:
+            await client.await_status("old/state/x_m", S.Good)
+            details = ua.ReadRawModifiedDetails(IsReadModified=False, NumValuesPerNode=10)
+            details.StartTime, details.EndTime = datetime(2001, 1, 1, tzinfo=UTC), datetime(2001, 1, 2, tzinfo=UTC)
+            asked = ua.HistoryReadParameters(HistoryReadDetails=details)
+            asked.NodesToRead = [
+                ua.HistoryReadValueId(NodeId=ua.NodeId(path, client.namespace))
+                for path in ("old/state/x_m", "old/status/link", "old/nothing")
+            ]
+            return [result.StatusCode.value for result in await client.client.uaclient.history_read(asked)]
+
+    with ticking(server.gateway, "old"):
+        codes = asyncio.run(ask())
+
+    assert codes == [S.GoodNoData, S.BadHistoryOperationUnsupported, S.BadNodeIdUnknown]
+
+
 def test_setpoints_are_commands_and_refusals_are_status_codes(server: Served) -> None:
     async def ask() -> None:
         async with peer(server.port) as client:
