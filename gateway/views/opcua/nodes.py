@@ -2,7 +2,8 @@
 
 Rule 1: a value that nobody subscribes to is made when it is read; only subscribed ones are made at the rate.
 Rule 2: each interval reaches each subscriber, in order, also when this process was late: the feed keeps the bins.
-Rule 3: a status is judged at the moment of reading or sending, never stored.
+Rule 3: a status is judged at the moment of reading or sending, never stored.  After an outage it is good again with the
+        first interval since, not with the first sample: until then the value is the one from before.
 """
 
 from __future__ import annotations
@@ -80,6 +81,7 @@ class BoardNodes:
             topic: feed.tap(message, width_s=1.0 / rate_hz) for topic, message in _TAPPED.items()
         }
         self._bins: dict[str, Bin] = {}
+        self._outlived: set[str] = set()  # topics whose bin is from before an outage
         self._stamps_ns: dict[str, int] = {}
         self._seen: dict[str, tuple[object, int]] = {}  # what was sent last: message, status
         self._nodes: dict[str, list[_Node]] = {topic: [] for topic in TOPICS}
@@ -159,6 +161,10 @@ class BoardNodes:
 
     def _status(self, topic: str) -> int:
         """Of everything of a topic, now."""
+        status = self._judged(topic)
+        return quality.STALE if topic in self._outlived and not quality.is_down(status) else status
+
+    def _judged(self, topic: str) -> int:
         feed = self.feed
         message = topics.BY_NAME[topic].message
         if feed.latest(message) is None:
@@ -215,8 +221,13 @@ class BoardNodes:
         """Send what has changed since the last call to whoever subscribed it, and keep history."""
         self._update_ranges()
         for topic in TICK_TOPICS:
+            down = quality.is_down(self._judged(topic))
+            bins = self._taps[topic].take(unfinished=down)
+            if down:
+                self._outlived.add(topic)
+            elif bins:
+                self._outlived.discard(topic)
             status = self._status(topic)
-            bins = self._taps[topic].take(unfinished=status not in (quality.GOOD, quality.SUBNORMAL))
             for taken in bins:
                 await self._interval(topic, taken, status)
             if not bins and topic in self._bins and self._seen.get(topic, (None, status))[1] != status:

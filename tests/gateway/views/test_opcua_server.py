@@ -189,6 +189,29 @@ def test_a_subscriber_is_told_of_a_loss_within_a_second(server: Served) -> None:
     asyncio.run(ask())
 
 
+def test_no_value_from_before_an_outage_is_called_good_after_it(server: Served) -> None:
+    kept = Kept()
+
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            with ticking(server.gateway, "back"):
+                await client.await_status("back/state/x_m", S.Good)
+            await client.await_status("back/state/x_m", S.UncertainLastUsableValue, 5.0)
+            await subscribe(client, kept, "back/state/x_m", "back/link/state")
+            await received(kept, "back/link/state", 1)
+            server.gateway.state("back", x_m=4e-3)  # one sample: live, and no interval yet
+            await received(kept, "back/link/state", 2)
+            with ticking(server.gateway, "back", values=lambda _: {"x_m": 4e-3}):
+                await client.await_status("back/state/x_m", S.Good)
+                await received(kept, "back/state/x_m", 2)
+
+    asyncio.run(ask())
+
+    assert [v.Value.Value for v in kept.values["back/link/state"]][:2] == ["silent", "live"]
+    good = [v.Value.Value for v in kept.values["back/state/x_m"] if v.StatusCode.value == S.Good]
+    assert set(good) == {4e-3}
+
+
 def test_faults_and_clipping_are_in_the_status_of_the_signal(server: Served) -> None:
     flags = [0]
 
