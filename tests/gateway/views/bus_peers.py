@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import zenoh
 from google.protobuf.message import Message
@@ -81,3 +83,32 @@ def feed_of(gateway: PlayedGateway) -> Iterator[Feed]:
         feed = Feed(session)
         yield feed
         feed.close()
+
+
+@contextmanager
+def ticking(
+    gateway: PlayedGateway,
+    *boards: str,
+    values: Callable[[int], dict[str, Any]] | None = None,
+    period_s: float = 0.004,
+) -> Iterator[None]:
+    """The gateway publishes samples, as far as this machine keeps up, status and parameters now and then."""
+    stop = threading.Event()
+
+    def work() -> None:
+        n = 0
+        while not stop.wait(period_s):
+            for board in boards or ("rig",):
+                gateway.state(board, **(values(n) if values is not None else {}))
+                if n % 50 == 0:
+                    gateway.status(board)
+                    gateway.parameters(board)
+            n += 1
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()

@@ -17,8 +17,8 @@ from gateway.views.opcua import sessions, subscriptions
 from gateway.views.opcua.desk import Desk
 from gateway.views.opcua.server import Settings
 from gateway.views.opcua.sessions import GuardedServer, Reception
-from tests.gateway.views.bus_peers import played_gateway
-from tests.gateway.views.opcua_peers import Served, peer, ticking
+from tests.gateway.views.bus_peers import played_gateway, ticking
+from tests.gateway.views.opcua_peers import Served, peer
 
 S = ua.StatusCodes
 

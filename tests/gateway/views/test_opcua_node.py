@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -18,6 +17,7 @@ from gateway.access.folder import SecurityFolder
 from gateway.access.roles import Role
 from gateway.access.users import User
 from tests.gateway.gateway_peers import free_port, wait_for
+from tests.gateway.npm import installed
 
 HERE = Path(__file__).parent / "node_opcua"
 ROOT = Path(__file__).parents[3]
@@ -41,20 +41,7 @@ class Plant:
 @pytest.fixture(scope="module")
 def node(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with judge.mjs and its packages."""
-    npm = shutil.which("npm")
-    if npm is None or shutil.which("node") is None:
-        pytest.skip("node and npm are not installed")
-    folder = tmp_path_factory.mktemp("node_opcua")
-    for name in ("package.json", "judge.mjs"):
-        shutil.copy(HERE / name, folder / name)
-    command = [npm, "install", "--no-package-lock", "--no-audit", "--no-fund", "--ignore-scripts"]
-    try:
-        installed = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=90, check=False)
-    except subprocess.TimeoutExpired:
-        pytest.skip("npm did not answer within 90 s")
-    if installed.returncode:
-        pytest.skip(f"the packages cannot be installed: {installed.stderr.strip()[-200:]}")
-    return folder
+    return installed(HERE, tmp_path_factory.mktemp("node_opcua"))
 
 
 @pytest.fixture(scope="module")

@@ -17,8 +17,8 @@ from gateway.views.opcua.server import Settings
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import ServiceError
 from protocol.wire.messages import Flag
-from tests.gateway.views.bus_peers import played_gateway
-from tests.gateway.views.opcua_peers import Peer, Served, peer, ticking, until
+from tests.gateway.views.bus_peers import played_gateway, ticking
+from tests.gateway.views.opcua_peers import Peer, Served, peer, until
 
 S = ua.StatusCodes
 DOUBLE = ua.VariantType.Double
