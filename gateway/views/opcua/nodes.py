@@ -17,7 +17,7 @@ from asyncua import ua
 from asyncua.server.internal_server import InternalServer
 
 from gateway.views.decimate import Bin
-from gateway.views.feed import BoardFeed, Tap
+from gateway.views.feed import BoardFeed
 from gateway.views.opcua import quality
 from gateway.views.opcua.build import READ, WRITE, Builder, analog
 from gateway.views.opcua.clock import StampClock
@@ -27,6 +27,7 @@ from gateway.views.opcua.model import TICK_TOPICS, TOPICS, Argument, Leaf, leave
 from gateway.views.opcua.ranges import RANGED, ranges
 from gateway.views.opcua.units import unit_of
 from gateway.views.opcua.values import Value, data_value
+from gateway.views.tap import Tap
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 

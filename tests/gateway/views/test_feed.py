@@ -12,7 +12,8 @@ import pytest
 
 from gateway.alarms import LINK
 from gateway.views.alarms import TWIN
-from gateway.views.feed import SILENT_S, TWIN_GONE_S, BoardFeed, Feed, channels
+from gateway.views.feed import SILENT_S, TWIN_GONE_S, BoardFeed, Feed
+from gateway.views.tap import channels
 from protocol.bus import board51_pb2 as pb
 from tests.gateway.gateway_peers import ScriptedBoard, client, gateway_config, running, wait_for
 from tests.gateway.views.bus_peers import PlayedGateway, feed_of, played_gateway
