@@ -13,7 +13,7 @@ import signal
 from typing import TYPE_CHECKING
 
 from gateway.client import open_bus
-from gateway.config import OpcuaConfig
+from gateway.config import OpcuaConfig, changed
 from gateway.views.account import views_identity
 from gateway.views.listen import add_view_arguments, listener
 from protocol.errors import UsageError
@@ -60,10 +60,8 @@ def run(args: argparse.Namespace) -> int:
     from gateway.views.opcua.server import Settings
 
     host, port = listener(args, "OPC UA", remedy="Give --security DIR, made by `board51 security init DIR`")
-    if not 10.0 <= args.rate <= 50.0:
-        raise UsageError(f"--rate {args.rate:g} Hz is out of bounds", remedy="Give 10 .. 50")
-    if not 10.0 <= args.history <= 3600.0:
-        raise UsageError(f"--history {args.history:g} s is out of bounds", remedy="Give 10 .. 3600")
+    served = changed(OpcuaConfig(), "--rate", rate_hz=args.rate)
+    served = changed(served, "--history", history_s=args.history)
     word = args.anonymous or ("off" if args.security is not None else "viewer")
     if word in ("operator", "engineer") and not is_loopback(host):
         raise UsageError(
@@ -73,8 +71,8 @@ def run(args: argparse.Namespace) -> int:
     settings = Settings(
         host=host,
         port=port,
-        rate_hz=args.rate,
-        history_s=args.history,
+        rate_hz=served.rate_hz,
+        history_s=served.history_s,
         anonymous=None if word == "off" else Role[word.upper()],
         security=Security(args.security) if args.security is not None else None,
     )
