@@ -94,7 +94,7 @@ class AlarmBook:
         self.come(TWIN, "warning", "The twin has ended: nobody compares the rig with its model.", now_ns)
 
     def repeated(self, alarms: pb.Alarms, now_ns: int) -> None:
-        """From the gateway's `alarms`: name, text and first time of what holds here too; what was acknowledged.
+        """From the gateway's `alarms`: name and first time of what holds here too; what was acknowledged.
 
         It only fills in: whether a condition holds, this view judges by samples and status, which are newer.
         """
@@ -106,7 +106,7 @@ class AlarmBook:
             known = self._alarms.get(alarm.name)
             if known is not None and known.active and known.times == 1 and since_ns < known.since_ns:
                 self.revision += 1
-                self._alarms[alarm.name] = replace(known, since_ns=since_ns, changed_ns=since_ns, text=alarm.text)
+                self._alarms[alarm.name] = replace(known, since_ns=since_ns, changed_ns=since_ns)
         for seen in alarms.acknowledged:
             self.acknowledge(seen.alarm, seen.who, seen.host_time_ns or now_ns, seen.comment)
 

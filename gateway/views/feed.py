@@ -31,6 +31,7 @@ from typing import TypeVar
 import zenoh
 from google.protobuf.message import Message
 
+from gateway.alarms import LINK
 from gateway.client import send
 from gateway.views.alarms import Alarm, AlarmBook
 from gateway.views.decimate import Decimator
@@ -118,7 +119,9 @@ class BoardFeed:
         word = "connecting" if status is None else status.link
         if word == "streaming":  # of a status before the loss
             return Link(state="silent", reason="No samples come.", age_s=age_s)
-        return Link(state=word, reason=_REASONS.get(word, "No samples come."), age_s=age_s)
+        said = self.latest(pb.Alarms)  # the gateway knows more: which port, what was tried
+        why = next((alarm.text for alarm in said.active if alarm.name == LINK), "") if said is not None else ""
+        return Link(state=word, reason=why or _REASONS.get(word, "No samples come."), age_s=age_s)
 
     def alarms(self) -> tuple[Alarm, ...]:
         """Active or not acknowledged, the most urgent first."""

@@ -207,7 +207,7 @@ def test_an_acknowledgement_means_what_came_before_it() -> None:
     assert names(book) == [("divergence-x", True, True)]
 
 
-def test_the_gateway_gives_a_missed_fault_its_name_and_time_and_a_link_its_reason() -> None:
+def test_the_gateway_gives_a_missed_fault_its_name_and_a_link_its_time() -> None:
     book = AlarmBook("rig")
     book.state(pb.State(flags=Flag.FAULT, tick=5), 900)
     book.link("No samples come.", 900)
@@ -217,7 +217,7 @@ def test_the_gateway_gives_a_missed_fault_its_name_and_time_and_a_link_its_reaso
     book.repeated(pb.Alarms(active=known), 950)
 
     assert [(a.name, a.text, a.since_ns) for a in book.listed()] == [
-        (LINK, "The cable is out.", 200),
+        (LINK, "No samples come.", 200),
         ("over-current", "coil off", 100),
     ]
 

@@ -77,6 +77,9 @@ def test_a_board_that_falls_silent_is_not_live_within_a_second(feed: Feed, gatew
     assert (link.state, link.age_s >= SILENT_S) == ("silent", True)
     gateway.status(link="absent")
     assert wait_for(lambda: rig.link() if rig.link().state == "absent" else None, "absent").reason
+    gateway.send("alarms", pb.Alarms(active=[pb.Alarm(name=LINK, active=True, text="There is no /dev/ttyUSB0.")]))
+    wait_for(lambda: rig.link().reason == "There is no /dev/ttyUSB0.", "what the gateway says")
+    wait_for(lambda: [a.text for a in rig.alarms()] == ["There is no /dev/ttyUSB0."], "the alarm, after the grace")
 
 
 def test_silence_is_judged_by_the_clock_of_the_view(gateway: PlayedGateway) -> None:
