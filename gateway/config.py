@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +125,29 @@ class SecurityConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class OpcuaConfig:
+    """The OPC UA server: `[opcua]`."""
+
+    listen: str = _key("", "serve here, as a process beside the gateway, e.g. 127.0.0.1:4840; empty: not at all")
+    rate_hz: float = _key(20.0, "values per second of each variable, with min and max", unit="Hz", low=10.0, high=50.0)
+    history_s: float = _key(300.0, "how far HistoryRead goes back", unit="s", low=10.0, high=3600.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HmiConfig:
+    """The web page: `[hmi]`."""
+
+    listen: str = _key("", "serve here, e.g. 127.0.0.1:8051; empty: not at all")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoxgloveConfig:
+    """The live Foxglove WebSocket: `[foxglove]`."""
+
+    listen: str = _key("", "serve here, e.g. 127.0.0.1:8765; empty: not at all")
+
+
+@dataclass(frozen=True, kw_only=True)
 class GatewayConfig:
     """The whole file."""
 
@@ -133,9 +156,15 @@ class GatewayConfig:
     zenoh: ZenohConfig = field(default_factory=ZenohConfig)
     log: LogConfig = field(default_factory=LogConfig)
     security: SecurityConfig = field(default_factory=SecurityConfig)
+    opcua: OpcuaConfig = field(default_factory=OpcuaConfig)
+    hmi: HmiConfig = field(default_factory=HmiConfig)
+    foxglove: FoxgloveConfig = field(default_factory=FoxgloveConfig)
 
 
-_SECTIONS: dict[str, type[Any]] = {"zenoh": ZenohConfig, "log": LogConfig, "security": SecurityConfig}
+_SECTIONS: dict[str, type[Any]] = {
+    "zenoh": ZenohConfig, "log": LogConfig, "security": SecurityConfig,
+    "opcua": OpcuaConfig, "hmi": HmiConfig, "foxglove": FoxgloveConfig,
+}  # fmt: skip
 
 
 def load_config(path: Path | None, environment: Mapping[str, str] = os.environ) -> GatewayConfig:
@@ -160,7 +189,8 @@ def load_config(path: Path | None, environment: Mapping[str, str] = os.environ) 
     unknown = table.keys() - {"site", "board", *_SECTIONS}
     if unknown:
         raise ConfigError(
-            f"{where}: unknown key {sorted(unknown)[0]!r}", remedy="Known: site, [[board]], [zenoh], [log], [security]"
+            f"{where}: unknown key {sorted(unknown)[0]!r}",
+            remedy=f"Known: site, [[board]], {', '.join(f'[{name}]' for name in _SECTIONS)}",
         )
     raw_boards = table.get("board", [])
     if not isinstance(raw_boards, list) or not all(isinstance(b, dict) for b in raw_boards):
@@ -228,6 +258,12 @@ def _checked(f: Field[Any], value: object, where: str) -> Any:
     if (low is not None and not good >= low) or (high is not None and not good <= high):
         raise ConfigError(f"{where} = {good} is out of bounds", remedy=f"Give {_range(low, high)} {unit}".rstrip())
     return good
+
+
+def changed(section: Any, where: str, **values: object) -> Any:
+    """`section` with other values, each checked like a key of the file; `where` is named in the ConfigError."""
+    known = {f.name: f for f in fields(section)}
+    return replace(section, **{name: _checked(known[name], value, where) for name, value in values.items()})
 
 
 def _range(low: float | None, high: float | None) -> str:

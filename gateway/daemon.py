@@ -107,8 +107,12 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
                         f"The host's clock stepped by {step_ns * 1e-9:.3f} s; the time of the samples follows it with"
                         " the next session.",
                     )
-                status = maker.make(recorder.stats() if recorder is not None else None, time.monotonic())
+                log, now_s = recorder.stats() if recorder is not None else None, time.monotonic()
+                status = maker.make(log, now_s)
                 outlet.send("status", status, status.host_time_ns)
+                alarms = maker.alarms(log, now_s)
+                if alarms is not None:
+                    outlet.send("alarms", alarms, alarms.host_time_ns)
         _logger.info("ending; the boards follow their host-loss policy")
         del queryables
 

@@ -27,7 +27,8 @@ from protocol.wire.messages import Flag, Message, Mode
 MAX_PAYLOAD = 4096  # bytes; the largest sensible command has about 200
 MAX_ID = 128
 MAX_WHO = 128
-MAX_MARK = 200
+MAX_TEXT = 200  # characters of a remark, of a comment
+MAX_ALARM = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,8 +54,12 @@ def read_command(payload: bytes) -> pb.Command | Refusal:
         )
     if len(command.who) > MAX_WHO:
         return Refusal("bad-who", f"The who has {len(command.who)} characters; at most {MAX_WHO}.")
-    if len(command.mark.text) > MAX_MARK:
-        return Refusal("oversize", f"The remark has {len(command.mark.text)} characters; at most {MAX_MARK}.")
+    for what, text in (("remark", command.mark.text), ("comment", command.acknowledge.comment)):
+        if len(text) > MAX_TEXT:
+            return Refusal("oversize", f"The {what} has {len(text)} characters; at most {MAX_TEXT}.")
+    if command.WhichOneof("what") == "acknowledge" and not 0 < len(command.acknowledge.alarm) <= MAX_ALARM:
+        text = f"An alarm's name has 1 to {MAX_ALARM} characters, not {len(command.acknowledge.alarm)}."
+        return Refusal("malformed", text)
     if command.WhichOneof("what") is None:
         return Refusal("empty-command", "The command says not what to do, or something this gateway does not know.")
     wrong = next((name for name, value in _numbers(command) if not math.isfinite(value)), None)

@@ -1,11 +1,13 @@
-"""pb.Status of one board from the counters that the parts keep."""
+"""pb.Status and pb.Alarms of one board from what the parts keep."""
 
 from __future__ import annotations
 
+from gateway.alarms import LINK, LOG, Condition, Standing
 from gateway.link.driver import BoardDriver
 from gateway.publish import BoardOutlet
 from gateway.record.recorder import RecorderStats
 from protocol.bus import board51_pb2 as pb
+from protocol.wire.messages import Flag
 
 _BITS_PER_BYTE = 10  # 8N1
 
@@ -25,6 +27,7 @@ class StatusMaker:
         self._driver, self._outlet = driver, outlet
         self._started_s = self._last_s = now_s
         self._last_samples = self._last_bytes = 0
+        self._standing = Standing()
 
     def make(self, log: RecorderStats | None, now_s: float) -> pb.Status:
         """The status now; `log` None where no log is written."""
@@ -74,3 +77,20 @@ class StatusMaker:
             status.log_queue_depth, status.log_dropped = log.depth, log.dropped
             status.log_file, status.log_bytes, status.log_state = log.file, log.bytes, log.state
         return status
+
+    def alarms(self, log: RecorderStats | None, now_s: float) -> pb.Alarms | None:
+        """What is wrong and who has seen it, where it is time to say so."""
+        driver, holding = self._driver, dict[str, Condition]()
+        if driver.link != "streaming":
+            holding[LINK] = Condition(text=driver.reason, since_ns=driver.since_ns)
+        sample, fault = driver.known.sample, driver.fault
+        if sample is not None and sample.state.flags & Flag.FAULT:
+            holding["fault" if fault is None else fault.name] = (
+                Condition(text="A fault is active and the coil is off; set a mode to clear it.")
+                if fault is None
+                else Condition(text=fault.text, since_ns=fault.host_time_ns)
+            )
+        if log is not None and log.state not in ("writing", "off"):
+            holding[LOG] = Condition(text=f"The log is not written: {log.state}.")
+        seen = driver.desk.notes.acknowledged
+        return self._standing.tell(holding, seen, host_ns=driver.host_ns(), now_s=now_s)

@@ -7,13 +7,12 @@ opens the MCAP logs.  It shows and never commands.
 from __future__ import annotations
 
 import argparse
-import logging
 import signal
 import threading
 from importlib.resources import files
 
-from gateway.client import add_bus_arguments, open_bus
-from gateway.views.listen import add_listen_argument, address
+from gateway.client import open_bus
+from gateway.views.listen import add_view_arguments, listener
 from protocol.bus import topics
 
 LAYOUTS = {"foxglove": "foxglove.json", "plotjuggler": "plotjuggler.xml"}
@@ -26,9 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 foxglove --print-layout > board51.json          for rig1; --board NAME for another\n"
         "  board51 foxglove --print-layout plotjuggler > board51.xml"
     )
-    add_bus_arguments(parser)
-    add_listen_argument(parser, "127.0.0.1:8765")
-    parser.add_argument("--insecure", action="store_true", help="serve other machines: there is no login")
+    add_view_arguments(parser, "foxglove", insecure="serve other machines: there is no login")
     parser.add_argument(
         "--print-layout", nargs="?", const="foxglove", choices=tuple(LAYOUTS), help="print a layout and end"
     )
@@ -48,19 +45,11 @@ def run(args: argparse.Namespace) -> int:
     if args.print_layout:
         print(layout(args.print_layout, args.site, args.board), end="")
         return 0
-    from gateway.access.listeners import check_listener
     from gateway.views.foxglove import serve
     from protocol.bus.identity import find_identity
 
-    host, port = address(args.listen)
-    check_listener(
-        host,
-        protected=False,
-        insecure=args.insecure,
-        what=f"Foxglove at {args.listen}",
-        remedy="It has no login: reach it through an ssh tunnel (ssh -L 8765:127.0.0.1:8765 HOST)",
-    )
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)-7s %(message)s")
+    remedy = "It has no login: reach it through an ssh tunnel (ssh -L 8765:127.0.0.1:8765 HOST)"
+    host, port = listener(args, "Foxglove", remedy=remedy)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())

@@ -11,22 +11,14 @@ import argparse
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from gateway.config import BoardConfig, GatewayConfig, boards_from_text, documented_toml, load_config
-from gateway.views.listen import address
+from gateway.config import BoardConfig, GatewayConfig, boards_from_text, changed, documented_toml, load_config
+from gateway.views.listen import ADDRESSES
 from protocol.bus.endpoint import check_endpoint
 from protocol.bus.topics import check_name
 from protocol.errors import ConfigError
 
-if TYPE_CHECKING:
-    from gateway.views.children import View
-
-VIEWS = {
-    "opcua": ("127.0.0.1:4840", "OPC UA server"),
-    "hmi": ("127.0.0.1:8051", "control room in a browser"),
-    "foxglove": ("127.0.0.1:8765", "live Foxglove WebSocket"),
-}
+VIEWS = {"opcua": "OPC UA server", "hmi": "control room in a browser", "foxglove": "live Foxglove WebSocket"}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +26,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "examples:\n  board51 gateway --board rig1=/dev/ttyUSB0\n"
         "  board51 gateway --board rig1='/dev/serial/by-id/*Board51*' --board rig2=socket://10.0.0.5:4001\n"
-        "  board51 gateway --print-config > gateway.toml; board51 gateway --config gateway.toml"
+        "  board51 gateway --print-config > gateway.toml; board51 gateway --config gateway.toml\n"
+        "  board51 gateway --board rig1=/dev/ttyUSB0 --opcua --opcua-rate 50 --hmi"
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="TOML; every key is optional but the boards")
     parser.add_argument(
@@ -63,11 +56,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--security", metavar="DIR", help="guard the bus with the folder that `board51 security init DIR` made"
     )
     guard.add_argument("--insecure", action="store_true", help="open listeners to the network without protection")
-    views = parser.add_argument_group("views, each a process of its own; more options: board51 VIEW --help")
-    for name, (default, about) in VIEWS.items():
+    views = parser.add_argument_group("views, each a process of its own; or [opcua], [hmi], [foxglove] of the file")
+    for name, about in VIEWS.items():
+        default = ADDRESSES[name]
         views.add_argument(
             f"--{name}", nargs="?", const=default, metavar="HOST:PORT", help=f"{about} (default {default})"
         )
+    views.add_argument(
+        "--opcua-rate", type=float, metavar="HZ", help="values per second over OPC UA, 10 to 50 (default 20)"
+    )
     parser.add_argument("--print-config", action="store_true", help="print a commented configuration and end")
     parser.add_argument("--check", action="store_true", help="check the configuration and end")
 
@@ -104,6 +101,11 @@ def configuration(args: argparse.Namespace) -> GatewayConfig:
         config = replace(config, security=replace(config.security, directory=args.security))
     if args.insecure:
         config = replace(config, security=replace(config.security, insecure=True))
+    for name in VIEWS:
+        if (listen := getattr(args, name)) is not None:
+            config = replace(config, **{name: replace(getattr(config, name), listen=listen)})
+    if args.opcua_rate is not None:
+        config = replace(config, opcua=changed(config.opcua, "--opcua-rate", rate_hz=args.opcua_rate))
     return config
 
 
@@ -124,22 +126,10 @@ def run(args: argparse.Namespace) -> int:
     from gateway.views import children
 
     config = configuration(args)
+    views = children.views_for(config)
     if args.check:
         daemon.check(config)
         print(f"{len(config.boards)} boards: {', '.join(f'{b.name} at {b.port}' for b in config.boards)}")
         return 0
-    views = views_of(args, config)
     with children.running(views) if views else nullcontext():
         return daemon.serve(config)
-
-
-def views_of(args: argparse.Namespace, config: GatewayConfig) -> list[View]:
-    """The views that the flags ask for, on the bus that this gateway serves or joins.
-
-    Raises:
-        ConfigError: an address that is none, or one that would be open to the network without protection.
-    """
-    from gateway.views.children import views_for
-
-    wanted = {name: address(text, where=f"--{name}") for name in VIEWS if (text := getattr(args, name)) is not None}
-    return views_for(wanted, config)

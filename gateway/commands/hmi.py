@@ -7,18 +7,16 @@ everybody who reaches the page may do what `board51 send` may: that is for this 
 from __future__ import annotations
 
 import argparse
-import logging
 import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.access.listeners import check_listener, is_loopback
-from gateway.client import add_bus_arguments, open_bus
+from gateway.access.listeners import is_loopback
+from gateway.client import open_bus
 from gateway.views.account import ACCOUNT, views_identity
-from gateway.views.listen import add_listen_argument, address
+from gateway.views.listen import add_view_arguments, listener
 from protocol.bus.endpoint import check_endpoint, zenoh_config
-from protocol.bus.topics import check_name
 from protocol.errors import UsageError
 
 if TYPE_CHECKING:  # NiceGUI takes a second to import: --help answers at once
@@ -33,14 +31,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 hmi --log-dir logs --reports diagnosis\n"
         "  board51 hmi --security /etc/board51 --listen 0.0.0.0:8051"
     )
-    add_bus_arguments(parser)
-    add_listen_argument(parser, "127.0.0.1:8051")
-    parser.add_argument(
-        "--security", type=Path, metavar="DIR",
-        help="folder made by `board51 security init`: https, logins, and who the page is on the bus",
-    )  # fmt: skip
+    add_view_arguments(
+        parser,
+        "hmi",
+        security="https, logins, and who the page is on the bus",
+        insecure="listen beyond loopback without --security",
+    )
     parser.add_argument("--users", type=Path, metavar="FILE", help="logins alone, without https: on loopback only")
-    parser.add_argument("--insecure", action="store_true", help="listen beyond loopback without --security")
     parser.add_argument("--log-dir", type=Path, default=Path("logs"), metavar="DIR", help="of the gateway (logs)")
     parser.add_argument(
         "--data", type=Path, default=Path("hmi-data"), metavar="DIR", help="for recordings and campaigns (hmi-data)"
@@ -60,25 +57,17 @@ def run(args: argparse.Namespace) -> int:
     from gateway.access.folder import SecurityFolder
     from gateway.access.users import Users
 
-    host, port = address(args.listen)
-    check_name(args.site, what="--site")
     check_endpoint(args.connect, where="--connect")
     for option, value in (("--idle-min", args.idle_min), ("--session-h", args.session_h)):
         if not (math.isfinite(value) and value > 0.0):
             raise UsageError(f"{option} {value} is not a positive number", remedy="Correct it")
     if args.security is not None and args.users is not None:
         raise UsageError("--security has users of its own", remedy="Leave out --users")
-    check_listener(
-        host,
-        protected=args.security is not None,
-        insecure=args.insecure,
-        what=f"The web page at {args.listen}",
-        remedy="Give --security DIR (made by `board51 security init DIR`)",
-    )
+    remedy = "Give --security DIR (made by `board51 security init DIR`)"
+    host, port = listener(args, "The web page", remedy=remedy)
     folder = SecurityFolder(args.security) if args.security is not None else None
     users_file = folder.users if folder is not None else args.users
     users = Users.load(users_file) if users_file is not None else None
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)-7s %(message)s")
     return _serve(args, host, port, folder, users)
 
 

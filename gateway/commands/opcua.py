@@ -9,15 +9,13 @@ from __future__ import annotations
 import argparse
 import asyncio
 import logging
-import os
 import signal
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.client import add_bus_arguments, open_bus
+from gateway.client import open_bus
+from gateway.config import OpcuaConfig, changed
 from gateway.views.account import views_identity
-from gateway.views.listen import add_listen_argument, address
-from protocol.bus.topics import check_name
+from gateway.views.listen import add_view_arguments, listener
 from protocol.errors import UsageError
 
 if TYPE_CHECKING:  # asyncua takes a second to import: --help answers at once
@@ -30,45 +28,40 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n  board51 opcua                                   opc.tcp://127.0.0.1:4840/board51/\n"
         "  board51 opcua --security /etc/board51 --listen 0.0.0.0:4840 --rate 50"
     )
-    add_bus_arguments(parser)
-    add_listen_argument(parser, "127.0.0.1:4840")
+    add_view_arguments(
+        parser, "opcua", security="encryption, logins, roles", insecure="serve other machines without --security"
+    )
     parser.add_argument(
         "--rate",
         type=float,
-        default=os.environ.get("BOARD51_OPCUA_RATE", "20"),
+        default=OpcuaConfig.rate_hz,
         metavar="HZ",
-        help="10 to 50 values per second, each with min and max (default $BOARD51_OPCUA_RATE, else 20)",
+        help="10 to 50 values per second, each with min and max (%(default)g)",
     )
-    parser.add_argument("--history", type=float, default=300.0, metavar="S", help="how far back, 10 to 3600 s (300)")
-    parser.add_argument("--security", type=Path, metavar="DIR", help="folder made by `board51 security init`")
+    parser.add_argument(
+        "--history",
+        type=float,
+        default=OpcuaConfig.history_s,
+        metavar="S",
+        help="how far back, 10 to 3600 s (%(default)g)",
+    )
     parser.add_argument(
         "--anonymous",
         choices=("off", "viewer", "operator", "engineer"),
         help="what a client without a name may do (with --security: off, else viewer; more on loopback only)",
     )
-    parser.add_argument("--insecure", action="store_true", help="serve other machines without --security")
 
 
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM or SIGINT."""
-    from gateway.access.listeners import check_listener, is_loopback
+    from gateway.access.listeners import is_loopback
     from gateway.access.roles import Role
     from gateway.views.opcua.security import Security
     from gateway.views.opcua.server import Settings
 
-    check_name(args.site, what="--site")
-    host, port = address(args.listen)
-    if not 10.0 <= args.rate <= 50.0:
-        raise UsageError(f"--rate {args.rate:g} Hz is out of bounds", remedy="Give 10 .. 50")
-    if not 10.0 <= args.history <= 3600.0:
-        raise UsageError(f"--history {args.history:g} s is out of bounds", remedy="Give 10 .. 3600")
-    check_listener(
-        host,
-        protected=args.security is not None,
-        insecure=args.insecure,
-        what=f"OPC UA at {args.listen}",
-        remedy="Give --security DIR, made by `board51 security init DIR`",
-    )
+    host, port = listener(args, "OPC UA", remedy="Give --security DIR, made by `board51 security init DIR`")
+    served = changed(OpcuaConfig(), "--rate", rate_hz=args.rate)
+    served = changed(served, "--history", history_s=args.history)
     word = args.anonymous or ("off" if args.security is not None else "viewer")
     if word in ("operator", "engineer") and not is_loopback(host):
         raise UsageError(
@@ -78,12 +71,11 @@ def run(args: argparse.Namespace) -> int:
     settings = Settings(
         host=host,
         port=port,
-        rate_hz=args.rate,
-        history_s=args.history,
+        rate_hz=served.rate_hz,
+        history_s=served.history_s,
         anonymous=None if word == "off" else Role[word.upper()],
         security=Security(args.security) if args.security is not None else None,
     )
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)-7s %(message)s")
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # it writes a line or a traceback per bad request
     return asyncio.run(_serve(args, settings))
 

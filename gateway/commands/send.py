@@ -85,6 +85,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     loss.add_argument("policy", choices=_POLICIES)
     loss.add_argument("--after", type=_number, default=1.0, metavar="S", help="1 s")
     what.add_parser("mark", parents=[options], help="a remark at this moment, into every log").add_argument("text")
+    seen = what.add_parser("acknowledge", parents=[options], help="somebody has seen an alarm; in every view and log")
+    seen.add_argument("alarm", help="its name, such as divergence-x")
+    seen.add_argument("--comment", default="", metavar="TEXT", help="why it may be so")
     what.add_parser("stop", parents=[options], help="coil off at once")
     what.add_parser("ping", parents=[options], help="sign of life")
 
@@ -131,6 +134,8 @@ def build(args: argparse.Namespace) -> pb.Command:
             command.set_host_loss.CopyFrom(pb.SetHostLoss(policy=_POLICIES[args.policy], timeout_s=args.after))
         case "mark":
             command.mark.text = args.text
+        case "acknowledge":
+            command.acknowledge.CopyFrom(pb.Acknowledge(alarm=args.alarm, comment=args.comment))
         case "stop":
             command.stop.SetInParent()
         case _:

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from gateway.access.doorkeeper import Sender
 from gateway.config import LimitsConfig
 from gateway.limits import BoardView, Gate, read_command
+from gateway.link.notes import KINDS, Notes
 from gateway.link.outlet import Outlet, Reply
 from gateway.link.words import mode_name
 from gateway.samples import Refusal, Scaling, WireCommand, to_wire
@@ -95,6 +96,7 @@ class CommandDesk:
         accepted: Callable[[WireCommand, pb.Command, Message], None],
     ) -> None:
         self.accepted_count = self.refused_count = self.timed_out_count = 0
+        self.notes = Notes(outlet)
         self._gate = Gate(limits)
         self._session, self._known, self._outlet, self._on_accepted = session, known, outlet, accepted
         self._pending: dict[int, _Pending] = {}
@@ -150,8 +152,8 @@ class CommandDesk:
             refusal = Refusal("queue-full", f"{MAX_WAITING} commands wait for this board already.")
         if refusal is not None:
             self._refuse(command, refusal, reply, host_ns)
-        elif command.WhichOneof("what") == "mark":
-            self._mark(command, reply, host_ns)
+        elif command.WhichOneof("what") in KINDS:
+            self._note(command, reply, host_ns)
         else:
             self._carry_on(command, reply, now_s, host_ns, link, reason)
 
@@ -218,15 +220,12 @@ class CommandDesk:
         token = self._session.submit(wire.name, now_s, **wire.values)
         self._pending[token] = _Pending(command=command, wire=wire, received_ns=host_ns, replies=[reply])
 
-    def _mark(self, command: pb.Command, reply: Reply, host_ns: int) -> None:
-        """A remark is the gateway's to keep; the board never hears of it, and need not be there."""
+    def _note(self, command: pb.Command, reply: Reply, host_ns: int) -> None:
+        """What the gateway itself does; the board need not be there."""
         tick = self._known.sample.tick if self._known.sample is not None else 0
-        text = "".join(c if c.isprintable() else " " for c in f"{command.who or 'unknown'}: {command.mark.text}")
-        event = pb.Event(host_time_ns=host_ns, tick=tick, source="gateway", severity="info", name="mark", text=text)
-        event.session = self._session.number if self._session.is_open else 0
-        self._outlet.send("event", event, host_ns)
+        session = self._session.number if self._session.is_open else 0
+        answer = self.notes.take(command, host_ns, tick=tick, session=session)
         self.accepted_count += 1
-        answer = pb.CommandReply(id=command.id, accepted=True, tick=tick, text="marked")
         self._finish(command, answer, [reply], host_ns, host_ns, keep=True)
 
     def _view(self) -> BoardView:

@@ -26,7 +26,7 @@ from gateway.link.words import describe
 from gateway.samples import StateEncoder, WireCommand, parameters_message, scaling_of
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.events import Answer, BoardEvent, Event, Opened, Restarted, Sample, VersionRefused
-from protocol.wire.messages import VERSION, EventCode, Message
+from protocol.wire.messages import FAULT_EVENTS, VERSION, EventCode, Message
 from protocol.wire.session import Session
 
 DIAGNOSE_S = 2.0  # an open port without a handshake for this long gets an explanation
@@ -60,6 +60,7 @@ class BoardDriver:
         self.counts = LinkCounts()
         self.link = "connecting"
         self.reason = "the port is being opened"
+        self.fault: pb.Event | None = None  # the latest of the board; whether it holds is for the FAULT flag to say
         self._kind = ""
         self.port = config.port
         self.deadline_s = float("inf")
@@ -75,6 +76,7 @@ class BoardDriver:
         self.desk = CommandDesk(config.limits, self.session, self.known, outlet, self._accepted)
         self._outlet, self._clock, self._log_raw = outlet, clock, log_raw
         self._offset_ns = clock.offset_ns()
+        self.since_ns = self.host_ns()  # Unix time: streaming, or not, since then
         self._encoder: StateEncoder | None = None
         self._capture: CaptureReader | None = None
         self.upkeep = Upkeep(config, self.session, self._got_parameters)
@@ -180,7 +182,7 @@ class BoardDriver:
         """Unix time that does not step within a session."""
         return time.monotonic_ns() + self._offset_ns
 
-    def tell(self, name: str, severity: str, text: str, *, source: str = "gateway", tick: int = 0) -> None:
+    def tell(self, name: str, severity: str, text: str, *, source: str = "gateway", tick: int = 0) -> pb.Event:
         """Publish and log an event of this board."""
         event = pb.Event(
             host_time_ns=self.host_ns(),
@@ -192,6 +194,7 @@ class BoardDriver:
             text=text,
         )
         self._outlet.send("event", event, event.host_time_ns)
+        return event
 
     # -- what the session says
 
@@ -301,7 +304,9 @@ class BoardDriver:
         if event.missed:
             self.tell("events-lost", "warning", f"{event.missed} events of the board were lost on the line.")
         name, severity, text = describe(event)
-        self.tell(name, severity, text, source="board", tick=event.tick)
+        told = self.tell(name, severity, text, source="board", tick=event.tick)
+        if event.code in FAULT_EVENTS:
+            self.fault = told
         if event.code == EventCode.CAPTURE_DONE and self._capture is not None:
             self._capture.board_says_done(now_s)
 
@@ -359,7 +364,7 @@ class BoardDriver:
         self.link, self._kind, self.reason = link, kind, "" if link == "streaming" else text
         alive = link == "streaming"
         if alive != self._alive:
-            self._alive = alive
+            self._alive, self.since_ns = alive, self.host_ns()
             self._outlet.alive(alive=alive)
         self.tell(kind, severity, text)
         c = self.session.counters

@@ -7,23 +7,26 @@ An alarm is active (the condition holds) and acknowledged (somebody has seen it)
     goes:          not active, not acknowledged      listed until acknowledged: it happened
     both:          not active, acknowledged          not listed
 
-Rule 1: it comes again after it went: not acknowledged again, `times` counts.
+Rule 1: it comes again after it went: not acknowledged again, `times` counts.  What is only repeated on the bus (for who
+        comes late) is no coming: it changes nothing here, or fills in what was missed, with its first time.
 Rule 2: one alarm for each name of a board; the latest text and value are shown.
 Rule 3: memory is bounded: names come from the bus, so beyond MAX_ALARMS the oldest alarm that is gone is dropped, then
         the newest is refused.
-Rule 4: `revision` rises with each change that a screen would show.
+Rule 4: times are those of who judges: of gateway and twin theirs, of the views' own conditions this host's.
+Rule 5: an acknowledgement means what came before it (an alarm that came again calls again), from whichever view.
+Rule 6: `revision` rises with each change that a screen would show.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from gateway.alarms import LINK, LOG
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import FAULT_EVENTS, Flag
 
 MAX_ALARMS = 64
-LINK = "link-down"  # names of the conditions that the views judge themselves
-LOG = "log-failing"
+TWIN = "twin-gone"  # like LINK and LOG, a condition that the views judge themselves
 # Faults that the board latches: they hold while its FAULT flag is up, and an EVENT says which it is.
 BOARD_FAULTS = frozenset(code.name.lower().replace("_", "-") for code in FAULT_EVENTS) | {"fault"}
 _REFUSED_BOARD = frozenset({"version-mismatch", "wrong-board", "bad-identity"})  # end when samples come
@@ -42,9 +45,11 @@ class Alarm:
     active: bool = True
     acknowledged: bool = False
     acknowledged_by: str = ""
+    comment: str = ""  # of who acknowledged
     times: int = 1  # how often it came
     value: float | None = None
     threshold_on: float | None = None
+    of_twin: bool = False
 
 
 class AlarmBook:
@@ -66,15 +71,48 @@ class AlarmBook:
 
     def twin_alarm(self, alarm: pb.Alarm, now_ns: int) -> None:
         """From `twin/alarm`."""
-        if alarm.active:
-            self.come(
-                alarm.name, "warning", alarm.text, now_ns, value=alarm.value, threshold_on=alarm.threshold_on or None
-            )
-        else:
-            self.go(alarm.name, now_ns)
+        at_ns = alarm.host_time_ns or now_ns
+        if not alarm.active:
+            self.go(alarm.name, at_ns)
+            return
+        threshold_on = alarm.threshold_on or None
+        self.come(alarm.name, "warning", alarm.text, at_ns, value=alarm.value, threshold_on=threshold_on, of_twin=True)
+
+    def twin_alarms(self, alarms: pb.TwinAlarms, now_ns: int) -> None:
+        """From `twin/alarms`: what is not among them has ended, perhaps with the twin that raised it."""
+        self.go(TWIN, now_ns)
+        active = {alarm.name for alarm in alarms.active}
+        for name in [a.name for a in self._alarms.values() if a.of_twin and a.active and a.name not in active]:
+            self.go(name, now_ns)
+        for alarm in alarms.active:
+            self.twin_alarm(alarm, now_ns)
+
+    def twin_gone(self, now_ns: int) -> None:
+        """Nothing comes from the twin that was there: what it said holds no longer, and nobody compares."""
+        for name in [a.name for a in self._alarms.values() if a.of_twin and a.active]:
+            self.go(name, now_ns)
+        self.come(TWIN, "warning", "The twin has ended: nobody compares the rig with its model.", now_ns)
+
+    def repeated(self, alarms: pb.Alarms, now_ns: int) -> None:
+        """From the gateway's `alarms`: name and first time of what holds here too; what was acknowledged.
+
+        It only fills in: whether a condition holds, this view judges by samples and status, which are newer.
+        """
+        for alarm in alarms.active:
+            since_ns = alarm.host_time_ns or now_ns
+            if alarm.name in BOARD_FAULTS and alarm.name != "fault" and self._is_active("fault"):
+                del self._alarms["fault"]
+                self.come(alarm.name, "fault", alarm.text, since_ns)
+            known = self._alarms.get(alarm.name)
+            if known is not None and known.active and known.times == 1 and since_ns < known.since_ns:
+                self.revision += 1
+                self._alarms[alarm.name] = replace(known, since_ns=since_ns, changed_ns=since_ns)
+        for seen in alarms.acknowledged:
+            self.acknowledge(seen.alarm, seen.who, seen.host_time_ns or now_ns, seen.comment)
 
     def event(self, event: pb.Event, now_ns: int) -> None:
         """From `event`: faults come, and what ends them."""
+        now_ns = event.host_time_ns or now_ns
         if event.name in BOARD_FAULTS:
             self._fault_at = (event.session, event.tick)  # samples from before it may still be on their way
             self._alarms.pop("fault", None)  # its name is known now
@@ -110,14 +148,20 @@ class AlarmBook:
         elif log_state and not self._is_active(LOG):
             self.come(LOG, "fault", f"The log is not written: {log_state}.", now_ns)
 
-    def acknowledge(self, name: str, who: str, now_ns: int) -> bool:
-        """Somebody has seen it; False where there is nothing of that name to acknowledge."""
+    def waits(self, name: str) -> bool:
+        """Whether there is something of that name to acknowledge."""
+        return name in self._alarms and not self._alarms[name].acknowledged
+
+    def acknowledge(self, name: str, who: str, at_ns: int, comment: str = "") -> bool:
+        """Somebody has seen what came before `at_ns`; False where there is nothing of that name to acknowledge."""
         alarm = self._alarms.get(name)
-        if alarm is None or alarm.acknowledged:
+        if alarm is None or alarm.acknowledged or alarm.since_ns > at_ns:
             return False
         self.revision += 1
         if alarm.active:
-            self._alarms[name] = replace(alarm, acknowledged=True, acknowledged_by=who, changed_ns=now_ns)
+            self._alarms[name] = replace(
+                alarm, acknowledged=True, acknowledged_by=who, comment=comment, changed_ns=at_ns
+            )
         else:
             del self._alarms[name]
         return True
@@ -131,6 +175,7 @@ class AlarmBook:
         *,
         value: float | None = None,
         threshold_on: float | None = None,
+        of_twin: bool = False,
     ) -> None:
         """The condition holds."""
         known = self._alarms.get(name)
@@ -152,6 +197,7 @@ class AlarmBook:
             times=1 if known is None else known.times + 1,
             value=value,
             threshold_on=threshold_on,
+            of_twin=of_twin,
         )
 
     def go(self, name: str, now_ns: int) -> None:

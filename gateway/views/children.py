@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +22,7 @@ from gateway.access.folder import SecurityFolder
 from gateway.access.listeners import check_listener, nearest
 from gateway.config import GatewayConfig
 from gateway.views.account import ACCOUNT
+from gateway.views.listen import address
 
 FIRST_WAIT_S = 1.0
 LONGEST_WAIT_S = 30.0
@@ -39,11 +40,11 @@ class View:
     arguments: tuple[str, ...]
 
 
-def views_for(addresses: Mapping[str, tuple[str, int]], config: GatewayConfig) -> list[View]:
-    """The commands that serve `opcua`, `hmi` and `foxglove` at these addresses, on the bus of `config`.
+def views_for(config: GatewayConfig) -> list[View]:
+    """The commands that serve the views of `config`, on its bus.
 
     Raises:
-        ConfigError: a view would be open to the network without protection.
+        ConfigError: an address that is none, or a view that would be open to the network without protection.
     """
     z = config.zenoh
     endpoints = z.listen if z.mode == "router" else z.connect
@@ -53,21 +54,26 @@ def views_for(addresses: Mapping[str, tuple[str, int]], config: GatewayConfig) -
     if folder is not None:
         bus += ("--identity", str(folder.identity_path(ACCOUNT)))
     views: list[View] = []
-    for name, (host, port) in addresses.items():
-        guarded: tuple[str, ...] = ()
-        if folder is not None and name in ("opcua", "hmi"):
-            guarded = ("--security", str(folder.path))
+    wanted = {"opcua": config.opcua.listen, "hmi": config.hmi.listen, "foxglove": config.foxglove.listen}
+    for name, listen in wanted.items():
+        if not listen:
+            continue
+        host, port = address(listen, where=f"--{name} or [{name}] listen:")
+        guarded = folder is not None and name in ("opcua", "hmi")
+        own: tuple[str, ...] = ("--security", config.security.directory) if guarded else ()
         shown = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         check_listener(
             host,
-            protected=bool(guarded),
+            protected=guarded,
             insecure=config.security.insecure,
             what=f"--{name} {shown}",
             remedy="Foxglove has no login: use an ssh tunnel" if name == "foxglove" else "Give --security DIR",
         )
         if name == "hmi" and config.log.enabled:
-            guarded += ("--log-dir", config.log.directory)
-        views.append(View(name=name, arguments=("--listen", shown, *bus, *guarded, *insecure)))
+            own += ("--log-dir", config.log.directory)
+        if name == "opcua":
+            own += ("--rate", f"{config.opcua.rate_hz:g}", "--history", f"{config.opcua.history_s:g}")
+        views.append(View(name=name, arguments=("--listen", shown, *bus, *own, *insecure)))
     return views
 
 

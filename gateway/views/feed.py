@@ -8,7 +8,7 @@
                                        Divergence, TwinModel.  Do not change it.
     board.alarms(), board.events(), board.commands()
     tap = board.tap(pb.State, width_s=1 / 30)          bins with min / max of every channel; tap.take() now and then
-    feed.acknowledge("rig1", "divergence-x", "eva")
+    feed.acknowledge("rig1", "divergence-x", who="eva", role="operator")           a command too: all views and the log
     feed.command("rig1", pb.Command(stop=pb.Stop()), who="eva", role="operator")    blocks up to 5 s: use a thread
 
 Rule 1: poll it.  Messages are taken in by zenoh's thread; nothing of a view's runs there, so a view that is slow falls
@@ -24,18 +24,18 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from operator import attrgetter
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import zenoh
-from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import Message
 
+from gateway.alarms import LINK
 from gateway.client import send
 from gateway.views.alarms import Alarm, AlarmBook
-from gateway.views.decimate import Bin, Decimator
+from gateway.views.decimate import Decimator
+from gateway.views.tap import Tap, channels
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse
@@ -47,8 +47,12 @@ KEPT_EVENTS = 200
 SILENT_S = 0.5  # without a state for so long (and three of its periods) a board is not live
 GRACE_S = 2.0  # a board that is just being found is no alarm yet
 GATEWAY_S = 3.5  # status comes once a second: without it, three times over, there is no gateway
-_WANTED = ("state", "status", "event", "parameters", "command/record", "twin/state", "twin/divergence", "twin/alarm",
-           "twin/model")  # fmt: skip
+TWIN_GONE_S = 12.0  # `twin/alarms` comes every 5 s: without it twice over, there is no twin
+_WANTED = ("state", "status", "event", "alarms", "parameters", "command/record", "twin/state", "twin/divergence",
+           "twin/alarm", "twin/alarms", "twin/model")  # fmt: skip
+# One subscriber for all of the twin: zenoh keeps the order within a subscriber, and a list of active alarms that
+# overtakes an alarm would end it.
+_KEYS = (*(topic for topic in _WANTED if not topic.startswith("twin/")), "twin/*")
 _REASONS = {
     "absent": "Its port is not there.",
     "silent": "The board sends nothing.",
@@ -76,38 +80,6 @@ class Link:
         return self.state == "live"
 
 
-class Tap:
-    """Bins of one topic of one board for one reader."""
-
-    def __init__(self, message: type[Message], decimator_of: Callable[[], Decimator], lock: threading.Lock) -> None:
-        self.channels = channels(message)
-        self.message = message
-        self._values = attrgetter(*self.channels)
-        self._optional = [name for name in self.channels if _is_optional(message.DESCRIPTOR, name)]
-        self._decimator, self._lock = decimator_of(), lock
-
-    def push(self, message: Message) -> None:
-        """Called by the feed, with its lock."""
-        values = list(self._values(message))
-        for name in self._optional:
-            if not message.HasField(name):
-                values[self.channels.index(name)] = math.nan
-        m: pb.State = message  # type: ignore[assignment]  # the fields that all per-tick messages have
-        self._decimator.push(
-            values,
-            session=m.session,
-            tick=m.tick,
-            t_s=m.t_s,
-            host_time_ns=getattr(message, "host_time_ns", 0),
-            lost=getattr(message, "lost_before", 0),
-        )
-
-    def take(self, *, unfinished: bool = False) -> list[Bin]:
-        """The bins finished since the last call, oldest first; at most the newest 256."""
-        with self._lock:
-            return self._decimator.take(unfinished=unfinished)
-
-
 class BoardFeed:
     """One board, as heard on the bus."""
 
@@ -123,6 +95,7 @@ class BoardFeed:
         self._alive = True  # the gateway's token; until one was seen, its absence says nothing
         self._period_s = 0.0
         self._first_s = now_s()
+        self._back_s = self._first_s  # the gateway came, or came back
 
     def latest(self, message: type[M]) -> M | None:
         """The newest message of this type."""
@@ -146,7 +119,9 @@ class BoardFeed:
         word = "connecting" if status is None else status.link
         if word == "streaming":  # of a status before the loss
             return Link(state="silent", reason="No samples come.", age_s=age_s)
-        return Link(state=word, reason=_REASONS.get(word, "No samples come."), age_s=age_s)
+        said = self.latest(pb.Alarms)  # the gateway knows more: which port, what was tried
+        why = next((alarm.text for alarm in said.active if alarm.name == LINK), "") if said is not None else ""
+        return Link(state=word, reason=why or _REASONS.get(word, "No samples come."), age_s=age_s)
 
     def alarms(self) -> tuple[Alarm, ...]:
         """Active or not acknowledged, the most urgent first."""
@@ -196,6 +171,8 @@ class BoardFeed:
     def take(self, message: Message, now_ns: int) -> None:
         """One message from the bus; with the feed's lock."""
         name = message.DESCRIPTOR.full_name
+        if isinstance(message, pb.Status) and self.age_s(pb.Status) > GATEWAY_S:
+            self._back_s = self._now_s()
         self._latest[name] = message
         self._at_s[name] = self._now_s()
         for tap in self._taps.get(name, ()):
@@ -208,8 +185,13 @@ class BoardFeed:
             self._book.event(message, now_ns)
         elif isinstance(message, pb.Alarm):
             self._book.twin_alarm(message, now_ns)
+        elif isinstance(message, pb.TwinAlarms):
+            self._book.twin_alarms(message, now_ns)
+        elif isinstance(message, pb.Alarms):
+            self._book.repeated(message, now_ns)
         elif isinstance(message, pb.CommandRecord):
             self._commands.append(message)
+            self._seen(message)
         elif isinstance(message, pb.Status):
             self._book.log(message.log_state, now_ns)
         elif isinstance(message, pb.Parameters):
@@ -219,13 +201,27 @@ class BoardFeed:
         """The gateway's liveliness token came or went: at once, before any time-out."""
         self._alive = alive
 
-    def acknowledge(self, name: str, who: str, now_ns: int) -> bool:
-        """See Feed.acknowledge."""
+    def waits(self, alarm: str) -> bool:
+        """Whether there is an alarm of that name to acknowledge."""
         with self._lock:
-            return self._book.acknowledge(name, who, now_ns)
+            self._judge()
+            return self._book.waits(alarm)
+
+    def acknowledge(self, alarm: str, who: str, now_ns: int, comment: str) -> None:
+        """In this view alone; see Feed.acknowledge."""
+        with self._lock:
+            self._book.acknowledge(alarm, who, now_ns, comment)
+
+    def _seen(self, record: pb.CommandRecord) -> None:
+        if record.reply.accepted and record.command.WhichOneof("what") == "acknowledge":
+            seen = record.command.acknowledge
+            self._book.acknowledge(seen.alarm, record.command.who or "unknown", record.received_ns, seen.comment)
 
     def _judge(self) -> None:
         link = self.link()
+        twin_s = min(self.age_s(pb.TwinAlarms), self._now_s() - self._back_s)
+        if TWIN_GONE_S < twin_s and self.latest(pb.TwinAlarms) is not None and link.state != "no-gateway":
+            self._book.twin_gone(time.time_ns())
         if link.live or self._now_s() - self._first_s > GRACE_S:
             self._book.link("" if link.live else link.reason, time.time_ns())
 
@@ -254,14 +250,14 @@ class Feed:
         self._session, self._now_s = session, now_s
         self._lock = threading.Lock()
         self._boards: dict[str, BoardFeed] = {}
-        self._subscribers = [session.declare_subscriber(f"{site}/*/{topic}", self._arrived) for topic in _WANTED]
+        self._subscribers = [session.declare_subscriber(f"{site}/*/{topic}", self._arrived) for topic in _KEYS]
         self._token = session.liveliness().declare_subscriber(f"{site}/*/{topics.ALIVE}", self._alive, history=True)
 
     def close(self) -> None:
         """Hear no more."""
         for subscriber in self._subscribers:
             subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
-        self._token.undeclare()  # type: ignore[no-untyped-call]
+        self._token.undeclare()  # type: ignore[no-untyped-call]  # the same
 
     def boards(self) -> tuple[str, ...]:
         """Names of the boards heard so far, in order."""
@@ -272,10 +268,23 @@ class Feed:
         """One board, None where nothing was heard of it."""
         return self._boards.get(name)
 
-    def acknowledge(self, board: str, alarm: str, who: str) -> bool:
-        """Somebody has seen this alarm; False where there is none to acknowledge."""
+    def acknowledge(self, board: str, alarm: str, *, who: str, role: str = "", comment: str = "") -> pb.CommandReply:
+        """Somebody has seen this alarm: a command, so that every view and the log know; blocks like `command`.
+
+        Refused by "view" with the reason "no-alarm" where there is none to acknowledge.  Without a gateway it counts in
+        this view alone, and `text` says so: an operator must be able to silence the alarm that says there is none.
+        """
         feed = self._boards.get(board)
-        return feed is not None and feed.acknowledge(alarm, who, self.now_ns())
+        if feed is None or not feed.waits(alarm):
+            text = "There is no such alarm, or it was acknowledged before."
+            return pb.CommandReply(refused_by="view", reason="no-alarm", text=text)
+        what = pb.Command(acknowledge=pb.Acknowledge(alarm=alarm, comment=comment))
+        reply = self.command(board, what, who=who, role=role)
+        if reply.reason == "not-delivered":
+            reply = pb.CommandReply(accepted=True, text="Seen in this view alone: no gateway answers.")
+        if reply.accepted:  # at once: the record may take a moment
+            feed.acknowledge(alarm, who, self.now_ns(), comment)
+        return reply
 
     def command(
         self, board: str, what: pb.Command, *, who: str, role: str = "", timeout_s: float = 5.0
@@ -316,25 +325,3 @@ class Feed:
         board = self._boards.get(rest.partition("/")[0])
         if board is not None:
             board.alive_is(alive=sample.kind == zenoh.SampleKind.PUT)
-
-
-def channels(message: type[Message]) -> tuple[str, ...]:
-    """Names of all floating-point values of a message, `x_m.error` for those within another message."""
-    return tuple(_doubles(message.DESCRIPTOR))
-
-
-def _doubles(descriptor: Any, path: str = "") -> Sequence[str]:
-    names: list[str] = []
-    for field in descriptor.fields:
-        if field.message_type is not None:
-            names += _doubles(field.message_type, f"{path}{field.name}.")
-        elif field.type == FieldDescriptor.TYPE_DOUBLE and field.name != "t_s":
-            names.append(path + field.name)
-    return names
-
-
-def _is_optional(
-    descriptor: Any,  # the stubs know two classes of descriptors
-    name: str,
-) -> bool:
-    return name in descriptor.fields_by_name and descriptor.fields_by_name[name].has_presence

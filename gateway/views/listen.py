@@ -1,15 +1,52 @@
-"""HOST:PORT on the command line of a view."""
+"""What the commands of the views have in common: HOST:PORT, and whether it may be opened."""
 
 from __future__ import annotations
 
 import argparse
+import logging
+from pathlib import Path
 
+from gateway.access.listeners import check_listener
+from gateway.client import add_bus_arguments
+from protocol.bus.topics import check_name
 from protocol.errors import ConfigError
 
+ADDRESSES = {"opcua": "127.0.0.1:4840", "hmi": "127.0.0.1:8051", "foxglove": "127.0.0.1:8765"}  # defaults
+SECURITY = "folder made by `board51 security init`: "
 
-def add_listen_argument(parser: argparse.ArgumentParser, default: str) -> None:
-    """`--listen HOST:PORT`."""
+
+def add_view_arguments(parser: argparse.ArgumentParser, view: str, *, security: str = "", insecure: str) -> None:
+    """The bus, `--listen`, `--insecure`, and `--security` where `security` says what it gives."""
+    add_bus_arguments(parser)
+    default = ADDRESSES[view]
     parser.add_argument("--listen", default=default, metavar="HOST:PORT", help=f"where (default {default})")
+    parser.add_argument("--insecure", action="store_true", help=insecure)
+    if security:
+        parser.add_argument("--security", type=Path, metavar="DIR", help=SECURITY + security)
+
+
+def listener(args: argparse.Namespace, what: str, *, remedy: str) -> tuple[str, int]:
+    """(host, port) of `--listen`, where it may be opened; the log of the process goes to stderr from here on.
+
+    Args:
+        args: of `add_view_arguments`.
+        what: is to be opened, for the message.
+        remedy: instead of opening it to the network without protection.
+
+    Raises:
+        ConfigError: the site is no name, the address is none, or would be open to the network without protection.
+    """
+    check_name(args.site, what="--site")
+    host, port = address(args.listen)
+    check_listener(
+        host,
+        protected=getattr(args, "security", None) is not None,
+        insecure=args.insecure,
+        what=f"{what} at {args.listen}",
+        remedy=remedy,
+    )
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)-7s %(message)s")
+    return host, port
 
 
 def address(text: str, *, where: str = "--listen") -> tuple[str, int]:

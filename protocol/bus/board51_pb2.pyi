@@ -218,6 +218,14 @@ class Ping(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...
 
+class Acknowledge(_message.Message):
+    __slots__ = ("alarm", "comment")
+    ALARM_FIELD_NUMBER: _ClassVar[int]
+    COMMENT_FIELD_NUMBER: _ClassVar[int]
+    alarm: str
+    comment: str
+    def __init__(self, alarm: _Optional[str] = ..., comment: _Optional[str] = ...) -> None: ...
+
 class Mark(_message.Message):
     __slots__ = ("text",)
     TEXT_FIELD_NUMBER: _ClassVar[int]
@@ -225,7 +233,7 @@ class Mark(_message.Message):
     def __init__(self, text: _Optional[str] = ...) -> None: ...
 
 class Command(_message.Message):
-    __slots__ = ("id", "who", "issued_ns", "role", "set_mode", "set_reference", "set_gains", "excite", "capture", "set_stream", "set_host_loss", "stop", "ping", "mark")
+    __slots__ = ("id", "who", "issued_ns", "role", "set_mode", "set_reference", "set_gains", "excite", "capture", "set_stream", "set_host_loss", "stop", "ping", "mark", "acknowledge")
     ID_FIELD_NUMBER: _ClassVar[int]
     WHO_FIELD_NUMBER: _ClassVar[int]
     ISSUED_NS_FIELD_NUMBER: _ClassVar[int]
@@ -240,6 +248,7 @@ class Command(_message.Message):
     STOP_FIELD_NUMBER: _ClassVar[int]
     PING_FIELD_NUMBER: _ClassVar[int]
     MARK_FIELD_NUMBER: _ClassVar[int]
+    ACKNOWLEDGE_FIELD_NUMBER: _ClassVar[int]
     id: str
     who: str
     issued_ns: int
@@ -254,7 +263,8 @@ class Command(_message.Message):
     stop: Stop
     ping: Ping
     mark: Mark
-    def __init__(self, id: _Optional[str] = ..., who: _Optional[str] = ..., issued_ns: _Optional[int] = ..., role: _Optional[str] = ..., set_mode: _Optional[_Union[SetMode, _Mapping]] = ..., set_reference: _Optional[_Union[SetReference, _Mapping]] = ..., set_gains: _Optional[_Union[SetGains, _Mapping]] = ..., excite: _Optional[_Union[Excite, _Mapping]] = ..., capture: _Optional[_Union[Capture, _Mapping]] = ..., set_stream: _Optional[_Union[SetStream, _Mapping]] = ..., set_host_loss: _Optional[_Union[SetHostLoss, _Mapping]] = ..., stop: _Optional[_Union[Stop, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ..., mark: _Optional[_Union[Mark, _Mapping]] = ...) -> None: ...
+    acknowledge: Acknowledge
+    def __init__(self, id: _Optional[str] = ..., who: _Optional[str] = ..., issued_ns: _Optional[int] = ..., role: _Optional[str] = ..., set_mode: _Optional[_Union[SetMode, _Mapping]] = ..., set_reference: _Optional[_Union[SetReference, _Mapping]] = ..., set_gains: _Optional[_Union[SetGains, _Mapping]] = ..., excite: _Optional[_Union[Excite, _Mapping]] = ..., capture: _Optional[_Union[Capture, _Mapping]] = ..., set_stream: _Optional[_Union[SetStream, _Mapping]] = ..., set_host_loss: _Optional[_Union[SetHostLoss, _Mapping]] = ..., stop: _Optional[_Union[Stop, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ..., mark: _Optional[_Union[Mark, _Mapping]] = ..., acknowledge: _Optional[_Union[Acknowledge, _Mapping]] = ...) -> None: ...
 
 class CommandReply(_message.Message):
     __slots__ = ("id", "accepted", "refused_by", "reason", "text", "tick", "attempts")
@@ -478,6 +488,34 @@ class Alarm(_message.Message):
     threshold_off: float
     text: str
     def __init__(self, host_time_ns: _Optional[int] = ..., tick: _Optional[int] = ..., session: _Optional[int] = ..., name: _Optional[str] = ..., active: _Optional[bool] = ..., value: _Optional[float] = ..., threshold_on: _Optional[float] = ..., threshold_off: _Optional[float] = ..., text: _Optional[str] = ...) -> None: ...
+
+class Acknowledgement(_message.Message):
+    __slots__ = ("alarm", "who", "host_time_ns", "comment")
+    ALARM_FIELD_NUMBER: _ClassVar[int]
+    WHO_FIELD_NUMBER: _ClassVar[int]
+    HOST_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    COMMENT_FIELD_NUMBER: _ClassVar[int]
+    alarm: str
+    who: str
+    host_time_ns: int
+    comment: str
+    def __init__(self, alarm: _Optional[str] = ..., who: _Optional[str] = ..., host_time_ns: _Optional[int] = ..., comment: _Optional[str] = ...) -> None: ...
+
+class Alarms(_message.Message):
+    __slots__ = ("host_time_ns", "active", "acknowledged")
+    HOST_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    ACTIVE_FIELD_NUMBER: _ClassVar[int]
+    ACKNOWLEDGED_FIELD_NUMBER: _ClassVar[int]
+    host_time_ns: int
+    active: _containers.RepeatedCompositeFieldContainer[Alarm]
+    acknowledged: _containers.RepeatedCompositeFieldContainer[Acknowledgement]
+    def __init__(self, host_time_ns: _Optional[int] = ..., active: _Optional[_Iterable[_Union[Alarm, _Mapping]]] = ..., acknowledged: _Optional[_Iterable[_Union[Acknowledgement, _Mapping]]] = ...) -> None: ...
+
+class TwinAlarms(_message.Message):
+    __slots__ = ("active",)
+    ACTIVE_FIELD_NUMBER: _ClassVar[int]
+    active: _containers.RepeatedCompositeFieldContainer[Alarm]
+    def __init__(self, active: _Optional[_Iterable[_Union[Alarm, _Mapping]]] = ...) -> None: ...
 
 class UseModel(_message.Message):
     __slots__ = ("model_json",)

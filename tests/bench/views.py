@@ -94,9 +94,11 @@ def measure(*, clients: bool) -> Found:
             seconds = START_UP_S + WARM_S + WINDOW_S + TAIL_S
             line.ready(begin("emulated boards", line.HERE / "load.py", folder, BOARDS, seconds))
             boards = [word for n in range(BOARDS) for word in ("--board", f"b{n}={folder}/tty{n}")]
-            views = ["--opcua", f"127.0.0.1:{opcua}", "--hmi", f"127.0.0.1:{hmi}"] if clients else []
+            views = (
+                ["--opcua", f"127.0.0.1:{opcua}", "--opcua-rate", "50", "--hmi", f"127.0.0.1:{hmi}"] if clients else []
+            )
             middle = begin("gateway", "-m", "board51", "gateway", "--site", "bench", *boards, "--listen", endpoint,
-                           "--log-dir", folder / "logs", *views, BOARD51_OPCUA_RATE="50")  # fmt: skip
+                           "--log-dir", folder / "logs", *views)  # fmt: skip
             clocks["gateway"] = lambda: line.cpu_s(middle.pid)  # its views apart
             line.listening(endpoint)
             line.ready(begin("zenoh subscriber", line.HERE / "subscriber.py", folder, endpoint))

@@ -76,6 +76,7 @@ class ScriptedBoard:
         self.heard: list[Message] = []
         self.tick = 1000
         self.streaming = streaming
+        self.flags = 0
         self._answers = answers
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, daemon=True)
@@ -107,7 +108,7 @@ class ScriptedBoard:
                         self._answer(message)
             if self.streaming:
                 self.tick += 1
-                self.send(frame("STATE", sequence=self.tick & 0xFFFF, i_c=1, x=2, u_c=3, x_ref=4, flags=0))
+                self.send(frame("STATE", sequence=self.tick & 0xFFFF, i_c=1, x=2, u_c=3, x_ref=4, flags=self.flags))
 
     def _answer(self, message: Message) -> None:
         scripted = self._answers(message)

@@ -101,4 +101,17 @@ def test_an_absent_file_says_how_to_get_one(tmp_path: Path) -> None:
 
 
 def test_the_documented_file_is_toml() -> None:
-    assert set(tomllib.loads(documented_toml())) == {"site", "board", "zenoh", "log", "security"}
+    assert set(tomllib.loads(documented_toml())) == {
+        "site", "board", "zenoh", "log", "security", "opcua", "hmi", "foxglove",
+    }  # fmt: skip
+
+
+def test_the_views_are_configured_like_the_rest(tmp_path: Path) -> None:
+    text = '[opcua]\nlisten = "127.0.0.1:4840"\nrate_hz = 50\n[foxglove]\nlisten = "127.0.0.1:8765"\n'
+
+    config = _load(tmp_path, text, BOARD51_OPCUA_RATE_HZ="25", BOARD51_HMI_LISTEN="127.0.0.1:8051")
+
+    assert (config.opcua.listen, config.opcua.rate_hz) == ("127.0.0.1:4840", 25.0)
+    assert (config.hmi.listen, config.foxglove.listen) == ("127.0.0.1:8051", "127.0.0.1:8765")
+    with pytest.raises(ConfigError, match=r"\[opcua\] rate_hz = 51"):
+        _load(tmp_path, "[opcua]\nrate_hz = 51\n")

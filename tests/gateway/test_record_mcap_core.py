@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import pytest
 from gateway.record.recorder import Recorder
 from gateway.record.recover import recover
 from protocol.bus import board51_pb2 as pb
+from tests.gateway.npm import installed
 
 HERE = Path(__file__).parent / "mcap_core"
 START_NS = 1_700_000_000_000_000_000
@@ -21,20 +21,7 @@ START_NS = 1_700_000_000_000_000_000
 @pytest.fixture(scope="module")
 def checker(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with check.mjs and its packages."""
-    node, npm = shutil.which("node"), shutil.which("npm")
-    if node is None or npm is None:
-        pytest.skip("node and npm are not installed")
-    folder = tmp_path_factory.mktemp("mcap_core")
-    for name in ("package.json", "check.mjs"):
-        shutil.copy(HERE / name, folder / name)
-    command = [npm, "install", "--no-package-lock", "--no-audit", "--no-fund", "--ignore-scripts"]
-    try:
-        installed = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=90, check=False)
-    except subprocess.TimeoutExpired:
-        pytest.skip("npm did not answer within 90 s")
-    if installed.returncode:
-        pytest.skip(f"the packages cannot be installed: {installed.stderr.strip()[-200:]}")
-    return folder
+    return installed(HERE, tmp_path_factory.mktemp("mcap_core"))
 
 
 def check(checker: Path, log: Path) -> dict[str, Any]:

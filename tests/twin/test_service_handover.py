@@ -19,7 +19,7 @@ from tests.twin.twin_bus import Heard, free_endpoint, introduce, publish, router
 from twin.mirror.handover import MAX_PAYLOAD, believe
 from twin.mirror.service import TwinService
 from twin.mirror.settings import Settings
-from twin.mirror.watched import MODEL_EVERY_S
+from twin.mirror.watched import REPEAT_S
 from twin.model.nominal import nominal
 from twin.model.parameters import Model, model_to_dict
 
@@ -238,7 +238,7 @@ def test_the_model_is_told_again_for_those_who_come_later(endpoint: str) -> None
             publish(session, list(rig.run(10, HELD)))
             wait(lambda: service.boards["rig"].samples == 10, "samples")
             late = Heard(session, "lab")
-            wait(lambda: bool(models(late)), "model", MODEL_EVERY_S + 10.0)
+            wait(lambda: bool(models(late)), "model", REPEAT_S + 10.0)
 
     assert models(late)[0].sha256 == believe(nominal()).sha256
     assert late.encodings["lab/rig/twin/model"] == "application/protobuf;board51.v1.TwinModel"

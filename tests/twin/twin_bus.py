@@ -68,6 +68,11 @@ def publish(session: zenoh.Session, states: list[pb.State], *, board: str = "rig
 
 
 def introduce(session: zenoh.Session, service: TwinService, rig: Rig, *, board: str = "rig") -> None:
+    """`introduce_to` of a board of the site `lab`."""
+    introduce_to(session, service, rig, topics.key("lab", board, "parameters"))
+
+
+def introduce_to(session: zenoh.Session, service: TwinService, rig: Rig, key: str) -> None:
     """Repeat the parameters, as a gateway does, until the twin has heard them; then messages get through.
 
     `matching_status` does not say that: zenoh drops what is sent before its routes are computed, some ms after it.
@@ -75,7 +80,7 @@ def introduce(session: zenoh.Session, service: TwinService, rig: Rig, *, board: 
     heard_before = service.parameters_heard
 
     def heard() -> bool:
-        session.put(topics.key("lab", board, "parameters"), rig.parameters().SerializeToString())
+        session.put(key, rig.parameters().SerializeToString())
         return service.parameters_heard > heard_before
 
     wait(heard, "parameters at the twin")

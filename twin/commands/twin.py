@@ -212,7 +212,7 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
             for name, watched in list(service.boards.items()):
                 new = watched.samples - counted.get(name, 0)
                 counted[name] = watched.samples
-                active = ", ".join(alarm for alarm, on in watched.alarms.items() if on) or "none"
+                active = ", ".join(watched.alarms) or "none"
                 log.info(
                     "board %s: model %s, %s, %.0f samples/s, alarms: %s",
                     name,

@@ -3,7 +3,7 @@
 Rule 1: the zenoh callbacks only queue; one worker thread computes and publishes.  The queue is bounded: what does not
         fit is dropped and counted, and the mirror sees the gap by the ticks, as it sees any other.
 Rule 2: this is the only place of the twin with a clock, and it is used for two things: to notice that a board is
-        silent, and to repeat which model runs.
+        silent, and to repeat which model runs and which alarms are active.
 Rule 3: publishing blocks rather than drops (a divergence that vanishes unseen is worse than a late one); behind the
         queue that costs nobody else anything.
 Rule 4: a model is handed over by a query, `<site>/<board>/twin/command`, which takes its place in the same queue: it
@@ -156,7 +156,7 @@ class TwinService:
                 if isinstance(item, tuple):
                     self._take(*item, now)
                 elif item is not None:
-                    _reply(item, self._command(item, now))
+                    _reply(item, self._command(item))
                 elif self._stopping.is_set():
                     return
                 if now - checked > POLL_S:
@@ -200,7 +200,7 @@ class TwinService:
             log.info("board %s: twin of model %s", board, watched.belief.title)
         return watched
 
-    def _command(self, query: zenoh.Query, now: float) -> list[tuple[str, pb.CommandReply]]:
+    def _command(self, query: zenoh.Query) -> list[tuple[str, pb.CommandReply]]:
         """(key, reply) for each board that the query means; for none, one under the key that was asked."""
         asked = str(query.key_expr)
         plain, _, sender = asked.partition(f"/{topics.AS}/")
@@ -224,7 +224,7 @@ class TwinService:
             log.warning("model refused, from %r: %s", command.who, belief.text)
             replies = [(asked, belief)]
         else:
-            replies = [(key, one.use(belief, now)) for key, one in meant.items()]
+            replies = [(key, one.use(belief)) for key, one in meant.items()]
             if everybody and all(reply.accepted for _, reply in replies):
                 self._belief = belief
                 text = f"will run on {belief.title}; no board was heard of yet"

@@ -1,4 +1,4 @@
-"""One board on the bus with its twin: publishes what the mirror says, and which model it runs on.
+"""One board on the bus with its twin: publishes what the mirror says, which model it runs on, which alarms are active.
 
 Rule: used by the service's worker thread alone.
 """
@@ -21,11 +21,12 @@ from twin.mirror.request import DiagnosisRequest
 from twin.mirror.settings import Settings
 
 SILENT_S = 1.0
-MODEL_EVERY_S = 5.0  # as the gateway's parameters: a log part or a late subscriber need not wait longer
+REPEAT_S = 5.0  # as the gateway's parameters: a log part or a late subscriber need not wait longer
 _MESSAGES: dict[str, type[Message]] = {
     "twin/state": pb.TwinState,
     "twin/divergence": pb.Divergence,
     "twin/alarm": pb.Alarm,
+    "twin/alarms": pb.TwinAlarms,
     "twin/model": pb.TwinModel,
 }
 log = logging.getLogger(__name__)
@@ -50,7 +51,7 @@ class Watched:
         self.mirror = Mirror(belief.model, settings)
         self.samples = 0
         self.silent = False
-        self.alarms: dict[str, bool] = {}  # name: active
+        self.alarms: dict[str, pb.Alarm] = {}  # those that are active
         self._publishers = {
             topic: session.declare_publisher(
                 topics.key(site, board, topic),
@@ -76,7 +77,7 @@ class Watched:
         self._heard_s, self.silent, self._newest = now_s, False, state
         if self._since is None:
             self._since = (state.session, state.tick)
-            self._tell_model(now_s)
+            self._repeat(now_s)
         output = self.mirror.handle(state)
         if output is None:
             return None
@@ -89,7 +90,7 @@ class Watched:
             self._alarm(wanted)
         return output
 
-    def use(self, belief: Belief, now_s: float) -> pb.CommandReply:
+    def use(self, belief: Belief) -> pb.CommandReply:
         """Run on another model from the next sample on, or say why not."""
         try:
             alarms = self.mirror.use(belief.model)
@@ -104,7 +105,7 @@ class Watched:
         newest = self._newest
         self._since = (newest.session, newest.tick + 1) if newest else None
         if self._since is not None:
-            self._tell_model(now_s)
+            self._tell_model()
         return pb.CommandReply(
             id=belief.command_id,
             accepted=True,
@@ -114,27 +115,34 @@ class Watched:
         )
 
     def look_at_the_clock(self, now_s: float) -> None:
-        """Notice silence; repeat the model."""
+        """Notice silence; repeat what late subscribers need."""
         if self.samples and not self.silent and now_s - self._heard_s > SILENT_S:
             self.silent = True
             alarm = self.mirror.silence(f"no sample for {SILENT_S:g} s")
             if alarm is not None:
                 self._alarm(alarm)
-        if self._since is not None and now_s - self._told_s > MODEL_EVERY_S:
-            self._tell_model(now_s)
+        if self._since is not None and now_s - self._told_s > REPEAT_S:
+            self._repeat(now_s)
 
-    def _tell_model(self, now_s: float) -> None:
+    def _repeat(self, now_s: float) -> None:
+        self._told_s = now_s
+        self._tell_model()
+        self._publish("twin/alarms", pb.TwinAlarms(active=self.alarms.values()))
+
+    def _tell_model(self) -> None:
         assert self._since is not None
         session, tick = self._since
-        self._told_s = now_s
         self._publish("twin/model", self.belief.message(session=session, since_tick=tick))
 
     def _alarm(self, alarm: pb.Alarm) -> None:
-        self.alarms[alarm.name] = alarm.active
         if self._newest is not None and not alarm.host_time_ns:
             # Raised between two samples.  Logs go by the gateway's clock, and this may be another host.
             alarm.host_time_ns = self._newest.host_time_ns
         log.warning("board %s: alarm %s %s (%s)", self.board, alarm.name, "on" if alarm.active else "off", alarm.text)
+        if alarm.active:
+            self.alarms[alarm.name] = alarm
+        else:
+            self.alarms.pop(alarm.name, None)
         self._publish("twin/alarm", alarm)
         if (answered := self._request.heard(alarm)) is not None:
             self._alarm(answered)

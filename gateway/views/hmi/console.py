@@ -104,10 +104,13 @@ class Console:
         refused = self._refused(session, str(what.WhichOneof("what")))
         if refused is not None:
             return refused
+        return self._sent(session, board, lambda who, role: self.feed.command(board, what, who=who, role=role))
+
+    def _sent(self, session: Session, board: str, send: Callable[[str, str], pb.CommandReply]) -> pb.CommandReply:
         if self.feed.board(board) is None:
             return _refusal("no-board", f"Nothing has been heard of a board {board[:32]!r}.")
         try:
-            return self.feed.command(board, what, who=session.name, role=self.role(session).word)
+            return send(session.name, self.role(session).word)
         except Exception as error:  # a bus that closed under us must not look like an accepted command
             _logger.warning("command of %s to %s: %s", session.name, board, error)
             return _refusal("not-delivered", f"The bus did not take the command: {error}.")
@@ -117,9 +120,7 @@ class Console:
         refused = self._refused(session, "acknowledge")
         if refused is not None:
             return refused
-        if self.feed.acknowledge(board, alarm, session.name):
-            return pb.CommandReply(accepted=True)
-        return _refusal("no-alarm", "There is no such alarm, or it was acknowledged before.")
+        return self._sent(session, board, lambda who, role: self.feed.acknowledge(board, alarm, who=who, role=role))
 
     def start_recording(self, session: Session, board: str, title: str) -> pb.CommandReply:
         """Log this board's bus into files of their own, beside the gateway's log."""

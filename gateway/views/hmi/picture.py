@@ -171,6 +171,8 @@ def describe(command: pb.Command) -> str:
             return f"reference {command.set_reference.x_ref_m * 1e3:.3f} mm"
         case "mark":
             return f"mark {command.mark.text}"
+        case "acknowledge":
+            return f"acknowledge {command.acknowledge.alarm}"
         case "set_gains":
             law = "PID" if command.set_gains.law == pb.LAW_PID else "LQI"
             return f"gains {law} {', '.join(f'{gain:.4g}' for gain in command.set_gains.gains)}"

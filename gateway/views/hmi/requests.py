@@ -90,7 +90,8 @@ class Requests:
         name = table.get("name") if table is not None else None
         if not isinstance(name, str):
             return refusal(400, "malformed", 'Give {"name": "..."}.')
-        return _answer(self._console.acknowledge(_session(request), request.path_params["board"], name))
+        board = request.path_params["board"]
+        return _answer(await asyncio.to_thread(self._console.acknowledge, _session(request), board, name))
 
     async def session(self, request: Request) -> Response:
         """Who asks, and for how long still."""

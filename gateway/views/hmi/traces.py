@@ -16,7 +16,8 @@ import math
 from collections import deque
 
 from gateway.views.decimate import Bin
-from gateway.views.feed import BoardFeed, Tap
+from gateway.views.feed import BoardFeed
+from gateway.views.tap import Tap
 from protocol.bus import board51_pb2 as pb
 
 SPAN_S = 20.0  # that a plot shows

@@ -12,6 +12,9 @@ from asyncua import ua
 from asyncua.server.internal_server import InternalServer
 
 from gateway.views.opcua.model import Argument, Leaf
+from gateway.views.opcua.quality import WAITING
+from gateway.views.opcua.ranges import RANGED
+from gateway.views.opcua.values import data_value
 
 READ = 1 << ua.AccessLevel.CurrentRead
 WRITE = 1 << ua.AccessLevel.CurrentWrite
@@ -60,7 +63,7 @@ class Builder:
         """The variable of a leaf with its unit, range or words."""
         kind = ua.ObjectIds.BaseDataVariableType
         if leaf.unit is not None:
-            kind = ua.ObjectIds.AnalogItemType
+            kind = analog(leaf.path)
         elif leaf.words:
             kind = ua.ObjectIds.MultiStateDiscreteType
         path = f"{board}/{leaf.path}"
@@ -75,17 +78,20 @@ class Builder:
             min_sampling_ms=min_sampling_ms,
         )
         if leaf.unit is not None:
-            self.unit(node, path, leaf.unit)
+            self.unit(node, path, leaf.unit, ranged=leaf.path in RANGED)
         if leaf.words:
             words = [ua.LocalizedText(word) for word in leaf.words]
             self.property(node, f"{path}/EnumStrings", words, ua.VariantType.LocalizedText, ua.ObjectIds.LocalizedText)
         return node
 
-    def unit(self, node: ua.NodeId, path: str, unit: ua.EUInformation) -> None:
-        """EngineeringUnits, and an EURange that is not known yet."""
+    def unit(self, node: ua.NodeId, path: str, unit: ua.EUInformation, *, ranged: bool) -> None:
+        """EngineeringUnits, and an EURange that comes with the board's parameters."""
         units = ua.ObjectIds.EUInformation
         self.property(node, f"{path}/EngineeringUnits", unit, ua.VariantType.ExtensionObject, units)
-        self.property(node, f"{path}/EURange", None, ua.VariantType.ExtensionObject, ua.ObjectIds.Range)
+        if ranged:
+            self.property(node, f"{path}/EURange", None, ua.VariantType.ExtensionObject, ua.ObjectIds.Range)
+            held = self._server.aspace[self.id(f"{path}/EURange")].attributes[ua.AttributeIds.Value]
+            held.value = data_value(None, ua.VariantType.ExtensionObject, WAITING, 0)
 
     def property(self, parent: ua.NodeId, path: str, value: Any, variant: ua.VariantType, data_type: int) -> None:
         """A property with its value."""
@@ -135,6 +141,11 @@ class Builder:
         for result in self._server.node_mgt_service.add_nodes([item]):
             result.StatusCode.check()
         return item.RequestedNewNodeId
+
+
+def analog(path: str) -> int:
+    """The type of a variable with a unit: AnalogItemType promises an EURange."""
+    return int(ua.ObjectIds.AnalogItemType if path in RANGED else ua.ObjectIds.AnalogUnitType)
 
 
 def _name(attributes: Any, path: str, about: str) -> None:

@@ -16,7 +16,7 @@ from asyncua.common.event_objects import AlarmCondition, BaseEvent
 
 from gateway.views.alarms import Alarm
 from gateway.views.feed import BoardFeed
-from gateway.views.opcua.sessions import GuardedServer
+from gateway.views.opcua.sessions import Condition, GuardedServer
 from gateway.views.opcua.values import datetime_of
 from protocol.bus import board51_pb2 as pb
 
@@ -61,7 +61,10 @@ class Conditions:
         active, acknowledged = (alarm.active, alarm.acknowledged) if retain else (False, True)
         event: Any = AlarmCondition(message=alarm.text, severity=SEVERITY[alarm.severity])
         node = ua.NodeId(f"{alarm.board}/alarm/{alarm.name}", self._server.namespace)
-        self._server.conditions[node] = (alarm.board, alarm.name)
+        sent = self._sent.get(alarm.name)
+        condition = self._server.conditions.get(node)
+        if condition is None or sent is None or (sent.since_ns, sent.times) != (alarm.since_ns, alarm.times):
+            condition = self._server.conditions[node] = Condition(alarm.board, alarm.name)  # events of before are over
         event.add_property("NodeId", node, ua.VariantType.NodeId)
         event.Time = datetime_of(alarm.changed_ns)
         event.ConditionName, event.ConditionClassId = alarm.name, _PROCESS
@@ -69,7 +72,7 @@ class Conditions:
         event.Retain = retain
         event.BranchId = ua.NodeId()
         event.Quality, event.LastSeverity = ua.StatusCode(), event.Severity
-        event.Comment, event.ClientUserId = ua.LocalizedText(""), alarm.acknowledged_by
+        event.Comment, event.ClientUserId = ua.LocalizedText(alarm.comment), alarm.acknowledged_by
         event.SuppressedOrShelved = False
         for state, holds, words in (
             ("EnabledState", True, ("Disabled", "Enabled")),
@@ -79,10 +82,11 @@ class Conditions:
         ):
             setattr(event, f"{state}/Id", holds)
             setattr(event, state, ua.LocalizedText(words[holds]))
+        event.EventId = uuid.uuid4().bytes
+        condition.event_ids.append(event.EventId)
         await self._send(event)
 
     async def _send(self, event: Any) -> None:
-        event.EventId = uuid.uuid4().bytes
         event.ReceiveTime = datetime.now(UTC)
         event.LocalTime = ua.TimeZoneDataType()
         event.SourceNode, event.SourceName = self._node, self._feed.name
@@ -104,6 +108,7 @@ class Conditions:
 
 def _plain(text: str, severity: str, time_ns: int) -> Any:
     event: Any = BaseEvent(message=text, severity=SEVERITY.get(severity, 100))
+    event.EventId = uuid.uuid4().bytes
     event.EventType = ua.NodeId(ua.ObjectIds.BaseEventType)
     event.Time = datetime_of(time_ns)
     return event

@@ -33,7 +33,7 @@ VARIANTS: dict[int, ua.VariantType] = {
     FieldDescriptor.TYPE_BOOL: ua.VariantType.Boolean,
     FieldDescriptor.TYPE_UINT32: ua.VariantType.UInt32,
     FieldDescriptor.TYPE_UINT64: ua.VariantType.UInt64,
-    FieldDescriptor.TYPE_ENUM: ua.VariantType.Int32,
+    FieldDescriptor.TYPE_ENUM: ua.VariantType.UInt32,  # MultiStateDiscreteType wants an unsigned number
 }
 
 

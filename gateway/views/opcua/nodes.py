@@ -2,12 +2,14 @@
 
 Rule 1: a value that nobody subscribes to is made when it is read; only subscribed ones are made at the rate.
 Rule 2: each interval reaches each subscriber, in order, also when this process was late: the feed keeps the bins.
-Rule 3: a status is judged at the moment of reading or sending, never stored.
+Rule 3: a status is judged at the moment of reading or sending, never stored.  After an outage it is good again with the
+        first interval since, not with the first sample: until then the value is the one from before.
 """
 
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -16,17 +18,19 @@ from asyncua import ua
 from asyncua.server.internal_server import InternalServer
 
 from gateway.views.decimate import Bin
-from gateway.views.feed import BoardFeed, Tap
+from gateway.views.feed import BoardFeed
 from gateway.views.opcua import quality
-from gateway.views.opcua.build import READ, WRITE, Builder
+from gateway.views.opcua.build import READ, WRITE, Builder, analog
 from gateway.views.opcua.clock import StampClock
+from gateway.views.opcua.extras import EXTRAS, extra, extra_value
 from gateway.views.opcua.history import RingHistory, Track
 from gateway.views.opcua.model import TICK_TOPICS, TOPICS, Argument, Leaf, leaves, methods
+from gateway.views.opcua.ranges import RANGED, ranges
 from gateway.views.opcua.units import unit_of
 from gateway.views.opcua.values import Value, data_value
+from gateway.views.tap import Tap
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.wire.messages import COUNTS_MAX
 
 VALUE = ua.AttributeIds.Value
 _TAPPED = {"state": pb.State, "twin/state": pb.TwinState, "twin/divergence": pb.Divergence}
@@ -36,19 +40,6 @@ OUTPUTS = (
     Argument(name="reason", variant=_V.String, is_array=False, about="kebab-case, stable; empty where accepted"),
     Argument(name="text", variant=_V.String, is_array=False, about="a sentence for people"),
     Argument(name="tick", variant=_V.UInt64, is_array=False, about="from which it is in force"),
-)
-# What the views know beyond the topics: path, type, whether an array, what it is.
-_EXTRAS: tuple[tuple[str, ua.VariantType, bool, str], ...] = (
-    ("link/state", _V.String, False, "live, or why not: silent, absent, handshake, connecting, no-gateway"),
-    ("link/reason", _V.String, False, "a sentence; empty where live"),
-    ("alarms/active", _V.UInt32, False, "conditions that hold now"),
-    ("alarms/unacknowledged", _V.UInt32, False, "that nobody has seen yet"),
-    ("alarms/list", _V.String, True, "name, severity, state, text of each; the most urgent first"),
-    ("last_command/who", _V.String, False, "of the newest command to this board, by whichever way it came"),
-    ("last_command/what", _V.String, False, "its kind"),
-    ("last_command/accepted", _V.Boolean, False, ""),
-    ("last_command/reason", _V.String, False, "why it was refused, kebab-case"),
-    ("last_command/text", _V.String, False, "why it was refused, a sentence"),
 )
 
 
@@ -92,6 +83,7 @@ class BoardNodes:
             topic: feed.tap(message, width_s=1.0 / rate_hz) for topic, message in _TAPPED.items()
         }
         self._bins: dict[str, Bin] = {}
+        self._outlived: set[str] = set()  # topics whose bin is from before an outage
         self._stamps_ns: dict[str, int] = {}
         self._seen: dict[str, tuple[object, int]] = {}  # what was sent last: message, status
         self._nodes: dict[str, list[_Node]] = {topic: [] for topic in TOPICS}
@@ -126,7 +118,7 @@ class BoardNodes:
                 if leaf.statistic is not None:
                     history.add(node, track, columns.index(leaf))
                 self._nodes[topic].append(_Node(leaf, self._serve(node, self._reader(leaf))))
-        for path, variant, is_array, about in _EXTRAS:
+        for path, variant, is_array, about in EXTRAS:
             folder, _, _ = path.partition("/")
             node = self._builder.variable(
                 place(folder, ""), f"{self.name}/{path}", variant, about, is_array=is_array, access=READ
@@ -139,8 +131,6 @@ class BoardNodes:
             self._build_setpoint(place("setpoint", "write here"), path, field, about)
         for method in methods():
             self._builder.method(self.object, f"{self.name}/{method.name}", "", method.arguments, OUTPUTS)
-        alarm = Argument(name="alarm", variant=_V.String, is_array=False, about="its name, e.g. divergence-x")
-        self._builder.method(self.object, f"{self.name}/Acknowledge", "somebody has seen it", (alarm,), OUTPUTS[:1])
 
     def _build_setpoint(self, parent: ua.NodeId, path: str, field: str, about: str) -> None:
         leaf = next(leaf for leaf in leaves() if leaf.path == f"state/{field}")
@@ -151,10 +141,10 @@ class BoardNodes:
             leaf.variant,
             about,
             access=READ | WRITE,
-            kind=ua.ObjectIds.AnalogItemType if unit is not None else ua.ObjectIds.BaseDataVariableType,
+            kind=analog(path) if unit is not None else ua.ObjectIds.BaseDataVariableType,
         )
         if unit is not None:
-            self._builder.unit(node, f"{self.name}/{path}", unit)
+            self._builder.unit(node, f"{self.name}/{path}", unit, ranged=path in RANGED)
         self._nodes["state"].append(_Node(leaf, self._serve(node, self._reader(leaf))))
 
     def _serve(self, node: ua.NodeId, read: Callable[[], Value]) -> Any:
@@ -169,10 +159,14 @@ class BoardNodes:
         return lambda: self._value_of_message(leaf, self._status(leaf.topic))
 
     def _extra_reader(self, path: str, variant: ua.VariantType) -> Callable[[], Value]:
-        return lambda: data_value(self._extra(path), variant, quality.GOOD, 0)
+        return lambda: extra_value(self.feed, path, variant, time.time_ns())
 
     def _status(self, topic: str) -> int:
         """Of everything of a topic, now."""
+        status = self._judged(topic)
+        return quality.STALE if topic in self._outlived and not quality.is_down(status) else status
+
+    def _judged(self, topic: str) -> int:
         feed = self.feed
         message = topics.BY_NAME[topic].message
         if feed.latest(message) is None:
@@ -223,48 +217,23 @@ class BoardNodes:
         of_bin = {"tick": shown.last_tick, "session": shown.session, "t_s": shown.t_s}  # of the values beside it
         return data_value(of_bin.get(leaf.field, value), leaf.variant, status, self._stamps_ns[leaf.topic])
 
-    def _extra(self, path: str) -> object:
-        feed = self.feed
-        match path:
-            case "link/state":
-                return feed.link().state
-            case "link/reason":
-                return feed.link().reason
-            case "alarms/active":
-                return sum(alarm.active for alarm in feed.alarms())
-            case "alarms/unacknowledged":
-                return sum(not alarm.acknowledged for alarm in feed.alarms())
-            case "alarms/list":
-                return [
-                    f"{a.name}: {a.severity}, {'active' if a.active else 'gone'},"
-                    f" {'acknowledged' if a.acknowledged else 'not acknowledged'}: {a.text}"
-                    for a in feed.alarms()
-                ]
-        records = feed.commands()
-        if not records:
-            return None
-        record = records[-1]
-        return {
-            "who": record.command.who,
-            "what": record.command.WhichOneof("what") or "",
-            "accepted": record.reply.accepted,
-            "reason": record.reply.reason,
-            "text": record.reply.text,
-        }[path.partition("/")[2]]
-
     # -- updating
 
     async def update(self) -> None:
         """Send what has changed since the last call to whoever subscribed it, and keep history."""
         self._update_ranges()
         for topic in TICK_TOPICS:
+            down = quality.is_down(self._judged(topic))
+            bins = self._taps[topic].take(unfinished=down)
+            if down:
+                self._outlived.add(topic)
+            elif bins:
+                self._outlived.discard(topic)
             status = self._status(topic)
-            bins = self._taps[topic].take(unfinished=status not in (quality.GOOD, quality.SUBNORMAL))
             for taken in bins:
                 await self._interval(topic, taken, status)
-                await asyncio.sleep(
-                    0
-                )  # many have gathered where this process was held up: clients are answered meanwhile
+                # Many have gathered where this process was held up: clients are answered meanwhile.
+                await asyncio.sleep(0)
             if not bins and topic in self._bins and self._seen.get(topic, (None, status))[1] != status:
                 await self._interval(topic, self._bins[topic], status, again=True)  # its status has changed
             self._seen[topic] = (None, status)
@@ -309,7 +278,7 @@ class BoardNodes:
     async def _update_extras(self) -> None:
         for path, (attribute, sent) in self._extras.items():
             if attribute.datachange_callbacks:
-                value = self._extra(path)
+                value = extra(self.feed, path)
                 if value != sent:
                     self._extras[path] = (attribute, value)
                     await _tell(attribute, attribute.value_callback(None, VALUE))
@@ -323,19 +292,6 @@ class BoardNodes:
             node = self._builder.id(f"{self.name}/{path}/EURange")
             held = self._server.aspace[node].attributes[VALUE]
             held.value = Value(Value=ua.Variant(ua.Range(Low=low, High=high), _V.ExtensionObject))
-
-
-def ranges(parameters: pb.Parameters) -> dict[str, tuple[float, float]]:
-    """EURange by path: what the converters can show; of the reference, what the board takes."""
-    current = (0.0, COUNTS_MAX * abs(parameters.i_lsb_a))
-    position = (min(0.0, parameters.x_ref_min_m), max(parameters.x_ref_max_m, COUNTS_MAX * abs(parameters.x_lsb_m)))
-    voltage = (min(0.0, parameters.u_min_v), parameters.u_max_v)
-    reference = (parameters.x_ref_min_m, parameters.x_ref_max_m)
-    found = {"setpoint/x_ref_m": reference}
-    for topic in ("state", "twin/state"):
-        for field, span in (("i_c_a", current), ("x_m", position), ("u_c_v", voltage), ("x_ref_m", reference)):
-            found |= {f"{topic}/{field}{end}": span for end in ("", "/min", "/max")}
-    return found
 
 
 async def _tell(attribute: Any, value: Value) -> None:

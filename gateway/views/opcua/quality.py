@@ -43,6 +43,11 @@ def is_bad(code: int) -> bool:
     return code >= 0x80000000
 
 
+def is_down(code: int) -> bool:
+    """Whether nothing new comes, as a topic's status says it."""
+    return code not in (GOOD, SUBNORMAL)
+
+
 def of_board(link: Link) -> int:
     """Of what the board itself says: `state`."""
     if link.live:

@@ -21,7 +21,7 @@ from gateway.views.feed import Feed
 from gateway.views.opcua.build import Builder
 from gateway.views.opcua.conditions import Conditions
 from gateway.views.opcua.desk import Desk, Visitor
-from gateway.views.opcua.history import RingHistory
+from gateway.views.opcua.history import Historian, RingHistory
 from gateway.views.opcua.nodes import BoardNodes
 from gateway.views.opcua.security import Security
 from gateway.views.opcua.sessions import GuardedServer, Reception
@@ -92,7 +92,7 @@ async def serve(feed: Feed, settings: Settings, stop: asyncio.Event, ready: Call
     server.set_identity_tokens(tokens)
     inner.namespace = await server.register_namespace(NAMESPACE.format(site=feed.site))
     history = RingHistory()
-    inner.history_manager.set_storage(history)
+    inner.history_manager = Historian(inner, history)
     try:
         await server.start()
     except OSError as error:

@@ -5,16 +5,15 @@ Rule 1: on a secured server a session without an encrypted channel is refused, w
 Rule 2: a session stays with its channel.  asyncua numbers its session tokens; whoever guesses one would be handed the
         session of somebody else together with their rights, before their own credentials are looked at.
 Rule 3: nothing can be written but setpoints, nothing called but what `model.py` lists, nothing added to the space.
-Rule 4: every client gets a bounded service: intervals, subscriptions, items, queues, bytes that it has not read.
+Rule 4: every client gets a bounded service: sessions, logins, queues, bytes that it has not read; see subscriptions.py.
 """
 
 from __future__ import annotations
 
-import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from asyncua import ua
@@ -22,22 +21,20 @@ from asyncua.common.utils import ServiceError
 from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
-from asyncua.server.subscription_service import SubscriptionService
 
 from gateway.access.roles import Role
 from gateway.views.opcua.desk import Desk, Visitor, called, code_of, written
 from gateway.views.opcua.model import methods
+from gateway.views.opcua.subscriptions import BoundedSubscriptions
 from protocol.bus import board51_pb2 as pb
 
 S = ua.StatusCodes
-MIN_INTERVAL_MS = 20.0
-MAX_INTERVAL_MS = 3_600_000.0
-MAX_ITEMS = 5_000  # monitored items of one subscription; eight boards have 1500 variables
 MAX_SUBSCRIPTIONS = 100
 MAX_CONNECTIONS = 64
 MAX_QUEUE = 1_000  # values that wait for one item
 MAX_UNREAD_BYTES = 8_000_000  # of one client that does not read
 LOGINS_PER_10_S = 20  # each costs 50 ms of one core
+LONGEST_COMMENT = 200  # characters that the gateway takes; the rest of a longer one is cut
 _NOBODY = User(role=UserRole.Anonymous)  # until the session is activated
 _METHODS = {method.name: method for method in methods()}
 _REFRESH = (
@@ -52,6 +49,15 @@ class Guest(User):  # type: ignore[misc]  # asyncua's class is untyped
     """asyncua's user with ours inside."""
 
     visitor: Visitor | None = None
+
+
+@dataclass
+class Condition:
+    """What a condition's node stands for, and the events of its present branch that a client may acknowledge."""
+
+    board: str
+    alarm: str
+    event_ids: deque[bytes] = field(default_factory=lambda: deque(maxlen=64))
 
 
 Identify = Callable[[str | None, str | None, bytes | None], Visitor | None]
@@ -81,7 +87,7 @@ class Reception:
         return None if visitor is None else Guest(role=UserRole.User, name=visitor.name, visitor=visitor)
 
 
-class GuardedServer(InternalServer):  # type: ignore[misc]
+class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes are untyped
     """asyncua's internal server with our sessions and limits.
 
     Args:
@@ -94,7 +100,7 @@ class GuardedServer(InternalServer):  # type: ignore[misc]
         super().__init__(user_manager=reception)
         self.desk, self.secured = desk, secured
         self.namespace = 0
-        self.conditions: dict[ua.NodeId, tuple[str, str]] = {}  # condition -> board, alarm
+        self.conditions: dict[ua.NodeId, Condition] = {}
         self.subscription_service = BoundedSubscriptions(self.aspace, iserver=self)
         self.isession.subscription_service = self.subscription_service
         self.bind_condition_methods = 100
@@ -128,42 +134,7 @@ class GuardedServer(InternalServer):  # type: ignore[misc]
         return len(deaf)
 
 
-class BoundedSubscriptions(SubscriptionService):  # type: ignore[misc]
-    """Subscriptions with a shortest interval and a largest number of items."""
-
-    async def create_subscription(
-        self,
-        params: ua.CreateSubscriptionParameters,
-        callback: Callable[..., Any],
-        session_id: ua.NodeId,
-        request_callback: Callable[..., Any] | None = None,
-    ) -> ua.CreateSubscriptionResult:
-        """With the interval revised to what is served."""
-        asked_ms = params.RequestedPublishingInterval
-        if math.isnan(asked_ms):
-            asked_ms = MIN_INTERVAL_MS
-        params.RequestedPublishingInterval = min(max(asked_ms, MIN_INTERVAL_MS), MAX_INTERVAL_MS)
-        return await super().create_subscription(params, callback, session_id, request_callback)
-
-    async def create_monitored_items(
-        self, params: ua.CreateMonitoredItemsParameters
-    ) -> list[ua.MonitoredItemCreateResult]:
-        """As many as there is room for; BadTooManyMonitoredItems for the rest."""
-        subscription = self.subscriptions.get(params.SubscriptionId)
-        items = {} if subscription is None else subscription.monitored_item_srv._monitored_items  # noqa: SLF001
-        held = len(items)
-        room = max(0, MAX_ITEMS - held)
-        surplus = len(params.ItemsToCreate) - room
-        params.ItemsToCreate = params.ItemsToCreate[:room]
-        results: list[ua.MonitoredItemCreateResult] = await super().create_monitored_items(params)
-        for _ in range(surplus):
-            refused = ua.MonitoredItemCreateResult()
-            refused.StatusCode = ua.StatusCode(S.BadTooManyMonitoredItems)
-            results.append(refused)
-        return results
-
-
-class GuardedSession(InternalSession):  # type: ignore[misc]
+class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
     """One client's session."""
 
     iserver: GuardedServer
@@ -278,18 +249,11 @@ class GuardedSession(InternalSession):  # type: ignore[misc]
         result = ua.CallMethodResult()
         inputs = request.InputArguments or []
         if request.MethodId == _ACKNOWLEDGE:
-            board, alarm = self.iserver.conditions.get(request.ObjectId, ("", ""))
-            code = self.iserver.desk.acknowledge(self.visitor, board, alarm) if board else S.BadNodeIdUnknown
-            result.StatusCode = ua.StatusCode(code)
+            result.StatusCode = ua.StatusCode(await self._acknowledge(request.ObjectId, inputs))
             return result
         board, name = self._place(request.MethodId)
         if request.MethodId not in self.aspace or request.ObjectId != ua.NodeId(board, self.iserver.namespace):
             result.StatusCode = ua.StatusCode(S.BadMethodInvalid)
-        elif name == "Acknowledge":
-            alarm = inputs[0].Value if len(inputs) == 1 and isinstance(inputs[0].Value, str) else ""
-            code = self.iserver.desk.acknowledge(self.visitor, board, alarm)
-            result.StatusCode = ua.StatusCode(code)
-            result.OutputArguments = [ua.Variant(code == S.Good, ua.VariantType.Boolean)]
         elif name in _METHODS:
             command = called(_METHODS[name], inputs)
             if isinstance(command, pb.Command):
@@ -304,6 +268,20 @@ class GuardedSession(InternalSession):  # type: ignore[misc]
         while len(result.InputArgumentResults) < len(inputs):
             result.InputArgumentResults.append(ua.StatusCode())
         return result
+
+    async def _acknowledge(self, node: ua.NodeId, inputs: list[ua.Variant]) -> int:
+        """Part 9, 5.7.3: of a condition, by EventId and comment."""
+        condition = self.iserver.conditions.get(node)
+        if condition is None:
+            return int(S.BadNodeIdUnknown)
+        if len(inputs) != 2:
+            return int(S.BadArgumentsMissing if len(inputs) < 2 else S.BadTooManyArguments)
+        event_id, comment = inputs[0].Value, inputs[1].Value
+        if event_id not in condition.event_ids:
+            return int(S.BadEventIdUnknown)
+        said = comment.Text or "" if isinstance(comment, ua.LocalizedText) else ""
+        seen = pb.Command(acknowledge=pb.Acknowledge(alarm=condition.alarm, comment=said[:LONGEST_COMMENT]))
+        return code_of(await self.iserver.desk.command(self.visitor, condition.board, "acknowledge", seen))
 
 
 def _outputs(reply: pb.CommandReply) -> list[ua.Variant]:

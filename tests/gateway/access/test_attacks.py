@@ -63,6 +63,22 @@ def sent_to(board: ScriptedBoard, name: str) -> int:
 # -- samples
 
 
+def test_nobody_but_the_gateway_says_what_was_acknowledged(rig: GuardedRig, vic: Client, ana: Client) -> None:
+    heard: list[bytes] = []
+    vic.session.declare_subscriber("board51/*/alarms", lambda sample: heard.append(sample.payload.to_bytes()))
+    with rig.join("gateway") as gateway:
+        for client, who in ((ana, "forger"), (gateway, "gateway")):
+            message = pb.Alarms(acknowledged=[pb.Acknowledgement(alarm="x", who=who)])
+            client.session.put("board51/rig/alarms", message.SerializeToString())
+
+        wait_for(lambda: "gateway" in seen_by(heard), "the gateway's list")
+    assert "forger" not in seen_by(heard)
+
+
+def seen_by(heard: list[bytes]) -> list[str]:
+    return [one.who for data in heard for one in pb.Alarms.FromString(data).acknowledged]
+
+
 @pytest.mark.parametrize("spoofer", ["vic", "ben", "ana", "views", "twin"])
 def test_nobody_but_the_gateway_publishes_a_state(rig: GuardedRig, vic: Client, spoofer: str) -> None:
     with rig.join(spoofer) as attacker:
@@ -82,15 +98,19 @@ def test_the_forged_state_would_have_been_seen(rig: GuardedRig, vic: Client) -> 
         wait_for(lambda: FORGED in {state.session for state in vic.states}, "the state put with the gateway's identity")
 
 
-def test_nobody_but_the_twin_publishes_an_alarm(rig: GuardedRig, vic: Client, ana: Client) -> None:
-    alarms: list[bytes] = []
-    vic.session.declare_subscriber("board51/*/twin/alarm", lambda sample: alarms.append(sample.payload.to_bytes()))
+@pytest.mark.parametrize("topic", ["twin/alarm", "twin/alarms"])
+def test_nobody_but_the_twin_publishes_an_alarm(rig: GuardedRig, vic: Client, ana: Client, topic: str) -> None:
+    heard: list[bytes] = []
+    vic.session.declare_subscriber(f"board51/*/{topic}", lambda sample: heard.append(sample.payload.to_bytes()))
     with rig.join("twin") as twin:
         for client, name in ((ana, "forged"), (twin, "divergence-x")):
-            client.session.put("board51/rig/twin/alarm", pb.Alarm(name=name, active=True).SerializeToString())
+            alarm = pb.Alarm(name=name, active=True)
+            message = alarm if topic == "twin/alarm" else pb.TwinAlarms(active=[alarm])
+            client.session.put(f"board51/rig/{topic}", message.SerializeToString())
 
-        wait_for(lambda: alarms, "the twin's alarm")
-    assert [pb.Alarm.FromString(alarm).name for alarm in alarms] == ["divergence-x"]
+        wait_for(lambda: heard, "the twin's alarm")
+    assert len(heard) == 1
+    assert b"divergence-x" in heard[0]
 
 
 def test_nobody_else_holds_the_token_that_says_alive(vic: Client, ana: Client) -> None:
@@ -152,6 +172,7 @@ def test_the_name_in_the_message_counts_for_nothing(ben: Client) -> None:
     [
         ("vic", {"stop": pb.Stop()}, "operator"),
         ("vic", {"set_mode": CLOSED}, "operator"),
+        ("vic", {"acknowledge": pb.Acknowledge(alarm="divergence-x")}, "operator"),
         ("vic", {"set_reference": pb.SetReference(x_ref_m=0.003)}, "operator"),
         ("ben", {"set_gains": pb.SetGains(gains=[0, 0, 0, 0])}, "engineer"),
         ("ben", {"set_host_loss": pb.SetHostLoss(policy=0, timeout_s=1.0)}, "engineer"),

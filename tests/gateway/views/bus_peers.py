@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import zenoh
 from google.protobuf.message import Message
@@ -29,6 +31,10 @@ class PlayedGateway:
         self.last = pb.State()
         self._queryable = session.declare_queryable("board51/*/command/**", self._on_query)
 
+    def stop_answering(self) -> None:
+        """As if the gateway had ended, and not its router."""
+        self._queryable.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+
     def send(self, topic: str, message: Message, board: str = "rig") -> None:
         self.session.put(topics.key("board51", board, topic), message.SerializeToString())
 
@@ -41,7 +47,7 @@ class PlayedGateway:
             "mode": pb.MODE_CLOSED_LOOP,
         }  # fmt: skip
         values.update(fields)
-        self.last = pb.State(**values)  # type: ignore[arg-type]
+        self.last = pb.State(**values)  # type: ignore[arg-type]  # a test may send what it likes
         self.send("state", self.last, board)
 
     def status(self, board: str = "rig", link: str = "streaming") -> None:
@@ -77,3 +83,32 @@ def feed_of(gateway: PlayedGateway) -> Iterator[Feed]:
         feed = Feed(session)
         yield feed
         feed.close()
+
+
+@contextmanager
+def ticking(
+    gateway: PlayedGateway,
+    *boards: str,
+    values: Callable[[int], dict[str, Any]] | None = None,
+    period_s: float = 0.004,
+) -> Iterator[None]:
+    """The gateway publishes samples, as far as this machine keeps up, status and parameters now and then."""
+    stop = threading.Event()
+
+    def work() -> None:
+        n = 0
+        while not stop.wait(period_s):
+            for board in boards or ("rig",):
+                gateway.state(board, **(values(n) if values is not None else {}))
+                if n % 50 == 0:
+                    gateway.status(board)
+                    gateway.parameters(board)
+            n += 1
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import asynccontextmanager
 from typing import Any, TypeVar
 
 from asyncua import Client, ua
@@ -63,32 +63,6 @@ class Served:
             self.port = port
 
         await serve(feed, self._settings, self._stop, ready)
-
-
-@contextmanager
-def ticking(
-    gateway: PlayedGateway, *boards: str, values: Callable[[int], dict[str, Any]] | None = None
-) -> Iterator[None]:
-    """The gateway publishes samples every 4 ms, status and parameters now and then."""
-    stop = threading.Event()
-
-    def work() -> None:
-        n = 0
-        while not stop.wait(0.004):
-            for board in boards or ("rig",):
-                gateway.state(board, **(values(n) if values is not None else {}))
-                if n % 50 == 0:
-                    gateway.status(board)
-                    gateway.parameters(board)
-            n += 1
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
 
 
 class Peer:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from gateway.views.alarms import LINK, LOG, MAX_ALARMS, AlarmBook
+from gateway.alarms import LINK, LOG
+from gateway.views.alarms import MAX_ALARMS, TWIN, AlarmBook
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag
 
@@ -146,3 +147,85 @@ def test_the_revision_rises_with_what_is_shown_only() -> None:
     book.link("down", 3)
 
     assert (quiet, once, book.revision) == (0, 1, 1)
+
+
+def test_an_alarm_that_was_missed_is_listed_with_its_first_time() -> None:
+    book = AlarmBook("rig")
+    raised = pb.Alarm(name="divergence-x", active=True, text="off", host_time_ns=100)
+
+    book.twin_alarms(pb.TwinAlarms(active=[raised]), 900)
+
+    assert [(a.name, a.since_ns, a.times) for a in book.listed()] == [("divergence-x", 100, 1)]
+
+
+def test_a_repeated_alarm_is_no_new_one() -> None:
+    book = AlarmBook("rig")
+    raised = pb.Alarm(name="divergence-x", active=True, text="off", host_time_ns=100)
+    book.twin_alarm(raised, 100)
+    assert book.acknowledge("divergence-x", "eva", 200)
+    before, revision = book.listed(), book.revision
+
+    for n in range(3):
+        book.twin_alarms(pb.TwinAlarms(active=[raised]), 300 + n)
+
+    assert (book.listed(), book.revision) == (before, revision)
+
+
+def test_what_the_twin_no_longer_lists_has_ended_and_what_others_said_has_not() -> None:
+    book = AlarmBook("rig")
+    book.twin_alarm(divergence(active=True), 10)
+    book.event(pb.Event(name="over-current", severity="fault"), 11)
+
+    book.twin_alarms(pb.TwinAlarms(), 20)  # of a twin that was started again
+
+    assert names(book) == [("over-current", True, False), ("divergence-x", False, False)]
+
+
+def test_the_end_of_the_twin_ends_its_alarms_and_is_one_itself() -> None:
+    book = AlarmBook("rig")
+    book.twin_alarm(divergence(active=True), 10)
+
+    book.twin_gone(20)
+    gone = names(book)
+    book.twin_alarms(pb.TwinAlarms(), 30)
+
+    assert gone == [(TWIN, True, False), ("divergence-x", False, False)]
+    assert not any(active for _, active, _ in names(book))
+
+
+def test_an_acknowledgement_means_what_came_before_it() -> None:
+    book = AlarmBook("rig")
+    book.twin_alarm(pb.Alarm(name="divergence-x", active=True, host_time_ns=100), 100)
+    seen = pb.Acknowledgement(alarm="divergence-x", who="eva", host_time_ns=99)
+
+    book.repeated(pb.Alarms(acknowledged=[seen]), 200)
+    too_early = names(book)
+    seen.host_time_ns = 101
+    book.repeated(pb.Alarms(acknowledged=[seen]), 200)
+
+    assert too_early == [("divergence-x", True, False)]
+    assert names(book) == [("divergence-x", True, True)]
+
+
+def test_the_gateway_gives_a_missed_fault_its_name_and_a_link_its_time() -> None:
+    book = AlarmBook("rig")
+    book.state(pb.State(flags=Flag.FAULT, tick=5), 900)
+    book.link("No samples come.", 900)
+    known = [pb.Alarm(name="over-current", active=True, text="coil off", host_time_ns=100),
+             pb.Alarm(name=LINK, active=True, text="The cable is out.", host_time_ns=200)]  # fmt: skip
+
+    book.repeated(pb.Alarms(active=known), 950)
+
+    assert [(a.name, a.text, a.since_ns) for a in book.listed()] == [
+        (LINK, "No samples come.", 200),
+        ("over-current", "coil off", 100),
+    ]
+
+
+def test_the_gateways_list_raises_nothing_that_samples_deny() -> None:
+    book = AlarmBook("rig")
+    book.state(pb.State(tick=5), 900)
+
+    book.repeated(pb.Alarms(active=[pb.Alarm(name="over-current", active=True), pb.Alarm(name=LINK, active=True)]), 950)
+
+    assert names(book) == []

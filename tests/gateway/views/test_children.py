@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.config import BoardConfig, GatewayConfig, SecurityConfig, ZenohConfig
+from gateway.config import BoardConfig, GatewayConfig, HmiConfig, OpcuaConfig, SecurityConfig, ZenohConfig
 from gateway.views import children
 from gateway.views.children import View, running, views_for
 from protocol.errors import ConfigError
@@ -96,31 +96,41 @@ def test_no_view_outlives_a_gateway_that_is_killed() -> None:
 
 
 def test_a_view_joins_the_bus_of_its_gateway() -> None:
-    config = replace(CONFIG, site="lab", zenoh=ZenohConfig(listen=("tcp/0.0.0.0:7447",)))
+    config = replace(
+        CONFIG,
+        site="lab",
+        zenoh=ZenohConfig(listen=("tcp/0.0.0.0:7447",)),
+        opcua=OpcuaConfig(listen="127.0.0.1:4840", rate_hz=50.0, history_s=60.0),
+        hmi=HmiConfig(listen="[::1]:8051"),
+    )
 
-    opcua, hmi = views_for({"opcua": ("127.0.0.1", 4840), "hmi": ("::1", 8051)}, config)
+    opcua, hmi = views_for(config)
 
     assert opcua == View(
         name="opcua",
-        arguments=("--listen", "127.0.0.1:4840", "--connect", "tcp/127.0.0.1:7447", "--site", "lab"),
-    )
+        arguments=(
+            "--listen", "127.0.0.1:4840", "--connect", "tcp/127.0.0.1:7447", "--site", "lab",
+            "--rate", "50", "--history", "60",
+        ),
+    )  # fmt: skip
     assert hmi.arguments[:2] == ("--listen", "[::1]:8051")
     assert "logs" in hmi.arguments
 
 
 def test_a_guarded_gateway_hands_its_keys_on(tmp_path: Path) -> None:
-    config = replace(CONFIG, security=SecurityConfig(directory=str(tmp_path)))
+    config = replace(CONFIG, security=SecurityConfig(directory=str(tmp_path)), hmi=HmiConfig(listen="0.0.0.0:8051"))
 
-    (opcua,) = views_for({"opcua": ("0.0.0.0", 4840)}, config)
+    (hmi,) = views_for(config)
 
-    assert ("--security", str(tmp_path)) == opcua.arguments[-2:]
-    assert str(tmp_path / "identities" / "views") in opcua.arguments
+    assert hmi.arguments[hmi.arguments.index("--security") + 1] == str(tmp_path)
+    assert str(tmp_path / "identities" / "views") in hmi.arguments
 
 
 @pytest.mark.parametrize("name", ["opcua", "hmi", "foxglove"])
 def test_no_view_is_opened_to_the_network_unguarded(name: str) -> None:
+    config = replace(CONFIG, **{name: replace(getattr(CONFIG, name), listen="0.0.0.0:4000")})
     with pytest.raises(ConfigError, match="without protection"):
-        views_for({name: ("0.0.0.0", 4000)}, CONFIG)
+        views_for(config)
 
-    insecure = replace(CONFIG, security=SecurityConfig(insecure=True))
-    assert views_for({name: ("0.0.0.0", 4000)}, insecure)[0].arguments[-1] == "--insecure"
+    insecure = replace(config, security=SecurityConfig(insecure=True))
+    assert views_for(insecure)[0].arguments[-1] == "--insecure"

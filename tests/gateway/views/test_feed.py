@@ -6,11 +6,14 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from functools import partial
 
 import pytest
 
-from gateway.views.alarms import LINK
-from gateway.views.feed import SILENT_S, BoardFeed, Feed, channels
+from gateway.alarms import LINK
+from gateway.views.alarms import TWIN
+from gateway.views.feed import SILENT_S, TWIN_GONE_S, BoardFeed, Feed
+from gateway.views.tap import channels
 from protocol.bus import board51_pb2 as pb
 from tests.gateway.gateway_peers import ScriptedBoard, client, gateway_config, running, wait_for
 from tests.gateway.views.bus_peers import PlayedGateway, feed_of, played_gateway
@@ -29,14 +32,16 @@ def feed(gateway: PlayedGateway) -> Iterator[Feed]:
 
 
 def heard(feed: Feed, gateway: PlayedGateway, board: str = "rig") -> BoardFeed:
-    """The board, once its first sample has arrived; subscriptions take a moment to reach the router."""
+    """The board, once a sample has arrived and none is under way; subscriptions take a moment to reach the router."""
 
     def look() -> BoardFeed | None:
         gateway.state(board)
         found = feed.board(board)
         return found if found is not None and found.latest(pb.State) is not None else None
 
-    return wait_for(look, f"board {board} in the feed")
+    found = wait_for(look, f"board {board} in the feed")
+    wait_for(lambda: found.latest(pb.State) == gateway.last, "the last sample")
+    return found
 
 
 def test_the_latest_of_each_type_is_kept_for_each_board(feed: Feed, gateway: PlayedGateway) -> None:
@@ -72,6 +77,9 @@ def test_a_board_that_falls_silent_is_not_live_within_a_second(feed: Feed, gatew
     assert (link.state, link.age_s >= SILENT_S) == ("silent", True)
     gateway.status(link="absent")
     assert wait_for(lambda: rig.link() if rig.link().state == "absent" else None, "absent").reason
+    gateway.send("alarms", pb.Alarms(active=[pb.Alarm(name=LINK, active=True, text="There is no /dev/ttyUSB0.")]))
+    wait_for(lambda: rig.link().reason == "There is no /dev/ttyUSB0.", "what the gateway says")
+    wait_for(lambda: [a.text for a in rig.alarms()] == ["There is no /dev/ttyUSB0."], "the alarm, after the grace")
 
 
 def test_silence_is_judged_by_the_clock_of_the_view(gateway: PlayedGateway) -> None:
@@ -147,11 +155,82 @@ def test_alarms_of_twin_and_board_are_listed_and_acknowledged(feed: Feed, gatewa
 
     gateway.send("twin/alarm", pb.Alarm(name="divergence-x", active=True, text="off"))
     wait_for(rig.alarms, "alarm")
-    done = feed.acknowledge("rig", "divergence-x", "eva")
+    done = feed.acknowledge("rig", "divergence-x", who="eva")
 
-    assert done
+    assert done.accepted
     assert [(a.name, a.acknowledged_by) for a in rig.alarms() if a.name != LINK] == [("divergence-x", "eva")]
-    assert not feed.acknowledge("nobody", "divergence-x", "eva")
+    assert gateway.commands[0][1].acknowledge.alarm == "divergence-x"
+    assert feed.acknowledge("rig", "divergence-x", who="eva").reason == "no-alarm"
+    assert feed.acknowledge("nobody", "divergence-x", who="eva").reason == "no-alarm"
+
+
+def test_what_is_seen_in_one_view_is_seen_in_all_and_in_those_that_come_later() -> None:
+    with ScriptedBoard() as board:
+        config = gateway_config(board.url)
+        endpoint = config.zenoh.listen[0]
+        with running(config), client(endpoint) as bus, client(endpoint) as elsewhere:
+            feeds = [Feed(bus.session), Feed(elsewhere.session)]
+            boards = [wait_for(partial(feed.board, "rig"), "board") for feed in feeds]
+            raised = pb.Alarm(name="divergence-x", active=True, text="off", host_time_ns=time.time_ns())
+            for topic, message in (("alarm", raised), ("alarms", pb.TwinAlarms(active=[raised]))):
+                bus.session.put(f"board51/rig/twin/{topic}", message.SerializeToString())
+            wait_for(lambda: all(board.waits("divergence-x") for board in boards), "alarm")
+
+            reply = feeds[0].acknowledge("rig", "divergence-x", who="eva", comment="known")
+            seen = wait_for(lambda: [a for a in boards[1].alarms() if a.acknowledged], "acknowledgement elsewhere")
+            feeds.append(Feed(elsewhere.session))
+            late = wait_for(lambda: feeds[2].board("rig"), "board")
+            bus.session.put("board51/rig/twin/alarms", pb.TwinAlarms(active=[raised]).SerializeToString())
+            seen_late = wait_for(lambda: [a for a in late.alarms() if a.acknowledged], "acknowledgement later")
+            event = bus.await_event("acknowledged")
+
+            assert reply.accepted
+            for alarm in (seen[0], seen_late[0]):
+                assert (alarm.name, alarm.acknowledged_by, alarm.comment) == ("divergence-x", "eva", "known")
+                assert alarm.since_ns == raised.host_time_ns
+            assert event.text == "eva: divergence-x known"
+            for feed in feeds:
+                feed.close()
+
+
+def test_the_alarm_that_there_is_no_gateway_can_be_acknowledged_without_one(gateway: PlayedGateway) -> None:
+    now_s = [100.0]
+    with client(gateway.endpoint) as bus:
+        feed = Feed(bus.session, now_s=lambda: now_s[0])
+        rig = heard(feed, gateway)
+        gateway.stop_answering()
+        now_s[0] += 4.0
+        assert [a.name for a in rig.alarms()] == [LINK]
+
+        reply = feed.acknowledge("rig", LINK, who="eva")
+
+        assert (reply.accepted, "this view alone" in reply.text) == (True, True)
+        assert [(a.name, a.acknowledged_by) for a in rig.alarms()] == [(LINK, "eva")]
+        feed.close()
+
+
+def test_a_twin_that_ends_is_an_alarm_and_its_own_alarms_end(gateway: PlayedGateway) -> None:
+    now_s = [100.0]
+    with client(gateway.endpoint) as bus:
+        feed = Feed(bus.session, now_s=lambda: now_s[0])
+        rig = heard(feed, gateway)
+        active = pb.TwinAlarms(active=[pb.Alarm(name="divergence-x", active=True, text="off")])
+        gateway.send("twin/alarms", active)
+        wait_for(rig.alarms, "alarm")
+
+        now_s[0] += TWIN_GONE_S + 1.0
+        gateway.status()  # the gateway was away as well: the twin has time to come back
+        heard(feed, gateway)
+        wait_for(lambda: rig.link().live, "samples")
+        with_time = [(a.name, a.active) for a in rig.alarms() if a.name != LINK]
+        now_s[0] += TWIN_GONE_S + 1.0
+        gateway.state()
+        gone = wait_for(lambda: [a for a in rig.alarms() if a.name == TWIN], "end of the twin")
+
+        assert with_time == [("divergence-x", True)]
+        assert gone[0].active
+        assert not next(a for a in rig.alarms() if a.name == "divergence-x").active
+        feed.close()
 
 
 def test_a_command_says_who_and_comes_back_with_the_answer(feed: Feed, gateway: PlayedGateway) -> None:

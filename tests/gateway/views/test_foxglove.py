@@ -10,17 +10,17 @@ from collections.abc import Iterator
 from typing import Any
 from xml.etree import ElementTree
 
-import aiohttp
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from websockets.asyncio.client import connect
+from websockets.typing import Subprotocol
 
 from gateway.commands.foxglove import layout
 from gateway.views.foxglove import FoxgloveView
 from protocol.bus import topics
 from protocol.errors import ServiceError
 from tests.gateway.gateway_peers import client, free_port
-from tests.gateway.views.bus_peers import PlayedGateway, played_gateway
-from tests.gateway.views.opcua_peers import ticking
+from tests.gateway.views.bus_peers import PlayedGateway, played_gateway, ticking
 
 
 @pytest.fixture
@@ -31,23 +31,22 @@ def gateway() -> Iterator[PlayedGateway]:
 
 async def listen(port: int, wanted: str) -> tuple[dict[str, Any], list[tuple[int, bytes]]]:
     """The advertisement of a topic, and its first messages: (log time, payload)."""
-    async with aiohttp.ClientSession() as session:
-        async with session.ws_connect(f"ws://127.0.0.1:{port}", protocols=["foxglove.sdk.v1"]) as socket:
-            channel: dict[str, Any] = {}
-            messages: list[tuple[int, bytes]] = []
-            async for frame in socket:
-                if frame.type is aiohttp.WSMsgType.TEXT:
-                    said = json.loads(frame.data)
-                    for offered in said.get("channels", []) if said["op"] == "advertise" else []:
-                        if offered["topic"] == wanted and not channel:
-                            channel = offered
-                            subscription = {"id": 1, "channelId": offered["id"]}
-                            await socket.send_json({"op": "subscribe", "subscriptions": [subscription]})
-                elif frame.type is aiohttp.WSMsgType.BINARY and frame.data[0] == 1:
-                    _, time_ns = struct.unpack_from("<IQ", frame.data, 1)
-                    messages.append((time_ns, frame.data[13:]))
-                    if len(messages) == 20:
-                        return channel, messages
+    async with connect(f"ws://127.0.0.1:{port}", subprotocols=[Subprotocol("foxglove.sdk.v1")]) as socket:
+        channel: dict[str, Any] = {}
+        messages: list[tuple[int, bytes]] = []
+        async for frame in socket:
+            if isinstance(frame, str):
+                said = json.loads(frame)
+                for offered in said.get("channels", []) if said["op"] == "advertise" else []:
+                    if offered["topic"] == wanted and not channel:
+                        channel = offered
+                        subscription = {"id": 1, "channelId": offered["id"]}
+                        await socket.send(json.dumps({"op": "subscribe", "subscriptions": [subscription]}))
+            elif frame[0] == 1:
+                _, time_ns = struct.unpack_from("<IQ", frame, 1)
+                messages.append((time_ns, frame[13:]))
+                if len(messages) == 20:
+                    return channel, messages
     raise AssertionError("the server hung up")
 
 

@@ -13,12 +13,12 @@ from asyncua import ua
 from asyncua.ua.uaerrors import UaError
 
 from gateway.views.feed import Feed
-from gateway.views.opcua import sessions
+from gateway.views.opcua import sessions, subscriptions
 from gateway.views.opcua.desk import Desk
 from gateway.views.opcua.server import Settings
 from gateway.views.opcua.sessions import GuardedServer, Reception
-from tests.gateway.views.bus_peers import played_gateway
-from tests.gateway.views.opcua_peers import Served, peer, ticking
+from tests.gateway.views.bus_peers import played_gateway, ticking
+from tests.gateway.views.opcua_peers import Served, peer
 
 S = ua.StatusCodes
 
@@ -46,13 +46,13 @@ def test_the_shortest_interval_and_the_longest_life_are_revised(server: Served) 
 
     revised = asyncio.run(ask())
 
-    assert revised.RevisedPublishingInterval == sessions.MIN_INTERVAL_MS
+    assert revised.RevisedPublishingInterval == subscriptions.MIN_INTERVAL_MS
     assert revised.RevisedLifetimeCount >= 3 * revised.RevisedMaxKeepAliveCount
     assert revised.RevisedLifetimeCount * revised.RevisedPublishingInterval <= 3600e3
 
 
 def test_a_subscription_holds_so_many_items_and_no_more(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sessions, "MAX_ITEMS", 7)
+    monkeypatch.setattr(subscriptions, "MAX_ITEMS", 7)
 
     async def ask() -> list[int | ua.StatusCode]:
         async with peer(server.port) as client:
@@ -139,7 +139,7 @@ def test_a_viewer_reads_and_nothing_else(server: Served) -> None:
             stop = await client.call("rig", "Stop")
             assert stop.StatusCode.value == S.BadUserAccessDenied
             assert stop.OutputArguments[1].Value == "not-allowed"
-            seen = await client.call("rig", "Acknowledge", ua.Variant("x"))
+            seen = await client.call("rig", "Acknowledge", ua.Variant("x"), ua.Variant(""))
             assert seen.StatusCode.value == S.BadUserAccessDenied
 
     server.gateway.commands.clear()

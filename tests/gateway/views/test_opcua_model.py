@@ -17,7 +17,7 @@ from gateway.views.opcua import quality
 from gateway.views.opcua.clock import StampClock
 from gateway.views.opcua.desk import called, code_of, written
 from gateway.views.opcua.history import RingHistory, Track
-from gateway.views.opcua.model import TOPICS, leaves, methods
+from gateway.views.opcua.model import TOPICS, Method, leaves, methods
 from gateway.views.opcua.units import unit_of
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
@@ -60,6 +60,7 @@ def test_every_field_of_the_topics_is_a_variable() -> None:
 
 def test_descriptions_are_the_comments_of_the_proto() -> None:
     about = {leaf.path: leaf.about for leaf in leaves()}
+    assert not [path for path, text in about.items() if not text], "a bare name means nothing in a SCADA system"
 
     assert about["state/u_c_v"] == "in force from this tick to the next"
     assert about["twin/state/sync"] == '"in-step" | "settling" | "out-of-step"'
@@ -219,3 +220,16 @@ def test_a_call_becomes_a_command_or_says_which_argument_is_wrong() -> None:
     assert few == (S.BadArgumentsMissing, [])
     assert wrong == (S.BadInvalidArgument, [S.BadTypeMismatch])
     assert negative == (S.BadInvalidArgument, [S.BadOutOfRange])
+
+
+@pytest.mark.parametrize("method", methods(), ids=lambda method: method.name)
+def test_every_method_takes_arguments_of_the_types_that_it_declares(method: Method) -> None:
+    v = ua.VariantType
+    examples = {v.Double: 0.5, v.Boolean: True, v.UInt32: 1, v.Int32: 1, v.String: "text"}
+    given = [ua.Variant([examples[a.variant]] if a.is_array else examples[a.variant]) for a in method.arguments]
+
+    command = called(method, given)
+
+    assert isinstance(command, pb.Command)
+    assert command.WhichOneof("what") == method.act
+    assert len(getattr(command, method.act).ListFields()) == len(method.arguments)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -19,6 +17,7 @@ from gateway.access.folder import SecurityFolder
 from gateway.access.roles import Role
 from gateway.access.users import User
 from tests.gateway.gateway_peers import free_port, wait_for
+from tests.gateway.npm import installed
 
 HERE = Path(__file__).parent / "node_opcua"
 ROOT = Path(__file__).parents[3]
@@ -35,59 +34,52 @@ pytestmark = pytest.mark.timeout(300)  # the packages of npm, five processes, a 
 @dataclass(frozen=True, kw_only=True)
 class Plant:
     url: str
-    folder: Path
+    bus: str
+    folder: Path  # of its keys
     node: Path  # where the judge and its packages are
 
 
 @pytest.fixture(scope="module")
 def node(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with judge.mjs and its packages."""
-    npm = shutil.which("npm")
-    if npm is None or shutil.which("node") is None:
-        pytest.skip("node and npm are not installed")
-    folder = tmp_path_factory.mktemp("node_opcua")
-    for name in ("package.json", "judge.mjs"):
-        shutil.copy(HERE / name, folder / name)
-    command = [npm, "install", "--no-package-lock", "--no-audit", "--no-fund", "--ignore-scripts"]
-    try:
-        installed = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=90, check=False)
-    except subprocess.TimeoutExpired:
-        pytest.skip("npm did not answer within 90 s")
-    if installed.returncode:
-        pytest.skip(f"the packages cannot be installed: {installed.stderr.strip()[-200:]}")
-    return folder
+    return installed(HERE, tmp_path_factory.mktemp("node_opcua"))
 
 
 @pytest.fixture(scope="module")
 def plant(node: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
     """`board51 emulate` and `board51 gateway --opcua --security`, as a user starts them."""
     folder = tmp_path_factory.mktemp("opcua")
+    with ExitStack() as stack:
+        run(stack, folder, "emulate", "--pty", str(folder / "tty"))
+        wait_for((folder / "tty").exists, "pty", 30.0)
+        plant = served(stack, folder, node)
+        mode = board51("send", "rig1", "mode", "closed-loop", "--connect", plant.bus, "--identity",
+                       str(plant.folder / "identities" / "otto"))  # fmt: skip
+        assert mode.returncode == 0, mode.stdout + mode.stderr
+        yield plant
+
+
+def served(stack: ExitStack, folder: Path, node: Path) -> Plant:
+    """A guarded gateway with its OPC UA server, for a board at `folder`/tty."""
     security = SecurityFolder(folder / "security")
     security.init()
     security.add_user(User(name="vera", role=Role.VIEWER), PASSWORDS["vera"])
     security.add_user(User(name="otto", role=Role.OPERATOR), PASSWORDS["otto"])
     bus, port = f"tcp/127.0.0.1:{free_port()}", free_port()
-    with ExitStack() as stack:
-        run(stack, folder, "emulate", "--pty", str(folder / "tty"))
-        wait_for((folder / "tty").exists, "pty", 30.0)
-        run(stack, folder, "gateway", "--board", f"rig1={folder / 'tty'}", "--listen", bus, "--security",
-            str(security.path), "--log-dir", str(folder / "logs"), "--opcua", f"127.0.0.1:{port}",
-            BOARD51_OPCUA_RATE="50")  # fmt: skip
-        wait_for(lambda: "rig1 is served" in said(folder), "OPC UA server", 90.0)
-        mode = board51("send", "rig1", "mode", "closed-loop", "--connect", bus, "--identity",
-                       str(security.identity_path("otto")))  # fmt: skip
-        assert mode.returncode == 0, mode.stdout + mode.stderr
-        yield Plant(url=f"opc.tcp://127.0.0.1:{port}/board51/", folder=security.path, node=node)
+    run(stack, folder, "gateway", "--board", f"rig1={folder / 'tty'}", "--listen", bus, "--security",
+        str(security.path), "--log-dir", str(folder / "logs"), "--opcua", f"127.0.0.1:{port}",
+        "--opcua-rate", "50")  # fmt: skip
+    wait_for(lambda: "rig1 is served" in said(folder), "OPC UA server", 90.0)
+    return Plant(url=f"opc.tcp://127.0.0.1:{port}/board51/", bus=bus, folder=security.path, node=node)
 
 
-def run(stack: ExitStack, folder: Path, *words: str, **environment: str) -> None:
+def run(stack: ExitStack, folder: Path, *words: str) -> None:
     errors = stack.enter_context((folder / f"{words[0]}.log").open("wb"))
     process = subprocess.Popen(
         [sys.executable, "-m", "board51", *words],
         cwd=ROOT,
         stderr=errors,
         stdout=errors,
-        env={**os.environ, **environment},
     )
     stack.callback(process.wait, 20)
     stack.callback(process.terminate)
@@ -169,6 +161,24 @@ def test_a_wrong_password_gets_no_session(plant: Plant, tmp_path: Path) -> None:
     found = judge(plant, tmp_path, "otto", password="guess", policy="Aes128_Sha256_RsaOaep")
 
     assert "BadUserAccessDenied" in found["refused"]
+
+
+def test_the_alarm_of_an_absent_board_is_acknowledged_by_its_event(node: Path, tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        plant = served(stack, tmp_path, node)
+
+        viewer = judge(plant, tmp_path, "vera", variables=[], alarm="link-down")
+        operator = judge(plant, tmp_path, "otto", variables=[], alarm="link-down")
+        late = judge(plant, tmp_path, "vera", variables=[], alarm="link-down")
+
+    waiting = {"refresh": "Good", "active": True, "acked": False}
+    assert viewer["alarm"] == {**waiting, "codes": ["BadEventIdUnknown", "BadUserAccessDenied"]}
+    assert operator["alarm"] == {
+        **waiting, "codes": ["BadEventIdUnknown", "Good"], "by": "otto", "comment": "known",
+    }  # fmt: skip
+    assert late["alarm"]["acked"] is True
+    assert operator["calls"]["SetReference"]["code"] == "BadNoCommunication"
+    assert operator["calls"]["Stop"]["code"] == "BadNoCommunication"
 
 
 @pytest.mark.slow

@@ -29,8 +29,8 @@ from gateway.access.users import User
 from gateway.views.opcua.security import Security
 from gateway.views.opcua.server import Settings
 from protocol.errors import ConfigError
-from tests.gateway.views.bus_peers import played_gateway
-from tests.gateway.views.opcua_peers import NAMESPACE, Peer, Served, ticking
+from tests.gateway.views.bus_peers import played_gateway, ticking
+from tests.gateway.views.opcua_peers import NAMESPACE, Peer, Served
 
 S = ua.StatusCodes
 DOUBLE = ua.VariantType.Double

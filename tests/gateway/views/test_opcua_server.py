@@ -17,8 +17,8 @@ from gateway.views.opcua.server import Settings
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import ServiceError
 from protocol.wire.messages import Flag
-from tests.gateway.views.bus_peers import played_gateway
-from tests.gateway.views.opcua_peers import Peer, Served, peer, ticking, until
+from tests.gateway.views.bus_peers import played_gateway, ticking
+from tests.gateway.views.opcua_peers import Peer, Served, peer, until
 
 S = ua.StatusCodes
 DOUBLE = ua.VariantType.Double
@@ -80,6 +80,10 @@ def test_a_board_has_values_units_ranges_and_descriptions(server: Served) -> Non
             assert abs(x.SourceTimestamp - datetime.now(UTC)) < timedelta(seconds=2)
             assert unit.Value.Value.DisplayName.Text == "m"
             assert (span.Low, span.High) == (0.3e-3, 5.2e-3)
+            difference = await known(client, "units/twin/divergence/x_m.error/EURange")
+            assert difference.Low == -difference.High < 0
+            speed = client.node("units/twin/state/v_m_s")  # nobody knows its range: it promises none
+            assert (await speed.read_type_definition()).Identifier == ua.ObjectIds.AnalogUnitType
             assert (await node.read_description()).Text == "in force from this tick to the next"
             assert (await node.read_type_definition()).Identifier == ua.ObjectIds.AnalogItemType
             assert words.Value.Value[mode.Value.Value].Text == "MODE_CLOSED_LOOP"
@@ -90,6 +94,15 @@ def test_a_board_has_values_units_ranges_and_descriptions(server: Served) -> Non
 
     with ticking(server.gateway, "units"):
         asyncio.run(ask())
+
+
+async def received(kept: Kept, path: str, count: int) -> None:
+    """So many values of `path` have come."""
+
+    async def look() -> bool | None:
+        return True if len(kept.values.get(path, [])) >= count else None
+
+    await until(look, f"{count} values of {path}", 20.0)
 
 
 async def known(client: Peer, path: str) -> Any:
@@ -104,7 +117,7 @@ def test_a_spike_of_one_tick_is_in_the_maximum(server: Served) -> None:
         async with peer(server.port) as client:
             await client.await_status("spike/state/x_m", S.Good)
             await subscribe(client, kept, "spike/state/x_m", "spike/state/x_m/max", "spike/state/x_m/min")
-            await asyncio.sleep(0.2)
+            await received(kept, "spike/state/x_m/min", 1)
             server.gateway.state("spike", x_m=4.5e-3)
 
             async def seen() -> bool | None:
@@ -126,7 +139,7 @@ def test_a_subscriber_at_50_hz_gets_every_interval_in_order(server: Served) -> N
         async with peer(server.port) as client:
             await client.await_status("fast/state/x_m", S.Good)
             await subscribe(client, kept, *paths)
-            await asyncio.sleep(2.0)
+            await received(kept, paths[-1], 30)
 
     with ticking(server.gateway, "fast", values=lambda n: {"i_c_a": n * 1e-6, "x_m": n * 1e-6, "u_c_v": n * 1e-6}):
         asyncio.run(ask())
@@ -163,7 +176,7 @@ def test_a_subscriber_is_told_of_a_loss_within_a_second(server: Served) -> None:
             with ticking(server.gateway, "lost"):
                 await client.await_status("lost/state/x_m", S.Good)
                 await subscribe(client, kept, "lost/state/x_m")
-                await asyncio.sleep(0.3)
+                await received(kept, "lost/state/x_m", 1)
             end_s = time.monotonic()
 
             async def told() -> bool | None:
@@ -174,6 +187,29 @@ def test_a_subscriber_is_told_of_a_loss_within_a_second(server: Served) -> None:
             assert time.monotonic() - end_s < 1.0
 
     asyncio.run(ask())
+
+
+def test_no_value_from_before_an_outage_is_called_good_after_it(server: Served) -> None:
+    kept = Kept()
+
+    async def ask() -> None:
+        async with peer(server.port) as client:
+            with ticking(server.gateway, "back"):
+                await client.await_status("back/state/x_m", S.Good)
+            await client.await_status("back/state/x_m", S.UncertainLastUsableValue, 5.0)
+            await subscribe(client, kept, "back/state/x_m", "back/link/state")
+            await received(kept, "back/link/state", 1)
+            server.gateway.state("back", x_m=4e-3)  # one sample: live, and no interval yet
+            await received(kept, "back/link/state", 2)
+            with ticking(server.gateway, "back", values=lambda _: {"x_m": 4e-3}):
+                await client.await_status("back/state/x_m", S.Good)
+                await received(kept, "back/state/x_m", 2)
+
+    asyncio.run(ask())
+
+    assert [v.Value.Value for v in kept.values["back/link/state"]][:2] == ["silent", "live"]
+    good = [v.Value.Value for v in kept.values["back/state/x_m"] if v.StatusCode.value == S.Good]
+    assert set(good) == {4e-3}
 
 
 def test_faults_and_clipping_are_in_the_status_of_the_signal(server: Served) -> None:
@@ -222,13 +258,17 @@ def test_the_last_minutes_can_be_read(server: Served) -> None:
     async def ask() -> None:
         async with peer(server.port) as client:
             await client.await_status("past/state/x_m", S.Good)
-            await asyncio.sleep(1.2)
-            node, end = client.node("past/state/x_m"), datetime.now(UTC) - timedelta(seconds=0.2)
-            start = end - timedelta(seconds=0.8)
+            node, start = client.node("past/state/x_m"), datetime.now(UTC) - timedelta(minutes=1)
+
+            async def enough() -> list[ua.DataValue] | None:
+                kept: list[ua.DataValue] = await node.read_raw_history(start, datetime.now(UTC))
+                return kept if len(kept) >= 12 else None
+
+            end = (await until(enough, "history"))[-1].SourceTimestamp
             values = await node.read_raw_history(start, end)
             highest = await client.node("past/state/x_m/max").read_raw_history(start, end)
 
-            assert len(values) >= 10
+            assert len(values) >= 12
             assert len(highest) == len(values)
             stamps = [v.SourceTimestamp for v in values]
             assert stamps == sorted(stamps)
@@ -236,6 +276,25 @@ def test_the_last_minutes_can_be_read(server: Served) -> None:
 
     with ticking(server.gateway, "past"):
         asyncio.run(ask())
+
+
+def test_an_empty_history_says_why_it_is_empty(server: Served) -> None:
+    async def ask() -> list[int]:
+        async with peer(server.port) as client:
+            await client.await_status("old/state/x_m", S.Good)
+            details = ua.ReadRawModifiedDetails(IsReadModified=False, NumValuesPerNode=10)
+            details.StartTime, details.EndTime = datetime(2001, 1, 1, tzinfo=UTC), datetime(2001, 1, 2, tzinfo=UTC)
+            asked = ua.HistoryReadParameters(HistoryReadDetails=details)
+            asked.NodesToRead = [
+                ua.HistoryReadValueId(NodeId=ua.NodeId(path, client.namespace))
+                for path in ("old/state/x_m", "old/status/link", "old/nothing")
+            ]
+            return [result.StatusCode.value for result in await client.client.uaclient.history_read(asked)]
+
+    with ticking(server.gateway, "old"):
+        codes = asyncio.run(ask())
+
+    assert codes == [S.GoodNoData, S.BadHistoryOperationUnsupported, S.BadNodeIdUnknown]
 
 
 def test_setpoints_are_commands_and_refusals_are_status_codes(server: Served) -> None:
@@ -302,7 +361,7 @@ def test_no_gateway_is_no_communication(server: Served) -> None:
     async def ask() -> int:
         async with peer(server.port) as client:
             await client.await_status("rig/state/x_m", S.Good)
-            return (await client.call("rig", "Stop")).StatusCode.value  # type: ignore[no-any-return]
+            return int((await client.call("rig", "Stop")).StatusCode.value)
 
     usual, server.gateway.answer = server.gateway.answer, silent
     with ticking(server.gateway, "rig"):
@@ -341,14 +400,20 @@ def test_alarms_are_conditions_that_can_be_acknowledged(server: Served) -> None:
             request = ua.CallMethodRequest()
             request.ObjectId = ua.NodeId("alarming/alarm/divergence-x", client.namespace)
             request.MethodId = ua.NodeId(ua.ObjectIds.AcknowledgeableConditionType_Acknowledge)
-            request.InputArguments = [ua.Variant(came.EventId), ua.Variant(ua.LocalizedText("seen"))]
-            done = (await client.client.uaclient.call([request]))[0]
-            assert done.StatusCode.is_good()
-            await until(lambda: condition(True), "acknowledged condition")
+            codes = []
+            for event_id in (b"of another event", came.EventId, came.EventId):
+                request.InputArguments = [ua.Variant(event_id), ua.Variant(ua.LocalizedText("a cold coil"))]
+                codes.append((await client.client.uaclient.call([request]))[0].StatusCode.value)
+            assert codes == [S.BadEventIdUnknown, S.Good, S.BadConditionBranchAlreadyAcked]
+            seen = await until(lambda: condition(True), "acknowledged condition")
+            assert (seen.ClientUserId, seen.Comment.Text) == ("anonymous", "a cold coil")
             assert (await client.read("alarming/alarms/unacknowledged")).Value.Value == 0
-            again = await client.call("alarming", "Acknowledge", ua.Variant("divergence-x"))
+            again = await client.call("alarming", "Acknowledge", ua.Variant("divergence-x"), ua.Variant(""))
             assert again.StatusCode.value == S.BadConditionBranchAlreadyAcked
+            assert again.OutputArguments[1].Value == "no-alarm"
+            assert [command.acknowledge.alarm for _, command in server.gateway.commands] == ["divergence-x"]
 
+    server.gateway.commands.clear()
     with ticking(server.gateway, "alarming"):
         asyncio.run(ask())
 

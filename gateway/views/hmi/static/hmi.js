@@ -84,7 +84,7 @@ window.addEventListener(
     if (target.dataset.act === "stop") stop();
     if (target.dataset.act === "acknowledge")
       post(`/api/${page.board}/acknowledge`, { name: target.dataset.name }).then((reply) => {
-        if (!reply.accepted) say("stop-said", reply.text, "bad");
+        if (reply.text) say("stop-said", reply.text, "bad");  // refused, or seen in this view alone
       });
   },
   { capture: true },

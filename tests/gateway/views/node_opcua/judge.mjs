@@ -10,8 +10,8 @@ const {
   OPCUAClient, SecurityPolicy, TimestampsToReturn, UserTokenType,
 } = opcua;
 
-const { url, board, namespaceUri, seconds, variables, policy, certificate, key, user, password, pki, ca, within, outside } =
-  JSON.parse(process.argv[2]);
+const { url, board, namespaceUri, seconds, variables, policy, certificate, key, user, password, pki, ca, within, outside,
+  alarm } = JSON.parse(process.argv[2]);
 const found = { browsed: 0, series: {}, writes: {}, calls: {} };
 const say = (text) => process.stderr.write(`${text}\n`);
 const sleep = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
@@ -137,7 +137,47 @@ const history = await session.readHistoryValue(id(`${board}/state/x_m`), new Dat
 found.history = history.historyData?.dataValues?.length ?? 0;
 say(`history of 2 s: ${found.history} values`);
 
+if (alarm) found.alarm = await acknowledge(alarm);
+
 await session.close();
 await client.disconnect();
 console.log(JSON.stringify(found));
 process.exit(0);
+
+// Subscribe to the Server's events late, refresh, acknowledge the condition by its event; each step as it was answered.
+async function acknowledge(name) {
+  const subscription = await session.createSubscription2({
+    requestedPublishingInterval: 50, requestedLifetimeCount: 600, requestedMaxKeepAliveCount: 50,
+    maxNotificationsPerPublish: 0, publishingEnabled: true, priority: 1,
+  });
+  const names = ["EventId", "ConditionName", "ActiveState.Id", "AckedState.Id", "ClientUserId", "Comment", "Time"];
+  const events = opcua.constructEventFilter(names);
+  events.selectClauses.push(new opcua.SimpleAttributeOperand({  // the ConditionId of Part 9, 5.5.2
+    typeDefinitionId: "i=2782", browsePath: [], attributeId: AttributeIds.NodeId,
+  }));
+  const item = await subscription.monitor(
+    { nodeId: "i=2253", attributeId: AttributeIds.EventNotifier },
+    { samplingInterval: 0, discardOldest: true, queueSize: 100, filter: events }, TimestampsToReturn.Both,
+  );
+  const waiting = [];
+  item.on("changed", (fields) => {
+    const [eventId, condition, active, acked, by, comment, time, id] = fields.map((field) => field?.value);
+    const event = { eventId, condition, active, acked, by, comment: comment?.text, time, id };
+    for (const waits of waiting) if (condition === name) waits(event);
+  });
+  const next = (wanted) => new Promise((resolve) => waiting.push((event) => wanted(event) && resolve(event)));
+  const call = async (objectId, methodId, inputArguments) =>
+    (await session.call({ objectId, methodId, inputArguments })).statusCode.name;
+  const listed = next(() => true);
+  const refresh = await call("i=2782", "i=3875", [{ dataType: DataType.UInt32, value: subscription.subscriptionId }]);
+  const came = await listed;
+  const seen = next((event) => event.acked);
+  const comment = { dataType: DataType.LocalizedText, value: { text: "known" } };
+  const byEvent = (value) => call(came.id, "i=9111", [{ dataType: DataType.ByteString, value }, comment]);
+  const codes = [await byEvent(Buffer.from("another")), await byEvent(came.eventId)];
+  const done = codes[1] === "Good" ? await seen : null;
+  say(`alarm ${name}: refresh ${refresh}, active ${came.active}, acknowledged ${came.acked}, since ` +
+    `${came.time.toISOString()}; acknowledge: ${codes.join(", ")}; then by ${done?.by}: ${done?.comment}`);
+  await subscription.terminate();
+  return { refresh, active: came.active, acked: came.acked, codes, by: done?.by, comment: done?.comment };
+}

@@ -1,0 +1,87 @@
+"""A view that starts after the twin has raised an alarm: it lists what it missed, as it was, and what ends, ends."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+import zenoh
+
+from gateway.views.feed import Feed
+from gateway.views.opcua.server import Settings as ServerSettings
+from protocol.bus import topics
+from tests.gateway.gateway_peers import client, wait_for
+from tests.gateway.views.bus_peers import played_gateway
+from tests.gateway.views.opcua_peers import Served, peer, until
+from tests.twin.rig import Rig
+from tests.twin.twin_bus import introduce_to
+from twin.mirror.service import TwinService
+from twin.mirror.settings import Settings
+from twin.model.nominal import nominal
+
+BOARD = "rig"
+QUICK = Settings(window_s=0.25, false_alarms_per_day=0.1)
+# What the nominal model raises on a rig whose coil is elsewhere, and the end of the samples.
+RAISED = {"divergence-i_c", "innovation", "out-of-step"}
+HELD = 2.85e-3
+COMPILED_S = 90.0  # the first twin of a checkout compiles its kernels
+
+
+def fly(session: zenoh.Session, service: TwinService, rig: Rig, ticks: int) -> None:
+    """The board of `rig`, known to the twin, for so many ticks."""
+    introduce_to(session, service, rig, topics.key("board51", BOARD, "parameters"))
+    for state in rig.run(ticks, HELD):
+        session.put(
+            topics.key("board51", BOARD, "state"),
+            state.SerializeToString(),
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )
+
+
+def active(feed: Feed) -> dict[str, int]:
+    """Name and first time of the twin's active alarms."""
+    board = feed.board(BOARD)
+    return {} if board is None else {a.name: a.since_ns for a in board.alarms() if a.of_twin and a.active}
+
+
+def test_a_late_view_lists_the_alarms_of_the_twin_until_they_end() -> None:
+    rig = Rig(K_c=8.28e-3 * 9.81 / 120.364**2, gap_offset_m=2.4377e-3)
+    rig.hold(HELD)
+    with played_gateway() as gateway, client(gateway.endpoint) as early, client(gateway.endpoint) as other:
+        with TwinService(nominal(), endpoints=(gateway.endpoint,), settings=QUICK) as twin:
+            fly(gateway.session, twin, rig, 1000)
+            wait_for(lambda: {a.name for a in early.messages["rig/twin/alarm"]} >= RAISED, "alarms", COMPILED_S)
+            raised = {a.name: a.host_time_ns for a in early.messages["rig/twin/alarm"] if a.active}
+
+            late = Feed(other.session)
+            listed = wait_for(lambda: active(late), "alarms in a view that came late")
+            with Served(gateway, ServerSettings(port=0)) as server:
+                shown = asyncio.run(shown_by(server.port, lambda lines: RAISED <= names(lines)))
+                wait_for(lambda: len(early.messages["rig/twin/alarms"]) >= 3, "repeats", timeout_s=20.0)
+                board = late.board(BOARD)
+                assert board is not None
+                times = {a.times for a in board.alarms() if a.of_twin}
+
+        assert listed == raised, "listed with the time at which it was raised"
+        assert all("active, not acknowledged" in line for line in shown if line.partition(":")[0] in RAISED)
+        assert times == {1}, "a repeated alarm is no new one"
+
+        with TwinService(nominal(), endpoints=(gateway.endpoint,), settings=QUICK) as another:
+            fly(gateway.session, another, Rig(), 100)  # at rest: nothing to be wrong about
+            wait_for(lambda: not active(late), "end of the alarms of a twin that is no more")
+        late.close()
+
+
+def names(lines: list[str]) -> set[str]:
+    return {line.partition(":")[0] for line in lines}
+
+
+async def shown_by(port: int, enough: Callable[[list[str]], bool]) -> list[str]:
+    """`alarms/list` of an OPC UA client, once it is `enough`."""
+    async with peer(port) as opcua:
+
+        async def look() -> list[str] | None:
+            lines = (await opcua.read(f"{BOARD}/alarms/list")).Value.Value or []
+            return lines if enough(lines) else None
+
+        return await until(look, "alarms over OPC UA")
