@@ -28,7 +28,7 @@ def sender(role: Role = Role.OPERATOR, *, after_s: float = 100.0, name: str = "b
 
 def issued(after_s: float, **what: object) -> pb.Command:
     what = what or {"ping": pb.Ping()}
-    return pb.Command(id="1", issued_ns=START_NS + round(after_s * S), **what)  # type: ignore[arg-type]
+    return pb.Command(id="1", issued_ns=START_NS + round(after_s * S), **what)  # type: ignore[arg-type]  # any of its fields
 
 
 @pytest.mark.parametrize("age_s", [0.0, MAX_AGE_S, -MAX_AHEAD_S])
@@ -91,7 +91,7 @@ def test_many_commands_do_not_make_the_desk_forget_one_that_is_still_fresh() -> 
                 command = pb.Command(id=str(n), issued_ns=now_ns, set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP))
                 count = len(replies)
                 link.command(driver, command.SerializeToString(), replies.append, by)
-                wait_for(lambda count=count: len(replies) > count, "reply")  # type: ignore[misc]
+                wait_for(lambda count=count: len(replies) > count, "reply")  # type: ignore[misc]  # no type for a lambda default
         finally:
             link.stop()
 

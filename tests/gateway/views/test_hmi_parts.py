@@ -87,7 +87,7 @@ def test_a_reader_that_was_away_gets_what_the_ring_holds_and_no_more() -> None:
             for _ in range(200):
                 gateway.state(tick=gateway.tick * 17)
             end = gateway.last.tick
-            wait_for(lambda end=end: (s := board.latest(pb.State)) is not None and s.tick == end, "samples")  # type: ignore[misc]
+            wait_for(lambda end=end: (s := board.latest(pb.State)) is not None and s.tick == end, "samples")  # type: ignore[misc]  # mypy sees no type for a lambda default
             traces.pump()
 
     missed, cursor = traces.since(0)
