@@ -13,7 +13,7 @@ Rule 3: of effects that delay the loop a composite has one at most: two strong o
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -30,6 +30,7 @@ GRADES: tuple[Grade, ...] = get_args(Grade)
 DELAYING = frozenset({"actuation-delay", "eddy-current-lag", "position-sensor-lag", "sampling-delay"})
 # A gain of the current sensor is exactly a change of K_A and K_c (design.md): asked alone, to hear "not testable".
 INVISIBLE = frozenset({"current-sensor-gain"})
+COUNTS = {"i_c": 5e-4, "x": 1.5e-6}  # of the converters: A, m
 _DRAW = 19
 
 
@@ -100,6 +101,31 @@ def record_hidden(folder: Path, hidden: Hidden, *, quick: bool = False) -> None:
         return
     make_campaign(
         folder, effects=hidden.effects, seed=hidden.seed, plant=hidden.plant, quick=quick, outside=hidden.outside
+    )
+
+
+def in_the_data(hidden: Hidden, folder: Path) -> bool:
+    """Whether the recordings would be others without the effect: same rig, noise and excitation, more than 3 counts.
+
+    Args:
+        hidden: One effect.
+        folder: Receives the campaign twice.
+    """
+    record_hidden(folder / "with", hidden)
+    record_hidden(folder / "without", replace(hidden, effects={}))
+    return any(_differ(path, folder / "without" / path.name) for path in sorted((folder / "with").glob("*.csv.gz")))
+
+
+def _differ(path: Path, other: Path) -> bool:
+    """A closed loop makes volts out of one count of x: there x alone is compared."""
+    one, two = (np.genfromtxt(file, delimiter=",", names=True) for file in (path, other))
+    if len(one) != len(two):
+        return True
+    same_input = np.array_equal(one["u_c"], two["u_c"])
+    there = one.dtype.names or ()
+    counts = {name: count for name, count in COUNTS.items() if name in there and (name == "x" or same_input)}
+    return any(
+        float(np.nanmax(np.abs(one[name] - two[name]), initial=0.0)) > 3.0 * count for name, count in counts.items()
     )
 
 

@@ -5,7 +5,8 @@ Rule 1: a single cause is right if it is named first, or is in the class (name a
 Rule 2: a composite is scored by the share of its truths that any named cause or its class (at most 3) contains.
 Rule 3: a null is right if the verdict is `model-adequate`; an effect outside the catalogue if it is `unknown-cause`,
         whatever was named besides (it may explain a part); named without that reserve it is a false name.
-Rule 4: a cause that the diagnosis lists as not testable is neither right nor wrong: it is counted by itself.
+Rule 4: a cause that the diagnosis lists as not testable is neither right nor wrong: it is counted by itself.  So is a
+        limit that no recording reached, where the answer is `model-adequate`: it is in the rig and not in the data.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 
 CLASS_MOST = 3
 ADEQUATE, UNKNOWN, FOUND = "model-adequate", "unknown-cause", "causes-found"
+NOT_IN_THE_DATA = "not-in-the-data"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +46,7 @@ class Answer:
 class Judgement:
     """One campaign judged; a field that does not apply is None."""
 
-    right: bool | None  # the campaign's own question answered; None: said to be not testable
+    right: bool | None  # the campaign's own question answered; None: said to be not testable, or not in the data
     first: bool  # singles: the truth is the first name itself
     said: str  # column of the confusion matrix
     found: int = 0  # truths in any class
@@ -116,7 +118,9 @@ def read_answer(diagnosis: Mapping[str, Any]) -> Answer:
     )
 
 
-def judge(part: str, truths: Sequence[str], answer: Answer, *, may_be_adequate: bool = False) -> Judgement:
+def judge(
+    part: str, truths: Sequence[str], answer: Answer, *, may_be_adequate: bool = False, in_the_data: bool = True
+) -> Judgement:
     """Judge one answer.
 
     Args:
@@ -124,6 +128,7 @@ def judge(part: str, truths: Sequence[str], answer: Answer, *, may_be_adequate: 
         truths: Names of the hidden effects.
         answer: What the diagnosis said.
         may_be_adequate: Of an effect outside: leaving the damaged samples out is an honest answer, too.
+        in_the_data: Of a single cause: whether the recordings would be others without it.
     """
     known = set(truths) if part in ("causes", "composites", "gateway") else set()
     found = {truth for truth in known if any(truth in _class(cause) for cause in answer.causes)}
@@ -139,12 +144,13 @@ def judge(part: str, truths: Sequence[str], answer: Answer, *, may_be_adequate: 
         right = found == known
     else:
         right = bool(answer.causes) and bool(known & set(_class(answer.causes[0])))
-        if not right and known <= set(answer.not_testable):
+        adequate = answer.verdict == ADEQUATE and not answer.causes
+        if not right and (known <= set(answer.not_testable) or (adequate and not in_the_data)):
             right = None
     return Judgement(
         right=right,
         first=first,
-        said=_said(known, answer),
+        said=_said(known, answer) if in_the_data or right is not None else NOT_IN_THE_DATA,
         found=len(found),
         truths=len(known),
         false_names=false_names,

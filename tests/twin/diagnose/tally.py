@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
 
-from tests.twin.diagnose.scoring import ADEQUATE, FOUND, UNKNOWN, Judgement, Outcome
+from tests.twin.diagnose.scoring import ADEQUATE, FOUND, NOT_IN_THE_DATA, UNKNOWN, Judgement, Outcome
 
 Z95 = 1.959964
 CONFIDENCE_EDGES = (0.0, 0.5, 0.7, 0.9, 0.95, 0.99, 1.0)
@@ -47,6 +47,11 @@ def wilson(hits: int, count: int) -> tuple[float, float]:
     return (max(0.0, middle - half), min(1.0, middle + half))
 
 
+def _besides(uncounted: Sequence[Judgement]) -> str:
+    absent = sum(j.said == NOT_IN_THE_DATA for j in uncounted)
+    return f"besides: {len(uncounted) - absent} said to be not testable, {absent} not in the data"
+
+
 def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
     """All rates that the outcomes allow."""
     outcomes = list(outcomes)
@@ -66,7 +71,7 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
                     hits=sum(j.right is True for _, j in can),
                     count=len(can),
                     target=_TARGET.get(grade),
-                    note=f"{len(asked) - len(can)} more said to be not testable",
+                    note=_besides([j for _, j in asked if j.right is None]),
                 ),
                 Rate(name=f"{grade}: first", hits=sum(j.first for _, j in can), count=len(can)),
             ]

@@ -12,7 +12,16 @@ import pytest
 
 from gateway.emulator.effects import EFFECTS
 from protocol.campaign import load
-from tests.twin.diagnose.draws import DELAYING, GRADES, INVISIBLE, PARTS, draw_hidden, record_hidden
+from tests.twin.diagnose.draws import (
+    DELAYING,
+    GRADES,
+    INVISIBLE,
+    PARTS,
+    Hidden,
+    draw_hidden,
+    in_the_data,
+    record_hidden,
+)
 from tests.twin.diagnose.hidden_campaign import Grounded, PlantName, draw_rig, make_campaign
 from twin.identify.pipeline import identify
 from twin.identify.reading import read_campaign
@@ -152,3 +161,10 @@ def test_composites_can_be_recorded(tmp_path: Path) -> None:
         record_hidden(tmp_path / str(seed), draw_hidden(seed, "composites"), quick=True)
 
         assert load(tmp_path / str(seed)).recordings
+
+
+@pytest.mark.parametrize(("limit_a", "shown"), [(0.9, True), (1.5, False)])
+def test_a_limit_is_in_the_data_where_it_was_reached(tmp_path: Path, limit_a: float, shown: bool) -> None:
+    hidden = Hidden(part="causes", seed=3, plant="emulator", effects={"current-limit": limit_a})
+
+    assert in_the_data(hidden, tmp_path) is shown

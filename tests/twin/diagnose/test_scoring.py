@@ -217,3 +217,12 @@ def test_a_file_that_holds_no_results_is_said(tmp_path: Path) -> None:
 
     with pytest.raises(DataError, match="not a file of results"):
         play([], program="p", results=other)
+
+
+def test_a_limit_that_nothing_reached_is_no_miss_and_a_false_name_still_is() -> None:
+    silent = judge("causes", ["current-limit"], Answer(verdict="model-adequate"), in_the_data=False)
+    wrong = judge("causes", ["current-limit"], ANSWER, in_the_data=False)
+
+    assert (silent.right, silent.said) == (None, "not-in-the-data")
+    assert wrong.right is False
+    assert judge("causes", ["current-limit"], Answer(verdict="model-adequate")).right is False

@@ -11,10 +11,10 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.twin.diagnose.draws import Hidden, record_hidden
+from tests.twin.diagnose.draws import Hidden, in_the_data, record_hidden
 from tests.twin.diagnose.hidden_campaign import Grounded, Refused
 from tests.twin.diagnose.outside import OUTSIDE
-from tests.twin.diagnose.scoring import Outcome, judge, read_answer
+from tests.twin.diagnose.scoring import ADEQUATE, Outcome, judge, read_answer
 
 ROOT = Path(__file__).parents[3]
 TIMEOUT_S = 900.0
@@ -101,6 +101,9 @@ def _run(hidden: Hidden, folder: Path, *, program: str, quick: bool) -> Outcome:
     except (OSError, ValueError, KeyError, TypeError) as problem:
         last = done.stderr.strip().splitlines()[-1:] or [""]
         return outcome("failed", **took, message=f"exit {done.returncode}: {last[0]} ({type(problem).__name__})")
+    # Asked only of an answer that finds nothing: a limit beyond every recorded current is no effect on the data.
+    asked = hidden.part == "causes" and answer.verdict == ADEQUATE and not answer.causes
+    present = not asked or in_the_data(hidden, folder / "again")
     lenient = any(OUTSIDE[name].may_be_adequate for name in hidden.outside)
     return outcome(
         "answered",
@@ -108,5 +111,5 @@ def _run(hidden: Hidden, folder: Path, *, program: str, quick: bool) -> Outcome:
         verdict=answer.verdict,
         named=tuple(cause.name for cause in answer.causes),
         not_testable=answer.not_testable,
-        judgement=judge(hidden.part, tuple(effects), answer, may_be_adequate=lenient),
+        judgement=judge(hidden.part, tuple(effects), answer, may_be_adequate=lenient, in_the_data=present),
     )
