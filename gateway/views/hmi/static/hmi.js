@@ -23,7 +23,9 @@ function put(name, text, state) {
   }
 }
 
-const shown = (value, scale, digits) => (value === null || value === undefined ? "\u2013" : (value * scale).toFixed(digits));
+// Noise around zero must not flicker between 0.000 and -0.000.
+const shown = (value, scale, digits) =>
+  value === null || value === undefined ? "\u2013" : (value * scale).toFixed(digits).replace(/^-(0\.?0*)$/, "$1");
 
 export async function post(path, body) {
   const response = await fetch(path, {
@@ -285,13 +287,17 @@ function card(name) {
   return { link, parts };
 }
 
+const NOBODY = page.replay
+  ? "Nothing is replayed yet: it starts within seconds of Replay under Logs."
+  : "No board has been heard yet. Is the gateway running?";
+
 function overview() {
   const place = $("boards");
   if (!place) return;
   const gap = (performance.now() - lastFrame) / 1000, gone = gap > FRAME_LIMIT_S;
   put("lost", gone ? `NO DATA for ${gap.toFixed(0)} s \u2013 this page has lost its server` : "", gone ? "bad" : "none");
   if (!boards?.length) {
-    if (!place.childElementCount) place.append(cell("div", "No board has been heard yet. Is the gateway running?", "empty"));
+    if (!place.childElementCount) place.append(cell("div", NOBODY, "empty"));
     return;
   }
   if (!cards.size) place.replaceChildren();
