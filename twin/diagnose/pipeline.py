@@ -122,12 +122,7 @@ def diagnose_records(
         done = _search(criterion, start, records, asked, stages)
         if not done.fine and quick:
             warnings.append(UNASKED)
-        if (
-            not done.fine
-            and look_for_odd
-            and not quick
-            and (odd := odd_one(criterion, done.base, done.floor)) is not None
-        ):
+        if not done.fine and look_for_odd and (odd := odd_one(criterion, done.base, done.floor)) is not None:
             say(f"{odd.name} contradicts the others: once more without it")
             rest = diagnose_records(
                 campaign,
