@@ -280,12 +280,14 @@ def run_extended(
                 # A reading that shows the current, too, places the ball as well as the current is known.
                 shown = (position_reading(p, c, y[X], y[I_C] + 1e-3) - position_reading(p, c, y[X], y[I_C])) / 1e-3
                 P[1, 1], P[2, 2] = r_x + shown * shown * P[0, 0], SPEED_STD_M_S**2
-                P[0, 1] = -shown * P[0, 0]
-                P[1, 0] = P[0, 1]
                 if eddies:
                     P[k_field, k_field] = P[0, 0]
                     P[0, k_field] = P[0, 0]
                     P[k_field, 0] = P[0, 0]
+                for k in (0, k_field, k_warm):
+                    if k >= 0:
+                        P[1, k] = -shown * P[0, k]
+                        P[k, 1] = P[1, k]
                 if lags:
                     # The sensor lags a ball of unknown speed: where x is depends on it.
                     tau = c[position_sensor_lag.TAU]

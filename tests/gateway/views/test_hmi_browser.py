@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import signal
 import time
 from collections.abc import Iterator
@@ -11,16 +10,16 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect
 
 from protocol.bus import board51_pb2 as pb
 from tests.gateway.gateway_peers import Bus, client, free_port, wait_for
+from tests.gateway.views.chromium import ABSENT, CHROMIUM, chromium
 from tests.gateway.views.hmi_peers import Process, hmi
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 pytestmark = [
     pytest.mark.xdist_group("hmi-browser"),
-    pytest.mark.skipif(CHROMIUM is None, reason="Debian's chromium is not installed"),
+    pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
 expect.set_options(timeout=15_000)  # of what is no requirement: the machine may be busy
 STOP_LIMIT_S = 0.2  # from the key to the first sample with the coil off
@@ -73,12 +72,8 @@ class Rig:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=["--headless=new", "--no-sandbox", "--disable-gpu"]
-        )
+    with chromium() as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")

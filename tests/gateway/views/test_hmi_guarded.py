@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import httpx
 import pytest
-from playwright.sync_api import Browser, expect, sync_playwright
+from playwright.sync_api import Browser, expect
 from playwright.sync_api import Page as Tab
 
 from gateway.record.reader import read
@@ -17,22 +16,18 @@ from protocol.bus import board51_pb2 as pb
 from protocol.campaign import load
 from tests.gateway.access.access_peers import PASSWORD, guarded_rig, made_folder
 from tests.gateway.gateway_peers import free_port, wait_for
+from tests.gateway.views.chromium import ABSENT, CHROMIUM, chromium
 from tests.gateway.views.hmi_peers import Page, Process, hmi
 
 pytestmark = pytest.mark.xdist_group("hmi-access")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason="Debian's chromium is not installed")
+in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason=ABSENT)
 UP_MS, CAMPAIGN_MS = 60_000, 240_000  # a quick campaign takes 35 s, and longer to start on a busy machine
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=["--headless=new", "--no-sandbox", "--disable-gpu"]
-        )
+    with chromium() as browser:
         yield browser
-        browser.close()
 
 
 class Plant:
