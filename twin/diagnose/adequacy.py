@@ -24,7 +24,7 @@ LOUD = 1.5  # mean square of whitened innovations, of one recording against all
 
 
 def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
-    """(whether the model is adequate, the sentence that says why it is not)."""
+    """(whether the model is adequate, the sentence that says why it is not); `floor`: under this model."""
     _, white = criterion.white(fit.theta)
     colour = whiteness(criterion.evidence.series, white)
     if floor.measured and floor.material(fit.loglik):

@@ -134,7 +134,8 @@ def told(
     if not done.fine:
         verdict = "unknown-cause"
         warnings.append(done.why_not)
-    left = max(floor.excess(found.fit.loglik), 0.0) / max(_excess(found, floor), floor.readings * 1e-3)
+    lacks = floor.under(criterion, found.fit.theta).excess(found.fit.loglik)
+    left = max(lacks, 0.0) / max(_excess(found, floor), floor.readings * 1e-3)
     diagnosis = Diagnosis(
         verdict=verdict,
         sentence="",
@@ -145,8 +146,8 @@ def told(
         unexplained_where=where,
         gains=tuple(gains),
         gain=at_20_ms,
-        baseline=model or model_of(campaign, done.base, {}, records, floor, "the paper's model at its best"),
-        extended=model_of(campaign, found.fit, spread, records, floor, "extended by board51 diagnose"),
+        baseline=model or _paper(campaign, done, records),
+        extended=model_of(campaign, found.fit, spread, records, lacks, "extended by board51 diagnose"),
         warnings=tuple(dict.fromkeys(warnings)),
         quick=asked.quick or asked.share < SHARE,
         stages_s=stages,
@@ -164,6 +165,11 @@ def told(
     if off and verdict == "model-adequate":
         sentence = f"The form of the model is adequate, but {off}."
     return replace(diagnosis, sentence=sentence)
+
+
+def _paper(campaign: Campaign, done: Searched, records: Sequence[Record]) -> Model:
+    lacks = done.floor.excess(done.base.loglik)
+    return model_of(campaign, done.base, {}, records, lacks, "the paper's model at its best")
 
 
 def _gains(

@@ -139,7 +139,7 @@ def find_change(
         chosen = select(
             switched, found.base, floor, candidates=candidates, few=few, share=_SHARE, classes=False, say=say
         )
-        if chosen.causes and adequate(switched, chosen.fit, floor)[0]:
+        if chosen.causes and adequate(switched, chosen.fit, floor.under(switched, chosen.fit.theta))[0]:
             stand_ins(switched, chosen, candidates=candidates, few=few, quick=True, say=say)
             always = climb(criterion, chosen.fit.theta, chosen.fit.free, passes=PASSES)
             gain = chosen.fit.loglik - max(always.loglik, found.fit.loglik)

@@ -1,7 +1,8 @@
 """What a right model would leave: sensor noise, and nothing else.
 
 The excess of a model is the log-likelihood that it lacks against a model whose innovations were white with the
-covariance that the sensor noise alone gives.  The noise is taken from the ball at rest, where no model is involved.
+covariance that the sensor noise alone gives that same model.  The noise is taken from the ball at rest, where no
+model is involved.
 """
 
 from __future__ import annotations
@@ -35,6 +36,11 @@ class Floor:
         """Log-likelihood that a model lacks."""
         return self.loglik - loglik
 
+    def under(self, criterion: Criterion, theta: Theta) -> Floor:
+        """The floor of another model: how far a right one's innovations spread depends on its slope of the force."""
+        loglik, readings = expected(criterion.outputs(_quiet(theta, self.sigma_i_c_a, self.sigma_x_m)))
+        return replace(self, loglik=loglik, readings=readings)
+
     def material(self, loglik: float) -> bool:
         """Whether that is more than the noise level's own error."""
         return self.excess(loglik) > max(MATERIAL, _SURE * self.error) * self.readings
@@ -45,22 +51,24 @@ def floor_of(criterion: Criterion, theta: Theta) -> Floor:
     sigma_i, sigma_x = sensor_noise(criterion.evidence)
     asks_x = bool((criterion.evidence.series.flags & USE_X).any())
     measured = sigma_i is not None and (sigma_x is not None or not asks_x)
-    quiet = replace(
-        theta,
+    floor = Floor(
         sigma_i_c_a=sigma_i or theta.sigma_i_c_a,
         sigma_x_m=sigma_x or theta.sigma_x_m,
+        measured=measured,
+        loglik=0.0,
+        readings=0,
+        error=noise_error(criterion.evidence) if measured else 0.0,
+    )
+    return floor.under(criterion, theta)
+
+
+def _quiet(theta: Theta, sigma_i_c_a: float, sigma_x_m: float) -> Theta:
+    return replace(
+        theta,
+        sigma_i_c_a=sigma_i_c_a,
+        sigma_x_m=sigma_x_m,
         process_i_c_a=FLOORS["process_i_c_a"],
         process_a_m_s2=FLOORS["process_a_m_s2"],
-    )
-    out = criterion.outputs(quiet)
-    loglik, readings = expected(out)
-    return Floor(
-        sigma_i_c_a=quiet.sigma_i_c_a,
-        sigma_x_m=quiet.sigma_x_m,
-        measured=measured,
-        loglik=loglik,
-        readings=readings,
-        error=noise_error(criterion.evidence) if measured else 0.0,
     )
 
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 from protocol.campaign import Campaign
 from twin.diagnose.estimate import Fit
-from twin.diagnose.floor import Floor
 from twin.diagnose.result import fit_parameters
 from twin.diagnose.theta import PARAMETERS
 from twin.identify.record import Record
@@ -18,9 +17,9 @@ _METHOD = "maximum likelihood of the innovations, all recordings together"
 
 
 def model_of(
-    campaign: Campaign, fit: Fit, spread: Mapping[str, float], records: Sequence[Record], floor: Floor, about: str
+    campaign: Campaign, fit: Fit, spread: Mapping[str, float], records: Sequence[Record], lacks: float, about: str
 ) -> file.Model:
-    """The model file of a fit; standard errors where `spread` has them."""
+    """The model file of a fit that `lacks` log-likelihood; standard errors where `spread` has them."""
     theta, plant = fit.theta, campaign.plant
     parameters = {}
     for name in PARAMETERS:
@@ -66,7 +65,7 @@ def model_of(
             "tool": "board51 diagnose",
             "about": about,
             "recordings": [{"file": record.name, "kind": record.kind, "samples": len(record.t)} for record in records],
-            "log_likelihood_missing": float(floor.excess(fit.loglik)),
+            "log_likelihood_missing": float(lacks),
         },
     )
 

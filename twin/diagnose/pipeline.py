@@ -179,7 +179,7 @@ def _search(
             criterion, base, floor, candidates=candidates, few=few, quick=asked.quick, share=asked.share, say=say
         )
     with timed(stages, "what is left"):
-        fine, why_not = adequate(criterion, found.fit, floor)
+        fine, why_not = adequate(criterion, found.fit, floor.under(criterion, found.fit.theta))
     change = None
     if not fine and not asked.quick:
         with timed(stages, "change"):

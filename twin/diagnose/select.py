@@ -99,7 +99,7 @@ def select(
     Args:
         criterion: of the recordings for fitting.
         base: the model without causes, at its best.
-        floor: what sensor noise alone leaves.
+        floor: what sensor noise alone leaves, under any model.
         candidates: the causes to try.
         few: candidates that are fitted in a round.
         quick: leaves out causes that only count together, and stand-ins for one of several.
@@ -113,7 +113,7 @@ def select(
         criterion, found, floor, candidates, few, share, say, _PASSES_QUICK if quick else PASSES
     ):
         pass
-    if share == SHARE and not quick and floor.material(found.fit.loglik):
+    if share == SHARE and not quick and _material(criterion, found, floor):
         found = _together(criterion, found, floor, candidates, few, say)
     if classes:
         stand_ins(criterion, found, candidates=candidates, few=few, quick=quick, say=say)
@@ -163,6 +163,10 @@ def _add(
     return True
 
 
+def _material(criterion: Criterion, found: Selection, floor: Floor) -> bool:
+    return floor.under(criterion, found.fit.theta).material(found.fit.loglik)
+
+
 def _together(
     criterion: Criterion, found: Selection, floor: Floor, candidates: Sequence[Cause], few: int, say: Say
 ) -> Selection:
@@ -171,16 +175,17 @@ def _together(
     Two causes of one size hide each other: without the second, the first explains a tenth.
     """
     refused = found.rounds[-1]
-    if not refused.trials or refused.trials[0].gain < SHARE_TOGETHER * floor.excess(found.fit.loglik):
+    excess = floor.under(criterion, found.fit.theta).excess(found.fit.loglik)
+    if not refused.trials or refused.trials[0].gain < SHARE_TOGETHER * excess:
         return found
     shift_s = criterion.shift_s
     more = replace(found, causes=[*found.causes], gains={**found.gains}, rounds=found.rounds[:-1])
     say("too little alone; does it, with others, leave nothing but noise?")
-    while len(more.causes) < MOST_TOGETHER and floor.material(more.fit.loglik):
+    while len(more.causes) < MOST_TOGETHER and _material(criterion, more, floor):
         least = SHARE_TOGETHER if len(more.causes) < MOST_TOGETHER - 1 else SHARE_LAST
         if not _add(criterion, more, floor, candidates, few, least, say):
             break
-    if floor.material(more.fit.loglik):
+    if _material(criterion, more, floor):
         criterion.shift_s = shift_s
         return found
     return more
@@ -204,6 +209,7 @@ def _forward(
     )
     worth = [score for score in scores if score.testable and score.gain - score.chance > gain_least][:few]
     say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
+    floor = floor.under(criterion, at.theta)
     excess = floor.excess(at.loglik)
     pays = PAYS if least <= SHARE else 1.0  # who asks for more of the whole is not content with a part of x
     trials = _fitted(criterion, at, worth, least * excess if floor.material(at.loglik) else 0.0, pays)

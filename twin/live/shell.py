@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.errors import UsageError
 
 LONGEST_MIN = 60.0  # 500 Hz of it are 2 million samples
+_NICE = 5  # the gateway and the twin of a rig in flight go first
 _LIVE_ONLY = ("board", "connect", "plant", "hand_over")
 
 
@@ -73,6 +75,7 @@ def record_live(args: argparse.Namespace, say: Callable[[str], None]) -> tuple[P
     from twin.live.pieces import cut, moves
     from twin.live.source import find_board, from_bus, from_log, open_client
 
+    os.nice(_NICE)
     plant = load_plant(args.plant) if args.plant else None
     span_s = 60.0 * args.live
     with open_client(endpoints_of(args), find_identity(args.identity)) as session:

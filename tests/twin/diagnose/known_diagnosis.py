@@ -99,8 +99,10 @@ def diagnosis(
         unexplained_where="" if extended else "most in x in steps_1",
         gains=tuple(gains),
         gain=next((one for one in gains if abs(one.horizon_s - 0.02) < 1e-3), None),
-        baseline=model_of(campaign(), before_fit, {}, records, floor, "the paper's model at its best"),
-        extended=model_of(campaign(), after_fit, spread, records, floor, "extended"),
+        baseline=model_of(
+            campaign(), before_fit, {}, records, floor.excess(before_fit.loglik), "the paper's model at its best"
+        ),
+        extended=model_of(campaign(), after_fit, spread, records, floor.excess(after_fit.loglik), "extended"),
         warnings=(),
         quick=quick,
         stages_s={"search": 1.0},

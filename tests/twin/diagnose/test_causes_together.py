@@ -40,12 +40,14 @@ def test_causes_that_hide_each_other_are_taken_together_or_not_at_all(
         alone = search.select(criterion, base, floor, candidates=TRIED, quick=True, classes=False)
         one = search.select(criterion, base, floor, candidates=(TRIED[1], TRIED[2]), classes=False)
         both = search.select(criterion, base, floor, candidates=TRIED, classes=False)
+        right = floor.under(criterion, both.fit.theta)
     finally:
         criterion.close()
 
     assert alone.causes == []
     assert one.causes == []  # the other is not among the candidates: nothing leaves noise
     assert set(both.causes) == set(HIDDEN)
-    assert not floor.material(both.fit.loglik)
+    assert not right.material(both.fit.loglik)
+    assert abs(right.excess(both.fit.loglik)) < 3.0 * right.error * right.readings
     assert both.fit.theta.value("quadratic-drag.c_n_s2_m2") == pytest.approx(2.0, rel=0.05)
     assert both.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
