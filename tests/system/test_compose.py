@@ -7,8 +7,10 @@ import os
 import shutil
 import socket
 import subprocess
+import sys
 import uuid
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -40,8 +42,31 @@ def test_the_compose_file_is_valid(compose: list[str]) -> None:
     assert done.returncode == 0, done.stderr
 
 
-@pytest.fixture(scope="module")
-def project(compose: list[str]) -> Iterator[list[str]]:
+@dataclass(frozen=True)
+class Stack:
+    """The containers of one test."""
+
+    compose: list[str]  # with files and project
+    environment: dict[str, str]
+
+    def run(self, *words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [*self.compose, *words],
+            cwd=ROOT, capture_output=True, text=True, check=False, env=self.environment, timeout=800,
+        )  # fmt: skip
+
+    def call(self, *words: str) -> str:
+        done = self.run(*words)
+        assert done.returncode == 0, f"{words}: {done.stdout[-2000:]}{done.stderr[-4000:]}"
+        return done.stdout
+
+    def board51(self, *words: str) -> str:
+        """In the gateway's container."""
+        return self.call("exec", "-T", "gateway", "board51", *words)
+
+
+@pytest.fixture
+def stack(compose: list[str], tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Stack]:
     engine = subprocess.run(["docker", "info"], capture_output=True, check=False)
     if engine.returncode != 0:
         pytest.skip("no Docker engine answers")
@@ -50,42 +75,81 @@ def project(compose: list[str]) -> Iterator[list[str]]:
         pulled = subprocess.run(["docker", "pull", "python:3.11-slim"], capture_output=True, check=False)
         if pulled.returncode != 0:
             pytest.skip("the base image python:3.11-slim is neither here nor to be had")
-    command = [*compose, "--project-name", f"board51-{uuid.uuid4().hex[:8]}"]
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        free = str(probe.getsockname()[1])
+    files = [word for file in getattr(request, "param", ()) for word in ("-f", file)]
+    stack = Stack(
+        [*compose, *files, "--project-name", f"board51-{uuid.uuid4().hex[:8]}"],
+        {
+            **os.environ,
+            "BOARD51_BUS_PORT": free,
+            "BOARD51_KEYS": str(tmp_path / "keys"),
+            "DOCKER_BUILDKIT": os.environ.get("DOCKER_BUILDKIT", "0"),
+        },
+    )
     try:
-        yield command
+        yield stack
     finally:
-        subprocess.run([*command, "down", "--volumes", "--timeout", "5"], cwd=ROOT, capture_output=True, check=False)
+        stack.run("down", "--volumes", "--timeout", "5")
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_the_whole_line_runs_in_containers_and_leaves_a_closed_log(project: list[str]) -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        free = str(probe.getsockname()[1])
-    environment = {**os.environ, "BOARD51_BUS_PORT": free, "DOCKER_BUILDKIT": os.environ.get("DOCKER_BUILDKIT", "0")}
-
-    def call(*words: str) -> str:
-        done = subprocess.run(
-            [*project, *words], cwd=ROOT, capture_output=True, text=True, check=False, env=environment, timeout=800
-        )
-        assert done.returncode == 0, f"{words}: {done.stdout[-2000:]}{done.stderr[-4000:]}"
-        return done.stdout
-
-    call("build")
+@pytest.mark.xdist_group("containers")  # one image, built once
+def test_the_whole_line_runs_in_containers_and_leaves_a_closed_log(stack: Stack) -> None:
+    stack.call("build")
     # `twin` waits for a healthy gateway, which waits for samples: up returns when the line is alive.
-    call("up", "-d")
-    watch = ["exec", "-T", "gateway", "board51", "watch", "--connect", "tcp/router:7447", "--json"]
-    lines = call(*watch, "--topic", "twin/state", "--count", "200", "--timeout", "60").splitlines()
-    reply = call(*watch[:4], "send", "rig1", "mode", "closed-loop", "--connect", "tcp/router:7447")
-    call("stop", "gateway")  # SIGTERM: the log must be complete
-    info = call(
-        "run", "--rm", "--no-deps", "--entrypoint", "sh", "gateway", "-c", "board51 info --json /data/logs/*.mcap"
-    )
-    user = call("run", "--rm", "--no-deps", "--entrypoint", "id", "gateway", "-u").strip()
+    stack.call("up", "-d")
+    bus = ["--connect", "tcp/router:7447"]
+    lines = stack.board51(
+        "watch", *bus, "--json", "--topic", "twin/state", "--count", "200", "--timeout", "60"
+    ).splitlines()
+    reply = stack.board51("send", "rig1", "mode", "closed-loop", *bus)
+    stack.call("stop", "gateway")  # SIGTERM: the log must be complete
+    once = ["run", "--rm", "--no-deps", "--entrypoint"]
+    info = stack.call(*once, "sh", "gateway", "-c", "board51 info --json /data/logs/*.mcap")
+    user = stack.call(*once, "id", "gateway", "-u").strip()
 
     assert len(lines) == 200
     assert all(json.loads(line)["key"] == "board51/rig1/twin/state" for line in lines)
     assert "accepted" in reply
     assert "rig1" in info
     assert user != "0"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.xdist_group("containers")
+@pytest.mark.skipif(os.geteuid() != 0, reason="the keys are given to the containers' user, which only root can do")
+@pytest.mark.parametrize(
+    "stack", [("docker-compose.yml", "gateway/access/guarded.yml")], indirect=True, ids=["guarded"]
+)
+def test_guarded_containers_serve_who_has_an_identity_and_nobody_else(stack: Stack) -> None:
+    keys = Path(stack.environment["BOARD51_KEYS"])
+    people = ["--user", "ana:engineer", "--user", "vic:viewer"]
+    made = subprocess.run(
+        [sys.executable, "-m", "board51", "security", "init", str(keys), "--host", "router", *people],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert made.returncode == 0, made.stderr
+    for path in (keys, *keys.rglob("*")):
+        os.chown(path, 5151, 5151)
+
+    stack.call("build")
+    stack.call("up", "-d")
+    bus = ["--connect", "tls/router:7447"]
+    as_ana, as_vic = (["--identity", f"/keys/identities/{name}"] for name in ("ana", "vic"))
+    seen = stack.board51("watch", *bus, *as_vic, "--json", "--topic", "twin/state", "--count", "50", "--timeout", "60")
+    commanded = stack.board51("send", "rig1", "mode", "closed-loop", *bus, *as_ana)
+    refused = stack.run("exec", "-T", "gateway", "board51", "send", "rig1", "mode", "closed-loop", *bus, *as_vic)
+    stranger = stack.run(
+        "exec", "-T", "gateway", "board51", "watch", *bus, "--topic", "state", "--count", "1", "--timeout", "5"
+    )
+
+    assert len(seen.splitlines()) == 50
+    assert "accepted" in commanded
+    assert refused.returncode != 0
+    assert "viewer" in refused.stdout + refused.stderr
+    assert stranger.returncode != 0
+    assert "board51/rig1" not in stranger.stdout

@@ -17,9 +17,14 @@ END_S = 60.0
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
-def start(*words: object, **variables: str) -> subprocess.Popen[str]:
-    """`python WORDS` with these environment variables besides those of this process."""
+def start(*words: object, nice: int = 0, **variables: str) -> subprocess.Popen[str]:
+    """`python WORDS` with these environment variables besides this process's; who may not, gets no `nice` < 0."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
+
+    def give_way() -> None:
+        with suppress(PermissionError):
+            os.nice(nice)
+
     return subprocess.Popen(
         [sys.executable, *map(str, words)],
         stdout=subprocess.PIPE,
@@ -27,6 +32,7 @@ def start(*words: object, **variables: str) -> subprocess.Popen[str]:
         text=True,
         env=environment,
         cwd=ROOT,
+        preexec_fn=give_way if nice else None,
     )
 
 
