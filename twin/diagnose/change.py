@@ -37,6 +37,7 @@ from twin.model.extended import STATES
 CLEAR = 25.0  # of log-likelihood: the places that were tried make 6 of it by chance
 _AHEAD = 1.2  # of the gain without a change
 _SHARE = 0.4  # of what is left, of each cause: nothing but noise may remain
+_SAME = 0.01  # of the gain
 _TRIED = 2  # places with a search of their own
 _PERIODIC = "periodic-disturbance"  # its phase is each recording's own anyway
 _NO_STATE = np.empty((0, STATES))
@@ -92,14 +93,10 @@ class Switched(Criterion):
         """As `Criterion.outputs`; the filter begins anew at each recording, so the pieces do not touch."""
         if not theta.causes:
             return super().outputs(theta, state, shift_s)
-        with_causes = super().outputs(theta, state, shift_s)
-        absent = replace(theta, causes=())
-        out, other = np.empty((len(with_causes), OUT_COLUMNS)), np.empty_like(state)
-        plain = super().outputs(absent, other, shift_s)
+        out, absent = np.empty((len(self.evidence.series), OUT_COLUMNS)), replace(theta, causes=())
         for piece, holds in self._pieces:
-            out[piece] = (with_causes if holds else plain)[piece]
-            if len(state) and not holds:
-                state[piece] = other[piece]
+            self._fill(theta if holds else absent, piece, out, state, shift_s)
+        self.evaluations += 1
         return out
 
 
@@ -210,7 +207,13 @@ def _places(
             side = (np.arange(len(order)) >= place) == begins
             gains.append((_best_gain(scores, fishers, np.asarray(side), inner, k), place, begins))
     gains.sort(key=lambda entry: -entry[0])
-    return [(place, begins) for gain, place, begins in gains if gain > _AHEAD * whole + CLEAR][:_TRIED]
+    chosen: list[tuple[float, int, bool]] = []
+    for gain, place, begins in gains:
+        # Recordings that no cause shows in lie on either side with the same gain, and would have the same answer.
+        other = all(abs(gain - known) > _SAME * gain or begins != side for known, _, side in chosen)
+        if gain > _AHEAD * whole + CLEAR and other and len(chosen) < _TRIED:
+            chosen.append((gain, place, begins))
+    return [(place, begins) for _, place, begins in chosen]
 
 
 def _best_gain(scores: FloatArray, fishers: FloatArray, side: BoolArray, inner: FloatArray, k: int) -> float:

@@ -50,25 +50,29 @@ class Criterion:
         self, theta: Theta, state: NDArray[np.float64] = _NO_STATE, shift_s: FloatArray | None = None
     ) -> FloatArray:
         """Innovations and their covariance, shape (n, 5); `shift_s` as `self.shift_s`, for once."""
-        s = self.evidence.series
-        out = np.empty((len(s), OUT_COLUMNS))
+        out = np.empty((len(self.evidence.series), OUT_COLUMNS))
+        self._fill(theta, slice(0, len(out)), out, state, shift_s)
+        self.evaluations += 1
+        return out
+
+    def _fill(self, theta: Theta, part: slice, out: FloatArray, state: FloatArray, shift_s: FloatArray | None) -> None:
+        """`outputs` of whole recordings, into their place."""
+        s, t = self.evidence.series, self.evidence.t + (self.shift_s if shift_s is None else shift_s)
         noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, self.tick_s)
         run_extended(
             tuple(theta.base(self.plant)),
             theta.vector(),
             noise,
             (theta.stop_low_m, theta.stop_high_m),
-            self.evidence.t + (self.shift_s if shift_s is None else shift_s),
-            s.step,
-            s.u,
-            s.i,
-            s.x,
-            s.flags,
-            out,
-            state,
+            t[part],
+            s.step[part],
+            s.u[part],
+            s.i[part],
+            s.x[part],
+            s.flags[part],
+            out[part],
+            state[part] if len(state) else state,
         )
-        self.evaluations += 1
-        return out
 
     def several(self, thetas: Sequence[Theta]) -> list[FloatArray]:
         """`outputs` of each."""

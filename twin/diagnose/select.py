@@ -207,10 +207,12 @@ def _forward(
     gain_least = max(
         0.5 * THRESHOLD, 0.3 * TRIFLE * gained, _FAR_BEHIND * max((score.gain for score in scores), default=0.0)
     )
-    worth = [score for score in scores if score.testable and score.gain - score.chance > gain_least][:few]
-    say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
     floor = floor.under(criterion, at.theta)
     excess = floor.excess(at.loglik)
+    if least > SHARE and floor.material(at.loglik):  # nothing but noise may remain: no use in fitting what is hopeless
+        gain_least = max(gain_least, least * excess / _STEEPER)
+    worth = [score for score in scores if score.testable and score.gain - score.chance > gain_least][:few]
+    say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
     pays = PAYS if least <= SHARE else 1.0  # who asks for more of the whole is not content with a part of x
     trials = _fitted(criterion, at, worth, least * excess if floor.material(at.loglik) else 0.0, pays)
     if not trials:
