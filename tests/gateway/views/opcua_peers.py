@@ -78,7 +78,7 @@ class Peer:
         """Value and status, whatever the status is."""
         return await self.node(path).read_data_value(raise_on_bad_status=False)
 
-    async def await_status(self, path: str, code: int, timeout_s: float = 10.0) -> ua.DataValue:
+    async def await_status(self, path: str, code: int, timeout_s: float = 30.0) -> ua.DataValue:
         return await until(lambda: self._with(path, code), f"status {code:#x} of {path}", timeout_s)
 
     async def _with(self, path: str, code: int) -> ua.DataValue | None:
@@ -114,7 +114,7 @@ async def peer(port: int, **options: Any) -> AsyncIterator[Peer]:
         yield Peer(client, await client.get_namespace_index(NAMESPACE))
 
 
-async def until(look: Callable[[], Coroutine[Any, Any, T | None]], what: str, timeout_s: float = 10.0) -> T:
+async def until(look: Callable[[], Coroutine[Any, Any, T | None]], what: str, timeout_s: float = 30.0) -> T:
     """The first value of `look` that is not None; fails at the deadline."""
     deadline_s = asyncio.get_running_loop().time() + timeout_s
     while asyncio.get_running_loop().time() < deadline_s:
