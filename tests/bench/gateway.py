@@ -78,7 +78,7 @@ def measure(boards: int, *, bare: bool, keys: Path | None = None) -> Result:
                                "--log-dir", folder / "logs", *guard)  # fmt: skip
             processes.append(middle)
             listening(endpoint)
-            processes.append(start(HERE / "subscriber.py", folder, endpoint, nice=0, **identity))
+            processes.append(start(HERE / "subscriber.py", folder, endpoint, first=False, **identity))
             ready(processes[-1])
             time.sleep(WARM_S)
             begin, cpu = time.monotonic_ns(), cpu_s(middle.pid)

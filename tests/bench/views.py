@@ -3,8 +3,8 @@
 As in gateway.py: the load, the gateway as a user starts it (log on), a zenoh subscriber that notes each arrival.  Then
 the same with `--opcua --hmi`, four OPC UA clients (20 variables each, 50 Hz) and four headless Chromiums.  All of it
 shares this machine's cores; in a plant browsers and SCADA are other machines, so their processes run at nice
-CLIENTS_NICE here: BOARD51_BENCH_NICE=0 lets them compete with the gateway on equal terms.  The gateway runs at
-GATEWAY_NICE in both, where this user may, as its service unit has it.
+CLIENTS_NICE here: BOARD51_BENCH_NICE=0 lets them compete with the gateway on equal terms.  The gateway runs in real
+time in both, where this user may, as its service unit has it; BOARD51_BENCH_PLAIN=1: as any process.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from tests.bench.line.browsers import CHROMIUM
 BOARDS = 8
 CLIENTS = 4  # of either kind
 CLIENTS_NICE = os.environ.get("BOARD51_BENCH_NICE", "10")
-GATEWAY_NICE = int(os.environ.get("BOARD51_BENCH_GATEWAY_NICE", "-5"))
+PLAIN = os.environ.get("BOARD51_BENCH_PLAIN") == "1"
 START_UP_S = 400.0  # until all views and clients are up, on a busy machine
 Row = dict[str, Any]
 Counts = list[dict[str, float]]
@@ -44,6 +44,7 @@ class Found:
 
     line: Result
     not_logged: int  # samples that were sent and are not in the log
+    first: bool  # the gateway before ordinary processes
     own_p99_ms: float  # read to handed to zenoh, as the gateway says itself; median of its seconds
     cores: dict[str, float]  # CPU seconds per second, by process
     values: Counts  # by OPC UA client
@@ -53,7 +54,7 @@ class Found:
 def run() -> list[Row]:
     """Rows for `board51 bench`."""
     alone, loaded = measure(clients=False), measure(clients=True)
-    busy = f"baseline: no views, no clients; {WINDOW_S:.0f} s"
+    busy = f"baseline: no views, no clients; {WINDOW_S:.0f} s, gateway {'SCHED_RR' if loaded.first else 'SCHED_OTHER'}"
     rows: list[Row] = []
     for name, unit in (("p99_ms", "ms"), ("median_ms", "ms")):
         rows.append(
@@ -86,8 +87,8 @@ def measure(*, clients: bool) -> Found:
         counting: list[subprocess.Popen[str]] = []
         clocks: dict[str, Callable[[], float]] = {}
 
-        def begin(title: str, *words: object, nice: int = 0, **variables: str) -> subprocess.Popen[str]:
-            running.append(line.start(*words, nice=nice, **variables))
+        def begin(title: str, *words: object, first: bool = False, **variables: str) -> subprocess.Popen[str]:
+            running.append(line.start(*words, first=first, **variables))
             pid = running[-1].pid
             clocks[title] = lambda: line.tree_cpu_s(pid)
             return running[-1]
@@ -100,9 +101,10 @@ def measure(*, clients: bool) -> Found:
                 ["--opcua", f"127.0.0.1:{opcua}", "--opcua-rate", "50", "--hmi", f"127.0.0.1:{hmi}"] if clients else []
             )
             middle = begin("gateway", "-m", "board51", "gateway", "--site", "bench", *boards, "--listen", endpoint,
-                           "--log-dir", folder / "logs", *views, nice=GATEWAY_NICE)  # fmt: skip
+                           "--log-dir", folder / "logs", *views, first=not PLAIN)  # fmt: skip
             clocks["gateway"] = lambda: line.cpu_s(middle.pid)  # its views apart
             line.listening(endpoint)
+            first = line.goes_first(middle)
             line.ready(begin("zenoh subscriber", line.HERE / "subscriber.py", folder, endpoint))
             if clients:
                 counting = _begin_clients(begin, folder, opcua, hmi)
@@ -122,7 +124,7 @@ def measure(*, clients: bool) -> Found:
         cores["everything else on this machine"] = cores.pop("machine") - sum(cores.values())
         outcome = result(folder, since_ns, until_ns, cores["gateway"] * WINDOW_S)
         not_logged, own_p99_ms = _of_log(folder, since_ns, until_ns)
-        return Found(line=outcome, not_logged=not_logged, own_p99_ms=own_p99_ms, cores=cores,
+        return Found(line=outcome, first=first, not_logged=not_logged, own_p99_ms=own_p99_ms, cores=cores,
                      values=_counts(folder / "counts.json"), frames=_counts(folder / "frames.json"))  # fmt: skip
 
 

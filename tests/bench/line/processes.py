@@ -17,13 +17,13 @@ END_S = 60.0
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
-def start(*words: object, nice: int = 0, **variables: str) -> subprocess.Popen[str]:
-    """`python WORDS` with these environment variables besides this process's; who may not, gets no `nice` < 0."""
+def start(*words: object, first: bool = False, **variables: str) -> subprocess.Popen[str]:
+    """`python WORDS` with these environment variables besides this process's; `first`: before ordinary processes."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
 
-    def give_way() -> None:
+    def go_first() -> None:
         with suppress(PermissionError):
-            os.nice(nice)
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
 
     return subprocess.Popen(
         [sys.executable, *map(str, words)],
@@ -32,7 +32,7 @@ def start(*words: object, nice: int = 0, **variables: str) -> subprocess.Popen[s
         text=True,
         env=environment,
         cwd=ROOT,
-        preexec_fn=give_way if nice else None,
+        preexec_fn=go_first if first else None,
     )
 
 
@@ -46,6 +46,11 @@ def ready(process: subprocess.Popen[str]) -> None:
     line = process.stdout.readline()
     if line.strip() != "ready":
         raise RuntimeError(f"{process.args!r} did not start: {line!r}")
+
+
+def goes_first(process: subprocess.Popen[str]) -> bool:
+    """Whether it was allowed to."""
+    return os.sched_getscheduler(process.pid) == os.SCHED_RR
 
 
 def listening(endpoint: str) -> None:
