@@ -15,6 +15,7 @@ import pytest
 
 from gateway.config import BoardConfig, GatewayConfig, HmiConfig, OpcuaConfig, SecurityConfig, ZenohConfig
 from gateway.views import children
+from gateway.views.child import NICER
 from gateway.views.children import View, running, views_for
 from protocol.errors import ConfigError
 from tests.gateway.gateway_peers import free_port, wait_for
@@ -54,6 +55,30 @@ def test_a_view_that_dies_is_started_again_and_ends_with_the_gateway(monkeypatch
 
     assert second != first
     assert not listening(port)()
+
+
+def test_a_view_of_a_gateway_in_real_time_runs_as_any_process_and_gives_way() -> None:
+    port = free_port()
+    words = ["-m", "gateway.views.child", "router", "--listen", f"tcp/127.0.0.1:{port}"]
+    before = "import os, sys; os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))\n"
+    before += "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
+    view = subprocess.Popen(
+        [sys.executable, "-c", before, *words], stdin=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT
+    )
+    try:
+        if not wait_for(lambda: listening(port)() or (view.poll() is not None and -1), "view") > 0:
+            assert view.stderr is not None
+            assert b"PermissionError" in view.stderr.read()
+            pytest.skip("this user may not run anything in real time")
+        threads = [int(task.name) for task in Path(f"/proc/{view.pid}/task").iterdir()]
+        policies = {os.sched_getscheduler(thread) for thread in threads}
+        nice = os.getpriority(os.PRIO_PROCESS, view.pid)
+    finally:
+        view.kill()
+        view.communicate()
+
+    assert policies == {os.SCHED_OTHER}
+    assert nice == os.getpriority(os.PRIO_PROCESS, 0) + NICER
 
 
 def view_at(port: int) -> int:
