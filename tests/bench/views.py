@@ -24,7 +24,7 @@ import numpy as np
 
 from gateway.record.reader import read
 from protocol.bus import board51_pb2 as pb
-from tests.bench.gateway import TAIL_S, WARM_S, WINDOW_S, Result, result
+from tests.bench.gateway import TAIL_S, WINDOW_S, Result, result
 from tests.bench.line import processes as line
 from tests.bench.line.browsers import CHROMIUM
 
@@ -32,6 +32,7 @@ BOARDS = 8
 CLIENTS = 4  # of either kind
 CLIENTS_NICE = os.environ.get("BOARD51_BENCH_NICE", "10")
 PLAIN = os.environ.get("BOARD51_BENCH_PLAIN") == "1"
+WARM_S = 15.0  # four browsers that have just started take both cores for some seconds
 START_UP_S = 400.0  # until all views and clients are up, on a busy machine
 Row = dict[str, Any]
 Counts = list[dict[str, float]]
