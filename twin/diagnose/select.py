@@ -209,7 +209,7 @@ def _forward(
     )
     floor = floor.under(criterion, at.theta)
     excess = floor.excess(at.loglik)
-    if least > SHARE and floor.material(at.loglik):  # nothing but noise may remain: no use in fitting what is hopeless
+    if least > SHARE and floor.material(at.loglik):  # so much is asked: no use in fitting what is hopeless
         gain_least = max(gain_least, least * excess / _STEEPER)
     worth = [score for score in scores if score.testable and score.gain - score.chance > gain_least][:few]
     say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
