@@ -17,6 +17,7 @@ from twin.diagnose.estimate import Fit, spreads
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.experiments import propose
 from twin.diagnose.floor import Floor
+from twin.diagnose.forward import SHARE
 from twin.diagnose.given import off_sentence, theta_of
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.lost import Lost, lost_samples
@@ -32,8 +33,9 @@ from twin.diagnose.result import (
     Verdict,
     fit_parameters,
 )
-from twin.diagnose.select import SHARE, Selection, Trial
+from twin.diagnose.select import Selection
 from twin.diagnose.theta import Theta
+from twin.diagnose.trials import Trial
 from twin.diagnose.words import bound_sentence, finding_sentence, summary_sentence
 from twin.identify.record import Record
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE

@@ -34,9 +34,9 @@ from twin.diagnose.measurements import measurement_for
 from twin.diagnose.menu import MENU, Item, schedule_of, sentence
 from twin.diagnose.operating import lift_off_input
 from twin.diagnose.playback import converters_of
-from twin.diagnose.select import MARGIN, Trial
 from twin.diagnose.synthetic import input_limit, simulate
 from twin.diagnose.theta import NOISES, PARAMETERS, STOPS, derivative_step, moved
+from twin.diagnose.trials import MARGIN, Trial
 from twin.identify.innovations import information
 from twin.identify.record import FloatArray, Record
 

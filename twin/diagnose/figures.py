@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 
 from twin.diagnose.correction import Correction
 from twin.diagnose.force import Curve
+from twin.diagnose.forward import Round
 from twin.diagnose.regimes import Estimate, Regime
 from twin.diagnose.response import Steps
-from twin.diagnose.select import Round
 from twin.diagnose.show import Ahead, Piece
 from twin.diagnose.spectrum import Spectrum
 from twin.figure import MEASURED, REFERENCE, TWIN

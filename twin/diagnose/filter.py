@@ -23,6 +23,7 @@ from twin.identify.innovations import FLIES, FOLLOWS, SPEED_STD_M_S, USE_I, USE_
 from twin.model.causes import (
     actuation_delay,
     amplifier_gain_drift,
+    coulomb_friction,
     current_sensor_gain,
     eddy_current_lag,
     position_sensor_lag,
@@ -179,6 +180,8 @@ def run_extended(
     h_i[0] = gain_i
     # A ball that is held does not move within an interval either: the weight of a house, and no gravity.
     held_base = (p.K_A, p.T_A, p.K_c, p.b, 1e12, 0.0, p.x_max_m, p.travel_m)
+    held_c = c.copy()
+    held_c[coulomb_friction.FORCE] = 0.0  # it needs fine substeps, and holds nothing here
     in_flight, speed_seen = False, False
     first = 0
     for n in range(len(u)):
@@ -235,8 +238,8 @@ def run_extended(
                     moved[k] = y[k]
                 y[X], y[V], moved[X], moved[V] = held, 0.0, held, 0.0
                 moved[I_C] += _DELTA[I_C]
-                drive_over(held_base, c, moved, u, n, first, t[n - 1], T_s, False)
-                drive_over(held_base, c, y, u, n, first, t[n - 1], T_s, False)
+                drive_over(held_base, held_c, moved, u, n, first, t[n - 1], T_s, False)
+                drive_over(held_base, held_c, y, u, n, first, t[n - 1], T_s, False)
                 f_ii = (moved[I_C] - y[I_C]) / _DELTA[I_C]
                 if heats:
                     f_iw = -p.K_A * c[amplifier_gain_drift.LOSS] * u[n - 1] * (1.0 - f_ii)

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from protocol.campaign import Plant
 from twin.diagnose.evidence import Evidence
-from twin.diagnose.filter import OUT_COLUMNS, run_extended
+from twin.diagnose.filter import OUT_COLUMNS, RESTS_HIGH, RESTS_LOW, run_extended
 from twin.diagnose.theta import STOP_UNIT_M, STOPS, Theta, derivative_step, moved
-from twin.identify.innovations import information, whiten
+from twin.identify.innovations import FLIES, information, whiten
 from twin.identify.liftoff import LiftOff
 from twin.identify.record import FloatArray
-from twin.model.extended import STATES, magnetic_force
+from twin.model.extended import STATES, magnetic_force, position_reading
 
 STOP_STD_M = 2e-5  # how well anybody knows where a stop is
 _NO_STATE = np.empty((0, STATES))
@@ -116,14 +116,27 @@ class Criterion:
 
     def derivatives(self, theta: Theta, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
         """(outputs, shape (n, 5); their derivatives by the coordinates, shape (count, n, 5))."""
-        steps = [derivative_step(theta, name, self.plant) for name in names]
-        thetas = [theta, *(moved(theta, name, by, self.plant) for name, by in zip(names, steps, strict=True))]
-        base, *outs = self.several(thetas)
+        steps = {name: derivative_step(theta, name, self.plant) for name in names if name not in STOPS}
+        base, *outs = self.several([theta, *(moved(theta, name, by, self.plant) for name, by in steps.items())])
         change = np.empty((len(names), *base.shape))
-        for place, (out, by) in enumerate(zip(outs, steps, strict=True)):
-            np.subtract(out, base, out=change[place])
-            change[place] /= by
+        filtered = iter(outs)
+        for place, name in enumerate(names):
+            if name in STOPS:
+                self._by_stop(theta, name, base, change[place])
+            else:
+                np.subtract(next(filtered), base, out=change[place])
+                change[place] /= steps[name]
         return base, change
+
+    def _by_stop(self, theta: Theta, name: str, base: FloatArray, change: FloatArray) -> None:
+        """The derivative by the place of a stop: nothing but the readings of a ball that rests there."""
+        flags, reading = self.evidence.series.flags, self.plant.travel_m if name == "stop_high_m" else 0.0
+        low = flags & RESTS_LOW != 0
+        there = low if name == "stop_low_m" else (flags & RESTS_HIGH != 0) & ~low
+        p, c, stop = theta.base(self.plant), theta.vector(), reading + theta.value(name)
+        here, beyond = (position_reading(p, c, place, 0.0) for place in (stop, stop + STOP_UNIT_M))
+        np.multiply(base, 0.0, out=change)  # what is no number stays none
+        change[there & (flags & FLIES == 0), 1] -= beyond - here
 
     def gradient(self, theta: Theta, names: Sequence[str]) -> tuple[float, FloatArray, FloatArray]:
         """(log-likelihood, score, Fisher information) in the coordinates `names`."""

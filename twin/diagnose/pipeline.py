@@ -27,12 +27,13 @@ from twin.diagnose.change import find_change
 from twin.diagnose.estimate import climb
 from twin.diagnose.evidence import Evidence, gather
 from twin.diagnose.floor import floor_of
+from twin.diagnose.forward import SHARE
 from twin.diagnose.given import check_plant
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.odd import Odd, odd_one
 from twin.diagnose.quick import shortened
 from twin.diagnose.result import Diagnosis
-from twin.diagnose.select import SHARE, select
+from twin.diagnose.select import select
 from twin.diagnose.theta import BASE, STOPS, Theta
 from twin.identify.checks import inspect
 from twin.identify.dead import without_dead

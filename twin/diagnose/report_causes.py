@@ -5,8 +5,8 @@ from __future__ import annotations
 import html
 
 from twin.diagnose.figures import round_figure
+from twin.diagnose.forward import THRESHOLD
 from twin.diagnose.result import Diagnosis, Finding, Proposal
-from twin.diagnose.select import THRESHOLD
 from twin.diagnose.words import capital, percent, sizes
 from twin.model.causes.catalogue import BY_NAME
 from twin.page import bullets, drawing, figures, folded, paragraph, table

@@ -19,7 +19,7 @@ import numpy as np
 from twin.diagnose.estimate import inverse
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.probes import probes_of
-from twin.diagnose.theta import Theta, coordinates_of, derivative_step, moved
+from twin.diagnose.theta import Theta, coordinates_of
 from twin.identify.innovations import information
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
@@ -55,7 +55,6 @@ def screen(
     criterion: Criterion, theta: Theta, free: Sequence[str], candidates: Sequence[Cause] = CATALOGUE
 ) -> list[Score]:
     """The candidates' scores at a maximum, best first; those already in the model are left out."""
-    plant = criterion.plant
     present = {name.partition(".")[0] for name, _ in theta.causes}
     trials = [
         (cause, probe)
@@ -65,21 +64,17 @@ def screen(
         and cause.name not in ("lost-samples", "periodic-disturbance")
         for probe in probes_of(cause, criterion.evidence.series)
     ]
-    steps = [derivative_step(theta, name, plant) for name in free]
-    thetas = [theta, *(moved(theta, name, by, plant) for name, by in zip(free, steps, strict=True))]
-    thetas += [probed(theta, cause, probe) for cause, probe in trials]
-    base, *outs = criterion.several(thetas)
-    scales = [*steps, *(1.0 for _ in trials)]
-    change = np.empty((len(outs), *base.shape))
-    for place, (out, by) in enumerate(zip(outs, scales, strict=True)):
+    base, by_free = criterion.derivatives(theta, free)
+    k, count = len(free), len(free) + len(trials)
+    change = np.empty((count, *base.shape))
+    change[:k] = by_free
+    outs = criterion.several([probed(theta, cause, probe) for cause, probe in trials])
+    for place, out in enumerate(outs, k):
         np.subtract(out, base, out=change[place])
-        change[place] /= by
     del outs
-    count = len(scales)
     fisher, each = np.zeros((count, count)), np.empty((len(base), count))
     information(base, change, each, fisher)
     score = each.sum(axis=0)
-    k = len(free)
     inner = inverse(fisher[:k, :k])
     best: dict[str, Score] = {}
     for place, (cause, probe) in enumerate(trials, k):

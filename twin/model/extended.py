@@ -54,6 +54,8 @@ from twin.model.causes.cause import Vector
 I_C, X, V, FIELD, SENSOR, WARMTH = range(6)
 STATES = 6
 PARTS = (0.0625, 0.1875, 0.25, 0.5)  # of an interval: its substeps
+RUBS_S = 2.5e-4  # a substep of a ball that dry friction may stop within it
+HARDEST_M_S2 = 20.0  # of braking: a faster ball does not come to its standstill, where friction is stiff
 SHORT_S = 1e-4  # an interval as in a 25 kHz capture is one substep
 GAP_MIN_SHARE = 0.01  # of the travel: nearer to the coil's plane than this, (3) is not evaluated
 
@@ -119,9 +121,7 @@ def position_of_reading(p: Base, c: Vector, reading: float, i: float) -> float:
     """The position behind a settled reading, m: Newton on `position_reading`."""
     x = reading
     for _ in range(4):
-        slope = c[position_sensor_gain.GAIN] * (
-            1.0 + 4.0 * c[position_sensor_nonlinearity.BOW] / p.travel_m * (1.0 - 2.0 * x / p.travel_m)
-        )
+        slope = c[position_sensor_gain.GAIN] * position_sensor_nonlinearity.slope(c, x, p.travel_m)
         x -= (position_reading(p, c, x, i) - reading) / slope
     return x
 
@@ -147,11 +147,24 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         or c[motional_emf.COUPLING] != 0.0
         or c[slew_rate_limit.RATE] < math.inf
     )
-    # Dry friction is stiff: a substep must be shorter than the ball takes to stop.  The induced voltage ties i_c to x'.
-    fine = 4 if c[coulomb_friction.FORCE] != 0.0 else 3 if c[motional_emf.COUPLING] != 0.0 else 1
+    rubs, stiff = c[coulomb_friction.FORCE] != 0.0, c[motional_emf.COUPLING] != 0.0
     coarse = duration < SHORT_S
-    for substep in range(fine if coarse else fine * len(PARTS)):
-        h = (duration if coarse else duration * PARTS[substep // fine]) / fine
+    part, left, h = -1, 0, 0.0
+    while True:
+        if left == 0:
+            part += 1
+            if part == (1 if coarse else len(PARTS)):
+                break
+            h = duration if coarse else duration * PARTS[part]
+            left = 1
+            # Dry friction is stiff near standstill: a substep must be shorter than the ball takes to stop.  The induced
+            # voltage ties i_c to x'.
+            if stiff:
+                left = 3
+            if rubs and abs(y[V]) < HARDEST_M_S2 * h + 10.0 * coulomb_friction.CREEP_M_S:
+                left = max(left, math.ceil(h / RUBS_S))
+            h /= left
+        left -= 1
         i, x, v, f, s = y[I_C], y[X], y[V], y[FIELD], y[SENSOR]
         a1 = acceleration(p, c, f, x, v, t)
         v2 = v + 0.5 * h * a1

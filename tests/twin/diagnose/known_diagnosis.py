@@ -14,14 +14,16 @@ from tests.twin.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, co
 from twin.diagnose.estimate import Fit
 from twin.diagnose.evidence import gather
 from twin.diagnose.floor import Floor
+from twin.diagnose.forward import Round
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.measure import HORIZONS_S, gain
 from twin.diagnose.models import model_of
 from twin.diagnose.result import Diagnosis, Finding, Member, NotTestable, Proposal, RuledOut, fit_parameters
 from twin.diagnose.screen import Score
-from twin.diagnose.select import Round, Selection, Trial
+from twin.diagnose.select import Selection
 from twin.diagnose.synthetic import Schedule, simulate
 from twin.diagnose.theta import BASE, Theta, coordinates_of
+from twin.diagnose.trials import Trial
 from twin.diagnose.words import finding_sentence, summary_sentence
 from twin.identify.record import Record
 

@@ -8,6 +8,7 @@ import pytest
 
 from protocol.campaign import load
 from tests.twin.diagnose.hidden_campaign import make_campaign
+from twin.diagnose import forward
 from twin.diagnose import select as search
 from twin.diagnose.begin import no_better, start_theta
 from twin.diagnose.estimate import climb
@@ -28,7 +29,7 @@ def test_causes_that_hide_each_other_are_taken_together_or_not_at_all(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without the rule of the payoff, which would take the first of these two by itself."""
-    monkeypatch.setattr(search, "PAYS", 1.0)
+    monkeypatch.setattr(forward, "PAYS", 1.0)
     make_campaign(tmp_path / "both", effects=HIDDEN, seed=310, plant="independent", quick=True)
     campaign = load(tmp_path / "both")
     records = read_campaign(campaign)

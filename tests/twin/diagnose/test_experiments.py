@@ -31,8 +31,8 @@ from twin.diagnose.experiments import ENOUGH_Z, Proposal, propose
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.measurements import measurement_for
 from twin.diagnose.menu import MENU, Item, Level, Wave, schedule_of, sentence
-from twin.diagnose.select import Trial
 from twin.diagnose.theta import moved
+from twin.diagnose.trials import Trial
 from twin.identify.record import Record
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause

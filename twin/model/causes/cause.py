@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 Family = Literal["amplifier", "force", "motion", "sensing", "timing"]
-PLACES = 29
+PLACES = 31
 
 
 class Vector(Protocol):

@@ -1,0 +1,142 @@
+"""One step forward: which cause earns its place now?
+
+screen all -> fit the best few -> the best, if it earns it
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from twin.diagnose import periodic
+from twin.diagnose.estimate import Fit
+from twin.diagnose.floor import Floor
+from twin.diagnose.likelihood import Criterion
+from twin.diagnose.payoff import removed
+from twin.diagnose.screen import Score, screen
+from twin.diagnose.trials import Trial, fitted, inside, rises
+from twin.model.causes.cause import Cause
+
+THRESHOLD = 10.0  # of log-likelihood: z = 4.5, and more than the most of 30 candidates reaches by chance
+TRIFLE = 0.005  # of what the causes found so far gain together: below, it mends how they are written, not the rig
+BESIDE_NOISE = 0.1  # the same, once what is left is hardly more than noise
+SHARE = 0.2  # of the excess that is left
+PAYS = 0.5  # of the mean square error of x 20 ms ahead: a smaller share will do for a cause that removes so much
+_FAR_BEHIND = 0.02  # of the best gain on the screen: such a candidate will not be the best
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Round:
+    """One step forward."""
+
+    scores: tuple[Score, ...]
+    trials: tuple[Trial, ...]  # best first
+    taken: str  # "" where none was
+    why: str
+
+
+def forward(
+    criterion: Criterion,
+    at: Fit,
+    floor: Floor,
+    candidates: Sequence[Cause],
+    few: int,
+    gained: float,
+    least: float,
+    say: Say,
+) -> Round:
+    """The best of the candidates, and whether it is taken.
+
+    Args:
+        criterion: of the recordings for fitting.
+        at: the model so far, at its best.
+        floor: what sensor noise alone leaves.
+        candidates: the causes to try.
+        few: candidates that are fitted.
+        gained: what the causes so far gain together.
+        least: share of what is left that a cause must explain.
+        say: takes lines of progress.
+    """
+    scores = screen(criterion, at.theta, at.free, candidates)
+    if any(cause.name == periodic.CAUSE.name for cause in candidates):
+        scores = _with_line(criterion, at, scores)
+    floor = floor.under(criterion, at.theta)
+    excess, material = floor.excess(at.loglik), floor.material(at.loglik)
+    # What cannot become a fair share is not fitted.
+    wanted = (min(TRIFLE, least) if material else BESIDE_NOISE) * gained
+    if least > SHARE and material:
+        wanted = max(wanted, least * excess)
+    gain_least = max(0.5 * THRESHOLD, _FAR_BEHIND * max((score.gain for score in scores), default=0.0))
+    worth = [
+        score
+        for score in scores
+        if score.testable and score.gain - score.chance > max(gain_least, wanted / rises(score.cause))
+    ][:few]
+    say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
+    trials = fitted(criterion, at, worth, least * excess if material else 0.0, _pays(least))
+    return decided(criterion, at, floor, scores, trials, gained, least)
+
+
+def decided(
+    criterion: Criterion,
+    at: Fit,
+    floor: Floor,
+    scores: Sequence[Score],
+    trials: list[Trial],
+    gained: float,
+    least: float,
+) -> Round:
+    """Whether the best of the trials earns its place."""
+    if not trials:
+        return Round(scores=tuple(scores), trials=(), taken="", why="nothing in the catalogue gains anything")
+    floor = floor.under(criterion, at.theta)
+    excess, pays = floor.excess(at.loglik), _pays(least)
+    possible = [trial for trial in trials if inside(trial)]
+    best = (possible or trials)[0]
+    share = best.gain / excess if excess > 0.0 else 1.0
+    why = f"log-likelihood +{best.gain:.0f}"
+    taken = ""
+    if best.gain < THRESHOLD:
+        why = f"{best.cause} would be best, with a gain of {best.gain:.1f}: chance does that"
+    elif not possible:
+        why = f"{best.cause} would be best, but outside its physical range"
+    elif best.gain < min(TRIFLE, least) * gained:
+        why = f"{best.cause} would be best, but is a trifle beside what was found"
+    elif not floor.material(at.loglik) and best.gain < BESIDE_NOISE * gained:
+        why = f"{best.cause} would be best, but hardly more than noise is left, and it is a trifle"
+    elif floor.material(at.loglik) and share < least and removed(criterion, at.theta, best.fit.theta) < pays:
+        why = f"{best.cause} would be best, but explains {100 * share:.0f} % of what is left"
+    else:
+        taken = best.cause
+        trials = [best, *(trial for trial in trials if trial is not best)]
+    return Round(scores=tuple(scores), trials=tuple(trials), taken=taken, why=why)
+
+
+def _pays(least: float) -> float:
+    """Who asks for more of the whole is not content with a part of x."""
+    return PAYS if least <= SHARE else 1.0
+
+
+def _with_line(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score]:
+    """The scores with that of the strongest line among them."""
+    if any(name == periodic.AMPLITUDE for name, _ in at.theta.causes):
+        return scores
+    line = periodic.find_line(criterion, at.theta)
+    if line is None:
+        return scores
+    criterion.shift_s = line.shift_s
+    score = Score(
+        cause=periodic.CAUSE.name,
+        probe=line.amplitude_n,
+        gain=line.gain,
+        step=1.0,
+        z=math.sqrt(2.0 * line.gain),
+        detectable=math.sqrt(2.0 * line.gain) * periodic.CAUSE.strength.probes[0] / max(line.amplitude_n, 1e-12),
+        visible=1.0,
+        beside=(),
+        chance=line.chance,
+        others=((periodic.FREQUENCY, line.frequency_hz),),
+    )
+    return sorted([*scores, score], key=lambda found: -found.gain)
