@@ -47,7 +47,8 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
     at = theta.having(FREQUENCY, frequency).having(AMPLITUDE, probe)
     quarter = 0.25 / frequency
     base = criterion.outputs(theta)
-    sine, cosine = criterion.outputs(at), criterion.outputs(at, shift_s=np.full(len(series), quarter))
+    # Not with the phases of a line that was found before: the two would be no quarter of a period apart.
+    sine, cosine = (criterion.outputs(at, shift_s=np.full(len(series), shift)) for shift in (0.0, quarter))
     scale = np.sqrt(base[:, 4])
     residual = base[:, 1] / scale
     columns = np.column_stack((sine[:, 1] - base[:, 1], cosine[:, 1] - base[:, 1])) / scale[:, None]
