@@ -20,7 +20,7 @@ from twin.model.causes.cause import Cause
 
 THRESHOLD = 10.0  # of log-likelihood: z = 4.5, and more than the most of 30 candidates reaches by chance
 TRIFLE = 0.005  # of what the causes found so far gain together: below, it mends how they are written, not the rig
-BESIDE_NOISE = 0.1  # the same, once what is left is hardly more than noise
+BESIDE_NOISE = 0.015  # the same, once what is left is hardly more than noise
 SHARE = 0.2  # of the excess that is left
 PAYS = 0.5  # of the mean square error of x 20 ms ahead: a smaller share will do for a cause that removes so much
 _FAR_BEHIND = 0.02  # of the best gain on the screen: such a candidate will not be the best

@@ -65,24 +65,25 @@ def fitted(
         )
         for score in scores
     ]
-    trials.sort(key=lambda trial: -trial.gain)
     favourites = {score.cause for score in scores[:_FAVOURITES]}
     for heat, (passes, hopeless, most) in enumerate(_HEATS):
-        least = hopeless * trials[0].gain if trials else 0.0
+        trials.sort(key=lambda trial: -_expected(trial))
+        best = max((trial.gain for trial in trials), default=0.0)
         # Not before: the likelihood of a delay is flat at 0 and rises fifty times as high as its slope there promises.
         last = heat == len(_HEATS) - 1 and bool(trials)
-        overtaken = trials[0].gain - MARGIN if last else -math.inf
+        overtaken = best - MARGIN if last else -math.inf
         if last and all(_promise(trial) < wanted for trial in trials):
+            leader = max(trials, key=lambda trial: trial.gain)
             least_pay = 0.5 * pays
-            if least_pay >= 0.5 or removed(criterion, at.theta, trials[0].fit.theta) < least_pay:
+            if least_pay >= 0.5 or removed(criterion, at.theta, leader.fit.theta) < least_pay:
                 break
         for place, trial in enumerate(trials):
-            goes_on = place < most and trial.gain >= least and _promise(trial) >= overtaken
+            goes_on = place < most and _expected(trial) >= hopeless * best and _promise(trial) >= overtaken
             goes_on = goes_on and _promise(trial) >= beaten
             goes_on = goes_on or (heat == 0 and trial.cause in favourites)
             if goes_on and not trial.fit.converged:
                 trials[place] = climbed(criterion, trial, passes)
-        trials.sort(key=lambda trial: -trial.gain)
+    trials.sort(key=lambda trial: -trial.gain)
     return trials
 
 
@@ -95,6 +96,11 @@ def climbed(criterion: Criterion, trial: Trial, passes: int = PASSES) -> Trial:
 def worth_the_whole(trial: Trial, best: Trial) -> bool:
     """Whether it is near enough to the best to be fitted to the end."""
     return trial.gain >= _HEATS[-1][1] * best.gain
+
+
+def _expected(trial: Trial) -> float:
+    """Its gain, were the likelihood a parabola: one that began at a bad place still has most of it ahead."""
+    return trial.gain if trial.fit.converged else trial.gain + trial.fit.ahead
 
 
 def _promise(trial: Trial) -> float:

@@ -32,7 +32,7 @@ class CauseParameter:
     neutral: float  # absent; inf for limits
     low: float  # of the physical range
     high: float
-    probes: tuple[float, ...]  # values at which the screen looks: the effect is small there, but not a rounding error
+    probes: tuple[float, ...]  # where the screen looks: small, no rounding error; larger where the signature bends
 
     def coordinate(self, value: float) -> float:
         """The number that the estimator moves."""

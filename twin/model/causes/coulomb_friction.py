@@ -23,7 +23,7 @@ CAUSE = Cause(
     source="a ball that touches its guide",
     parameters=(
         CauseParameter(
-            name="force_n", symbol="F_f", unit="N", place=FORCE, neutral=0.0, low=0.0, high=0.05, probes=(0.0005,)
+            name="force_n", symbol="F_f", unit="N", place=FORCE, neutral=0.0, low=0.0, high=0.05, probes=(0.0005, 0.004)
         ),
     ),
     signature="the ball sticks and slips under a slow reference; i_c at one height differs between rising and sinking",

@@ -22,7 +22,7 @@ CAUSE = Cause(
     source="eddy currents in a solid core hold the field back",
     parameters=(
         CauseParameter(
-            name="tau_s", symbol="tau", unit="s", place=TAU, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
+            name="tau_s", symbol="tau", unit="s", place=TAU, neutral=0.0, low=0.0, high=0.02, probes=(0.0002, 0.002)
         ),
     ),
     signature="the acceleration lags the measured current, the more the faster the current changes",

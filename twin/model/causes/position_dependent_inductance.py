@@ -21,7 +21,7 @@ CAUSE = Cause(
     source="L = L_0 + 2 K_c / gap follows from (3) by energy; the paper neglects it on purpose",
     parameters=(
         CauseParameter(
-            name="growth", symbol="growth", unit="", place=GROWTH, neutral=0.0, low=0.0, high=10.0, probes=(0.3,)
+            name="growth", symbol="growth", unit="", place=GROWTH, neutral=0.0, low=0.0, high=10.0, probes=(0.3, 1.5)
         ),
     ),
     signature="i_c settles more slowly with the ball high than with the ball low, at the same step of u_c",

@@ -22,7 +22,7 @@ CAUSE = Cause(
     source="demodulator and anti-alias filter",
     parameters=(
         CauseParameter(
-            name="tau_s", symbol="tau", unit="s", place=TAU, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
+            name="tau_s", symbol="tau", unit="s", place=TAU, neutral=0.0, low=0.0, high=0.02, probes=(0.0002, 0.002)
         ),
     ),
     signature="x lags what the forces say while i_c does not; impacts at the stops are rounded",
