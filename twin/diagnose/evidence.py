@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from protocol.campaign import Plant
-from twin.diagnose.filter import RESTS_HIGH, RESTS_LOW
+from twin.diagnose.filter import RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN
 from twin.identify.innovations import FLIES, FOLLOWS, USE_I, USE_X, Series
 from twin.identify.liftoff import LiftOff, equilibria, lift_offs
 from twin.identify.prepare import Usage, prepare
@@ -70,6 +70,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
     held = [held_samples(record, plant) for record in records]
     notes: list[str] = []
     blind = _range_ends(records, held)
+    noise_shows = _noise(records) > _count(records)
     seen = [still & ~np.isin(record.x, blind) for record, still in zip(records, held, strict=True)]
     low, high = _stops(records, seen, plant, notes) if stops is None else stops
     lifted = [_on_platform(record, still, low, plant) for record, still in zip(records, seen, strict=True)]
@@ -106,6 +107,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
             own = flags[:n]
             own[at_converter_end(record.i_c)] &= np.uint8(~USE_I & 0xFF)
             own[np.isin(record.x, blind)] &= np.uint8(~(FLIES | USE_X) & 0xFF)
+            cut = at_converter_end(record.x) if noise_shows else np.zeros(n, np.bool_)
             if told.kind in _OPEN_LOOP:
                 _trim(own)
             own[still & (own & FLIES != 0)] &= np.uint8(~(FLIES | USE_X) & 0xFF)
@@ -116,10 +118,13 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
             )
             for mask, bit in zip(on_stop, (RESTS_LOW, RESTS_HIGH), strict=True):
                 free = own & FLIES == 0
-                own[mask & free & np.isfinite(record.x)] |= np.uint8(bit | USE_X)
+                own[mask & free & np.isfinite(record.x)] |= np.uint8(bit)
+                own[mask & free & np.isfinite(record.x) & ~cut] |= np.uint8(USE_X)
+            if not lifted[number]:
+                own[_unseen(record, still, blind) & (own & FLIES == 0)] |= np.uint8(RESTS_UNSEEN)
             if told.kind in _OPEN_LOOP:
                 # Between bounces nobody knows the speed, and with it what a moving ball does to the current.
-                own[own & (FLIES | RESTS_LOW | RESTS_HIGH) == 0] &= np.uint8(~USE_I & 0xFF)
+                own[own & (FLIES | RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) == 0] &= np.uint8(~USE_I & 0xFF)
         if record.kind == "amplifier-step" and lifts_at is not None:
             _until_lifted(flags, series, lifts_at)
         parts.append(replace(series, flags=flags, x=x, recording=np.full(len(series), number, np.int32)))
@@ -230,12 +235,31 @@ def _range_ends(records: Sequence[Record], held: Sequence[BoolArray]) -> list[fl
     return sorted(found)
 
 
+def _unseen(record: Record, still: BoolArray, blind: Sequence[float]) -> BoolArray:
+    """Where the ball is held beyond the range of its sensor, shape (n,): i_c says there what it says at any rest."""
+    mask = np.zeros(len(record.t), np.bool_)
+    beyond = np.isin(record.x, blind)
+    for piece in runs(still, HELD_SAMPLES):
+        if np.mean(beyond[piece]) > CLIPPED_SHARE:
+            mask[piece.start + EDGE_SAMPLES : piece.stop - EDGE_SAMPLES] = True
+    return mask
+
+
 def _noise(records: Sequence[Record]) -> float:
     """Noise of position readings between the ends of their recording, m: the least that one of them shows."""
     found = []
     for x in (record.x[np.isfinite(record.x)] for record in records):
         between = x[(x != x.min()) & (x != x.max())] if len(x) else x
         found += [noise_of(between)] if len(between) >= HELD_SAMPLES else []
+    return min(found, default=0.0)
+
+
+def _count(records: Sequence[Record]) -> float:
+    """Step of the position converter, m: the smallest between two readings; 0 without two."""
+    found = []
+    for record in records:
+        steps = np.diff(np.unique(record.x[np.isfinite(record.x)]))
+        found += [float(steps.min())] if len(steps) else []
     return min(found, default=0.0)
 
 
@@ -299,14 +323,15 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
     A window far noisier than the others is none of rest: a current that still settles when u_c stands, a touched rig.
     """
     series = evidence.series
-    rest = series.flags & (RESTS_LOW | RESTS_HIGH) != 0
+    rest = series.flags & (RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) != 0
     squares: tuple[list[float], list[float]] = ([], [])
     for piece in runs(rest, 2 * HELD_SAMPLES):
         for start in range(piece.start, piece.stop - HELD_SAMPLES + 1, HELD_SAMPLES):
             window = slice(start, start + HELD_SAMPLES)
-            usable = (series.flags[window] & USE_I != 0).all() and np.ptp(series.u[window]) == 0.0
+            uses = series.flags[window]
+            usable = ((uses & USE_I != 0).all() and np.ptp(series.u[window]) == 0.0, (uses & USE_X != 0).all())
             for place, values in ((0, series.i[window]), (1, series.x[window])):
-                if place == 0 and not usable:
+                if not usable[place]:
                     continue
                 line = np.polynomial.polynomial.polyfit(_LINE, values, 1)
                 residual = values - np.polynomial.polynomial.polyval(_LINE, line)

@@ -5,6 +5,7 @@ the extended model alone, the sensitivities are its differences.
 
 Rule 1: the flags are those of `innovations.py`, and RESTS_LOW, RESTS_HIGH: the ball lies at a stop, whose place is
         known.  There the position sensor is tested alone: its offset, scale and crosstalk show without any force.
+        RESTS_UNSEEN: it lies beyond the range of its sensor, and i_c is that of a ball at rest.
 Rule 2: only the states that the causes at hand give a life of their own are in the covariance: with the paper's model
         three, so that a candidate costs what it needs.
 Rule 3: the first reading that tells the speed of a flight corrects the state and is not counted as predicted.
@@ -46,7 +47,7 @@ from twin.model.extended import (
     position_reading,
 )
 
-RESTS_LOW, RESTS_HIGH = 16, 32
+RESTS_LOW, RESTS_HIGH, RESTS_UNSEEN = 16, 32, 64
 OUT_COLUMNS = 5  # nu_i, nu_x, S_ii, S_ix, S_xx; NaN where nothing was predicted
 UNKNOWN_INPUTS = 2  # samples after a start whose u_c may not be in force yet; not a matter of the model at hand
 _ACCELERATION_M_S2 = 15.0  # of a flight's beginning
@@ -173,7 +174,8 @@ def run_extended(
     if heats:
         k_warm, active[m] = m, WARMTH
         m += 1
-    y, moved = np.zeros(STATES), np.zeros(STATES)
+    y, here, moved, back = np.zeros(STATES), np.zeros(STATES), np.zeros(STATES), np.zeros(STATES)
+    rubs = c[coulomb_friction.FORCE] != 0.0
     P, F, G = np.zeros((m, m)), np.zeros((m, m)), np.zeros((m, m))
     h_i, h_x, K = np.zeros(m), np.zeros(m), np.zeros(m)
     gain_i = c[current_sensor_gain.GAIN]
@@ -198,21 +200,32 @@ def run_extended(
             T_s = step[n]
             q_i = q_per_s * T_s
             if in_flight and flies:
+                for k in range(STATES):
+                    here[k] = y[k]
+                drive_over(base, c, y, u, n, first, t[n - 1], T_s, False)
                 for column in range(m):
                     for k in range(STATES):
-                        moved[k] = y[k]
+                        moved[k] = here[k]
                     a = active[column]
                     delta = _DELTA[a]
+                    if rubs and a <= V:
+                        delta = max(delta, math.sqrt(P[column, column]))
                     moved[a] += delta
                     if a == I_C and not eddies:
                         moved[FIELD] = moved[I_C]
                     drive_over(base, c, moved, u, n, first, t[n - 1], T_s, False)
-                    for row in range(m):
-                        F[row, column] = moved[active[row]]
-                drive_over(base, c, y, u, n, first, t[n - 1], T_s, False)
-                for row in range(m):
-                    for column in range(m):
-                        F[row, column] = (F[row, column] - y[active[row]]) / _DELTA[active[column]]
+                    if rubs and a <= V:
+                        for k in range(STATES):
+                            back[k] = here[k]
+                        back[a] -= delta
+                        if a == I_C and not eddies:
+                            back[FIELD] = back[I_C]
+                        drive_over(base, c, back, u, n, first, t[n - 1], T_s, False)
+                        for row in range(m):
+                            F[row, column] = (moved[active[row]] - back[active[row]]) / (2.0 * delta)
+                    else:
+                        for row in range(m):
+                            F[row, column] = (moved[active[row]] - y[active[row]]) / delta
                 for row in range(m):
                     for column in range(m):
                         total = 0.0

@@ -20,7 +20,7 @@ from twin.control import LawNumbers
 from twin.design.gains import LARGEST_U_SHARE, LARGEST_X_SHARE, TIME_CONSTANTS, augmented
 from twin.diagnose.theta import Theta
 from twin.identify.lawcheck import WIDE_V, numbers_of
-from twin.model.causes import current_limit
+from twin.model.causes import coulomb_friction, current_limit
 from twin.model.extended import (
     FIELD,
     I_C,
@@ -151,6 +151,7 @@ def _over_a_tick(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(15) by differences, for [i_c, x, x'] and u_c: shapes (3, 3), (3, 1)."""
     base, c = tuple(theta.base(plant)), theta.vector()
+    c[coulomb_friction.FORCE] = 0.0  # it would hold the ball against any difference
     rows = (I_C, X, V)
 
     def end(state: int | None, by: float, du: float) -> NDArray[np.float64]:

@@ -85,6 +85,8 @@ def select(
         pass
     if share == SHARE and not quick and _material(criterion, found, floor):
         found = _together(criterion, found, floor, candidates, few, say)
+    if not quick and len(found.causes) > MOST_TOGETHER:
+        _one_for_two(criterion, found, candidates, few, say)
     if classes:
         stand_ins(criterion, found, candidates=candidates, few=few, quick=quick, say=say)
     return found
@@ -209,6 +211,29 @@ def _backward(criterion: Criterion, found: Selection, say: Say, passes: int) -> 
             say(f"dropped: {cause} (the others explain it)")
         else:
             found.gains[cause] = loss
+
+
+def _one_for_two(criterion: Criterion, found: Selection, candidates: Sequence[Cause], few: int, say: Say) -> None:
+    """One cause in the place of the smallest and another, if it explains as much as both.
+
+    So many are rarely at work at once, and two that stand in for a third are never superfluous one by one.
+    """
+    least, *partners = sorted(found.causes, key=lambda cause: found.gains[cause])
+    others = [entry for entry in candidates if entry.name not in found.causes]
+    for partner in partners:
+        pair = (least, partner)
+        theta = found.fit.theta.without(least).without(partner)
+        free = tuple(name for name in found.fit.free if name.partition(".")[0] not in pair)
+        bare = climb(criterion, roused(theta), free)
+        wanted = found.fit.loglik - bare.loglik - MARGIN
+        scores = [score for score in screen(criterion, bare.theta, bare.free, others) if score.testable][:few]
+        for trial in fitted(criterion, bare, scores, beaten=wanted):
+            if trial.gain > wanted and inside(trial):
+                say(f"{trial.cause} explains as much as {least} and {partner} together: it takes their place")
+                found.causes = [cause for cause in found.causes if cause not in pair] + [trial.cause]
+                found.gains = {cause: found.gains.get(cause, trial.gain) for cause in found.causes}
+                found.fit = found.smaller[frozenset(trial.fit.free)] = trial.fit
+                return
 
 
 def _rivals(

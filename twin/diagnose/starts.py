@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from protocol.campaign import Plant
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.probes import probes_of
 from twin.diagnose.screen import Score, probed
@@ -20,6 +21,7 @@ from twin.identify.record import Record
 from twin.identify.start import amplifier_start
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause
+from twin.model.extended import position_of_reading, position_reading
 
 _REACH = 20.0  # probes: farther the signature is another
 _LEAST = 0.05
@@ -44,18 +46,29 @@ def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
             for T_A in sorted(times):
                 for probe in probes_of(cause, criterion.evidence.series):
                     starts.append(probed(replace(theta, K_A=K_A, T_A=T_A), cause, probe))
-    starts = _with_stops(starts, cause)
+    starts = _with_stops(criterion.plant, theta, starts, cause)
     return starts[int(np.argmax(criterion.values(starts)))]
 
 
-def _with_stops(starts: list[Theta], cause: Cause) -> list[Theta]:
-    """Of a sensor's cause, also with the stops where everybody thinks they are.
+def _with_stops(plant: Plant, theta: Theta, starts: list[Theta], cause: Cause) -> list[Theta]:
+    """Of a sensor's cause, also with the stops where everybody thinks they are, and where they show the same as before.
 
-    Without it the model shifts the stops to where the sensor shows them; both at once is wrong twice.
+    Without it the model shifts the stops to where the sensor shows them; both at once is wrong twice.  A part of an
+    offset with the stops where they are is wrong by hundreds of standard errors at rest, and nothing else counts then.
     """
     if cause.family != "sensing":
         return starts
-    return [*starts, *(replace(start, stop_low_m=0.0, stop_high_m=0.0) for start in starts)]
+    at_home = [replace(start, stop_low_m=0.0, stop_high_m=0.0) for start in starts]
+    return [*starts, *at_home, *(_shown_alike(plant, theta, start) for start in starts)]
+
+
+def _shown_alike(plant: Plant, theta: Theta, start: Theta) -> Theta:
+    p, before, after = theta.base(plant), theta.vector(), start.vector()
+    low, high = (
+        float(position_of_reading(p, after, position_reading(p, before, stop, 0.0), 0.0))
+        for stop in (theta.stop_low_m, plant.travel_m + theta.stop_high_m)
+    )
+    return replace(start, stop_low_m=low, stop_high_m=high - plant.travel_m)
 
 
 def beside(criterion: Criterion, theta: Theta, own: Cause, rival: Cause) -> Theta:
@@ -73,7 +86,7 @@ def beside(criterion: Criterion, theta: Theta, own: Cause, rival: Cause) -> Thet
         size = theta.value(f"{own.name}.{own.strength.name}")
         sizes += [one for one in (size, -size) if strength.low <= one <= strength.high]
     bare = theta.without(own.name)
-    starts = _with_stops([probed(bare, rival, one) for one in sizes], rival)
+    starts = _with_stops(criterion.plant, theta, [probed(bare, rival, one) for one in sizes], rival)
     return starts[int(np.argmax(criterion.values(starts)))]
 
 

@@ -54,8 +54,6 @@ from twin.model.causes.cause import Vector
 I_C, X, V, FIELD, SENSOR, WARMTH = range(6)
 STATES = 6
 PARTS = (0.0625, 0.1875, 0.25, 0.5)  # of an interval: its substeps
-RUBS_S = 2.5e-4  # a substep of a ball that dry friction may stop within it
-HARDEST_M_S2 = 20.0  # of braking: a faster ball does not come to its standstill, where friction is stiff
 SHORT_S = 1e-4  # an interval as in a 25 kHz capture is one substep
 GAP_MIN_SHARE = 0.01  # of the travel: nearer to the coil's plane than this, (3) is not evaluated
 
@@ -90,8 +88,8 @@ def magnetic_force(p: Base, c: Vector, field: float, x: float) -> float:
 
 @kernel
 def acceleration(p: Base, c: Vector, field: float, x: float, v: float, t: float) -> float:
-    """Acceleration x'' of (6) away from the stops, m/s^2."""
-    force = magnetic_force(p, c, field, x) - p.b * v - quadratic_drag.drag_n(c, v) - coulomb_friction.friction_n(c, v)
+    """Acceleration x'' of (6) away from the stops and without dry friction, m/s^2."""
+    force = magnetic_force(p, c, field, x) - p.b * v - quadratic_drag.drag_n(c, v)
     force += constant_force.force_n(c) + periodic_disturbance.force_n(c, t)
     return force / p.mass_kg - p.gravity_m_s2
 
@@ -157,16 +155,17 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
                 break
             h = duration if coarse else duration * PARTS[part]
             left = 1
-            # Dry friction is stiff near standstill: a substep must be shorter than the ball takes to stop.  The induced
-            # voltage ties i_c to x'.
-            if stiff:
+            if stiff:  # the induced voltage ties i_c to x'
                 left = 3
-            if rubs and abs(y[V]) < HARDEST_M_S2 * h + 10.0 * coulomb_friction.CREEP_M_S:
-                left = max(left, math.ceil(h / RUBS_S))
             h /= left
         left -= 1
         i, x, v, f, s = y[I_C], y[X], y[V], y[FIELD], y[SENSOR]
         a1 = acceleration(p, c, f, x, v, t)
+        free, brake, held = a1, 0.0, False
+        if rubs:
+            brake = coulomb_friction.brakes(c, p.mass_kg, v, free)
+            held = brake == 0.0
+            a1 = 0.0 if held else a1 - brake
         v2 = v + 0.5 * h * a1
         target = drive(p, c, u, y[WARMTH]) - p.K_A * freewheel_diode.lost_v(c, u, i, p.K_A)
         gap, T_A = plane - x, p.T_A
@@ -183,7 +182,7 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
             half_decay = math.exp(-0.5 * h / p.T_A)
             i_half = target + (i - target) * half_decay
         f_half = eddy_current_lag.lagged(c, f, i, i_half, 0.5 * h)
-        a2 = acceleration(p, c, f_half, x + 0.5 * h * v, v2, t + 0.5 * h)
+        a2 = 0.0 if held else acceleration(p, c, f_half, x + 0.5 * h * v, v2, t + 0.5 * h) - brake
         if shaped:
             lead = motional_emf.lead(c, v + (h - late) * a2, gap, gap_mid)
             i_next = current_limit.limited(c, slew_rate_limit.relaxed(c, i_half, target / lead, T_A / lead, 0.5 * h))
@@ -191,11 +190,19 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
             i_next = target + (i_half - target) * half_decay
         f_next = eddy_current_lag.lagged(c, f_half, i_half, i_next, 0.5 * h)
         v3 = v + 0.5 * h * a2
-        a3 = acceleration(p, c, f_half, x + 0.5 * h * v2, v3, t + 0.5 * h)
+        a3 = acceleration(p, c, f_half, x + 0.5 * h * v2, v3, t + 0.5 * h) - brake
         v4 = v + h * a3
-        a4 = acceleration(p, c, f_next, x + h * v3, v4, t + h)
+        a4 = acceleration(p, c, f_next, x + h * v3, v4, t + h) - brake
         x_next = x + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
         v_next = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+        if held:
+            after = acceleration(p, c, f_next, x, 0.0, t + h)
+            v_next, path = coulomb_friction.let_go(c[coulomb_friction.FORCE] / p.mass_kg, free, after, h)
+            x_next = x + path
+        elif brake * v_next < 0.0:
+            after = acceleration(p, c, f_next, x, 0.0, t + h)
+            v_next, path = coulomb_friction.turned(abs(brake), v, v_next, x_next - x, free, after, h)
+            x_next = x + path
         if stops and x_next <= 0.0:
             x_next, v_next = 0.0, max(v_next, 0.0)
         elif stops and x_next >= p.travel_m:

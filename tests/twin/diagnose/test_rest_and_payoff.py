@@ -16,7 +16,8 @@ from twin.diagnose.estimate import climb
 from twin.diagnose.evidence import gather, sensor_noise
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.payoff import removed
-from twin.diagnose.starts import beside
+from twin.diagnose.screen import screen
+from twin.diagnose.starts import beside, start_of
 from twin.diagnose.theta import BASE, STOPS, Theta
 from twin.identify.reading import read_campaign
 from twin.model.causes.catalogue import BY_NAME
@@ -103,3 +104,46 @@ def test_a_ball_beyond_the_range_of_its_sensor_shows_no_stop(campaign: Campaign)
 
     assert seen.low_m == pytest.approx(offset_m, abs=5e-5)
     assert unseen.low_m is None
+
+
+def test_noise_that_the_end_of_a_range_cuts_off_is_not_measured(campaign: Campaign) -> None:
+    """Half of it would pass for a quieter sensor, and any model for one that leaves more than noise."""
+    records = read_campaign(campaign)
+    whole_i, whole_x = sensor_noise(gather(records, campaign.plant))
+    assert whole_x is not None
+    end = 0.2 * whole_x  # of the range: three in five readings of a ball at rest lie there
+    cut = [replace(record, x=np.maximum(record.x, end)) for record in records]
+
+    sigma_i, sigma_x = sensor_noise(gather(cut, campaign.plant))
+
+    assert sigma_i == whole_i
+    assert sigma_x is None  # the ball rests too shortly at the upper stop
+    assert gather(cut, campaign.plant).low_m is not None
+
+
+def test_the_current_of_a_ball_that_rests_unseen_tells_its_noise(campaign: Campaign) -> None:
+    """Both stops beyond the range: nothing else in the campaign says how good the current sensor is."""
+    records = read_campaign(campaign)
+    seen_i, _ = sensor_noise(gather(records, campaign.plant))
+    ends = 0.3e-3, campaign.plant.travel_m - 0.3e-3
+    blinded = [replace(record, x=np.clip(record.x, *ends)) for record in records]
+
+    evidence = gather(blinded, campaign.plant)
+
+    assert (evidence.low_m, evidence.high_m) == (None, None)
+    assert sensor_noise(evidence)[0] == pytest.approx(seen_i, rel=0.05)
+
+
+def test_a_sensor_that_reads_too_small_is_tried_where_it_does(campaign: Campaign) -> None:
+    """A part of the linear step puts the upper stop off by dozens of standard errors, unless the stop moves with it."""
+    gain = 0.91
+    shrunk = [replace(record, x=gain * record.x, x_ref=gain * record.x_ref) for record in read_campaign(campaign)]
+    criterion = Criterion(gather(shrunk, campaign.plant), campaign.plant, 2e-3, workers=1)
+    try:
+        base = climb(criterion, start_theta(shrunk, campaign.plant), (*BASE, *STOPS))
+        (score,) = screen(criterion, base.theta, base.free, [BY_NAME["position-sensor-gain"]])
+        value = criterion.value(start_of(criterion, base.theta, score))
+    finally:
+        criterion.close()
+
+    assert value > base.loglik

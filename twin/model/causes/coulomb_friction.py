@@ -11,7 +11,6 @@ from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 
 FORCE = 15
-CREEP_M_S = 2e-4  # slower than this the ball counts as held
 
 CAUSE = Cause(
     name="coulomb-friction",
@@ -34,8 +33,56 @@ CAUSE = Cause(
 
 
 @kernel
-def friction_n(c: Vector, v: float) -> float:
-    """The force against the motion, N; steep through zero speed, so that a ball at rest is held."""
-    if c[FORCE] == 0.0:
-        return 0.0
-    return c[FORCE] * math.tanh(v / CREEP_M_S)
+def brakes(c: Vector, mass_kg: float, v: float, free: float) -> float:
+    """The deceleration of a ball at speed v, signed as the motion it opposes, m/s^2; 0 if it holds the ball.
+
+    Args:
+        c: the causes' parameters.
+        mass_kg: of the ball.
+        v: its speed, m/s.
+        free: its acceleration without dry friction, m/s^2.
+    """
+    most = c[FORCE] / mass_kg
+    if v > 0.0 or (v == 0.0 and free > most):
+        return most
+    if v < 0.0 or (v == 0.0 and free < -most):
+        return -most
+    return 0.0
+
+
+@kernel
+def let_go(most: float, before: float, after: float, h: float) -> tuple[float, float]:
+    """(speed in m/s, path in m) of a ball h s after it stood still.
+
+    Its free acceleration goes straight from `before` to `after`; friction holds or brakes it with up to `most`, m/s^2.
+    """
+    way = math.copysign(1.0, after if abs(before) <= most else before)
+    first, last = way * before - most, way * after - most
+    if first < 0.0:
+        if last <= 0.0:
+            return 0.0, 0.0
+        h *= last / (last - first)
+        first = 0.0
+    last = max(last, 0.0)
+    return 0.5 * way * (first + last) * h, way * (2.0 * first + last) * h * h / 6.0
+
+
+@kernel
+def turned(
+    most: float, v: float, v_next: float, path: float, before: float, after: float, h: float
+) -> tuple[float, float]:
+    """(speed in m/s, path in m) of a ball that comes to a standstill within h s, and what `let_go` makes of the rest.
+
+    Args:
+        most: that friction brakes, m/s^2.
+        v: speed at the beginning, m/s.
+        v_next: speed at the end had friction not turned round at the standstill, of the other sign.
+        path: m, likewise.
+        before: free acceleration at the beginning, m/s^2.
+        after: at the end.
+        h: s.
+    """
+    left = h * v_next / (v_next - v)
+    at_rest = after + (before - after) * left / h
+    speed, further = let_go(most, at_rest, after, left)
+    return speed, path - 0.5 * v_next * left + further
