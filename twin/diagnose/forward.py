@@ -16,6 +16,7 @@ from twin.diagnose.likelihood import Criterion
 from twin.diagnose.payoff import removed
 from twin.diagnose.screen import Score, screen
 from twin.diagnose.trials import Trial, fitted, inside, rises
+from twin.model.causes import coulomb_friction
 from twin.model.causes.cause import Cause
 
 THRESHOLD = 10.0  # of log-likelihood: z = 4.5, and more than the most of 30 candidates reaches by chance
@@ -23,6 +24,8 @@ TRIFLE = 0.005  # of what the causes found so far gain together: below, it mends
 BESIDE_NOISE = 0.015  # the same, once what is left is hardly more than noise
 SHARE = 0.2  # of the excess that is left
 PAYS = 0.5  # of the mean square error of x 20 ms ahead: a smaller share will do for a cause that removes so much
+# A ball that is held is predicted well wherever it hovers, by whatever the model lacks: no evidence of what holds it.
+HOLDS = coulomb_friction.CAUSE.name
 _FAR_BEHIND = 0.02  # of the best gain on the screen: such a candidate will not be the best
 Say = Callable[[str], None]
 
@@ -106,12 +109,16 @@ def decided(
         why = f"{best.cause} would be best, but is a trifle beside what was found"
     elif not floor.material(at.loglik) and best.gain < BESIDE_NOISE * gained:
         why = f"{best.cause} would be best, but hardly more than noise is left, and it is a trifle"
-    elif floor.material(at.loglik) and share < least and removed(criterion, at.theta, best.fit.theta) < pays:
+    elif floor.material(at.loglik) and share < least and not _pays_off(criterion, at, best, pays):
         why = f"{best.cause} would be best, but explains {100 * share:.0f} % of what is left"
     else:
         taken = best.cause
         trials = [best, *(trial for trial in trials if trial is not best)]
     return Round(scores=tuple(scores), trials=tuple(trials), taken=taken, why=why)
+
+
+def _pays_off(criterion: Criterion, at: Fit, best: Trial, pays: float) -> bool:
+    return best.cause != HOLDS and removed(criterion, at.theta, best.fit.theta) >= pays
 
 
 def _pays(least: float) -> float:

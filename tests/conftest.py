@@ -1,4 +1,4 @@
-"""Hypothesis for all tests here: the same examples on every run, and no deadline that a busy machine could miss."""
+"""Hypothesis for all tests: the same examples on every run, and no deadline that a busy machine could miss."""
 
 from hypothesis import settings
 
