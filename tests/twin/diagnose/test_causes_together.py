@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from protocol.campaign import load
 from tests.twin.diagnose.hidden_campaign import make_campaign
+from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
 from twin.diagnose import forward
 from twin.diagnose import select as search
 from twin.diagnose.begin import no_better, start_theta
 from twin.diagnose.estimate import climb
 from twin.diagnose.evidence import gather
-from twin.diagnose.floor import floor_of
+from twin.diagnose.floor import Floor, floor_of
 from twin.diagnose.likelihood import Criterion
-from twin.diagnose.theta import BASE, STOPS
+from twin.diagnose.screen import probed
+from twin.diagnose.theta import BASE, STOPS, coordinates_of
+from twin.diagnose.trials import MARGIN, Trial
 from twin.identify.reading import read_campaign
 from twin.model.causes.catalogue import BY_NAME
 
@@ -52,3 +56,53 @@ def test_causes_that_hide_each_other_are_taken_together_or_not_at_all(
     assert abs(right.excess(both.fit.loglik)) < 3.0 * right.error * right.readings
     assert both.fit.theta.value("quadratic-drag.c_n_s2_m2") == pytest.approx(2.0, rel=0.05)
     assert both.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_one_cause_takes_the_place_of_two_that_stand_in_for_it(tmp_path: Path) -> None:
+    stand_ins = ("position-sensor-nonlinearity", "force-exponent", "quadratic-drag")
+    make_campaign(tmp_path / "both", effects=HIDDEN, seed=310, plant="independent", quick=True)
+    campaign = load(tmp_path / "both")
+    criterion = Criterion(gather(read_campaign(campaign), campaign.plant), campaign.plant, 2e-3, workers=1)
+    try:
+        base = climb(criterion, start_theta(read_campaign(campaign), campaign.plant), (*BASE, *STOPS))
+        free = (*base.free, *(name for cause in stand_ins for name in coordinates_of(cause)))
+        fit = climb(criterion, probed(base.theta, BY_NAME["quadratic-drag"], 2.0), free)
+        gains = dict(zip(stand_ins, (1.0, 2.0, 3.0), strict=True))
+        found = search.Selection(base=base, fit=fit, causes=[*stand_ins], gains={**gains})
+        unmoved = replace(found, causes=[*stand_ins], gains={**gains})
+        search._one_for_two(criterion, unmoved, (BY_NAME["constant-force"],), 3, lambda line: None)
+        search._one_for_two(criterion, found, (*TRIED, BY_NAME["force-exponent"]), 3, lambda line: None)
+    finally:
+        criterion.close()
+
+    assert unmoved.causes == list(stand_ins)
+    assert set(found.causes) == set(found.gains) == set(HIDDEN)
+    assert found.fit.loglik > fit.loglik - MARGIN
+    assert found.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
+
+
+def test_a_ball_that_is_held_is_well_predicted_and_that_proves_no_friction(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Prediction pays for a cause that explains a tenth of what is left, but not for one that stops the ball."""
+    rig = strong("coulomb-friction", 4e-3)
+    criterion = criterion_of(narrow(rig))
+    try:
+        base = fitted(criterion, THETA)
+        rubs = fitted(criterion, rig, "coulomb-friction")
+        excess = rubs.loglik - base.loglik
+        floor = Floor(sigma_i_c_a=2e-3, sigma_x_m=5e-6, measured=True, loglik=0.0, readings=0).under(
+            criterion, base.theta
+        )
+        floor_excess = floor.excess(base.loglik)
+        trial = Trial(cause="coulomb-friction", fit=rubs, gain=0.1 * floor_excess)
+        held = forward.decided(criterion, base, floor, [], [trial], 0.0, forward.SHARE)
+        monkeypatch.setattr(forward, "HOLDS", "")
+        other = forward.decided(criterion, base, floor, [], [trial], 0.0, forward.SHARE)
+    finally:
+        criterion.close()
+
+    assert min(excess, floor_excess) > 100.0
+    assert held.taken == ""
+    assert "explains 10 % of what is left" in held.why
+    assert other.taken == "coulomb-friction"
