@@ -256,7 +256,9 @@ def _decades(ax: Axes) -> None:
 
 def _short(label: str) -> str:
     """A recording by its name alone, without folder and ending; both ends of what is still too long."""
-    label = label.rpartition("/")[2].removesuffix(".gz").removesuffix(".csv").removesuffix(".mcap")
+    stem = label.removesuffix(".gz").removesuffix(".csv").removesuffix(".mcap")
+    if stem != label:  # "slower than 1 mm/s" is no file
+        label = stem.rpartition("/")[2]
     return label if len(label) <= 24 else label[:11] + "…" + label[-12:]
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from tests.twin.diagnose.known_diagnosis import diagnosis
 from tests.twin.diagnose.simulated_rig import controller
+from twin.diagnose.figures import _short
 from twin.diagnose.report import to_html
 from twin.diagnose.result import Diagnosis, Proposal
 from twin.diagnose.show import shown
@@ -141,6 +142,20 @@ def test_the_page_is_made_in_time() -> None:
     page(found_gap())
 
     assert time.process_time() - began < 6.0
+
+
+@pytest.mark.parametrize(
+    ("label", "drawn"),
+    [
+        ("slower than 1 mm/s", "slower than 1 mm/s"),
+        ("later than 500 ms", "later than 500 ms"),
+        ("runs/closed_loop_5.csv.gz", "closed_loop_5"),
+        ("runs/monday.mcap", "monday"),
+        ("rig/cl_sinusoidal_fast__LQR_tracking_KF.csv.gz", "cl_sinusoid…_tracking_KF"),
+    ],
+)
+def test_a_group_of_errors_is_drawn_with_its_name(label: str, drawn: str) -> None:
+    assert _short(label) == drawn
 
 
 def test_names_of_files_cannot_break_the_page() -> None:
