@@ -106,3 +106,17 @@ def test_a_ball_that_is_held_is_well_predicted_and_that_proves_no_friction(monke
     assert held.taken == ""
     assert "explains 10 % of what is left" in held.why
     assert other.taken == "coulomb-friction"
+
+
+def test_dry_friction_is_climbed_to_from_a_wrong_model() -> None:
+    """A filter that takes a slow ball for held, or for free, has a likelihood that no climb gets up."""
+    rig = strong("coulomb-friction", 4e-3)
+    criterion = criterion_of(narrow(rig))
+    try:
+        base = fitted(criterion, THETA)
+        found = fitted(criterion, strong("coulomb-friction", 1e-3, base.theta), "coulomb-friction")
+    finally:
+        criterion.close()
+
+    assert found.theta.value("coulomb-friction.force_n") == pytest.approx(4e-3, rel=0.02)
+    assert found.theta.process_a_m_s2 < 0.1 * base.theta.process_a_m_s2
