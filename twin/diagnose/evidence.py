@@ -17,6 +17,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from protocol.campaign import Plant
+from twin.diagnose.bridge import between, bridged, mark
 from twin.diagnose.filter import RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN
 from twin.identify.innovations import FLIES, FOLLOWS, USE_I, USE_X, Series
 from twin.identify.liftoff import LiftOff, equilibria, lift_offs
@@ -32,6 +33,7 @@ LIFTS_SHARE = 0.97  # of the current at which the ball left its rest
 STAYS_S = 3e-3  # after that current is reached: it has risen 10 um by then
 POLE_SHARE = 0.06  # of the travel below x_max, where (3) has its pole: no flight is judged there
 EDGE_SAMPLES = 4  # left out at both ends of a rest: the ball rocks
+HOVERS_SHARE = 0.02  # of the travel: so far from where it reads in the same recording's other rests, it does not lie
 RESTLESS = 5.0  # of the median window's sum of squares: of ten thousand windows of noise none reaches it
 CLIPPED_SHARE = 0.8  # of a rest
 NOISE_LEAST_M = 1e-7  # with less, a ball at rest has one reading wherever it rests
@@ -66,7 +68,9 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         plant: mass, travel, x_max.
         stops: readings at the stops where other recordings have shown them already.
     """
-    records = tuple(records)
+    given = tuple(records)
+    rows = [bridged(record) for record in given]
+    records = [record for record, _ in rows]
     held = [held_samples(record, plant) for record in records]
     notes: list[str] = []
     blind = _range_ends(records, held)
@@ -99,7 +103,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         usages.append(usage)
         if not len(series):
             continue
-        flags, x, t = series.flags.copy(), series.x.copy(), np.zeros(len(series))
+        flags, i, x, t = series.flags.copy(), series.i.copy(), series.x.copy(), np.zeros(len(series))
         n = len(record.t) if record.has("u_c", "i_c") and len(record.t) > 1 else 0
         x[:n] = np.where(np.isfinite(record.x), record.x, 0.0)
         t[:n] = np.where(np.isfinite(record.t), record.t, 0.0)
@@ -125,13 +129,16 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
             if told.kind in _OPEN_LOOP:
                 # Between bounces nobody knows the speed, and with it what a moving ball does to the current.
                 own[own & (FLIES | RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) == 0] &= np.uint8(~USE_I & 0xFF)
+            mark(own, rows[number][1])
+            for values in (x, i):
+                between(values[:n], rows[number][1])
         if record.kind == "amplifier-step" and lifts_at is not None:
             _until_lifted(flags, series, lifts_at)
-        parts.append(replace(series, flags=flags, x=x, recording=np.full(len(series), number, np.int32)))
+        parts.append(replace(series, flags=flags, i=i, x=x, recording=np.full(len(series), number, np.int32)))
         times.append(t)
     statics = [*equilibria(list(records), plant), *lift_offs(platform, plant)]
     return Evidence(
-        records=records,
+        records=given,
         series=_join(parts),
         t=np.concatenate(times) if times else np.empty(0),
         usages=tuple(usages),
@@ -269,13 +276,28 @@ def _on(
     masks = []
     for stop in (low, high):
         mask = np.zeros(len(record.t), np.bool_)
-        if stop is not None:
-            for piece in runs(still, HELD_SAMPLES):
-                near = abs(float(np.median(record.x[piece])) - stop) < AGREE_SHARE * plant.travel_m
-                if near:
-                    mask[piece.start + EDGE_SAMPLES : piece.stop - EDGE_SAMPLES] = True
+        pieces = runs(still, HELD_SAMPLES) if stop is not None else []
+        near = [p for p in pieces if abs(float(np.median(record.x[p])) - (stop or 0.0)) < AGREE_SHARE * plant.travel_m]
+        for piece in _lying(record, near, plant):
+            mask[piece.start + EDGE_SAMPLES : piece.stop - EDGE_SAMPLES] = True
         masks.append(mask)
     return masks[0], masks[1]
+
+
+def _lying(record: Record, pieces: Sequence[slice], plant: Plant) -> list[slice]:
+    """Those of the rests near a stop that are of a ball which lies: one that hovers beside it reads differently.
+
+    A sensor with crosstalk shows one that lies along a line over i_c.
+    """
+    if len(pieces) < 2:
+        return list(pieces)
+    i_c, x = (np.concatenate([values[piece] for piece in pieces]) for values in (record.i_c, record.x))
+    known = np.isfinite(i_c) & np.isfinite(x)
+    if known.sum() < HELD_SAMPLES:
+        return list(pieces)
+    line = np.polynomial.Polynomial.fit(i_c[known], x[known], 1 if np.ptp(i_c[known]) > 0.0 else 0)
+    off = [abs(float(np.nanmedian(record.x[piece] - line(record.i_c[piece])))) for piece in pieces]
+    return [piece for piece, by in zip(pieces, off, strict=True) if not by > HOVERS_SHARE * plant.travel_m]
 
 
 def _rescaling(low: float | None, high: float | None, plant: Plant) -> tuple[float, float]:

@@ -5,11 +5,14 @@ the extended model alone, the sensitivities are its differences.
 
 Rule 1: the flags are those of `innovations.py`, and RESTS_LOW, RESTS_HIGH: the ball lies at a stop, whose place is
         known.  There the position sensor is tested alone: its offset, scale and crosstalk show without any force.
-        RESTS_UNSEEN: it lies beyond the range of its sensor, and i_c is that of a ball at rest.
+        RESTS_UNSEEN: it lies beyond the range of its sensor, and i_c is that of a ball at rest.  LOST: in the row of
+        a lost sample (`bridge.py`) nothing was read, and u_c from it on is unknown.
 Rule 2: only the states that the causes at hand give a life of their own are in the covariance: with the paper's model
         three, so that a candidate costs what it needs.
 Rule 3: the first reading that tells the speed of a flight corrects the state and is not counted as predicted.
 Rule 4: warmth at the start of a recording is unknown, and the filter finds it.
+Rule 5: the u_c of a lost sample is what brings the current to the next reading, within what noise leaves open.  The two
+        readings of i_c behind it correct the state and are not counted as predicted, whatever delay the model has.
 """
 
 from __future__ import annotations
@@ -27,8 +30,12 @@ from twin.model.causes import (
     coulomb_friction,
     current_sensor_gain,
     eddy_current_lag,
+    freewheel_diode,
+    motional_emf,
+    position_dependent_inductance,
     position_sensor_lag,
     sampling_delay,
+    slew_rate_limit,
 )
 from twin.model.extended import (
     FIELD,
@@ -43,14 +50,18 @@ from twin.model.extended import (
     advance,
     current_of_reading,
     current_reading,
+    drive,
     position_of_reading,
     position_reading,
 )
 
-RESTS_LOW, RESTS_HIGH, RESTS_UNSEEN = 16, 32, 64
+RESTS_LOW, RESTS_HIGH, RESTS_UNSEEN, LOST = 16, 32, 64, 128
 OUT_COLUMNS = 5  # nu_i, nu_x, S_ii, S_ix, S_xx; NaN where nothing was predicted
 UNKNOWN_INPUTS = 2  # samples after a start whose u_c may not be in force yet; not a matter of the model at hand
 _ACCELERATION_M_S2 = 15.0  # of a flight's beginning
+_UNKNOWN_INPUT_V = 1.0  # standard deviation of a lost u_c about the one before
+_INPUT_DELTA_V = 1e-3
+_ANSWERS = 0.02  # of K_A: what i_c must answer to u_c within the interval, to be asked for it
 _WARMTH = (0.25, 0.3)  # A^2: of a recording's start, mean and standard deviation
 _DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4])  # of the states, for differences
 
@@ -88,6 +99,53 @@ def drive_over(
     part = delay - whole * T_s
     advance(base, c, y, u[max(n - 2 - whole, first)], t, part, stops)
     advance(base, c, y, u[max(n - 1 - whole, first)], t + part, T_s - part, stops)
+
+
+@kernel
+def _find_input(
+    base: Packed,
+    c: NDArray[np.float64],
+    here: NDArray[np.float64],
+    u: NDArray[np.float64],
+    lost: int,
+    n: int,
+    first: int,
+    t: float,
+    T_s: float,
+    reading: float,
+    trial: NDArray[np.float64],
+) -> None:
+    """Put into u[lost] what brings i_c from the state `here` at n - 1 to its reading at n; `trial`: room."""
+    held = u[lost]
+    for _ in range(3):
+        trial[:] = here
+        drive_over(base, c, trial, u, n, first, t, T_s, False)
+        i_c = current_reading(c, trial[I_C])
+        u[lost] += _INPUT_DELTA_V
+        trial[:] = here
+        drive_over(base, c, trial, u, n, first, t, T_s, False)
+        u[lost] -= _INPUT_DELTA_V
+        answer = (current_reading(c, trial[I_C]) - i_c) / _INPUT_DELTA_V
+        if not answer > _ANSWERS * base[0]:
+            return
+        most = 5.0 * _UNKNOWN_INPUT_V
+        u[lost] = min(max(u[lost] + (reading - i_c) / answer, held - most), held + most)
+
+
+@kernel
+def _settle(
+    base: Packed, c: NDArray[np.float64], i: float, u: NDArray[np.float64], n: int, first: int, T_s: float, w: float
+) -> float:
+    """The current of a held ball at sample n, from i at n - 1, by (1) alone; the inputs in force as in `drive_over`."""
+    p = Base(*base)
+    delay = c[actuation_delay.DELAY] + c[sampling_delay.DELAY]
+    whole = int(delay / T_s)
+    part = delay - whole * T_s
+    if part > 0.0:
+        target = drive(p, c, u[max(n - 2 - whole, first)], w)
+        i = target + (i - target) * math.exp(-part / p.T_A)
+    target = drive(p, c, u[max(n - 1 - whole, first)], w)
+    return target + (i - target) * math.exp(-(T_s - part) / p.T_A)
 
 
 @kernel
@@ -176,6 +234,10 @@ def run_extended(
         m += 1
     y, here, moved, back = np.zeros(STATES), np.zeros(STATES), np.zeros(STATES), np.zeros(STATES)
     rubs = c[coulomb_friction.FORCE] != 0.0
+    # Whether the amplifier is (1), so that the current of a held ball needs no integration.
+    linear = not (eddies or lags or heats) and c[slew_rate_limit.RATE] == math.inf
+    for shape in (position_dependent_inductance.GROWTH, motional_emf.COUPLING, freewheel_diode.DROP):
+        linear = linear and c[shape] == 0.0
     P, F, G = np.zeros((m, m)), np.zeros((m, m)), np.zeros((m, m))
     h_i, h_x, K = np.zeros(m), np.zeros(m), np.zeros(m)
     gain_i = c[current_sensor_gain.GAIN]
@@ -185,6 +247,8 @@ def run_extended(
     held_c = c.copy()
     held_c[coulomb_friction.FORCE] = 0.0  # it needs fine substeps, and holds nothing here
     in_flight, speed_seen = False, False
+    delay = c[actuation_delay.DELAY] + c[sampling_delay.DELAY]
+    inputs = u.copy()  # those of lost samples are found
     first = 0
     for n in range(len(u)):
         flag = flags[n]
@@ -202,7 +266,11 @@ def run_extended(
             if in_flight and flies:
                 for k in range(STATES):
                     here[k] = y[k]
-                drive_over(base, c, y, u, n, first, t[n - 1], T_s, False)
+                lost = n - 1 - int(delay / T_s)  # its input comes into force on the way here
+                unknown = lost >= first and flags[lost] & LOST != 0
+                if unknown and use_i:
+                    _find_input(base, c, here, inputs, lost, n, first, t[n - 1], T_s, y_i[n], moved)
+                drive_over(base, c, y, inputs, n, first, t[n - 1], T_s, False)
                 for column in range(m):
                     for k in range(STATES):
                         moved[k] = here[k]
@@ -213,14 +281,14 @@ def run_extended(
                     moved[a] += delta
                     if a == I_C and not eddies:
                         moved[FIELD] = moved[I_C]
-                    drive_over(base, c, moved, u, n, first, t[n - 1], T_s, False)
+                    drive_over(base, c, moved, inputs, n, first, t[n - 1], T_s, False)
                     if rubs and a <= V:
                         for k in range(STATES):
                             back[k] = here[k]
                         back[a] -= delta
                         if a == I_C and not eddies:
                             back[FIELD] = back[I_C]
-                        drive_over(base, c, back, u, n, first, t[n - 1], T_s, False)
+                        drive_over(base, c, back, inputs, n, first, t[n - 1], T_s, False)
                         for row in range(m):
                             F[row, column] = (moved[active[row]] - back[active[row]]) / (2.0 * delta)
                     else:
@@ -239,6 +307,16 @@ def run_extended(
                             total += G[row, k] * F[column, k]
                         P[row, column] = total
                         P[column, row] = total
+                if unknown:
+                    inputs[lost] += _INPUT_DELTA_V
+                    moved[:] = here
+                    drive_over(base, c, moved, inputs, n, first, t[n - 1], T_s, False)
+                    inputs[lost] -= _INPUT_DELTA_V
+                    for row in range(m):
+                        K[row] = _UNKNOWN_INPUT_V * (moved[active[row]] - y[active[row]]) / _INPUT_DELTA_V
+                    for row in range(m):
+                        for column in range(m):
+                            P[row, column] += K[row] * K[column]
                 P[0, 0] += q_i
                 P[1, 1] += 0.25 * a2 * T_s**4
                 P[1, 2] += 0.5 * a2 * T_s**3
@@ -250,12 +328,16 @@ def run_extended(
                 for k in range(STATES):
                     moved[k] = y[k]
                 y[X], y[V], moved[X], moved[V] = held, 0.0, held, 0.0
-                moved[I_C] += _DELTA[I_C]
-                drive_over(held_base, held_c, moved, u, n, first, t[n - 1], T_s, False)
-                drive_over(held_base, held_c, y, u, n, first, t[n - 1], T_s, False)
-                f_ii = (moved[I_C] - y[I_C]) / _DELTA[I_C]
+                if linear:
+                    y[I_C] = _settle(base, c, y[I_C], inputs, n, first, T_s, y[WARMTH])
+                    f_ii = math.exp(-T_s / p.T_A)
+                else:
+                    moved[I_C] += _DELTA[I_C]
+                    drive_over(held_base, held_c, moved, inputs, n, first, t[n - 1], T_s, False)
+                    drive_over(held_base, held_c, y, inputs, n, first, t[n - 1], T_s, False)
+                    f_ii = (moved[I_C] - y[I_C]) / _DELTA[I_C]
                 if heats:
-                    f_iw = -p.K_A * c[amplifier_gain_drift.LOSS] * u[n - 1] * (1.0 - f_ii)
+                    f_iw = -p.K_A * c[amplifier_gain_drift.LOSS] * inputs[n - 1] * (1.0 - f_ii)
                     P[0, 0] = f_ii * f_ii * P[0, 0] + f_iw * f_iw * P[k_warm, k_warm]
                     P[0, 0] += 2.0 * f_ii * f_iw * P[0, k_warm]
                     P[0, k_warm] = f_ii * P[0, k_warm] + f_iw * P[k_warm, k_warm]
@@ -315,6 +397,13 @@ def run_extended(
                     P[k_sensor, k_sensor] = r_x
             use_x = False
 
+        if use_i and in_flight and n - first > 1 and (flags[n - 1] | flags[n - 2]) & LOST != 0:
+            s = _gain(P, h_i, r_i, m, K)
+            n_i = y_i[n] - current_reading(c, y[I_C])
+            for a in range(m):
+                y[active[a]] += K[a] * n_i
+            _correct(P, K, s, m)
+            use_i = False
         n_i = y_i[n] - current_reading(c, y[I_C])
         if use_x and rests and not in_flight:
             stop = stops_m[0] if flag & RESTS_LOW != 0 else p.travel_m + stops_m[1]

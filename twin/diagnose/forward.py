@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from twin.diagnose import periodic
+from twin.diagnose.dead_time import DELAYS, dead_time
 from twin.diagnose.estimate import Fit
 from twin.diagnose.floor import Floor
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.payoff import removed
-from twin.diagnose.screen import Score, screen
+from twin.diagnose.screen import Score, probed, screen
 from twin.diagnose.trials import Trial, fitted, inside, rises
 from twin.model.causes import coulomb_friction
+from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause
 
 THRESHOLD = 10.0  # of log-likelihood: z = 4.5, and more than the most of 30 candidates reaches by chance
@@ -65,6 +67,7 @@ def forward(
     scores = screen(criterion, at.theta, at.free, candidates)
     if any(cause.name == periodic.CAUSE.name for cause in candidates):
         scores = _with_line(criterion, at, scores)
+    scores = _with_dead_time(criterion, at, scores)
     floor = floor.under(criterion, at.theta)
     excess, material = floor.excess(at.loglik), floor.material(at.loglik)
     # What cannot become a fair share is not fitted.
@@ -91,10 +94,9 @@ def decided(
     gained: float,
     least: float,
 ) -> Round:
-    """Whether the best of the trials earns its place."""
+    """Whether the best of the trials earns its place; `floor`: under the model without them."""
     if not trials:
         return Round(scores=tuple(scores), trials=(), taken="", why="nothing in the catalogue gains anything")
-    floor = floor.under(criterion, at.theta)
     excess, pays = floor.excess(at.loglik), _pays(least)
     possible = [trial for trial in trials if inside(trial)]
     best = (possible or trials)[0]
@@ -124,6 +126,24 @@ def _pays_off(criterion: Criterion, at: Fit, best: Trial, pays: float) -> bool:
 def _pays(least: float) -> float:
     """Who asks for more of the whole is not content with a part of x."""
     return PAYS if least <= SHARE else 1.0
+
+
+def _with_dead_time(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score]:
+    """The scores with what a delay gains at once where the step responses ask for it, if that is more."""
+    asked = [score for score in scores if score.cause in DELAYS and score.testable]
+    found = dead_time(criterion.evidence.records) if asked else None
+    if found is None:
+        return scores
+    delay_s, T_A = found
+    better = {}
+    for score in asked:
+        theta = probed(at.theta.having("T_A", T_A), BY_NAME[score.cause], delay_s)
+        gain = criterion.value(theta) - at.loglik
+        if gain > score.gain:
+            better[score.cause] = replace(
+                score, probe=delay_s, gain=gain, step=1.0, z=math.sqrt(2.0 * gain), beside=(), others=(("T_A", T_A),)
+            )
+    return sorted((better.get(score.cause, score) for score in scores), key=lambda found: -found.gain)
 
 
 def _with_line(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score]:

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.compiled import Packed, kernel
-from twin.diagnose.filter import OUT_COLUMNS, drive_over, run_extended
+from twin.diagnose.filter import LOST, OUT_COLUMNS, drive_over, run_extended
 from twin.identify.innovations import FLIES, FOLLOWS, USE_X
 from twin.model.extended import SENSOR, STATES
 
+_FOUND = 3  # samples behind a lost one whose readings tell its input
 SETTLE_S = 0.1  # an estimate forgets its start within 1 / (unstable pole) = 12 ms; eight of them
 
 
@@ -80,6 +81,7 @@ def roll(
     y = np.empty(STATES)
     first = 0  # sample of this chain
     unbroken = 0  # samples of this flight before the present one
+    known = 0  # of them, how many since one was lost
     for n in range(len(u)):
         x_hat[n] = np.nan
         follows = flags[n] & FOLLOWS != 0
@@ -87,8 +89,9 @@ def roll(
             first = n
         flies = flags[n] & FLIES != 0
         unbroken = unbroken + 1 if flies and follows and n > 0 and flags[n - 1] & FLIES != 0 else 0
+        known = known + 1 if unbroken > 0 and flags[n] & LOST == 0 else 0
         begin = n - ahead
-        if unbroken < ahead + settle or flags[n] & USE_X == 0 or np.isnan(state[begin, 0]):
+        if known < ahead + _FOUND or unbroken < ahead + settle or flags[n] & USE_X == 0 or np.isnan(state[begin, 0]):
             continue
         for k in range(STATES):
             y[k] = state[begin, k]

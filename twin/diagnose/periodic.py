@@ -23,7 +23,8 @@ CAUSE = periodic_disturbance.CAUSE
 AMPLITUDE, FREQUENCY = (f"{CAUSE.name}.{parameter.name}" for parameter in CAUSE.parameters)
 _PAD = 1 << 16
 _NEIGHBOURS_HZ = 3.0
-_LONG_SAMPLES = 500
+_LONG_SAMPLES = 500  # for a spectrum
+_FEW_SAMPLES = 50  # for a phase: with none of its own, a recording would be shaken at a wrong time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +59,7 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
     for number in np.unique(series.recording):
         own = series.recording == number
         use = own & good
-        if use.sum() < _LONG_SAMPLES:
+        if use.sum() < _FEW_SAMPLES:
             continue
         design = columns[use]
         normal = design.T @ design

@@ -23,7 +23,8 @@ from twin.diagnose.likelihood import Criterion
 from twin.diagnose.screen import screen
 from twin.diagnose.starts import beside
 from twin.diagnose.theta import roused
-from twin.diagnose.trials import MARGIN, Trial, climbed, fitted, inside, worth_the_whole
+from twin.diagnose.trials import MARGIN, Trial, climbed, fitted, inside, renamed, rises, same_as, worth_the_whole
+from twin.identify.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 
@@ -49,7 +50,17 @@ class Selection:
     classes: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # rivals within MARGIN
     runner_up: dict[str, float] = field(default_factory=dict)  # lead over the best rival outside the class
     rounds: list[Round] = field(default_factory=list)
-    smaller: dict[frozenset[str], Fit] = field(default_factory=dict)  # models of fewer causes, by what is free in them
+    # Models of fewer causes by what is free in them, each with the phases of periodic forces that it was fitted with.
+    smaller: dict[frozenset[str], tuple[Fit, FloatArray]] = field(default_factory=dict)
+
+    def remember(self, fit: Fit, criterion: Criterion) -> None:
+        """Keep a fit for `recall`."""
+        self.smaller[frozenset(fit.free)] = fit, criterion.shift_s
+
+    def recall(self, free: Sequence[str], criterion: Criterion) -> Fit | None:
+        """The fit of these numbers, where one is known and its phases are those of today."""
+        fit, shift_s = self.smaller.get(frozenset(free), (None, criterion.shift_s))
+        return fit if shift_s is criterion.shift_s or periodic.AMPLITUDE not in free else None
 
 
 def select(
@@ -136,7 +147,7 @@ def _taken(criterion: Criterion, found: Selection, step: Round, say: Say, passes
     found.gains[step.taken] = step.trials[0].gain
     if periodic.CAUSE.name in found.causes:
         found.fit = periodic.rephased(criterion, found.fit, PASSES)
-    found.smaller[frozenset(found.fit.free)] = found.fit
+    found.remember(found.fit, criterion)
     say(f"taken: {step.taken} ({step.why})")
     if len(found.causes) > 1:
         _backward(criterion, found, say, passes)
@@ -183,19 +194,19 @@ def _asked_again(criterion: Criterion, found: Selection, floor: Floor, refused: 
     ]
     trials.sort(key=lambda trial: -trial.gain)
     gained = found.fit.loglik - found.base.loglik
-    return decided(criterion, found.fit, floor, refused.scores, trials, gained, least)
+    under = floor.under(criterion, found.fit.theta)
+    return decided(criterion, found.fit, under, refused.scores, trials, gained, least)
 
 
 def _without(criterion: Criterion, found: Selection, cause: str, passes: int = PASSES) -> Fit:
     """The model that was found less one cause; known where the search came that way, or was asked before."""
     free = tuple(name for name in found.fit.free if not name.startswith(cause + "."))
-    # Not with a periodic force: its phases have been fitted to other residuals since.
-    known = None if periodic.AMPLITUDE in free else found.smaller.get(frozenset(free))
-    if known is not None and known.converged:
+    known = found.recall(free, criterion)
+    if known is not None and (known.converged or known.ahead < MARGIN):
         return known
     start = roused(found.fit.theta.without(cause)) if known is None else known.theta
     fit = climb(criterion, start, free, passes=passes)
-    found.smaller[frozenset(free)] = fit
+    found.remember(fit, criterion)
     return fit
 
 
@@ -232,7 +243,8 @@ def _one_for_two(criterion: Criterion, found: Selection, candidates: Sequence[Ca
                 say(f"{trial.cause} explains as much as {least} and {partner} together: it takes their place")
                 found.causes = [cause for cause in found.causes if cause not in pair] + [trial.cause]
                 found.gains = {cause: found.gains.get(cause, trial.gain) for cause in found.causes}
-                found.fit = found.smaller[frozenset(trial.fit.free)] = trial.fit
+                found.fit = trial.fit
+                found.remember(trial.fit, criterion)
                 return
 
 
@@ -251,14 +263,17 @@ def _rivals(
     comparable = _COMPARABLE * shown.get(cause, 0.0)
     alike = {name for name, gain in shown.items() if gain > _ALIKE * shown.get(cause, 0.0)}
     alike |= {entry.name for entry in candidates if entry.family == BY_NAME[cause].family}
+    same = same_as(cause) & {entry.name for entry in others}
     scores = [
         score
         for score in scores
-        if score.cause not in (*known, cause) and score.testable and score.gain > max(0.3 * THRESHOLD, comparable)
+        if score.cause not in (*known, cause, *same) and score.testable
+        if score.gain > max(0.3 * THRESHOLD, comparable)
+        if score.cause in alike or score.gain * rises(score.cause) > own.gain - _CLEAR
     ][: max(few - len(known), 2)]
-    trials = [trial for trial in known.values() if trial.cause != cause] + fitted(
-        criterion, at, scores, beaten=own.gain - _CLEAR
-    )
+    trials = [trial for trial in known.values() if trial.cause not in (cause, *same)]
+    trials += [renamed(own, other) for other in same]
+    trials += fitted(criterion, at, scores, beaten=own.gain - _CLEAR)
     trials = [_again(criterion, own, trial) if trial.cause in alike else trial for trial in trials]
     trials = sorted((trial for trial in trials if inside(trial)), key=lambda trial: -trial.gain)
     if trials and trials[0].gain > own.gain + MARGIN:

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from twin.diagnose.evidence import Evidence
+from twin.diagnose.filter import LOST
 from twin.diagnose.force import Filtered
 from twin.diagnose.regimes import Bin, Blocks, Labels, Regime, by_edges, error_bins, even_edges, shared_edges
 from twin.identify.record import FloatArray, runs
@@ -83,7 +84,7 @@ def _after_steps(evidence: Evidence) -> tuple[Labels, list[str]]:
     since = np.full(len(s), np.nan)
     for number, record in enumerate(evidence.records):
         n = len(record.t)
-        rows = np.flatnonzero(s.recording == number)[:n]
+        rows = np.flatnonzero((s.recording == number) & (s.flags & LOST == 0))[:n]
         if record.kind != "closed-loop" or len(rows) < n or not record.has("x_ref"):
             continue
         still = np.concatenate(([True], np.abs(np.diff(record.x_ref)) < 1e-9))

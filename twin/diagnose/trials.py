@@ -23,6 +23,7 @@ _SHORT = 2  # passes of a first fit
 _HEATS = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))
 _STEEPER = 8.0  # the likelihood of a cause that is far away rises up to five times as much as its slope promises
 _STEEPER_DELAY = 50.0  # that of a delay is flat where there is none
+SAME = {"sampling-delay": "actuation-delay"}  # in the samples alone: fitted once
 _FAVOURITES = 2  # best of the screen: they go through the first heat, however slowly they begin to climb
 
 
@@ -53,6 +54,9 @@ def fitted(
         pays: share of the mean square error of a prediction that it must remove then.
         beaten: the gain below which a candidate need not be known any better.
     """
+    names = [score.cause for score in scores]
+    copies = {same: one for same, one in SAME.items() if one in names and same in names}
+    scores = [score for score in scores if score.cause not in copies]
     trials = [
         Trial(
             cause=score.cause,
@@ -83,8 +87,29 @@ def fitted(
             goes_on = goes_on or (heat == 0 and trial.cause in favourites)
             if goes_on and not trial.fit.converged:
                 trials[place] = climbed(criterion, trial, passes)
+    by_name = {trial.cause: trial for trial in trials}
+    trials += [renamed(by_name[one], same) for same, one in copies.items()]
     trials.sort(key=lambda trial: -trial.gain)
     return trials
+
+
+def same_as(cause: str) -> set[str]:
+    """The causes that do exactly the same to the samples."""
+    return {two if cause == one else one for two, one in SAME.items() if cause in (one, two)}
+
+
+def renamed(trial: Trial, cause: str) -> Trial:
+    """The trial of a cause that does exactly the same to the samples."""
+
+    def name(old: str) -> str:
+        return old.replace(f"{trial.cause}.", f"{cause}.", 1) if old.startswith(f"{trial.cause}.") else old
+
+    theta = replace(trial.fit.theta, causes=tuple((name(old), value) for old, value in trial.fit.theta.causes))
+    return Trial(
+        cause=cause,
+        fit=replace(trial.fit, theta=theta, free=tuple(name(old) for old in trial.fit.free)),
+        gain=trial.gain,
+    )
 
 
 def climbed(criterion: Criterion, trial: Trial, passes: int = PASSES) -> Trial:
