@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -121,7 +122,7 @@ def told(
     with timed(stages, "gain"):
         before = done.base.theta if model is None else theta_of(model, done.base.theta)
         after, tick_s = found.fit.theta, criterion.tick_s
-        gains = _gains(judge, before, after, floor, campaign.plant, tick_s, asked.seed)
+        gains = _gains(judge, before, after, floor, campaign.plant, tick_s, asked)
         at_20_ms = next((one for one in gains if abs(one.horizon_s - 0.02) < 0.5 * tick_s), None)
         off = ""
         if model is not None and judge is not None and at_20_ms is not None:
@@ -175,16 +176,19 @@ def _paper(campaign: Campaign, done: Searched, records: Sequence[Record]) -> Mod
 
 
 def _gains(
-    judge: Evidence | None, before: Theta, after: Theta, floor: Floor, plant: Plant, tick_s: float, seed: int
+    judge: Evidence | None, before: Theta, after: Theta, floor: Floor, plant: Plant, tick_s: float, asked: Asked
 ) -> list[Gain]:
     if judge is None or not len(judge.series):
         return []
-    found = []
-    for samples in sorted({max(round(horizon / tick_s), 1) for horizon in HORIZONS_S}):
-        one = gain(judge, before, after, floor, plant, tick_s, samples, seed)
-        if one is not None:
-            found.append(one)
-    return found
+
+    def at(samples: int) -> Gain | None:
+        return gain(judge, before, after, floor, plant, tick_s, samples, asked.seed)
+
+    # The longest first: it takes the most.
+    horizons = sorted({max(round(horizon / tick_s), 1) for horizon in HORIZONS_S}, reverse=True)
+    with ThreadPoolExecutor(max_workers=asked.workers) as pool:
+        found = [one for one in pool.map(at, horizons) if one is not None]
+    return found[::-1]
 
 
 def _gained(found: Selection) -> float:

@@ -23,7 +23,7 @@ from twin.diagnose.adequacy import adequate
 from twin.diagnose.estimate import PASSES, climb, inverse
 from twin.diagnose.filter import OUT_COLUMNS
 from twin.diagnose.floor import Floor
-from twin.diagnose.likelihood import Criterion
+from twin.diagnose.likelihood import Criterion, Run
 from twin.diagnose.probes import probes_of
 from twin.diagnose.result import Finding
 from twin.diagnose.screen import LEAST_INFORMATION, VISIBLE, probed
@@ -98,6 +98,11 @@ class Switched(Criterion):
             self._fill(theta if holds else absent, piece, out, state, shift_s)
         self.evaluations += 1
         return out
+
+    def run(self, theta: Theta) -> Run:
+        """Without what others would take over: two models share it."""
+        nothing = np.empty((0, STATES))
+        return Run(out=self.outputs(theta), slopes=np.empty((0, 0, 0)), before=nothing, after=nothing)
 
 
 def find_change(

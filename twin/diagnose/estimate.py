@@ -1,6 +1,7 @@
 """The maximum of the likelihood: Fisher scoring with Levenberg damping, as in `twin/identify/fit.py`.
 
-A coordinate at its bound that wants further out is left there.
+A coordinate at its bound that wants further out is left there.  Far from the maximum the derivatives are those that
+`Criterion.derivatives` has for less work.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from twin.identify.record import FloatArray
 DONE = 0.02  # of a standard error
 NEAR = 0.3
 CLOSE = 3.0  # standard errors from the maximum: the derivatives are as good as those of the next point
+LOUD = 1.5  # mean square of the whitened innovations: with more, rough derivatives may point the wrong way
 PASSES = 30
 
 
@@ -62,12 +64,19 @@ def climb(criterion: Criterion, start: Theta, free: Sequence[str], *, passes: in
     """Climb to the maximum from `start`; coordinates not in `free` stay."""
     plant = criterion.plant
     theta, damping, converged, slow = start, 1e-3, False, 0
-    base, change = criterion.derivatives(theta, free)
+    run = criterion.run(theta)
+    rough = criterion.loudness(run.out) < LOUD
+    base, change = criterion.derivatives(theta, free, run, rough=rough)
     loglik, score, fisher = criterion.slopes(theta, free, base, change)
-    decrement, fresh = math.inf, True
+    decrement, fresh, exact = math.inf, True, not rough
     for _ in range(passes):
         active = _active(theta, free, score, plant)
         step, decrement = _newton(score, fisher, active, damping)
+        if decrement < CLOSE and not exact:
+            base, change = criterion.derivatives(theta, free, run)
+            loglik, score, fisher = criterion.slopes(theta, free, base, change)
+            active, exact = _active(theta, free, score, plant), True
+            step, decrement = _newton(score, fisher, active, damping)
         if decrement < done or (slow >= 2 and decrement < NEAR):
             converged = True
             break
@@ -80,17 +89,19 @@ def climb(criterion: Criterion, start: Theta, free: Sequence[str], *, passes: in
         trial = theta
         for place, name in enumerate(free):
             trial = moved(trial, name, step[place], plant)
-        out = criterion.outputs(trial)
-        value = criterion.loglik(out) + criterion.outside(trial)
+        beyond = criterion.run(trial)
+        value = criterion.loglik(beyond.out) + criterion.outside(trial)
         if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
             slow = slow + 1 if value - loglik < 0.05 else 0
-            theta, damping, base = trial, max(damping * 0.1, 1e-9), out
+            theta, damping, base = trial, max(damping * 0.1, 1e-9), beyond.out
+            run = beyond
             fresh = decrement > CLOSE
             if fresh:
-                base, change = criterion.derivatives(theta, free)
-        elif not fresh:
-            base, change = criterion.derivatives(theta, free)
-            fresh = True
+                exact = criterion.loudness(run.out) >= LOUD
+                base, change = criterion.derivatives(theta, free, run, rough=not exact)
+        elif not (fresh and exact):
+            base, change = criterion.derivatives(theta, free, run)
+            fresh = exact = True
         else:
             damping = max(damping, 1e-4) * 10.0
             if damping > 1e8:

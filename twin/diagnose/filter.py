@@ -59,6 +59,7 @@ RESTS_LOW, RESTS_HIGH, RESTS_UNSEEN, LOST = 16, 32, 64, 128
 OUT_COLUMNS = 5  # nu_i, nu_x, S_ii, S_ix, S_xx; NaN where nothing was predicted
 UNKNOWN_INPUTS = 2  # samples after a start whose u_c may not be in force yet; not a matter of the model at hand
 _ACCELERATION_M_S2 = 15.0  # of a flight's beginning
+ALONE, RECORDS, ALONG, NOISE_ALONG = 0, 1, 2, 3  # what a run does with the slopes of its steps
 _UNKNOWN_INPUT_V = 1.0  # standard deviation of a lost u_c about the one before
 _INPUT_DELTA_V = 1e-3
 _ANSWERS = 0.02  # of K_A: what i_c must answer to u_c within the interval, to be asked for it
@@ -178,8 +179,14 @@ def _correct(P: NDArray[np.float64], K: NDArray[np.float64], s: float, m: int) -
             P[b, a] = P[a, b]
 
 
+def states_in(c: NDArray[np.float64]) -> int:
+    """How many states the causes leave active: m of `run_along`."""
+    lives = c[amplifier_gain_drift.LOSS] != 0.0, c[eddy_current_lag.TAU] > 0.0, c[position_sensor_lag.TAU] > 0.0
+    return 3 + sum(map(int, lives))
+
+
 @kernel
-def run_extended(
+def run_along(
     base: Packed,
     c: NDArray[np.float64],
     noise: tuple[float, float, float, float, float],
@@ -192,8 +199,12 @@ def run_extended(
     flags: NDArray[np.uint8],
     out: NDArray[np.float64],
     state: NDArray[np.float64],
+    mode: int,
+    slopes: NDArray[np.float64],
+    before: NDArray[np.float64],
+    after: NDArray[np.float64],
 ) -> None:
-    """Fill out, shape (n, 5), with innovations and their covariance, and `state` with the corrected estimates.
+    """`run_extended`, or one model along another: with the slopes of its steps, which are most of the work.
 
     Args:
         base: tuple(Base).
@@ -210,6 +221,11 @@ def run_extended(
         out: receives nu_i, nu_x, S_ii, S_ix, S_xx.
         state: receives the state after the correction, shape (n, 6), NaN where the ball does not fly; shape (0, 6)
             where nobody wants it.
+        mode: ALONE; RECORDS: fills the arrays that follow; ALONG: takes the slopes from there; NOISE_ALONG: the steps,
+            too, for a model that differs in its noise alone.
+        slopes: of each step in flight, shape (n, m, m) with m active states.
+        before: the state at each sample before its correction, shape (n, 6).
+        after: behind it, shape (n, 6).
     """
     p = Base(*base)
     r_i, r_x, q_per_s, a2 = noise[0] ** 2, noise[1] ** 2, noise[2] ** 2 / noise[4], noise[3] ** 2
@@ -270,30 +286,45 @@ def run_extended(
                 unknown = lost >= first and flags[lost] & LOST != 0
                 if unknown and use_i:
                     _find_input(base, c, here, inputs, lost, n, first, t[n - 1], T_s, y_i[n], moved)
-                drive_over(base, c, y, inputs, n, first, t[n - 1], T_s, False)
-                for column in range(m):
-                    for k in range(STATES):
-                        moved[k] = here[k]
-                    a = active[column]
-                    delta = _DELTA[a]
-                    if rubs and a <= V:
-                        delta = max(delta, math.sqrt(P[column, column]))
-                    moved[a] += delta
-                    if a == I_C and not eddies:
-                        moved[FIELD] = moved[I_C]
-                    drive_over(base, c, moved, inputs, n, first, t[n - 1], T_s, False)
-                    if rubs and a <= V:
+                if mode == NOISE_ALONG and not unknown:
+                    for row in range(m):
+                        total = before[n, active[row]]
+                        for k in range(m):
+                            total += slopes[n, row, k] * (here[active[k]] - after[n - 1, active[k]])
+                        y[active[row]] = total
+                    if not eddies:
+                        y[FIELD] = y[I_C]
+                else:
+                    drive_over(base, c, y, inputs, n, first, t[n - 1], T_s, False)
+                if mode >= ALONG:
+                    F[:, :] = slopes[n]
+                else:
+                    for column in range(m):
                         for k in range(STATES):
-                            back[k] = here[k]
-                        back[a] -= delta
+                            moved[k] = here[k]
+                        a = active[column]
+                        delta = _DELTA[a]
+                        if rubs and a <= V:
+                            delta = max(delta, math.sqrt(P[column, column]))
+                        moved[a] += delta
                         if a == I_C and not eddies:
-                            back[FIELD] = back[I_C]
-                        drive_over(base, c, back, inputs, n, first, t[n - 1], T_s, False)
-                        for row in range(m):
-                            F[row, column] = (moved[active[row]] - back[active[row]]) / (2.0 * delta)
-                    else:
-                        for row in range(m):
-                            F[row, column] = (moved[active[row]] - y[active[row]]) / delta
+                            moved[FIELD] = moved[I_C]
+                        drive_over(base, c, moved, inputs, n, first, t[n - 1], T_s, False)
+                        if rubs and a <= V:
+                            for k in range(STATES):
+                                back[k] = here[k]
+                            back[a] -= delta
+                            if a == I_C and not eddies:
+                                back[FIELD] = back[I_C]
+                            drive_over(base, c, back, inputs, n, first, t[n - 1], T_s, False)
+                            for row in range(m):
+                                F[row, column] = (moved[active[row]] - back[active[row]]) / (2.0 * delta)
+                        else:
+                            for row in range(m):
+                                F[row, column] = (moved[active[row]] - y[active[row]]) / delta
+                if mode == RECORDS:
+                    slopes[n] = F
+                    before[n] = y
                 for row in range(m):
                     for column in range(m):
                         total = 0.0
@@ -458,6 +489,8 @@ def run_extended(
             y[FIELD] = y[I_C]
         if not lags:
             y[SENSOR] = position_reading(p, c, y[X], y[I_C])
+        if mode == RECORDS:
+            after[n] = y
         if state.shape[0] > 0:
             for k in range(STATES):
                 state[n, k] = y[k] if in_flight else np.nan
@@ -468,3 +501,26 @@ def run_extended(
                 y[k] = 0.0
             for a in range(m):
                 _clear(P, a)
+
+
+@kernel
+def run_extended(
+    base: Packed,
+    c: NDArray[np.float64],
+    noise: tuple[float, float, float, float, float],
+    stops_m: tuple[float, float],
+    t: NDArray[np.float64],
+    step: NDArray[np.float64],
+    u: NDArray[np.float64],
+    y_i: NDArray[np.float64],
+    y_x: NDArray[np.float64],
+    flags: NDArray[np.uint8],
+    out: NDArray[np.float64],
+    state: NDArray[np.float64],
+) -> None:
+    """Fill out, shape (n, 5), with innovations and their covariance, and `state` with the corrected estimates.
+
+    The arguments are those of `run_along`.
+    """
+    nothing, none = np.empty((0, STATES)), np.empty((0, 3, 3))
+    run_along(base, c, noise, stops_m, t, step, u, y_i, y_x, flags, out, state, ALONE, none, nothing, nothing)

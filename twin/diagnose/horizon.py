@@ -60,7 +60,8 @@ def predict_ahead(
     state = np.empty((len(u), STATES))
     run_extended(base, c, noise, stops_m, t, step, u, y_i, y_x, flags, np.empty((len(u), OUT_COLUMNS)), state)
     x_hat = np.empty(len(u))
-    roll(base, c, t, step, u, flags, state, ahead, max(round(settle_s / tick_s), 2), x_hat)
+    everywhere = np.ones(len(u), np.bool_)
+    roll(base, c, t, step, u, flags, state, ahead, max(round(settle_s / tick_s), 2), everywhere, x_hat)
     return x_hat
 
 
@@ -75,15 +76,20 @@ def roll(
     state: NDArray[np.float64],
     ahead: int,
     settle: int,
+    wanted: NDArray[np.bool_],
     x_hat: NDArray[np.float64],
 ) -> None:
-    """Fill x_hat, shape (n,), from the corrected states, shape (n, 6); the other arguments as in `predict_ahead`."""
+    """Fill x_hat, shape (n,), where it is wanted, from the corrected states, shape (n, 6).
+
+    The other arguments are those of `predict_ahead`.
+    """
     y = np.empty(STATES)
     first = 0  # sample of this chain
     unbroken = 0  # samples of this flight before the present one
     known = 0  # of them, how many since one was lost
     for n in range(len(u)):
-        x_hat[n] = np.nan
+        if wanted[n]:
+            x_hat[n] = np.nan
         follows = flags[n] & FOLLOWS != 0
         if not follows:
             first = n
@@ -91,7 +97,13 @@ def roll(
         unbroken = unbroken + 1 if flies and follows and n > 0 and flags[n - 1] & FLIES != 0 else 0
         known = known + 1 if unbroken > 0 and flags[n] & LOST == 0 else 0
         begin = n - ahead
-        if known < ahead + _FOUND or unbroken < ahead + settle or flags[n] & USE_X == 0 or np.isnan(state[begin, 0]):
+        if (
+            not wanted[n]
+            or known < ahead + _FOUND
+            or unbroken < ahead + settle
+            or flags[n] & USE_X == 0
+            or np.isnan(state[begin, 0])
+        ):
             continue
         for k in range(STATES):
             y[k] = state[begin, k]

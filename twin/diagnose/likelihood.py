@@ -6,24 +6,47 @@ Rule 2: what is no series speaks too: priors of the stops, lift-off points, equi
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.campaign import Plant
 from twin.diagnose.evidence import Evidence
-from twin.diagnose.filter import OUT_COLUMNS, RESTS_HIGH, RESTS_LOW, run_extended
-from twin.diagnose.theta import STOP_UNIT_M, STOPS, Theta, derivative_step, moved
+from twin.diagnose.filter import (
+    ALONG,
+    NOISE_ALONG,
+    OUT_COLUMNS,
+    RECORDS,
+    RESTS_HIGH,
+    RESTS_LOW,
+    run_along,
+    run_extended,
+    states_in,
+)
+from twin.diagnose.theta import NOISES, STOP_UNIT_M, STOPS, Theta, derivative_step, moved
 from twin.identify.innovations import FLIES, information, whiten
 from twin.identify.liftoff import LiftOff
 from twin.identify.record import FloatArray
+from twin.model.causes import coulomb_friction
 from twin.model.extended import STATES, magnetic_force, position_reading
 
 STOP_STD_M = 2e-5  # how well anybody knows where a stop is
 _NO_STATE = np.empty((0, STATES))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """The filter of one model along the evidence, and what a run of a model nearby takes over."""
+
+    out: FloatArray  # shape (n, 5)
+    slopes: FloatArray  # of each step, shape (n, m, m)
+    before: FloatArray  # the correction: states, shape (n, 6)
+    after: FloatArray
 
 
 class Criterion:
@@ -39,6 +62,11 @@ class Criterion:
     def __init__(self, evidence: Evidence, plant: Plant, tick_s: float, *, workers: int = 2) -> None:
         self.evidence, self.plant, self.tick_s = evidence, plant, tick_s
         self.shift_s: FloatArray = np.zeros(len(evidence.series))  # phases of a periodic cause, `periodic.py`
+        # Recordings do not touch: where one begins in the middle, two workers share a run.
+        begins = np.flatnonzero(np.diff(evidence.series.recording, prepend=-1))
+        n = len(evidence.series)
+        middle = int(begins[np.argmin(np.abs(begins - n // 2))]) if len(begins) else 0
+        self._halves = [piece for piece in (slice(0, middle), slice(middle, n)) if piece.stop > piece.start]
         self._pool = ThreadPoolExecutor(max_workers=workers)
         self.evaluations = 0
 
@@ -74,6 +102,50 @@ class Criterion:
             state[part] if len(state) else state,
         )
 
+    def run(self, theta: Theta) -> Run:
+        """`outputs` with what `derivatives` take over from it."""
+        n, m = len(self.evidence.series), states_in(theta.vector())
+        done = Run(
+            out=np.empty((n, OUT_COLUMNS)),
+            slopes=np.empty((n, m, m)),
+            before=np.empty((n, STATES)),
+            after=np.empty((n, STATES)),
+        )
+        list(self._pool.map(lambda part: self._along(theta, part, RECORDS, done, done.out), self._halves))
+        self.evaluations += 1
+        return done
+
+    def _beside(self, theta: Theta, name: str, near: bool, at: Run) -> FloatArray:
+        """`outputs` of a model that differs from that of `at` in this number by little; `near`: with what it found."""
+        if not near or states_in(theta.vector()) != at.slopes.shape[1]:
+            return self.outputs(theta)
+        out = np.empty_like(at.out)
+        self._along(theta, slice(0, len(out)), NOISE_ALONG if name in NOISES else ALONG, at, out)
+        self.evaluations += 1
+        return out
+
+    def _along(self, theta: Theta, part: slice, mode: int, at: Run, out: FloatArray) -> None:
+        s, t = self.evidence.series, self.evidence.t + self.shift_s
+        noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, self.tick_s)
+        run_along(
+            tuple(theta.base(self.plant)),
+            theta.vector(),
+            noise,
+            (theta.stop_low_m, theta.stop_high_m),
+            t[part],
+            s.step[part],
+            s.u[part],
+            s.i[part],
+            s.x[part],
+            s.flags[part],
+            out[part],
+            _NO_STATE,
+            mode,
+            at.slopes[part],
+            at.before[part],
+            at.after[part],
+        )
+
     def several(self, thetas: Sequence[Theta]) -> list[FloatArray]:
         """`outputs` of each."""
         return list(self._pool.map(self.outputs, thetas))
@@ -86,6 +158,13 @@ class Criterion:
     def loglik(out: FloatArray) -> float:
         """Of innovations."""
         return float(whiten(out, np.empty(len(out)), np.empty((len(out), 2))))
+
+    @staticmethod
+    def loudness(out: FloatArray) -> float:
+        """Mean square of the whitened innovations: 1 where they are as large as the filter says."""
+        white = np.empty((len(out), 2))
+        whiten(out, np.empty(len(out)), white)
+        return float(np.nanmean(white**2))
 
     def values(self, thetas: Sequence[Theta]) -> list[float]:
         """`value` of each, -inf for those that are not finite."""
@@ -114,10 +193,27 @@ class Criterion:
         weight = self.plant.mass_kg * self.plant.gravity_m_s2
         return 0.5 * math.log(max(force, 1e-12) / weight), max(sigma, 0.003)
 
-    def derivatives(self, theta: Theta, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-        """(outputs, shape (n, 5); their derivatives by the coordinates, shape (count, n, 5))."""
+    def derivatives(
+        self, theta: Theta, names: Sequence[str], at: Run | None = None, *, rough: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
+        """(outputs, shape (n, 5); their derivatives by the coordinates, shape (count, n, 5)).
+
+        Args:
+            theta: the model.
+            names: of the coordinates.
+            at: a run of `theta`: for models beside it that differ in their noise the steps are taken from there.
+            rough: for the others the slopes of the steps, too.  Half the work and less; where the innovations are about
+                as large as the filter says it is good enough for where to go, not for where the maximum is.
+        """
         steps = {name: derivative_step(theta, name, self.plant) for name in names if name not in STOPS}
-        base, *outs = self.several([theta, *(moved(theta, name, by, self.plant) for name, by in steps.items())])
+        beside = [moved(theta, name, by, self.plant) for name, by in steps.items()]
+        if at is None:
+            base, *outs = self.several([theta, *beside])
+        else:
+            # With dry friction the slopes are taken as wide as the state is uncertain: a matter of the noise as well.
+            smooth = theta.vector()[coulomb_friction.FORCE] == 0.0
+            near = [rough or (smooth and name in NOISES) for name in steps]
+            base, outs = at.out, list(self._pool.map(self._beside, beside, steps, near, itertools.repeat(at)))
         change = np.empty((len(names), *base.shape))
         filtered = iter(outs)
         for place, name in enumerate(names):

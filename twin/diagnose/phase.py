@@ -48,32 +48,28 @@ def predict_in_phase(
     n = len(u)
     best, x_hat = np.full(n, -np.inf), np.full(n, np.nan)
     forget = math.exp(-tick_s / MEMORY_S)
-    state, out, of_this = np.empty((n, STATES)), np.empty((n, OUT_COLUMNS)), np.empty(n)
+    state, out = np.empty((n, STATES)), np.empty((n, OUT_COLUMNS))
     for phase in range(PHASES):
         shifted = t + phase / PHASES / c[periodic_disturbance.FREQUENCY]
         run_extended(base, c, noise, stops_m, shifted, step, u, y_i, y_x, flags, out, state)
         loglik = np.zeros(n)
         whiten(out, loglik, np.empty((n, 2)))
-        roll(base, c, shifted, step, u, flags, state, ahead, max(round(settle_s / tick_s), 2), of_this)
-        take_better(loglik, forget, ahead, of_this, best, x_hat)
+        better = explains_better(loglik, forget, ahead, best)
+        roll(base, c, shifted, step, u, flags, state, ahead, max(round(settle_s / tick_s), 2), better, x_hat)
     return x_hat
 
 
 @kernel
-def take_better(
-    loglik: NDArray[np.float64],
-    forget: float,
-    ahead: int,
-    of_this: NDArray[np.float64],
-    best: NDArray[np.float64],
-    x_hat: NDArray[np.float64],
-) -> None:
-    """Where this phase has explained the readings `ahead` samples earlier best so far, take its predictions."""
+def explains_better(
+    loglik: NDArray[np.float64], forget: float, ahead: int, best: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Where this phase has explained the readings `ahead` samples earlier better than `best`, which is updated."""
     remembered = np.empty(len(loglik))
+    better = np.zeros(len(loglik), np.bool_)
     total = 0.0
     for n in range(len(loglik)):
         total = forget * total + loglik[n]
         remembered[n] = total
         if n >= ahead and remembered[n - ahead] > best[n]:
-            best[n] = remembered[n - ahead]
-            x_hat[n] = of_this[n]
+            best[n], better[n] = remembered[n - ahead], True
+    return better

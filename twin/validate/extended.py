@@ -45,7 +45,19 @@ def predictions(series: Series, state: FloatArray, model: Model, ahead: int, set
     x_hat = np.empty(len(series))
     t = np.cumsum(series.step)
     c = plant_numbers(model, 1e-3).c
-    roll(tuple(base(model)), c, t, series.step, series.u, series.flags, state, ahead, settle, x_hat)
+    roll(
+        tuple(base(model)),
+        c,
+        t,
+        series.step,
+        series.u,
+        series.flags,
+        state,
+        ahead,
+        settle,
+        np.ones(len(t), np.bool_),
+        x_hat,
+    )
     return x_hat
 
 
