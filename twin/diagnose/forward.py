@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from twin.diagnose import periodic
 from twin.diagnose.dead_time import DELAYS, dead_time
-from twin.diagnose.estimate import Fit
+from twin.diagnose.estimate import PASSES, Fit
 from twin.diagnose.floor import Floor
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.payoff import removed
@@ -82,7 +82,15 @@ def forward(
     ][:few]
     say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
     trials = fitted(criterion, at, worth, least * excess if material else 0.0, _pays(least))
-    return decided(criterion, at, floor, scores, trials, gained, least)
+    before = criterion.shift_s
+    if trials and any(name == periodic.AMPLITUDE for name, _ in at.theta.causes):
+        # What shifts the response shifts the phase of what shakes the ball: with the old one it gains too little.
+        fit = periodic.rephased(criterion, trials[0].fit, PASSES)
+        trials[0] = replace(trials[0], fit=fit, gain=trials[0].gain + fit.loglik - trials[0].fit.loglik)
+    step = decided(criterion, at, floor, scores, trials, gained, least)
+    if not trials or step.taken != trials[0].cause:
+        criterion.shift_s = before
+    return step
 
 
 def decided(

@@ -73,7 +73,11 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
         size = math.hypot(*pair)
         weighted, weight = weighted + size * float(np.trace(normal)), weight + float(np.trace(normal))
         pair = -pair
-        shift[own] = math.atan2(pair[1], pair[0]) / (2.0 * math.pi * frequency)
+        by = math.atan2(pair[1], pair[0]) / (2.0 * math.pi * frequency)
+        # Whole periods more, so that another frequency turns the phase about the middle of the recording: a minute off,
+        # a thousandth of a hertz would turn all of it, and phases and frequency hold each other where they are.
+        middle = float(criterion.evidence.t[use].mean())
+        shift[own] = by - round((by + middle) * frequency) / frequency
     if weight == 0.0:
         return None
     return Line(

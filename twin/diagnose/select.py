@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from twin.diagnose import periodic
 from twin.diagnose.estimate import PASSES, Fit, climb
 from twin.diagnose.floor import Floor
-from twin.diagnose.forward import SHARE, THRESHOLD, Round, Say, decided, forward
+from twin.diagnose.forward import BESIDE_NOISE, SHARE, THRESHOLD, Round, Say, decided, forward
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.screen import screen
 from twin.diagnose.starts import beside
@@ -133,10 +133,10 @@ def _add(
     """One step forward, and out with what it makes superfluous (`passes` tell); False where nothing earns its place."""
     gained = found.fit.loglik - found.base.loglik
     step = forward(criterion, found.fit, floor, candidates, few, gained, least, say)
-    return _taken(criterion, found, step, say, passes)
+    return _taken(criterion, found, floor, step, say, passes)
 
 
-def _taken(criterion: Criterion, found: Selection, step: Round, say: Say, passes: int) -> bool:
+def _taken(criterion: Criterion, found: Selection, floor: Floor, step: Round, say: Say, passes: int) -> bool:
     """`_add` after a round."""
     found.rounds.append(step)
     if not step.taken:
@@ -150,7 +150,7 @@ def _taken(criterion: Criterion, found: Selection, step: Round, say: Say, passes
     found.remember(found.fit, criterion)
     say(f"taken: {step.taken} ({step.why})")
     if len(found.causes) > 1:
-        _backward(criterion, found, say, passes)
+        _backward(criterion, found, floor, say, passes)
     return True
 
 
@@ -173,7 +173,7 @@ def _together(
     more = replace(found, causes=[*found.causes], gains={**found.gains}, rounds=found.rounds[:-1])
     say("too little alone; does it, with others, leave nothing but noise?")
     again = _asked_again(criterion, found, floor, refused)
-    goes_on = _taken(criterion, more, again, say, PASSES)
+    goes_on = _taken(criterion, more, floor, again, say, PASSES)
     while goes_on and len(more.causes) < MOST_TOGETHER and _material(criterion, more, floor):
         least = SHARE_TOGETHER if len(more.causes) < MOST_TOGETHER - 1 else SHARE_LAST
         goes_on = _add(criterion, more, floor, candidates, few, least, say)
@@ -210,12 +210,13 @@ def _without(criterion: Criterion, found: Selection, cause: str, passes: int = P
     return fit
 
 
-def _backward(criterion: Criterion, found: Selection, say: Say, passes: int) -> None:
-    """Out with whatever the later ones have made superfluous."""
+def _backward(criterion: Criterion, found: Selection, floor: Floor, say: Say, passes: int) -> None:
+    """Out with whatever the later ones have made superfluous: what would not be taken now is not kept."""
     for cause in found.causes[:-1]:
         smaller = _without(criterion, found, cause, passes)
         loss = found.fit.loglik - smaller.loglik
-        if loss < THRESHOLD:
+        trifle = loss < BESIDE_NOISE * (found.fit.loglik - found.base.loglik)
+        if loss < THRESHOLD or (trifle and not floor.under(criterion, smaller.theta).material(smaller.loglik)):
             found.causes.remove(cause)
             found.gains.pop(cause, None)
             found.fit = smaller
@@ -284,6 +285,8 @@ def _rivals(
         best = trials[0]
         found.causes[found.causes.index(cause)] = best.cause
         found.fit, found.gains[best.cause] = best.fit, best.gain
+        if periodic.CAUSE.name in found.causes:
+            found.fit = periodic.rephased(criterion, found.fit, PASSES)
         found.gains.pop(cause, None)
         trials = [own, *trials[1:]]
         own, cause = best, best.cause
