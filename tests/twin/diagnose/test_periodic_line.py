@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.twin.diagnose.known_diagnosis import QUIET, steps
 from tests.twin.diagnose.simulated_rig import PLANT, TICK_S, strong
+from twin.diagnose.estimate import PASSES, climb
 from twin.diagnose.evidence import gather
 from twin.diagnose.likelihood import Criterion
-from twin.diagnose.periodic import AMPLITUDE, CAUSE, FREQUENCY, find_line
+from twin.diagnose.periodic import AMPLITUDE, CAUSE, FREQUENCY, find_line, rephased
+from twin.diagnose.theta import BASE
 
 FORCE_N, FREQUENCY_HZ = 2e-3, 7.3
 
@@ -35,3 +39,40 @@ def test_a_line_is_the_same_after_the_phases_of_another_were_taken_over() -> Non
     assert first.frequency_hz == pytest.approx(FREQUENCY_HZ, abs=0.01)
     assert first.amplitude_n == pytest.approx(FORCE_N, rel=0.05)
     assert gain == pytest.approx(first.gain, rel=0.1)
+
+
+def test_the_frequency_is_found_with_recordings_that_are_a_minute_into_the_campaign() -> None:
+    """With phases that turn about t = 0 it stayed where the spectrum had put it, and a tenth of the force was left."""
+    rig = strong(CAUSE.name, FORCE_N, QUIET).having(FREQUENCY, FREQUENCY_HZ)
+    records = [steps(rig, seed=seed, seconds=8.0) for seed in (3, 4, 5)]
+    records = [replace(record, t=record.t + 60.0 + 9.0 * k) for k, record in enumerate(records)]
+    criterion = Criterion(gather(records, PLANT), PLANT, TICK_S, workers=1)
+    try:
+        line = find_line(criterion, QUIET, FREQUENCY_HZ + 0.01)
+        assert line is not None
+        criterion.shift_s = line.shift_s
+        start = QUIET.having(AMPLITUDE, line.amplitude_n).having(FREQUENCY, line.frequency_hz)
+        fit = rephased(criterion, climb(criterion, start, (*BASE, AMPLITUDE, FREQUENCY)), PASSES)
+    finally:
+        criterion.close()
+
+    assert fit.theta.value(FREQUENCY) == pytest.approx(FREQUENCY_HZ, abs=1.5e-3)
+    assert fit.theta.value(AMPLITUDE) == pytest.approx(FORCE_N, rel=0.03)
+
+
+def test_a_short_recording_has_a_phase_of_its_own() -> None:
+    rig = strong(CAUSE.name, FORCE_N, QUIET).having(FREQUENCY, FREQUENCY_HZ)
+    long, short = steps(rig, seed=3, seconds=20.0), steps(rig, seed=4, seconds=0.5)
+    short = replace(short, t=short.t + 0.05)  # a third of a period: no phase is right by chance
+    criterion = Criterion(gather([long, short], PLANT), PLANT, TICK_S, workers=1)
+    try:
+        line = find_line(criterion, QUIET, FREQUENCY_HZ)
+        assert line is not None
+        criterion.shift_s = line.shift_s
+        theta = QUIET.having(AMPLITUDE, line.amplitude_n).having(FREQUENCY, line.frequency_hz)
+        _, white = criterion.white(theta)
+        own = criterion.evidence.series.recording == 1
+    finally:
+        criterion.close()
+
+    assert 0.8 < np.nanmean(white[own, 1] ** 2) < 1.2

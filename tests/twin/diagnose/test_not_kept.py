@@ -1,0 +1,35 @@
+"""What would not be taken now is not kept: a cause that the later ones have left next to nothing."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from twin.diagnose import select
+from twin.diagnose.estimate import PASSES
+from twin.diagnose.floor import floor_of
+from twin.diagnose.forward import BESIDE_NOISE, THRESHOLD
+from twin.diagnose.screen import probed
+from twin.model.causes.catalogue import BY_NAME
+
+FIRST, LATER = "motional-emf", "actuation-delay"
+
+
+@pytest.mark.parametrize(("strength", "kept"), [(0.15, False), (1.0, True)])
+def test_a_trifle_beside_a_later_cause_goes_if_noise_remains(strength: float, kept: bool) -> None:
+    rig = probed(strong(LATER, 6e-4), BY_NAME[FIRST], strength)
+    criterion = criterion_of(narrow(rig, seconds=4.0))
+    try:
+        base, both = fitted(criterion, THETA), fitted(criterion, rig, FIRST, LATER)
+        alone = fitted(criterion, strong(LATER, 6e-4), LATER)
+        found = select.Selection(base=base, fit=both, causes=[FIRST, LATER], gains={FIRST: 1e3, LATER: 1e3})
+
+        select._backward(criterion, found, floor_of(criterion, rig), lambda line: None, PASSES)
+    finally:
+        criterion.close()
+
+    loss, gained = both.loglik - alone.loglik, both.loglik - base.loglik
+    assert loss > THRESHOLD  # no question of chance
+    assert (loss > BESIDE_NOISE * gained) == kept
+    assert found.causes == ([FIRST, LATER] if kept else [LATER])
+    assert (found.fit is both) == kept
