@@ -45,7 +45,7 @@ def independent(v: float, u: float, friction_n: float) -> FloatArray:
             return abs(free(y)) - most if held else float(y[2])
 
         event: Callable[..., float] = changes
-        event.terminal, event.direction = True, 1.0 if held else -way  # type: ignore[attr-defined]
+        event.terminal, event.direction = True, 1.0 if held else -way  # type: ignore[attr-defined]  # scipy reads them off the function
         found = solve_ivp(slope, (t, TICKS * TICK_S), y, method="DOP853", events=event, rtol=1e-10, atol=1e-13)
         t, y = float(found.t[-1]), np.asarray(found.y[:, -1])
         if found.t_events is not None and len(found.t_events[0]):

@@ -161,10 +161,11 @@ class Criterion:
 
     @staticmethod
     def loudness(out: FloatArray) -> float:
-        """Mean square of the whitened innovations: 1 where they are as large as the filter says."""
-        white = np.empty((len(out), 2))
+        """Mean square of the whitened innovations: 1 where they are as large as the filter says, inf without any."""
+        white = np.full((len(out), 2), np.nan)  # of impossible parameters not all is filled in
         whiten(out, np.empty(len(out)), white)
-        return float(np.nanmean(white**2))
+        known = white[np.isfinite(white)]
+        return float(np.mean(known**2)) if len(known) else math.inf
 
     def values(self, thetas: Sequence[Theta]) -> list[float]:
         """`value` of each, -inf for those that are not finite."""
