@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from twin.diagnose.estimate import Fit
-from twin.diagnose.floor import Floor
+from twin.diagnose.floor import MISPLACED_M, Floor
 from twin.diagnose.likelihood import Criterion
 from twin.identify.innovations import FLIES
 from twin.identify.whiteness import whiteness
@@ -27,10 +27,15 @@ def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
     """(whether the model is adequate, the sentence that says why it is not); `floor`: under this model."""
     _, white = criterion.white(fit.theta)
     colour = whiteness(criterion.evidence.series, white)
-    if floor.measured and floor.material(fit.loglik):
+    if floor.measured and floor.audible(fit.loglik):
         per_reading = floor.excess(fit.loglik) / floor.readings
         return False, (
             f"what is left is larger than the sensor noise: {per_reading:.2f} of log-likelihood per reading are missing"
+        )
+    if floor.misplaced_m > MISPLACED_M:
+        return False, (
+            f"it needs a stop {floor.misplaced_m * 1e3:.2f} mm from where the plant has it; if the travel in the "
+            "campaign file is wrong, mend it there"
         )
     counts = [count for count in np.isfinite(white).sum(axis=0).tolist() if count]
     chance = _SURE / math.sqrt(min(counts)) if counts else math.inf

@@ -31,7 +31,6 @@ from twin.model.causes import (
     current_sensor_gain,
     eddy_current_lag,
     freewheel_diode,
-    motional_emf,
     position_dependent_inductance,
     position_sensor_lag,
     sampling_delay,
@@ -252,8 +251,7 @@ def run_along(
     rubs = c[coulomb_friction.FORCE] != 0.0
     # Whether the amplifier is (1), so that the current of a held ball needs no integration.
     linear = not (eddies or lags or heats) and c[slew_rate_limit.RATE] == math.inf
-    for shape in (position_dependent_inductance.GROWTH, motional_emf.COUPLING, freewheel_diode.DROP):
-        linear = linear and c[shape] == 0.0
+    linear = linear and c[position_dependent_inductance.GROWTH] == 0.0 and c[freewheel_diode.DROP] == 0.0
     P, F, G = np.zeros((m, m)), np.zeros((m, m)), np.zeros((m, m))
     h_i, h_x, K = np.zeros(m), np.zeros(m), np.zeros(m)
     gain_i = c[current_sensor_gain.GAIN]

@@ -3,6 +3,9 @@
 The excess of a model is the log-likelihood that it lacks against a model whose innovations were white with the
 covariance that the sensor noise alone gives that same model.  The noise is taken from the ball at rest, where no
 model is involved.
+
+A model that has to put a stop where nobody has it is no right model either, though that costs it little among so many
+readings: two wrong causes can be written as two others and a stop half a millimetre off.
 """
 
 from __future__ import annotations
@@ -12,13 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.diagnose.evidence import noise_error, sensor_noise
-from twin.diagnose.likelihood import Criterion
+from twin.diagnose.likelihood import STOP_STD_M, Criterion
 from twin.diagnose.theta import FLOORS, Theta
 from twin.identify.innovations import USE_X
 from twin.identify.record import FloatArray
 
 MATERIAL = 0.02  # of log-likelihood per reading: what a 2 % error of the noise level makes
 _SURE = 3.0  # standard errors of the noise level, where the ball rested too shortly for 2 %; 2.5: 3 of 60 false alarms
+MISPLACED_M = 5.0 * STOP_STD_M  # a stop so far from where the plant has it contradicts the plant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +35,7 @@ class Floor:
     loglik: float  # of a right model
     readings: int
     error: float = 0.0  # standard error of `loglik` per reading: that of the noise level
+    misplaced_m: float = 0.0  # how far from its place the model has that stop which is farther off
 
     def excess(self, loglik: float) -> float:
         """Log-likelihood that a model lacks."""
@@ -39,9 +44,14 @@ class Floor:
     def under(self, criterion: Criterion, theta: Theta) -> Floor:
         """The floor of another model: how far a right one's innovations spread depends on its slope of the force."""
         loglik, readings = expected(criterion.outputs(_quiet(theta, self.sigma_i_c_a, self.sigma_x_m)))
-        return replace(self, loglik=loglik, readings=readings)
+        misplaced_m = max(abs(theta.stop_low_m), abs(theta.stop_high_m))
+        return replace(self, loglik=loglik, readings=readings, misplaced_m=misplaced_m)
 
     def material(self, loglik: float) -> bool:
+        """Whether that is more than the noise level's own error, or a stop is where it cannot be."""
+        return self.misplaced_m > MISPLACED_M or self.audible(loglik)
+
+    def audible(self, loglik: float) -> bool:
         """Whether that is more than the noise level's own error."""
         return self.excess(loglik) > max(MATERIAL, _SURE * self.error) * self.readings
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from protocol.campaign import Plant
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.filter import (
+    ALONE,
     ALONG,
     NOISE_ALONG,
     OUT_COLUMNS,
@@ -25,7 +26,6 @@ from twin.diagnose.filter import (
     RESTS_HIGH,
     RESTS_LOW,
     run_along,
-    run_extended,
     states_in,
 )
 from twin.diagnose.theta import NOISES, STOP_UNIT_M, STOPS, Theta, derivative_step, moved
@@ -47,6 +47,9 @@ class Run:
     slopes: FloatArray  # of each step, shape (n, m, m)
     before: FloatArray  # the correction: states, shape (n, 6)
     after: FloatArray
+
+
+_NO_RUN = Run(out=np.empty((0, OUT_COLUMNS)), slopes=np.empty((0, 3, 3)), before=_NO_STATE, after=_NO_STATE)
 
 
 class Criterion:
@@ -83,49 +86,18 @@ class Criterion:
         self.evaluations += 1
         return out
 
-    def _fill(self, theta: Theta, part: slice, out: FloatArray, state: FloatArray, shift_s: FloatArray | None) -> None:
-        """`outputs` of whole recordings, into their place."""
+    def _fill(
+        self,
+        theta: Theta,
+        part: slice,
+        out: FloatArray,
+        state: FloatArray = _NO_STATE,
+        shift_s: FloatArray | None = None,
+        mode: int = ALONE,
+        at: Run = _NO_RUN,
+    ) -> None:
+        """`outputs` of whole recordings, into their place; `mode`, `at`: as `run_along` takes them."""
         s, t = self.evidence.series, self.evidence.t + (self.shift_s if shift_s is None else shift_s)
-        noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, self.tick_s)
-        run_extended(
-            tuple(theta.base(self.plant)),
-            theta.vector(),
-            noise,
-            (theta.stop_low_m, theta.stop_high_m),
-            t[part],
-            s.step[part],
-            s.u[part],
-            s.i[part],
-            s.x[part],
-            s.flags[part],
-            out[part],
-            state[part] if len(state) else state,
-        )
-
-    def run(self, theta: Theta) -> Run:
-        """`outputs` with what `derivatives` take over from it."""
-        n, m = len(self.evidence.series), states_in(theta.vector())
-        done = Run(
-            out=np.empty((n, OUT_COLUMNS)),
-            slopes=np.empty((n, m, m)),
-            before=np.empty((n, STATES)),
-            after=np.empty((n, STATES)),
-        )
-        list(self._pool.map(lambda part: self._along(theta, part, RECORDS, done, done.out), self._halves))
-        self.evaluations += 1
-        return done
-
-    def _beside(self, theta: Theta, name: str, near: bool, at: Run) -> FloatArray:
-        """`outputs` of a model that differs from that of `at` in this number by little; `near`: with what it found."""
-        if not near or states_in(theta.vector()) != at.slopes.shape[1]:
-            return self.outputs(theta)
-        out = np.empty_like(at.out)
-        self._along(theta, slice(0, len(out)), NOISE_ALONG if name in NOISES else ALONG, at, out)
-        self.evaluations += 1
-        return out
-
-    def _along(self, theta: Theta, part: slice, mode: int, at: Run, out: FloatArray) -> None:
-        s, t = self.evidence.series, self.evidence.t + self.shift_s
         noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, self.tick_s)
         run_along(
             tuple(theta.base(self.plant)),
@@ -139,12 +111,43 @@ class Criterion:
             s.x[part],
             s.flags[part],
             out[part],
-            _NO_STATE,
+            state[part],
             mode,
             at.slopes[part],
             at.before[part],
             at.after[part],
         )
+
+    def run(self, theta: Theta) -> Run:
+        """`outputs` with what `derivatives` take over from it."""
+        n, m = len(self.evidence.series), states_in(theta.vector())
+        done = Run(
+            out=np.empty((n, OUT_COLUMNS)),
+            slopes=np.empty((n, m, m)),
+            before=np.empty((n, STATES)),
+            after=np.empty((n, STATES)),
+        )
+        list(self._pool.map(lambda part: self._fill(theta, part, done.out, mode=RECORDS, at=done), self._halves))
+        self.evaluations += 1
+        return done
+
+    def beside(self, thetas: Sequence[Theta], at: Run, modes: Sequence[int]) -> list[FloatArray]:
+        """`outputs` of models near that of `at`, with what was found there.
+
+        Args:
+            thetas: the models.
+            at: the run.
+            modes: ALONE for a whole filter, ALONG with the slopes of the steps, NOISE_ALONG with the steps, too.
+        """
+        return list(self._pool.map(self._beside, thetas, modes, itertools.repeat(at)))
+
+    def _beside(self, theta: Theta, mode: int, at: Run) -> FloatArray:
+        if mode == ALONE or states_in(theta.vector()) != at.slopes.shape[1]:
+            return self.outputs(theta)
+        out = np.empty_like(at.out)
+        self._fill(theta, slice(0, len(out)), out, mode=mode, at=at)
+        self.evaluations += 1
+        return out
 
     def several(self, thetas: Sequence[Theta]) -> list[FloatArray]:
         """`outputs` of each."""
@@ -180,19 +183,29 @@ class Criterion:
 
     def outside(self, theta: Theta) -> float:
         """What is not in the series: priors of the stops, lift-off points, equilibria."""
-        total = -0.5 * ((theta.stop_low_m / STOP_STD_M) ** 2 + (theta.stop_high_m / STOP_STD_M) ** 2)
-        for point in self.evidence.statics:
-            residual, sigma = self._static(theta, point)
-            total -= 0.5 * (residual / sigma) ** 2
-        return total
+        residuals = self._residuals(theta)
+        return -0.5 * float(residuals @ residuals)
 
-    def _static(self, theta: Theta, point: LiftOff) -> tuple[float, float]:
+    def outside_slopes(
+        self, theta: Theta, beside: Sequence[Theta], steps: Sequence[float]
+    ) -> tuple[FloatArray, FloatArray]:
+        """(score, Fisher information) of `outside`, from models beside `theta`, each by its step."""
+        here = self._residuals(theta)
+        change = np.array([(self._residuals(other) - here) / by for other, by in zip(beside, steps, strict=True)])
+        return -change @ here, change @ change.T
+
+    def _residuals(self, theta: Theta) -> FloatArray:
+        """Of the stops, then of the static points, in standard errors."""
+        stops = [theta.stop_low_m / STOP_STD_M, theta.stop_high_m / STOP_STD_M]
+        return np.array(stops + [self._static(theta, point) for point in self.evidence.statics])
+
+    def _static(self, theta: Theta, point: LiftOff) -> float:
         p, c = theta.base(self.plant), theta.vector()
         x = self.plant.x_max_m - point.gap_m
-        sigma = 0.5 * point.relative_error
+        sigma = max(0.5 * point.relative_error, 0.003)
         force = magnetic_force(p, c, point.i_c_a, x)
         weight = self.plant.mass_kg * self.plant.gravity_m_s2
-        return 0.5 * math.log(max(force, 1e-12) / weight), max(sigma, 0.003)
+        return 0.5 * math.log(max(force, 1e-12) / weight) / sigma
 
     def derivatives(
         self, theta: Theta, names: Sequence[str], at: Run | None = None, *, rough: bool = False
@@ -214,7 +227,9 @@ class Criterion:
             # With dry friction the slopes are taken as wide as the state is uncertain: a matter of the noise as well.
             smooth = theta.vector()[coulomb_friction.FORCE] == 0.0
             near = [rough or (smooth and name in NOISES) for name in steps]
-            base, outs = at.out, list(self._pool.map(self._beside, beside, steps, near, itertools.repeat(at)))
+            modes = [NOISE_ALONG if name in NOISES else ALONG for name in steps]
+            modes = [mode if ask else ALONE for mode, ask in zip(modes, near, strict=True)]
+            base, outs = at.out, self.beside(beside, at, modes)
         change = np.empty((len(names), *base.shape))
         filtered = iter(outs)
         for place, name in enumerate(names):
@@ -246,29 +261,9 @@ class Criterion:
         """`gradient` from outputs and derivatives; those of a point nearby will do for the last steps of a climb."""
         n, count = len(base), len(names)
         fisher, each = np.zeros((count, count)), np.empty((n, count))
-        here = self.outside(theta)
-        total = whiten(base, np.empty(n), np.empty((n, 2))) + here
+        total = whiten(base, np.empty(n), np.empty((n, 2))) + self.outside(theta)
         information(base, change, each, fisher)
-        score = each.sum(axis=0)
         steps = [derivative_step(theta, name, self.plant) for name in names]
-        for place, (name, by) in enumerate(zip(names, steps, strict=True)):
-            # The few terms outside the series: differences and a curvature of the same kind.
-            score[place] += (self.outside(moved(theta, name, by, self.plant)) - here) / by
-            if name in STOPS:
-                fisher[place, place] += (STOP_UNIT_M / STOP_STD_M) ** 2
-        if self.evidence.statics:
-            rows = np.array(
-                [
-                    [
-                        (self._ratio(moved(theta, name, by, self.plant), point) - self._ratio(theta, point)) / by
-                        for name, by in zip(names, steps, strict=True)
-                    ]
-                    for point in self.evidence.statics
-                ]
-            )
-            fisher += rows.T @ rows
-        return total, score, fisher
-
-    def _ratio(self, theta: Theta, point: LiftOff) -> float:
-        residual, sigma = self._static(theta, point)
-        return residual / sigma
+        beside = [moved(theta, name, by, self.plant) for name, by in zip(names, steps, strict=True)]
+        score, curvature = self.outside_slopes(theta, beside, steps)
+        return total, each.sum(axis=0) + score, fisher + curvature

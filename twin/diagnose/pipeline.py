@@ -153,11 +153,13 @@ def _prepared(campaign: Campaign, records: Sequence[Record], quick: bool) -> tup
     """(recordings without dead channels, shortened for `quick`; what is to be said about them)."""
     warnings = [note for record in records for note in record.notes]
     warnings += inspect(list(records), campaign.plant, campaign.controller)
-    alive, dead = without_dead(list(records), campaign.plant)
-    kept = [
-        live if record.kind in ("closed-loop", "prbs") else record for live, record in zip(alive, records, strict=True)
-    ]
-    warnings += dead
+    kept: list[Record] = []
+    for record in records:
+        # Elsewhere a ball may lie still, or beyond the range of its sensor.
+        asked = [record] if record.kind in ("closed-loop", "prbs") else []
+        alive, dead = without_dead(asked, campaign.plant)
+        kept += alive or [record]
+        warnings += dead
     if quick:
         kept, said = shortened(kept)
         warnings += [said] if said else []

@@ -15,6 +15,9 @@ _FACTORS = (1.02, 1.0, 0.98, 0.93)
 _RATE_FACTORS = (1.3, 1.0, 0.7, 0.4)
 _RATE_SPAN_S = 4e-4  # over which a rate of change is taken: in one sample of a capture it is all noise
 _DELAY_STEPS = (0.5, 1.5)  # sampling intervals: the likelihood of a delay has a kink at every whole one
+# The places of coil, stop and sensor are one but for bends: in the signature of a wide probe those hide the difference.
+FINE = ("air-gap-offset", "position-sensor-offset")
+_FINE_PART = 0.02
 _ENOUGH = 20
 
 
@@ -31,6 +34,8 @@ def probes_of(cause: Cause, series: Series) -> tuple[float, ...]:
         interval = float(np.median(flown)) if len(flown) else 0.0
         more = [interval * steps for steps in _DELAY_STEPS if interval * steps > cause.strength.probes[0]]
         return (*cause.strength.probes, *more)
+    if cause.name in FINE:
+        return (*cause.strength.probes, _FINE_PART * cause.strength.probes[0])
     return cause.strength.probes
 
 

@@ -1,7 +1,8 @@
 """Every cause of the catalogue against what is left of the data: how much would it gain, and can it be seen at all?
 
 The score test of each candidate on the innovations, all recordings together, with what the parameters already in the
-model can take up projected out.  Two passes of the filter a candidate instead of a fit.
+model can take up projected out.  A probe or two of each candidate instead of a fit, with the slopes of the model as it
+is: exact enough for who is worth a fit (tests/twin/diagnose/test_derivatives.py).
 
 Rule 1: the signature of a candidate is a secant to a small value of it, not a derivative: a limit has no derivative
         where it is not reached.
@@ -17,17 +18,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.diagnose.estimate import inverse
+from twin.diagnose.filter import ALONE, ALONG
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.probes import probes_of
-from twin.diagnose.theta import Theta, coordinates_of
+from twin.diagnose.theta import Theta, coordinates_of, derivative_step, moved
 from twin.identify.innovations import information
-from twin.model.causes.catalogue import CATALOGUE
+from twin.model.causes import coulomb_friction
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 
 # Of the square of a signature: what must be left of it beside the parameters.  Less is rounding; more would leave out a
 # displaced sensor, which shows most at rest, where the places of the stops take it up.
 VISIBLE = 1e-7
-LEAST_INFORMATION = 1.0  # a signature of less than one standard error at its probe cannot be seen
+LEAST_INFORMATION = 1.0  # a signature of less than one standard error at its usual probe cannot be seen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +51,13 @@ class Score:
     @property
     def testable(self) -> bool:
         """Whether these data can show it."""
-        return self.visible >= VISIBLE and self.detectable >= LEAST_INFORMATION
+        return self.visible >= VISIBLE and self.detectable >= LEAST_INFORMATION * min(self.fineness, 1.0)
+
+    @property
+    def fineness(self) -> float:
+        """The probe in units of the cause's usual one."""
+        strength = BY_NAME[self.cause].strength
+        return abs(strength.coordinate(self.probe) / strength.coordinate(strength.probes[0]))
 
 
 def screen(
@@ -64,17 +73,25 @@ def screen(
         and cause.name not in ("lost-samples", "periodic-disturbance")
         for probe in probes_of(cause, criterion.evidence.series)
     ]
-    base, by_free = criterion.derivatives(theta, free)
+    run = criterion.run(theta)
+    base, by_free = criterion.derivatives(theta, free, run, rough=True)
     k, count = len(free), len(free) + len(trials)
     change = np.empty((count, *base.shape))
     change[:k] = by_free
-    outs = criterion.several([probed(theta, cause, probe) for cause, probe in trials])
+    beside = [probed(theta, cause, probe) for cause, probe in trials]
+    # The slopes of a ball that may stick are not those of one that cannot.
+    outs = criterion.beside(
+        beside, run, [ALONE if cause.name == coulomb_friction.CAUSE.name else ALONG for cause, _ in trials]
+    )
     for place, out in enumerate(outs, k):
         np.subtract(out, base, out=change[place])
     del outs
     fisher, each = np.zeros((count, count)), np.empty((len(base), count))
     information(base, change, each, fisher)
-    score = each.sum(axis=0)
+    by = [derivative_step(theta, name, criterion.plant) for name in free]
+    moves = [moved(theta, name, step, criterion.plant) for name, step in zip(free, by, strict=True)]
+    score, curvature = criterion.outside_slopes(theta, [*moves, *beside], [*by, *(1.0 for _ in trials)])
+    score, fisher = each.sum(axis=0) + score, fisher + curvature
     inner = inverse(fisher[:k, :k])
     best: dict[str, Score] = {}
     for place, (cause, probe) in enumerate(trials, k):

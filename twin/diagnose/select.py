@@ -96,8 +96,6 @@ def select(
         pass
     if share == SHARE and not quick and _material(criterion, found, floor):
         found = _together(criterion, found, floor, candidates, few, say)
-    if not quick and len(found.causes) > MOST_TOGETHER:
-        _one_for_two(criterion, found, candidates, few, say)
     if classes:
         stand_ins(criterion, found, candidates=candidates, few=few, quick=quick, say=say)
     return found
@@ -116,8 +114,12 @@ def stand_ins(
     for cause in list(found.causes):
         if quick and len(found.causes) > 1:
             found.runner_up[cause] = found.gains[cause]
-            continue
-        _rivals(criterion, found, cause, candidates, few, say)
+            own = Trial(cause=cause, fit=found.fit, gain=found.gains[cause])
+            same = same_as(cause) & {entry.name for entry in candidates}
+            found.classes[cause] = tuple(renamed(own, other) for other in sorted(same))
+        elif _rivals(criterion, found, cause, candidates, few, say):
+            found.classes, found.runner_up = {}, {}
+            return stand_ins(criterion, found, candidates=candidates, few=few, say=say)
 
 
 def _add(
@@ -225,34 +227,32 @@ def _backward(criterion: Criterion, found: Selection, floor: Floor, say: Say, pa
             found.gains[cause] = loss
 
 
-def _one_for_two(criterion: Criterion, found: Selection, candidates: Sequence[Cause], few: int, say: Say) -> None:
-    """One cause in the place of the smallest and another, if it explains as much as both.
+def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Trial, say: Say) -> bool:
+    """Whether `trial`, which may stand in for `cause`, explains as much as that and another together; then it does.
 
-    So many are rarely at work at once, and two that stand in for a third are never superfluous one by one.
+    Two that stand in for a third are never superfluous one by one.
     """
-    least, *partners = sorted(found.causes, key=lambda cause: found.gains[cause])
-    others = [entry for entry in candidates if entry.name not in found.causes]
-    for partner in partners:
-        pair = (least, partner)
-        theta = found.fit.theta.without(least).without(partner)
-        free = tuple(name for name in found.fit.free if name.partition(".")[0] not in pair)
-        bare = climb(criterion, roused(theta), free)
-        wanted = found.fit.loglik - bare.loglik - MARGIN
-        scores = [score for score in screen(criterion, bare.theta, bare.free, others) if score.testable][:few]
-        for trial in fitted(criterion, bare, scores, beaten=wanted):
-            if trial.gain > wanted and inside(trial):
-                say(f"{trial.cause} explains as much as {least} and {partner} together: it takes their place")
-                found.causes = [cause for cause in found.causes if cause not in pair] + [trial.cause]
-                found.gains = {cause: found.gains.get(cause, trial.gain) for cause in found.causes}
-                found.fit = trial.fit
-                found.remember(trial.fit, criterion)
-                return
+    for other in sorted(set(found.causes) - {cause, trial.cause}, key=lambda name: found.gains[name]):
+        free = tuple(name for name in trial.fit.free if not name.startswith(other + "."))
+        fit = climb(criterion, roused(trial.fit.theta.without(other)), free)
+        if fit.loglik > found.fit.loglik - MARGIN:
+            say(f"{trial.cause} explains as much as {cause} and {other} together: it takes their place")
+            found.causes = [name for name in found.causes if name not in (cause, other)] + [trial.cause]
+            found.fit, gain = fit, fit.loglik - found.base.loglik
+            found.gains = {name: found.gains.get(name, gain) for name in found.causes}
+            found.remember(fit, criterion)
+            return True
+    return False
 
 
 def _rivals(
     criterion: Criterion, found: Selection, cause: str, candidates: Sequence[Cause], few: int, say: Say
-) -> None:
-    """Who could stand in for `cause`, the others staying; a rival that explains more takes its place."""
+) -> bool:
+    """Who could stand in for `cause`, the others staying; a rival that explains more takes its place.
+
+    True where one took the place of `cause` and another: all others are to be asked again.
+    """
+    stood = cause
     if len(found.causes) == 1:
         at, known = found.base, {trial.cause: trial for trial in found.rounds[0].trials}
     else:
@@ -295,6 +295,8 @@ def _rivals(
     found.classes[cause] = near
     found.runner_up[cause] = own.gain - max(far, default=0.0)
     found.gains[cause] = own.gain
+    news = [trial for trial in (own, *near) if trial.cause not in (stood, *same)]
+    return any(_one_for_two(criterion, found, cause, trial, say) for trial in news)
 
 
 def _again(criterion: Criterion, own: Trial, rival: Trial) -> Trial:

@@ -14,9 +14,9 @@ import numpy as np
 
 from protocol.campaign import Plant
 from twin.diagnose.likelihood import Criterion
-from twin.diagnose.probes import probes_of
+from twin.diagnose.probes import FINE, probes_of
 from twin.diagnose.screen import Score, probed
-from twin.diagnose.theta import PARAMETERS, Theta, most_step, moved
+from twin.diagnose.theta import NOISES, PARAMETERS, Theta, most_step, moved
 from twin.identify.record import Record
 from twin.identify.start import amplifier_start
 from twin.model.causes.catalogue import BY_NAME
@@ -33,7 +33,7 @@ _STEADY = 5  # samples of the same u_c
 def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
     """The best of the starts by the likelihood itself."""
     cause = BY_NAME[score.cause]
-    starts = [_linear(criterion, theta, score, cause, part) for part in _PARTS]
+    starts = [_linear(criterion, theta, score, cause, part, names) for names in _alone_or_all(score) for part in _PARTS]
     if cause.family == "amplifier":
         gains, times = {theta.K_A}, {theta.T_A}
         robust = robust_gain(criterion.evidence.records)
@@ -135,16 +135,27 @@ def quickest(records: Sequence[Record]) -> float | None:
     return min(found) if found else None
 
 
-def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause, part: float) -> Theta:
+def _alone_or_all(score: Score) -> list[list[str]]:
+    """What moves with a candidate: the paper's parameters, or all but the noise levels, which find their own way.
+
+    Places of coil, stop and sensor that are one but for bends only move together.
+    """
+    names = [name for name, _ in score.beside if name not in NOISES]
+    alone = [name for name in names if name in PARAMETERS]
+    return [alone, names] if score.cause in FINE else [alone]
+
+
+def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause, part: float, names: Sequence[str]) -> Theta:
     strength = cause.strength
-    reach = min(max(score.step, -_REACH), _REACH)
+    most_reach = _REACH / min(score.fineness, 1.0)
+    reach = min(max(score.step, -most_reach), most_reach)
     reach = reach if abs(reach) > _LEAST else 0.3
     shorter = min(
-        [1.0, *(most_step(name) / max(abs(by * reach), 1e-300) for name, by in score.beside if name in PARAMETERS)]
+        [1.0, *(most_step(name) / max(abs(by * reach), 1e-300) for name, by in score.beside if name in names)]
     )
     reach *= max(shorter, _LEAST / abs(reach)) * part
     for name, by in score.beside:
-        if name in PARAMETERS:  # noise levels find their own way: falling ones overshoot
+        if name in names:
             most = most_step(name)  # what nothing in the data holds would run away
             theta = moved(theta, name, min(max(by * reach, -most), most), criterion.plant)
     theta = probed(theta, cause, strength.value(strength.coordinate(score.probe) * reach))

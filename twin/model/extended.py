@@ -125,6 +125,24 @@ def position_of_reading(p: Base, c: Vector, reading: float, i: float) -> float:
 
 
 @kernel
+def _driven(
+    c: Vector, i: float, target: float, T_A: float, v: float, a: float, gap: float, gap_mid: float, at: float, h: float
+) -> float:
+    """The current h s later, from i at `at` s behind the moment at which the ball has v, a and `gap`."""
+    if c[motional_emf.COUPLING] == 0.0:
+        return current_limit.limited(c, slew_rate_limit.relaxed(c, i, target, T_A, h))
+    begin = motional_emf.lead(c, v + at * a, gap - at * v, gap_mid)
+    end = motional_emf.lead(c, v + (at + h) * a, gap - (at + h) * v, gap_mid)
+    change = T_A * (end - begin) / h
+    last = motional_emf.settled(end, change)
+    if c[slew_rate_limit.RATE] < math.inf:
+        return current_limit.limited(c, slew_rate_limit.relaxed(c, i, target / last, T_A / last, h))
+    first = motional_emf.settled(begin, change)
+    i_next = target / last + (i - target / first) * math.exp(-0.5 * h * (begin + end) / T_A)
+    return current_limit.limited(c, i_next)
+
+
+@kernel
 def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float, duration: float, stops: bool) -> None:
     """`duration` s with u_c = u in force; y, shape (6,), is updated in place.
 
@@ -145,20 +163,10 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         or c[motional_emf.COUPLING] != 0.0
         or c[slew_rate_limit.RATE] < math.inf
     )
-    rubs, stiff = c[coulomb_friction.FORCE] != 0.0, c[motional_emf.COUPLING] != 0.0
+    rubs = c[coulomb_friction.FORCE] != 0.0
     coarse = duration < SHORT_S
-    part, left, h = -1, 0, 0.0
-    while True:
-        if left == 0:
-            part += 1
-            if part == (1 if coarse else len(PARTS)):
-                break
-            h = duration if coarse else duration * PARTS[part]
-            left = 1
-            if stiff:  # the induced voltage ties i_c to x'
-                left = 3
-            h /= left
-        left -= 1
+    for part in range(1 if coarse else len(PARTS)):
+        h = duration if coarse else duration * PARTS[part]
         i, x, v, f, s = y[I_C], y[X], y[V], y[FIELD], y[SENSOR]
         a1 = acceleration(p, c, f, x, v, t)
         free, brake, held = a1, 0.0, False
@@ -169,23 +177,20 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         v2 = v + 0.5 * h * a1
         target = drive(p, c, u, y[WARMTH]) - p.K_A * freewheel_diode.lost_v(c, u, i, p.K_A)
         gap, T_A = plane - x, p.T_A
-        half_decay, late = 0.0, 0.0
+        half_decay = 0.0
         if shaped:
             gap = max(gap, GAP_MIN_SHARE * p.travel_m)
             T_A = position_dependent_inductance.time_constant(c, p.T_A, gap, plane, gap_mid)
             if c[freewheel_diode.DROP] == 0.0:
                 target = max(target, 0.0)
-            late = min(T_A, 0.25 * h)  # the induced voltage of then is in the current of now
-            lead = motional_emf.lead(c, v + (0.5 * h - late) * a1, gap, gap_mid)
-            i_half = current_limit.limited(c, slew_rate_limit.relaxed(c, i, target / lead, T_A / lead, 0.5 * h))
+            i_half = _driven(c, i, target, T_A, v, a1, gap, gap_mid, 0.0, 0.5 * h)
         else:
             half_decay = math.exp(-0.5 * h / p.T_A)
             i_half = target + (i - target) * half_decay
         f_half = eddy_current_lag.lagged(c, f, i, i_half, 0.5 * h)
         a2 = 0.0 if held else acceleration(p, c, f_half, x + 0.5 * h * v, v2, t + 0.5 * h) - brake
         if shaped:
-            lead = motional_emf.lead(c, v + (h - late) * a2, gap, gap_mid)
-            i_next = current_limit.limited(c, slew_rate_limit.relaxed(c, i_half, target / lead, T_A / lead, 0.5 * h))
+            i_next = _driven(c, i_half, target, T_A, v, a2, gap, gap_mid, 0.5 * h, 0.5 * h)
         else:
             i_next = target + (i_half - target) * half_decay
         f_next = eddy_current_lag.lagged(c, f_half, i_half, i_next, 0.5 * h)

@@ -72,8 +72,8 @@ def test_one_cause_takes_the_place_of_two_that_stand_in_for_it(tmp_path: Path) -
         gains = dict(zip(stand_ins, (1.0, 2.0, 3.0), strict=True))
         found = search.Selection(base=base, fit=fit, causes=[*stand_ins], gains={**gains})
         unmoved = replace(found, causes=[*stand_ins], gains={**gains})
-        search._one_for_two(criterion, unmoved, (BY_NAME["constant-force"],), 3, lambda line: None)
-        search._one_for_two(criterion, found, (*TRIED, BY_NAME["force-exponent"]), 3, lambda line: None)
+        search.stand_ins(criterion, unmoved, candidates=(BY_NAME["constant-force"],), few=3)
+        search.stand_ins(criterion, found, candidates=(*TRIED, BY_NAME["force-exponent"]), few=3)
     finally:
         criterion.close()
 

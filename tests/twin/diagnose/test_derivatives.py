@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.twin.diagnose.simulated_rig import PLANT, THETA, criterion_of, narrow, strong
+from tests.twin.diagnose.simulated_rig import PLANT, THETA, TICK_S, criterion_of, fitted, narrow, strong
 from tests.twin.diagnose.test_lost_readings import drawn, less
 from twin.diagnose.estimate import LOUD
-from twin.diagnose.likelihood import Criterion
+from twin.diagnose.evidence import gather
+from twin.diagnose.likelihood import Criterion, Run
+from twin.diagnose.screen import screen
 from twin.diagnose.theta import BASE, NOISES, STOPS, Theta, coordinates_of, moved
+from twin.identify.record import FloatArray
 
 CASES = [
     THETA,
@@ -84,3 +88,28 @@ def test_rough_derivatives_point_to_where_the_likelihood_rises(theta: Theta) -> 
     assert values[0] > 20.0  # there is something to climb
     assert values[1] > 0.9 * values[0]
     criterion.close()
+
+
+class Exact(Criterion):
+    """The filter itself wherever the slopes of another run would do."""
+
+    def beside(self, thetas: Sequence[Theta], at: Run, modes: Sequence[int]) -> list[FloatArray]:
+        return self.several(thetas)
+
+
+@pytest.mark.parametrize(
+    "hidden", [strong("air-gap-offset", 3e-4), strong("motional-emf", 0.3), strong("coulomb-friction", 1e-3)]
+)
+def test_the_screen_with_the_slopes_at_hand_ranks_as_the_filter_itself(hidden: Theta) -> None:
+    """Within a fifth: a likelihood that is no parabola is farther off."""
+    evidence = gather(narrow(hidden, seconds=6.0), PLANT)
+    quick, exact = Criterion(evidence, PLANT, TICK_S, workers=1), Exact(evidence, PLANT, TICK_S, workers=1)
+    base = fitted(exact, THETA)
+
+    swift, whole = ({one.cause: one for one in screen(c, base.theta, base.free)} for c in (quick, exact))
+
+    for cause, score in whole.items():
+        assert swift[cause].gain == pytest.approx(score.gain, rel=0.2, abs=2.0), cause
+        assert swift[cause].testable == score.testable
+    quick.close()
+    exact.close()

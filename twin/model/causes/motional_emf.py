@@ -10,6 +10,7 @@ from twin.model.causes.cause import Cause, CauseParameter, Vector
 
 COUPLING = 7
 LEAST_LEAD = 0.05  # a falling ball does not turn the coil into a generator that drives itself
+MOST_CHANGE = 0.25  # of the lead in the time that the current takes: beyond, the series is none
 
 CAUSE = Cause(
     name="motional-emf",
@@ -50,3 +51,14 @@ def lead(c: Vector, v: float, gap: float, gap_mid: float) -> float:
     if c[COUPLING] == 0.0:
         return 1.0
     return max(1.0 + c[COUPLING] * v * (gap_mid / gap) * (gap_mid / gap), LEAST_LEAD)
+
+
+@kernel
+def settled(lead: float, change: float) -> float:
+    """What the current has settled to, once u_c stands: target over this.  It lags a lead that changes.
+
+    T_A i' + lead i = target with i = target / m gives m = lead - T_A m' / m: two terms of its series in `change`, by
+    how much the lead changes in T_A.
+    """
+    part = min(max(change / (lead * lead), -MOST_CHANGE), MOST_CHANGE)
+    return lead * (1.0 - part - 2.0 * part * part)
