@@ -46,3 +46,27 @@ def test_after_a_tick_the_current_is_within_the_sensor_noise(i: float, x: float,
     assert y[X] == pytest.approx(truth[1], abs=1e-6)
     assert y[V] == pytest.approx(truth[2], abs=1e-3)
     assert abs(independent(i, x, v, u, 0.0)[0] - truth[0]) > 0.01
+
+
+@pytest.mark.parametrize("part", [0.0, 1e-19])
+def test_an_interval_of_no_length_changes_nothing(part: float) -> None:
+    """Under a delay of a whole number of intervals nothing but rounding is left of the first part."""
+    c, y = neutral(), np.zeros(STATES)
+    c[COUPLING] = STRONG
+    y[I_C], y[X], y[V], y[FIELD], y[SENSOR] = 0.5, 1.0e-3, -0.1, 0.5, 1.0e-3
+    before = y.copy()
+
+    advance(tuple(RIG), c, y, 3.0, 0.0, part, False)
+
+    assert y == pytest.approx(before, rel=1e-12)
+
+
+def test_a_ball_pressed_to_its_stop_induces_nothing() -> None:
+    c, y = neutral(), np.zeros(STATES)
+    c[COUPLING] = STRONG
+    y[I_C] = y[FIELD] = 0.1
+
+    advance(tuple(RIG), c, y, 1.0, 0.0, TICK_S, True)
+
+    assert y[X] == y[V] == 0.0
+    assert y[I_C] == pytest.approx(0.3 - 0.2 * np.exp(-TICK_S / RIG.T_A), abs=1e-9)

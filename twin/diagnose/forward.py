@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from twin.diagnose import periodic
-from twin.diagnose.dead_time import DELAYS, dead_time
+from twin.diagnose.dead_time import DELAYS
 from twin.diagnose.estimate import PASSES, Fit
 from twin.diagnose.floor import Floor
 from twin.diagnose.likelihood import Criterion
@@ -139,7 +139,7 @@ def _pays(least: float) -> float:
 def _with_dead_time(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score]:
     """The scores with what a delay gains at once where the step responses ask for it, if that is more."""
     asked = [score for score in scores if score.cause in DELAYS and score.testable]
-    found = dead_time(criterion.evidence.records) if asked else None
+    found = criterion.late if asked else None
     if found is None:
         return scores
     delay_s, T_A = found

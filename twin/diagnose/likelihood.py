@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.campaign import Plant
+from twin.diagnose.dead_time import dead_time
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.filter import (
     ALONE,
@@ -35,6 +38,8 @@ from twin.identify.record import FloatArray
 from twin.model.causes import coulomb_friction
 from twin.model.extended import STATES, magnetic_force, position_reading
 
+T = TypeVar("T")
+R = TypeVar("R")
 STOP_STD_M = 2e-5  # how well anybody knows where a stop is
 _NO_STATE = np.empty((0, STATES))
 
@@ -71,11 +76,26 @@ class Criterion:
         middle = int(begins[np.argmin(np.abs(begins - n // 2))]) if len(begins) else 0
         self._halves = [piece for piece in (slice(0, middle), slice(middle, n)) if piece.stop > piece.start]
         self._pool = ThreadPoolExecutor(max_workers=workers)
+        self._climbers = ThreadPoolExecutor(max_workers=workers) if workers > 1 else None
         self.evaluations = 0
 
     def close(self) -> None:
         """End the workers."""
         self._pool.shutdown()
+        if self._climbers is not None:
+            self._climbers.shutdown()
+
+    def each(self, work: Callable[[T], R], items: Sequence[T]) -> list[R]:
+        """`work` on each, several at once: such as a climb, which leaves a core idle between its derivatives.
+
+        `work` may ask this criterion, but not for `each`.
+        """
+        return [work(item) for item in items] if self._climbers is None else list(self._climbers.map(work, items))
+
+    @cached_property
+    def late(self) -> tuple[float, float] | None:
+        """`dead_time` of the recordings, which no model changes."""
+        return dead_time(self.evidence.records)
 
     def outputs(
         self, theta: Theta, state: NDArray[np.float64] = _NO_STATE, shift_s: FloatArray | None = None

@@ -12,11 +12,12 @@ Rule 3: the judge recordings are never looked at here.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from twin.diagnose import periodic
-from twin.diagnose.estimate import PASSES, Fit, climb
+from twin.diagnose.estimate import PASSES, STEEPER, Fit, climb
 from twin.diagnose.floor import Floor
 from twin.diagnose.forward import BESIDE_NOISE, SHARE, THRESHOLD, Round, Say, decided, forward
 from twin.diagnose.likelihood import Criterion
@@ -111,6 +112,8 @@ def stand_ins(
     say: Say = lambda line: None,
 ) -> None:
     """The class of each cause that was found, and who comes next; the arguments are those of `select`."""
+    if 1 < len(found.causes) <= MOST_TOGETHER and not quick:
+        criterion.each(lambda cause: _without(criterion, found, cause), found.causes)
     for cause in list(found.causes):
         if quick and len(found.causes) > 1:
             found.runner_up[cause] = found.gains[cause]
@@ -200,24 +203,37 @@ def _asked_again(criterion: Criterion, found: Selection, floor: Floor, refused: 
     return decided(criterion, found.fit, under, refused.scores, trials, gained, least)
 
 
-def _without(criterion: Criterion, found: Selection, cause: str, passes: int = PASSES) -> Fit:
-    """The model that was found less one cause; known where the search came that way, or was asked before."""
+def _without(
+    criterion: Criterion, found: Selection, cause: str, passes: int = PASSES, hopeless: float = -math.inf
+) -> Fit:
+    """The model that was found less one cause; known where the search came that way, or was asked before.
+
+    `passes`, `hopeless`: of the climb.
+    """
     free = tuple(name for name in found.fit.free if not name.startswith(cause + "."))
     known = found.recall(free, criterion)
-    if known is not None and (known.converged or known.ahead < MARGIN):
+    if known is not None and (known.converged or known.ahead < MARGIN or _below(known, hopeless)):
         return known
     start = roused(found.fit.theta.without(cause)) if known is None else known.theta
-    fit = climb(criterion, start, free, passes=passes)
+    fit = climb(criterion, start, free, passes=passes, hopeless=hopeless)
     found.remember(fit, criterion)
     return fit
 
 
+def _below(fit: Fit, hopeless: float) -> bool:
+    return fit.loglik + STEEPER * fit.ahead < hopeless
+
+
 def _backward(criterion: Criterion, found: Selection, floor: Floor, say: Say, passes: int) -> None:
     """Out with whatever the later ones have made superfluous: what would not be taken now is not kept."""
+    gained = found.fit.loglik - found.base.loglik
+    needed = found.fit.loglik - max(THRESHOLD, BESIDE_NOISE * gained) - _CLEAR
+    hopeless = needed if passes == PASSES else -math.inf
+    criterion.each(lambda cause: _without(criterion, found, cause, passes, hopeless), found.causes[:-1])
     for cause in found.causes[:-1]:
-        smaller = _without(criterion, found, cause, passes)
+        smaller = _without(criterion, found, cause, passes, hopeless)
         loss = found.fit.loglik - smaller.loglik
-        trifle = loss < BESIDE_NOISE * (found.fit.loglik - found.base.loglik)
+        trifle = loss < BESIDE_NOISE * gained
         if loss < THRESHOLD or (trifle and not floor.under(criterion, smaller.theta).material(smaller.loglik)):
             found.causes.remove(cause)
             found.gains.pop(cause, None)
@@ -232,10 +248,15 @@ def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Tria
 
     Two that stand in for a third are never superfluous one by one.
     """
-    for other in sorted(set(found.causes) - {cause, trial.cause}, key=lambda name: found.gains[name]):
+    least = found.fit.loglik - MARGIN
+    others = sorted(set(found.causes) - {cause, trial.cause}, key=lambda name: found.gains[name])
+
+    def without(other: str) -> Fit:
         free = tuple(name for name in trial.fit.free if not name.startswith(other + "."))
-        fit = climb(criterion, roused(trial.fit.theta.without(other)), free)
-        if fit.loglik > found.fit.loglik - MARGIN:
+        return climb(criterion, roused(trial.fit.theta.without(other)), free, hopeless=least)
+
+    for other, fit in zip(others, criterion.each(without, others), strict=True):
+        if fit.loglik > least:
             say(f"{trial.cause} explains as much as {cause} and {other} together: it takes their place")
             found.causes = [name for name in found.causes if name not in (cause, other)] + [trial.cause]
             found.fit, gain = fit, fit.loglik - found.base.loglik
@@ -250,7 +271,8 @@ def _rivals(
 ) -> bool:
     """Who could stand in for `cause`, the others staying; a rival that explains more takes its place.
 
-    True where one took the place of `cause` and another: all others are to be asked again.
+    True where one took the place of `cause` and another, or where it turns out superfluous: all others are to be asked
+    again.
     """
     stood = cause
     if len(found.causes) == 1:
@@ -258,6 +280,12 @@ def _rivals(
     else:
         at, known = _without(criterion, found, cause), {}
     own = Trial(cause=cause, fit=found.fit, gain=found.fit.loglik - at.loglik)
+    if own.gain < THRESHOLD and len(found.causes) > 1:
+        found.causes.remove(cause)
+        found.gains.pop(cause)
+        found.fit = at
+        say(f"dropped: {cause} (the others explain it)")
+        return True
     others = [entry for entry in candidates if entry.name not in found.causes]
     scores = screen(criterion, at.theta, at.free, [*others, BY_NAME[cause]])
     shown = {score.cause: score.gain for score in scores}
@@ -275,7 +303,7 @@ def _rivals(
     trials = [trial for trial in known.values() if trial.cause not in (cause, *same)]
     trials += [renamed(own, other) for other in same]
     trials += fitted(criterion, at, scores, beaten=own.gain - _CLEAR)
-    trials = [_again(criterion, own, trial) if trial.cause in alike else trial for trial in trials]
+    trials = criterion.each(lambda trial: _again(criterion, own, trial) if trial.cause in alike else trial, trials)
     trials = sorted((trial for trial in trials if inside(trial)), key=lambda trial: -trial.gain)
     if trials and trials[0].gain > own.gain + MARGIN:
         own = _again(criterion, trials[0], own)

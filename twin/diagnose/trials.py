@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
-from twin.diagnose.estimate import PASSES, Fit, climb
+from twin.diagnose.estimate import PASSES, STEEPER, Fit, climb
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.payoff import removed
 from twin.diagnose.screen import Score
@@ -21,9 +22,9 @@ MARGIN = 4.5  # of log-likelihood: fits that are nearer to each other say the sa
 _SHORT = 2  # passes of a first fit
 # Then: passes, least share of the best gain, most candidates that go on.
 _HEATS = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))
-_STEEPER = 8.0  # the likelihood of a cause that is far away rises up to five times as much as its slope promises
 _STEEPER_DELAY = 50.0  # that of a delay is flat where there is none
 SAME = {"sampling-delay": "actuation-delay"}  # in the samples alone: fitted once
+_DOUBT = 0.2  # of the best gain: so much more than its slope promises a candidate may reach in the first heats
 _FAVOURITES = 2  # best of the screen: they go through the first heat, however slowly they begin to climb
 
 
@@ -57,40 +58,38 @@ def fitted(
     names = [score.cause for score in scores]
     copies = {same: one for same, one in SAME.items() if one in names and same in names}
     scores = [score for score in scores if score.cause not in copies]
-    trials = [
-        Trial(
-            cause=score.cause,
-            fit=(
-                fit := climb(
-                    criterion, start_of(criterion, at.theta, score), _with(at.free, score.cause), passes=_SHORT
-                )
-            ),
-            gain=fit.loglik - at.loglik - score.chance,
-        )
-        for score in scores
-    ]
+    trials = criterion.each(partial(_begun, criterion, at), scores)
     favourites = {score.cause for score in scores[:_FAVOURITES]}
     for heat, (passes, hopeless, most) in enumerate(_HEATS):
         trials.sort(key=lambda trial: -_expected(trial))
         best = max((trial.gain for trial in trials), default=0.0)
-        # Not before: the likelihood of a delay is flat at 0 and rises fifty times as high as its slope there promises.
         last = heat == len(_HEATS) - 1 and bool(trials)
-        overtaken = best - MARGIN if last else -math.inf
+        overtaken = best - MARGIN if last else (1.0 - _DOUBT) * best - MARGIN
         if last and all(_promise(trial) < wanted for trial in trials):
             leader = max(trials, key=lambda trial: trial.gain)
             least_pay = 0.5 * pays
             if least_pay >= 0.5 or removed(criterion, at.theta, leader.fit.theta) < least_pay:
                 break
+        going = set()
         for place, trial in enumerate(trials):
             goes_on = place < most and _expected(trial) >= hopeless * best and _promise(trial) >= overtaken
             goes_on = goes_on and _promise(trial) >= beaten
-            goes_on = goes_on or (heat == 0 and trial.cause in favourites)
-            if goes_on and not trial.fit.converged:
-                trials[place] = climbed(criterion, trial, passes)
+            if goes_on or (heat == 0 and trial.cause in favourites):
+                going.add(trial.cause)
+        trials = criterion.each(partial(_further, criterion, going, passes), trials)
     by_name = {trial.cause: trial for trial in trials}
     trials += [renamed(by_name[one], same) for same, one in copies.items()]
     trials.sort(key=lambda trial: -trial.gain)
     return trials
+
+
+def _begun(criterion: Criterion, at: Fit, score: Score) -> Trial:
+    fit = climb(criterion, start_of(criterion, at.theta, score), _with(at.free, score.cause), passes=_SHORT)
+    return Trial(cause=score.cause, fit=fit, gain=fit.loglik - at.loglik - score.chance)
+
+
+def _further(criterion: Criterion, going: set[str], passes: int, trial: Trial) -> Trial:
+    return climbed(criterion, trial, passes) if trial.cause in going and not trial.fit.converged else trial
 
 
 def same_as(cause: str) -> set[str]:
@@ -130,12 +129,12 @@ def _expected(trial: Trial) -> float:
 
 def _promise(trial: Trial) -> float:
     """What a candidate may still reach."""
-    return trial.gain if trial.fit.converged else trial.gain + _STEEPER * trial.fit.ahead
+    return trial.gain if trial.fit.converged else trial.gain + rises(trial.cause) * trial.fit.ahead
 
 
 def rises(cause: str) -> float:
     """How far the likelihood may rise above what its slope promises."""
-    return _STEEPER_DELAY if BY_NAME[cause].family == "timing" else _STEEPER
+    return _STEEPER_DELAY if BY_NAME[cause].family == "timing" else STEEPER
 
 
 def _with(free: tuple[str, ...], cause: str) -> tuple[str, ...]:

@@ -79,12 +79,16 @@ def _time(record: Record) -> list[str]:
         said.append(f"{record.name}: t does not rise at {stuck} samples; each begins a new piece")
     regular = steps[(steps > 0.0) & (steps < 10.0 * step)]
     # Twice the interval is a lost sample of a clock that beats regularly.
-    low, high = np.percentile(regular / np.maximum(np.rint(regular / step), 1.0), (5, 95))
+    beats = np.maximum(np.rint(regular / step), 1.0)
+    missing = int((beats - 1.0).sum())
+    low, high = np.percentile(regular / beats, (5, 95))
     if high - low > REGULAR * step:
         said.append(
             f"{record.name}: the sampling interval varies, {low * 1e3:.4g} to {high * 1e3:.4g} ms for nine in ten; "
             "each sample is predicted over its own"
         )
+    elif missing:
+        said.append(f"{record.name}: {missing} samples are missing beside {len(record.t)}")
     return said
 
 

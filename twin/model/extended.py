@@ -55,6 +55,7 @@ I_C, X, V, FIELD, SENSOR, WARMTH = range(6)
 STATES = 6
 PARTS = (0.0625, 0.1875, 0.25, 0.5)  # of an interval: its substeps
 SHORT_S = 1e-4  # an interval as in a 25 kHz capture is one substep
+INSTANT_S = 1e-9  # what is left of an interval by rounding
 GAP_MIN_SHARE = 0.01  # of the travel: nearer to the coil's plane than this, (3) is not evaluated
 
 
@@ -133,7 +134,7 @@ def _driven(
         return current_limit.limited(c, slew_rate_limit.relaxed(c, i, target, T_A, h))
     begin = motional_emf.lead(c, v + at * a, gap - at * v, gap_mid)
     end = motional_emf.lead(c, v + (at + h) * a, gap - (at + h) * v, gap_mid)
-    change = T_A * (end - begin) / h
+    change = T_A * (end - begin) / h if h > INSTANT_S else 0.0
     last = motional_emf.settled(end, change)
     if c[slew_rate_limit.RATE] < math.inf:
         return current_limit.limited(c, slew_rate_limit.relaxed(c, i, target / last, T_A / last, h))
@@ -177,20 +178,21 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         v2 = v + 0.5 * h * a1
         target = drive(p, c, u, y[WARMTH]) - p.K_A * freewheel_diode.lost_v(c, u, i, p.K_A)
         gap, T_A = plane - x, p.T_A
-        half_decay = 0.0
+        half_decay, pressed = 0.0, False
         if shaped:
             gap = max(gap, GAP_MIN_SHARE * p.travel_m)
             T_A = position_dependent_inductance.time_constant(c, p.T_A, gap, plane, gap_mid)
             if c[freewheel_diode.DROP] == 0.0:
                 target = max(target, 0.0)
-            i_half = _driven(c, i, target, T_A, v, a1, gap, gap_mid, 0.0, 0.5 * h)
+            pressed = stops and v == 0.0 and (a1 < 0.0 if x <= 0.0 else x >= p.travel_m)
+            i_half = _driven(c, i, target, T_A, v, 0.0 if pressed else a1, gap, gap_mid, 0.0, 0.5 * h)
         else:
             half_decay = math.exp(-0.5 * h / p.T_A)
             i_half = target + (i - target) * half_decay
         f_half = eddy_current_lag.lagged(c, f, i, i_half, 0.5 * h)
         a2 = 0.0 if held else acceleration(p, c, f_half, x + 0.5 * h * v, v2, t + 0.5 * h) - brake
         if shaped:
-            i_next = _driven(c, i_half, target, T_A, v, a2, gap, gap_mid, 0.5 * h, 0.5 * h)
+            i_next = _driven(c, i_half, target, T_A, v, 0.0 if pressed else a2, gap, gap_mid, 0.5 * h, 0.5 * h)
         else:
             i_next = target + (i_half - target) * half_decay
         f_next = eddy_current_lag.lagged(c, f_half, i_half, i_next, 0.5 * h)
