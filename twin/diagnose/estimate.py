@@ -23,8 +23,6 @@ NEAR = 0.3
 CLOSE = 3.0  # standard errors from the maximum: the derivatives are as good as those of the next point
 LOUD = 1.5  # mean square of the whitened innovations: with more, rough derivatives may point the wrong way
 PASSES = 30
-STEEPER = 8.0  # the likelihood far from its maximum rises up to five times as much as its slope promises
-_SETTLED = 3  # passes, before a slope is believed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,25 +60,8 @@ def spreads(criterion: Criterion, fit: Fit) -> dict[str, float]:
     return {name: at.std(name, criterion.plant) for name in fit.free}
 
 
-def climb(
-    criterion: Criterion,
-    start: Theta,
-    free: Sequence[str],
-    *,
-    passes: int = PASSES,
-    done: float = DONE,
-    hopeless: float = -math.inf,
-) -> Fit:
-    """Climb to the maximum from `start`.
-
-    Args:
-        criterion: of the recordings for fitting.
-        start: where to begin.
-        free: coordinates that move; the others stay.
-        passes: the most.
-        done: standard errors from the maximum that are as good as none.
-        hopeless: what will not come to this log-likelihood need not be known any better.
-    """
+def climb(criterion: Criterion, start: Theta, free: Sequence[str], *, passes: int = PASSES, done: float = DONE) -> Fit:
+    """Climb to the maximum from `start`; coordinates not in `free` stay."""
     plant = criterion.plant
     theta, damping, converged, slow = start, 1e-3, False, 0
     run = criterion.run(theta)
@@ -88,7 +69,7 @@ def climb(
     base, change = criterion.derivatives(theta, free, run, rough=rough)
     loglik, score, fisher = criterion.slopes(theta, free, base, change)
     decrement, fresh, exact = math.inf, True, not rough
-    for number in range(passes):
+    for _ in range(passes):
         active = _active(theta, free, score, plant)
         step, decrement = _newton(score, fisher, active, damping)
         if decrement < CLOSE and not exact:
@@ -98,8 +79,6 @@ def climb(
             step, decrement = _newton(score, fisher, active, damping)
         if decrement < done or (slow >= 2 and decrement < NEAR):
             converged = True
-            break
-        if number >= _SETTLED and loglik + 0.5 * STEEPER * decrement**2 < hopeless:
             break
         most = np.array([most_step(name) for name in free])
         # One factor for the physics: the direction stays.  A noise level near its floor has no slope and asks for any

@@ -12,12 +12,11 @@ Rule 3: the judge recordings are never looked at here.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from twin.diagnose import periodic
-from twin.diagnose.estimate import PASSES, STEEPER, Fit, climb
+from twin.diagnose.estimate import PASSES, Fit, climb
 from twin.diagnose.floor import Floor
 from twin.diagnose.forward import BESIDE_NOISE, SHARE, THRESHOLD, Round, Say, decided, forward
 from twin.diagnose.likelihood import Criterion
@@ -203,37 +202,25 @@ def _asked_again(criterion: Criterion, found: Selection, floor: Floor, refused: 
     return decided(criterion, found.fit, under, refused.scores, trials, gained, least)
 
 
-def _without(
-    criterion: Criterion, found: Selection, cause: str, passes: int = PASSES, hopeless: float = -math.inf
-) -> Fit:
-    """The model that was found less one cause; known where the search came that way, or was asked before.
-
-    `passes`, `hopeless`: of the climb.
-    """
+def _without(criterion: Criterion, found: Selection, cause: str, passes: int = PASSES) -> Fit:
+    """The model that was found less one cause; known where the search came that way, or was asked before."""
     free = tuple(name for name in found.fit.free if not name.startswith(cause + "."))
     known = found.recall(free, criterion)
-    if known is not None and (known.converged or known.ahead < MARGIN or _below(known, hopeless)):
+    if known is not None and (known.converged or known.ahead < MARGIN):
         return known
     start = roused(found.fit.theta.without(cause)) if known is None else known.theta
-    fit = climb(criterion, start, free, passes=passes, hopeless=hopeless)
+    fit = climb(criterion, start, free, passes=passes)
     found.remember(fit, criterion)
     return fit
 
 
-def _below(fit: Fit, hopeless: float) -> bool:
-    return fit.loglik + STEEPER * fit.ahead < hopeless
-
-
 def _backward(criterion: Criterion, found: Selection, floor: Floor, say: Say, passes: int) -> None:
     """Out with whatever the later ones have made superfluous: what would not be taken now is not kept."""
-    gained = found.fit.loglik - found.base.loglik
-    needed = found.fit.loglik - max(THRESHOLD, BESIDE_NOISE * gained) - _CLEAR
-    hopeless = needed if passes == PASSES else -math.inf
-    criterion.each(lambda cause: _without(criterion, found, cause, passes, hopeless), found.causes[:-1])
+    criterion.each(lambda cause: _without(criterion, found, cause, passes), found.causes[:-1])
     for cause in found.causes[:-1]:
-        smaller = _without(criterion, found, cause, passes, hopeless)
+        smaller = _without(criterion, found, cause, passes)
         loss = found.fit.loglik - smaller.loglik
-        trifle = loss < BESIDE_NOISE * gained
+        trifle = loss < BESIDE_NOISE * (found.fit.loglik - found.base.loglik)
         if loss < THRESHOLD or (trifle and not floor.under(criterion, smaller.theta).material(smaller.loglik)):
             found.causes.remove(cause)
             found.gains.pop(cause, None)
@@ -253,7 +240,7 @@ def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Tria
 
     def without(other: str) -> Fit:
         free = tuple(name for name in trial.fit.free if not name.startswith(other + "."))
-        return climb(criterion, roused(trial.fit.theta.without(other)), free, hopeless=least)
+        return climb(criterion, roused(trial.fit.theta.without(other)), free)
 
     for other, fit in zip(others, criterion.each(without, others), strict=True):
         if fit.loglik > least:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from twin.diagnose.estimate import PASSES, STEEPER, Fit, climb
+from twin.diagnose.estimate import PASSES, Fit, climb
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.payoff import removed
 from twin.diagnose.screen import Score
@@ -22,6 +22,7 @@ MARGIN = 4.5  # of log-likelihood: fits that are nearer to each other say the sa
 _SHORT = 2  # passes of a first fit
 # Then: passes, least share of the best gain, most candidates that go on.
 _HEATS = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))
+_STEEPER = 8.0  # the likelihood of a cause that is far away rises up to five times as much as its slope promises
 _STEEPER_DELAY = 50.0  # that of a delay is flat where there is none
 SAME = {"sampling-delay": "actuation-delay"}  # in the samples alone: fitted once
 _DOUBT = 0.2  # of the best gain: so much more than its slope promises a candidate may reach in the first heats
@@ -134,7 +135,7 @@ def _promise(trial: Trial) -> float:
 
 def rises(cause: str) -> float:
     """How far the likelihood may rise above what its slope promises."""
-    return _STEEPER_DELAY if BY_NAME[cause].family == "timing" else STEEPER
+    return _STEEPER_DELAY if BY_NAME[cause].family == "timing" else _STEEPER
 
 
 def _with(free: tuple[str, ...], cause: str) -> tuple[str, ...]:
