@@ -61,17 +61,23 @@ class LinkThread:
         self._actions: deque[Callable[[], None]] = deque()
         self._closing: list[threading.Thread] = []
         self._stopping = False
+        self._gate = threading.Lock()  # the number of a pipe that was closed may be another file's by then
+        self._ended = False
         self._thread = threading.Thread(target=self._work, name="link", daemon=True)
 
     def start(self) -> None:
         """Begin to open ports."""
         self._thread.start()
 
-    def post(self, action: Callable[[], None]) -> None:
-        """Have `action` run in the serial thread, soon; from any thread."""
-        self._actions.append(action)
-        with contextlib.suppress(BlockingIOError):  # a full pipe wakes as well as an empty one with a byte
-            os.write(self._wake_write, b"\x00")
+    def post(self, action: Callable[[], None]) -> bool:
+        """Have `action` run in the serial thread, soon; from any thread.  False where that has ended: nobody will."""
+        with self._gate:
+            if self._ended:
+                return False
+            self._actions.append(action)
+            with contextlib.suppress(BlockingIOError):  # a full pipe wakes as well as an empty one with a byte
+                os.write(self._wake_write, b"\x00")
+            return True
 
     def command(self, driver: BoardDriver, payload: bytes, reply: Reply, sender: Sender | None = None) -> None:
         """Hand a query to a board's driver; from any thread.  `sender` is known on a guarded bus."""
@@ -84,7 +90,8 @@ class LinkThread:
                 reply(pb.CommandReply(refused_by="gateway", reason="internal-error", text="See the gateway's log."))
             self._write_output(self._by_driver[id(driver)])
 
-        self.post(act)
+        if not self.post(act):
+            act()  # says that the link is down
 
     def stop(self) -> None:
         """Close all ports and end the thread.  The boards are told nothing: their host-loss policy decides."""
@@ -122,9 +129,12 @@ class LinkThread:
         finally:
             for line in self._lines:
                 self._close(line, "The gateway ends.", severity="info")
+            with self._gate:
+                self._ended = True
             self._run_actions()  # queries that came meanwhile are told that the link is down
             self._selector.close()
             os.close(self._wake_read)
+            os.close(self._wake_write)
 
     def _serve(self, line: _Line, mask: int) -> None:
         if mask & selectors.EVENT_WRITE:
@@ -185,7 +195,8 @@ class LinkThread:
                 result = open_port(config.port, config.baud)
             except Exception as error:  # a driver's own bug: this port does not open, the others live on
                 result = PortProblem("port-failed", f"{config.port} cannot be opened: {error}.")
-            self.post(lambda: self._opened(line, result))
+            if not self.post(lambda: self._opened(line, result)) and not isinstance(result, PortProblem):
+                result.close()
 
         threading.Thread(target=work, name=f"open-{config.name}", daemon=True).start()
 
