@@ -81,9 +81,9 @@ class Criterion:
 
     def close(self) -> None:
         """End the workers."""
-        self._pool.shutdown()
         if self._climbers is not None:
-            self._climbers.shutdown()
+            self._climbers.shutdown()  # first: a climb asks the others
+        self._pool.shutdown()
 
     def each(self, work: Callable[[T], R], items: Sequence[T]) -> list[R]:
         """`work` on each, several at once: such as a climb, which leaves a core idle between its derivatives.

@@ -88,7 +88,10 @@ def _time(record: Record) -> list[str]:
             "each sample is predicted over its own"
         )
     elif missing:
-        said.append(f"{record.name}: {missing} samples are missing beside {len(record.t)}")
+        said.append(
+            f"{record.name}: {missing} samples are missing beside {len(record.t)}; look for what drops them: the "
+            "line, its adapter, a busy computer"
+        )
     return said
 
 
