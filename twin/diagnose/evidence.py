@@ -37,7 +37,11 @@ HOVERS_SHARE = 0.02  # of the travel: so far from where it reads in the same rec
 RESTLESS = 5.0  # of the median window's sum of squares: of ten thousand windows of noise none reaches it
 CLIPPED_SHARE = 0.8  # of a rest
 NOISE_LEAST_M = 1e-7  # with less, a ball at rest has one reading wherever it rests
+TURNS = 5.0  # of g, on the mean over three intervals
 END_SHARE = 0.15  # of readings within 50 ms at the converter's end: the noise is cut off there, and its mean is not 0
+NEAR_END = 6.0  # of the noise: so far from the end a reading may be one of those whose noise is cut off there
+PILE_SAMPLES = 250  # as many readings near the end tell
+PILE_SHARE = 0.04  # of them at the very end: noise that is not cut off has its lowest reading once in thousands
 _LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
 _OPEN_LOOP = ("sawtooth", "prbs", "free")
 
@@ -112,6 +116,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
             own[at_converter_end(record.i_c)] &= np.uint8(~USE_I & 0xFF)
             own[np.isin(record.x, blind)] &= np.uint8(~(FLIES | USE_X) & 0xFF)
             cut = at_converter_end(record.x) if noise_shows else np.zeros(n, np.bool_)
+            own[bounces(record, plant)] &= np.uint8(~(FLIES | USE_X) & 0xFF)
             if told.kind in _OPEN_LOOP:
                 _trim(own)
             own[still & (own & FLIES != 0)] &= np.uint8(~(FLIES | USE_X) & 0xFF)
@@ -172,6 +177,22 @@ def _trim(flags: np.ndarray[tuple[int], np.dtype[np.uint8]]) -> None:
             flags[part] &= np.uint8(~(FLIES | USE_X) & 0xFF)
 
 
+def bounces(record: Record, plant: Plant) -> BoolArray:
+    """Where a ball that rose falls, sooner than its weight can turn it, shape (n,): it hit a stop.
+
+    A slow or late sensor shows such a bounce anywhere below the stop, and four readings of one decided over 30 000.
+    """
+    x, T = record.x, record.interval_s
+    hit = np.zeros(len(x), np.bool_)
+    if len(x) < 5 or not T > 0.0:
+        return hit
+    before, after = (x[1:-3] - x[:-4]) / T, (x[4:] - x[3:-1]) / T
+    least = TURNS * plant.gravity_m_s2 * 3.0 * T + 6.0 * 2.0 * noise_of(x[np.isfinite(x)]) / T
+    even = np.convolve(np.abs(np.diff(record.t) - T) < 0.5 * T, np.ones(4), mode="valid") == 4.0
+    hit[2:-2] = (before > 0.0) & (after < 0.0) & (before - after > least) & even
+    return np.asarray(maximum_filter1d(hit.astype(np.uint8), 3) > 0)
+
+
 def held_samples(record: Record, plant: Plant) -> BoolArray:
     """Where the ball is held by something, shape (n,): open loop, and x within its noise for 50 ms."""
     n = len(record.t)
@@ -191,13 +212,21 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
 
 
 def at_converter_end(values: FloatArray) -> BoolArray:
-    """Where readings stand at the lowest or highest value of the record so often that noise must be cut off there."""
+    """Where readings stand at the lowest or highest value of the record so often that noise must be cut off there.
+
+    Where the level at rest is some noise away from the end, 50 ms show too little of it: then among the readings near
+    the end.
+    """
     cut = np.zeros(len(values), np.bool_)
     if len(values) < HELD_SAMPLES or not np.isfinite(values).any():
         return cut
+    reach = NEAR_END * noise_of(values[np.isfinite(values)])
     for end in (np.nanmin(values), np.nanmax(values)):
         at_end = (values == end).astype(float)
         cut |= uniform_filter1d(at_end, HELD_SAMPLES) > END_SHARE
+        near = np.flatnonzero(np.abs(values - end) <= reach)
+        if len(near) >= PILE_SAMPLES:
+            cut[near] |= uniform_filter1d(at_end[near], PILE_SAMPLES) > PILE_SHARE
     return cut
 
 

@@ -12,6 +12,7 @@ Rule 3: the judge recordings are never looked at here.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -97,31 +98,42 @@ def select(
     if share == SHARE and not quick and _material(criterion, found, floor):
         found = _together(criterion, found, floor, candidates, few, say)
     if classes:
-        stand_ins(criterion, found, candidates=candidates, few=few, quick=quick, say=say)
+        asks = floor if share == SHARE and not quick else None
+        stand_ins(criterion, found, asks, candidates=candidates, few=few, quick=quick, say=say)
     return found
 
 
 def stand_ins(
     criterion: Criterion,
     found: Selection,
+    floor: Floor | None = None,
     *,
     candidates: Sequence[Cause] = CATALOGUE,
     few: int = FEW,
     quick: bool = False,
     say: Say = lambda line: None,
 ) -> None:
-    """The class of each cause that was found, and who comes next; the arguments are those of `select`."""
+    """The class of each cause that was found, and who comes next; the arguments are those of `select`.
+
+    With `floor`, where several causes leave more than noise, one of them may be false: the last is asked first, and
+    rivals are fitted however little the screen gives them.  Beside a friction that is not yet right a true cause had
+    a fifteenth of its gain there.
+    """
+
+    def doubtful() -> bool:
+        return floor is not None and len(found.causes) > 1 and _material(criterion, found, floor)
+
     if 1 < len(found.causes) <= MOST_TOGETHER and not quick:
         criterion.each(lambda cause: _without(criterion, found, cause), found.causes)
-    for cause in list(found.causes):
+    for cause in found.causes[::-1] if doubtful() else list(found.causes):
         if quick and len(found.causes) > 1:
             found.runner_up[cause] = found.gains[cause]
             own = Trial(cause=cause, fit=found.fit, gain=found.gains[cause])
             same = same_as(cause) & {entry.name for entry in candidates}
             found.classes[cause] = tuple(renamed(own, other) for other in sorted(same))
-        elif _rivals(criterion, found, cause, candidates, few, say):
+        elif _rivals(criterion, found, cause, candidates, few, doubtful(), say):
             found.classes, found.runner_up = {}, {}
-            return stand_ins(criterion, found, candidates=candidates, few=few, say=say)
+            return stand_ins(criterion, found, floor, candidates=candidates, few=few, say=say)
 
 
 def _add(
@@ -254,9 +266,17 @@ def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Tria
 
 
 def _rivals(
-    criterion: Criterion, found: Selection, cause: str, candidates: Sequence[Cause], few: int, say: Say
+    criterion: Criterion,
+    found: Selection,
+    cause: str,
+    candidates: Sequence[Cause],
+    few: int,
+    everyone: bool,
+    say: Say,
 ) -> bool:
     """Who could stand in for `cause`, the others staying; a rival that explains more takes its place.
+
+    With `everyone`, none is spared for what the screen gives it.
 
     True where one took the place of `cause` and another, or where it turns out superfluous: all others are to be asked
     again.
@@ -280,16 +300,18 @@ def _rivals(
     alike = {name for name, gain in shown.items() if gain > _ALIKE * shown.get(cause, 0.0)}
     alike |= {entry.name for entry in candidates if entry.family == BY_NAME[cause].family}
     same = same_as(cause) & {entry.name for entry in others}
-    scores = [
-        score
-        for score in scores
-        if score.cause not in (*known, cause, *same) and score.testable
-        if score.gain > max(0.3 * THRESHOLD, comparable)
-        if score.cause in alike or score.gain * rises(score.cause) > own.gain - _CLEAR
-    ][: max(few - len(known), 2)]
+    scores = [score for score in scores if score.cause not in (*known, cause, *same) and score.testable]
+    scores = [score for score in scores if score.gain > 0.3 * THRESHOLD]
+    if not everyone:
+        scores = [
+            score
+            for score in scores
+            if score.gain > comparable
+            if score.cause in alike or score.gain * rises(score.cause) > own.gain - _CLEAR
+        ][: max(few - len(known), 2)]
     trials = [trial for trial in known.values() if trial.cause not in (cause, *same)]
     trials += [renamed(own, other) for other in same]
-    trials += fitted(criterion, at, scores, beaten=own.gain - _CLEAR)
+    trials += fitted(criterion, at, scores, beaten=-math.inf if everyone else own.gain - _CLEAR)
     trials = criterion.each(lambda trial: _again(criterion, own, trial) if trial.cause in alike else trial, trials)
     trials = sorted((trial for trial in trials if inside(trial)), key=lambda trial: -trial.gain)
     if trials and trials[0].gain > own.gain + MARGIN:
