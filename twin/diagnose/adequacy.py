@@ -33,10 +33,7 @@ def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
             f"what is left is larger than the sensor noise: {per_reading:.2f} of log-likelihood per reading are missing"
         )
     if floor.misplaced_m > MISPLACED_M:
-        return False, (
-            f"it needs a stop {floor.misplaced_m * 1e3:.2f} mm from where the plant has it; if the travel in the "
-            "campaign file is wrong, mend it there"
-        )
+        return False, f"it needs {_misplaced(floor)}; if the travel in the campaign file is wrong, mend it there"
     counts = [count for count in np.isfinite(white).sum(axis=0).tolist() if count]
     chance = _SURE / math.sqrt(min(counts)) if counts else math.inf
     if colour.worst > max(COLOURED, chance):
@@ -44,8 +41,14 @@ def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
     return True, ""
 
 
-def where_left(criterion: Criterion, fit: Fit) -> str:
-    """Where the innovations are largest: recording, height, direction, channel."""
+def _misplaced(floor: Floor) -> str:
+    return f"a stop {floor.misplaced_m * 1e3:.2f} mm from where the plant has it"
+
+
+def where_left(criterion: Criterion, fit: Fit, floor: Floor) -> str:
+    """Where the innovations are largest: recording, height, direction, channel; or at a stop, if only that is wrong."""
+    if floor.misplaced_m > MISPLACED_M and not (floor.measured and floor.audible(fit.loglik)):
+        return f"at rest: the model needs {_misplaced(floor)}"
     series = criterion.evidence.series
     _, white = criterion.white(fit.theta)
     names = criterion.evidence.names()

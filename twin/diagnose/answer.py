@@ -109,7 +109,8 @@ def told(
     """The diagnosis of a finished search; `warnings` and `stages` grow on the way."""
     criterion, found, floor, model = done.criterion, done.found, done.floor, asked.model
     with timed(stages, "what is left"):
-        where = "" if done.fine else where_left(criterion, found.fit)
+        under = floor.under(criterion, found.fit.theta)
+        where = "" if done.fine else where_left(criterion, found.fit, under)
         spread = spreads(criterion, found.fit)
         warnings += contradictions(criterion, found.fit)
         always = [name for name in found.causes if name != PERIODIC and done.change is None]
@@ -137,7 +138,7 @@ def told(
     if not done.fine:
         verdict = "unknown-cause"
         warnings.append(done.why_not)
-    lacks = floor.under(criterion, found.fit.theta).excess(found.fit.loglik)
+    lacks = under.excess(found.fit.loglik)
     left = max(lacks, 0.0) / max(_excess(found, floor), floor.readings * 1e-3)
     diagnosis = Diagnosis(
         verdict=verdict,

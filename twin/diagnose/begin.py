@@ -7,7 +7,8 @@ from dataclasses import replace
 
 from protocol.campaign import Plant
 from protocol.errors import DataError
-from twin.diagnose.evidence import Evidence, sensor_noise
+from twin.diagnose.evidence import Evidence
+from twin.diagnose.rest_noise import sensor_noise
 from twin.diagnose.theta import Theta, most_drag
 from twin.identify.record import Record
 from twin.identify.start import AmplifierStart, amplifier_start, ball_start

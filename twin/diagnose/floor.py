@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.diagnose.evidence import noise_error, sensor_noise
 from twin.diagnose.likelihood import STOP_STD_M, Criterion
+from twin.diagnose.rest_noise import noise_error, sensor_noise
 from twin.diagnose.theta import FLOORS, Theta
 from twin.identify.innovations import USE_X
 from twin.identify.record import FloatArray

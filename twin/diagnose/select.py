@@ -37,6 +37,8 @@ FEW = 5  # candidates that are fitted in a round
 _PASSES_QUICK = 10  # of a model without one of its causes: enough to see that it is worse, hardly by how much
 _CLEAR = 60.0  # of log-likelihood: a rival so far behind is out, whatever more he gains
 _COMPARABLE = 0.2  # of the cause's own gain on the screen: what stands in for it shows there, too
+_NEARLY = 0.7  # of the best gain: one of two that hide each other may be behind a false one
+_FIRSTS = 4  # such that are tried
 _ALIKE = 0.8  # of the cause's own gain on the screen: it may do the same, and have begun to climb at a worse place
 
 
@@ -185,18 +187,33 @@ def _together(
     excess = floor.under(criterion, found.fit.theta).excess(found.fit.loglik)
     if not refused.trials or refused.trials[0].gain < SHARE_TOGETHER * excess:
         return found
-    shift_s = criterion.shift_s
-    more = replace(found, causes=[*found.causes], gains={**found.gains}, rounds=found.rounds[:-1])
     say("too little alone; does it, with others, leave nothing but noise?")
     again = _asked_again(criterion, found, floor, refused)
-    goes_on = _taken(criterion, more, floor, again, say, PASSES)
-    while goes_on and len(more.causes) < MOST_TOGETHER and _material(criterion, more, floor):
-        least = SHARE_TOGETHER if len(more.causes) < MOST_TOGETHER - 1 else SHARE_LAST
-        goes_on = _add(criterion, more, floor, candidates, few, least, say)
-    if _material(criterion, more, floor):
+    for first in _firsts(again):
+        shift_s = criterion.shift_s
+        more = replace(found, causes=[*found.causes], gains={**found.gains}, rounds=found.rounds[:-1])
+        goes_on = _taken(criterion, more, floor, first, say, PASSES)
+        while goes_on and len(more.causes) < MOST_TOGETHER and _material(criterion, more, floor):
+            least = SHARE_TOGETHER if len(more.causes) < MOST_TOGETHER - 1 else SHARE_LAST
+            goes_on = _add(criterion, more, floor, candidates, few, least, say)
+        if not _material(criterion, more, floor):
+            return more
         criterion.shift_s = shift_s
-        return found
-    return more
+    return found
+
+
+def _firsts(again: Round) -> list[Round]:
+    """The round, and the same with another cause taken that gains nearly as much: a false one may lead by little."""
+    if not again.taken:
+        return []
+    firsts = [again]
+    for trial in again.trials[1:]:
+        near = trial.gain > _NEARLY * again.trials[0].gain and inside(trial)
+        if near and all(abs(trial.gain - first.trials[0].gain) > MARGIN for first in firsts):
+            others = tuple(other for other in again.trials if other is not trial)
+            why = f"instead, log-likelihood +{trial.gain:.0f}"
+            firsts.append(replace(again, trials=(trial, *others), taken=trial.cause, why=why))
+    return firsts[:_FIRSTS]
 
 
 def _asked_again(criterion: Criterion, found: Selection, floor: Floor, refused: Round) -> Round:

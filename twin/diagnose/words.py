@@ -119,9 +119,11 @@ def summary_sentence(found: Diagnosis) -> str:
     rest = f" What is left is largest {where}." if where else ""
     if not found.causes:
         return f"The model is wrong, and none of the known causes explains it.{rest}"
+    nearest = _named(found.causes, whole=False)
+    nearest = nearest[:1].lower() + nearest[1:] if nearest.startswith("The ") else nearest
     return (
-        f"{_named(found.causes, whole=False)} But that is not all: nothing in the catalogue explains the rest."
-        f"{_apart(found.causes)}{rest}{worth}"
+        "The model is wrong, and the known causes do not explain all of it. What comes nearest may only stand in for "
+        f"what nobody knows: {nearest}{_apart(found.causes)}{rest}{worth}"
     )
 
 

@@ -105,6 +105,11 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
             Rate(name="outside: honest", hits=sum(j.right is True for _, j in outside), count=len(outside), target=0.9),
             Rate(name="outside: false name", hits=sum(o.verdict == FOUND for o, _ in outside), count=len(outside)),
             Rate(
+                name="outside: honest, with stand-ins listed",
+                hits=sum(o.verdict == UNKNOWN and bool(o.named) for o, _ in outside),
+                count=len(outside),
+            ),
+            Rate(
                 name="outside: not noticed",
                 hits=sum(o.verdict == ADEQUATE and j.right is not True for o, j in outside),
                 count=len(outside),

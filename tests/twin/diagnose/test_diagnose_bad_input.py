@@ -20,11 +20,12 @@ from tests.twin.identify.independent_plant import Ball, wandering
 from twin.diagnose.change import apart, in_time
 from twin.diagnose.consistency import beginnings, contradictions
 from twin.diagnose.estimate import climb
-from twin.diagnose.evidence import gather, noise_error, sensor_noise
+from twin.diagnose.evidence import gather
 from twin.diagnose.floor import MATERIAL, Floor, floor_of
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.lost import lost_samples
 from twin.diagnose.pipeline import diagnose
+from twin.diagnose.rest_noise import noise_error, sensor_noise
 from twin.diagnose.theta import BASE, Theta
 from twin.identify.reading import read_campaign
 from twin.identify.record import FloatArray, Record

@@ -13,9 +13,10 @@ import pytest
 
 from board51 import main
 from protocol.campaign import load
-from twin.diagnose.evidence import Evidence, gather, sensor_noise
+from twin.diagnose.evidence import Evidence, gather
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.pipeline import tick_of
+from twin.diagnose.rest_noise import sensor_noise
 from twin.diagnose.theta import Theta
 from twin.identify.innovations import FLIES
 from twin.identify.reading import read_campaign

@@ -13,10 +13,11 @@ from protocol.campaign import Campaign, load
 from tests.twin.diagnose.hidden_campaign import make_campaign
 from twin.diagnose.begin import no_better, start_theta
 from twin.diagnose.estimate import climb
-from twin.diagnose.evidence import gather, sensor_noise
+from twin.diagnose.evidence import gather
 from twin.diagnose.filter import RESTS_LOW
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.payoff import removed
+from twin.diagnose.rest_noise import sensor_noise
 from twin.diagnose.screen import screen
 from twin.diagnose.starts import beside, start_of
 from twin.diagnose.theta import BASE, STOPS, Theta

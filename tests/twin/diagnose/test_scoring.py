@@ -170,6 +170,7 @@ def test_rates_matrix_and_reliability_count_what_they_say() -> None:
         "nothing hidden: false alarm": (1, 2),
         "outside: honest": (1, 1),
         "outside: false name": (0, 1),
+        "outside: honest, with stand-ins listed": (1, 1),
         "outside: not noticed": (0, 1),
         "2 causes: truths found": (1, 2),
         "2 causes: all found": (0, 1),

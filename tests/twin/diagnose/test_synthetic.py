@@ -20,7 +20,6 @@ from tests.twin.diagnose.simulated_rig import (
     strong,
 )
 from tests.twin.identify.emulated_campaign import Lab
-from twin.diagnose.evidence import sensor_noise
 from twin.diagnose.menu import MENU
 from twin.diagnose.operating import (
     at_rest,
@@ -31,6 +30,7 @@ from twin.diagnose.operating import (
     settled_current,
 )
 from twin.diagnose.playback import Converters, converters_of
+from twin.diagnose.rest_noise import sensor_noise
 from twin.diagnose.synthetic import Schedule, input_limit, resimulate, simulate
 from twin.identify.innovations import FLIES
 from twin.identify.record import Record
