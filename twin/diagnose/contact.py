@@ -22,7 +22,8 @@ EDGE_SAMPLES = 4  # left out at both ends of a rest: the ball rocks
 HOVERS_SHARE = 0.02  # of the travel: so far from where it reads in the same recording's other rests, it does not lie
 CLIPPED_SHARE = 0.8  # of a rest
 NOISE_LEAST_M = 1e-7  # with less, a ball at rest has one reading wherever it rests
-TURNS = 5.0  # of g, on the mean over three intervals
+TURNS = 5.0  # of g, on the mean over four intervals
+CLEAR_STEP = 6.0  # of the noise, from reading to reading
 END_SHARE = 0.15  # of readings within 50 ms at the converter's end: the noise is cut off there, and its mean is not 0
 NEAR_END = 6.0  # of the noise: so far from the end a reading may be one of those whose noise is cut off there
 PILE_SAMPLES = 250  # as many readings near the end tell
@@ -55,31 +56,44 @@ def bounces(record: Record, plant: Plant) -> BoolArray:
     """
     x, step_s = record.x, record.interval_s
     hit = np.zeros(len(x), np.bool_)
-    if len(x) < 5 or not step_s > 0.0:
+    if len(x) < 7 or not step_s > 0.0:
         return hit
-    before, after = (x[1:-3] - x[:-4]) / step_s, (x[4:] - x[3:-1]) / step_s
-    least = TURNS * plant.gravity_m_s2 * 3.0 * step_s + 6.0 * 2.0 * noise_of(x[np.isfinite(x)]) / step_s
-    even = np.convolve(np.abs(np.diff(record.t) - step_s) < 0.5 * step_s, np.ones(4), mode="valid") == 4.0
-    hit[2:-2] = (before > 0.0) & (after < 0.0) & (before - after > least) & even
+    sigma = noise_of(x[np.isfinite(x)])
+    steps = np.diff(x)
+    # Two clear steps each way: a wrong reading goes up and down, too, but by one.
+    rises, falls = np.minimum(steps[:-1], steps[1:]), np.minimum(-steps[:-1], -steps[1:])
+    clear = np.minimum(rises[:-4], falls[4:]) > CLEAR_STEP * sigma
+    change = ((x[2:-4] - x[:-6]) + (x[4:-2] - x[6:])) / (2.0 * step_s)
+    least = TURNS * plant.gravity_m_s2 * 4.0 * step_s + CLEAR_STEP * sigma / step_s
+    even = np.convolve(np.abs(np.diff(record.t) - step_s) < 0.5 * step_s, np.ones(6), mode="valid") == 6.0
+    hit[3:-3] = clear & (change > least) & even
     return np.asarray(maximum_filter1d(hit.astype(np.uint8), 3) > 0)
 
 
 def at_converter_end(values: FloatArray) -> BoolArray:
-    """Where readings stand at the lowest or highest value of the record so often that noise must be cut off there.
-
-    Where the level at rest is some noise away from the end, 50 ms show too little of it: then among the readings near
-    the end.
-    """
+    """Where readings stand at the lowest or highest value of the record so often that noise must be cut off there."""
     cut = np.zeros(len(values), np.bool_)
     if len(values) < HELD_SAMPLES or not np.isfinite(values).any():
         return cut
-    reach = NEAR_END * noise_of(values[np.isfinite(values)])
     for end in (np.nanmin(values), np.nanmax(values)):
         at_end = (values == end).astype(float)
         cut |= uniform_filter1d(at_end, HELD_SAMPLES) > END_SHARE
-        near = np.flatnonzero(np.abs(values - end) <= reach)
-        if len(near) >= PILE_SAMPLES:
-            cut[near] |= uniform_filter1d(at_end[near], PILE_SAMPLES) > PILE_SHARE
+    return cut
+
+
+def near_converter_end(values: FloatArray) -> BoolArray:
+    """Where finite readings have less noise than the sensor: some of it is cut off, too little for `at_converter_end`.
+
+    Their mean is right within a tenth of the noise.
+    """
+    cut = np.zeros(len(values), np.bool_)
+    sigma, levels = noise_of(values), np.unique(values)
+    if len(values) < PILE_SAMPLES or len(levels) < 2 or sigma <= np.diff(levels).min():
+        return cut  # with a coarse converter any level is read often
+    reach = NEAR_END * sigma
+    for end in (values.min(), values.max()):
+        near = np.abs(values - end) <= reach
+        cut |= near & (near.sum() >= PILE_SAMPLES) & (np.mean(values[near] == end) > PILE_SHARE)
     return cut
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.diagnose.contact import HELD_SAMPLES, at_converter_end
+from twin.diagnose.contact import HELD_SAMPLES, at_converter_end, near_converter_end
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.filter import RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN
-from twin.identify.innovations import FLIES, USE_I, USE_X
-from twin.identify.record import runs
+from twin.identify.innovations import FLIES, USE_I, USE_X, Series
+from twin.identify.record import BoolArray, FloatArray, runs
 
 RESTLESS = 5.0  # of the median window's sum of squares: of ten thousand windows of noise none reaches it
 _LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
@@ -36,13 +36,13 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
     A window far noisier than the others is none of rest: a current that still settles when u_c stands, a touched rig.
     """
     series = evidence.series
+    whole = _not_cut(series, series.i, USE_I), _not_cut(series, series.x, USE_X)
     rest = series.flags & (RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) != 0
     squares: tuple[list[float], list[float]] = ([], [])
     for piece in runs(rest, 2 * HELD_SAMPLES):
         for start in range(piece.start, piece.stop - HELD_SAMPLES + 1, HELD_SAMPLES):
             window = slice(start, start + HELD_SAMPLES)
-            uses = series.flags[window]
-            usable = ((uses & USE_I != 0).all() and np.ptp(series.u[window]) == 0.0, (uses & USE_X != 0).all())
+            usable = whole[0][window].all() and np.ptp(series.u[window]) == 0.0, whole[1][window].all()
             for place, values in ((0, series.i[window]), (1, series.x[window])):
                 if not usable[place]:
                     continue
@@ -55,6 +55,15 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
         usual = [one for one in channel if one <= RESTLESS * middle] if middle > 0.0 else channel
         result.append((sum(usual), len(usual) * (HELD_SAMPLES - 2)))
     return result
+
+
+def _not_cut(series: Series, values: FloatArray, use: int) -> BoolArray:
+    """Which readings are used and have all of their noise, shape (n,)."""
+    used, known = series.flags & use != 0, series.flags & (use | RESTS_LOW | RESTS_HIGH) != 0
+    for number in np.unique(series.recording):
+        own = np.flatnonzero(known & (series.recording == number))
+        used[own[near_converter_end(values[own])]] = False
+    return np.asarray(used)
 
 
 def _clamped_noise(evidence: Evidence) -> tuple[float | None, float | None]:
