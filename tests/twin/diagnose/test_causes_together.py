@@ -9,6 +9,7 @@ import pytest
 
 from protocol.campaign import load
 from tests.twin.diagnose.hidden_campaign import make_campaign
+from tests.twin.diagnose.known_diagnosis import fit_of
 from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
 from twin.diagnose import forward
 from twin.diagnose import select as search
@@ -56,6 +57,22 @@ def test_causes_that_hide_each_other_are_taken_together_or_not_at_all(
     assert abs(right.excess(both.fit.loglik)) < 3.0 * right.error * right.readings
     assert both.fit.theta.value("quadratic-drag.c_n_s2_m2") == pytest.approx(2.0, rel=0.05)
     assert both.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
+
+
+def test_who_gains_nearly_as_much_as_the_leader_is_tried_as_the_first_of_several_too() -> None:
+    gains = {"air-gap-offset": 1000.0, "force-exponent": 999.0, "constant-force": 900.0, "quadratic-drag": 300.0}
+    trials = tuple(
+        Trial(cause=cause, fit=fit_of(strong(cause, BY_NAME[cause].strength.probes[0]), 0.0), gain=gain)
+        for cause, gain in gains.items()
+    )
+    again = forward.Round(scores=(), trials=trials, taken="air-gap-offset", why="")
+
+    firsts = search._firsts(again)
+
+    # The second says the same as the leader: what stands in for one cause is not tried twice.
+    assert [first.taken for first in firsts] == ["air-gap-offset", "constant-force"]
+    assert all(first.trials[0].cause == first.taken and len(first.trials) == 4 for first in firsts)
+    assert search._firsts(replace(again, taken="")) == []
 
 
 @pytest.mark.slow

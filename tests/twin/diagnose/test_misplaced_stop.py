@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.twin.diagnose.simulated_rig import ITEMS, criterion_of, made, narrow, strong
-from twin.diagnose.adequacy import adequate
+from twin.diagnose.adequacy import adequate, where_left
 from twin.diagnose.estimate import climb
 from twin.diagnose.floor import MISPLACED_M, floor_of
 from twin.diagnose.likelihood import STOP_STD_M, Criterion
@@ -35,6 +35,7 @@ def test_a_coil_and_a_stop_in_the_wrong_place_are_no_adequate_model(criterion: C
     assert floor.material(fit.loglik)
     assert not fine
     assert "needs a stop 0.3" in why
+    assert where_left(criterion, fit, floor).startswith("at rest: the model needs a stop 0.3")
 
 
 def test_the_right_cause_puts_the_stop_back(criterion: Criterion) -> None:

@@ -105,6 +105,16 @@ def test_an_unknown_cause_says_how_much_is_left_and_where_and_offers_a_correctio
     assert "It helps" in text
 
 
+def test_names_beside_an_unknown_cause_are_said_to_be_stand_ins() -> None:
+    found = replace(found_gap(), verdict="unknown-cause", unexplained_where="at rest: the model needs a stop elsewhere")
+
+    text = summary_sentence(found)
+
+    assert text.startswith("The model is wrong, and the known causes do not explain all of it.")
+    assert "may only stand in for what nobody knows: the coil sits" in text
+    assert "What is left is largest at rest: the model needs a stop elsewhere." in text
+
+
 def test_an_adequate_model_says_so_and_shows_one_model() -> None:
     found = diagnosis("air-gap-offset", 5e-4, extended=False)
     found = replace(found, verdict="model-adequate", unexplained_share=0.0)

@@ -1,0 +1,93 @@
+"""Names that should not stand: of a cause that explains nothing any more, of one that the screen alone would keep."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from twin.diagnose import select as search
+from twin.diagnose.estimate import Fit, climb
+from twin.diagnose.floor import floor_of
+from twin.diagnose.forward import THRESHOLD, Round
+from twin.diagnose.screen import screen
+from twin.diagnose.starts import start_of
+from twin.diagnose.theta import BASE, STOPS, coordinates_of, roused
+from twin.diagnose.trials import MARGIN
+from twin.model.causes.catalogue import BY_NAME
+
+GAP, DRAG, FORCE, FRICTION, MAGNETISM = (
+    "air-gap-offset",
+    "quadratic-drag",
+    "constant-force",
+    "coulomb-friction",
+    "residual-magnetism",
+)
+
+
+def selection(base: Fit, fit: Fit, *causes: str) -> search.Selection:
+    """As if these had been taken, the last one by the only round that is known."""
+    first = Round(scores=(), trials=(), taken=causes[0], why="")
+    return search.Selection(base=base, fit=fit, causes=[*causes], gains=dict.fromkeys(causes, 100.0), rounds=[first])
+
+
+def test_a_cause_that_turns_out_to_explain_nothing_is_dropped() -> None:
+    rig = strong(GAP, 5e-4)
+    criterion = criterion_of(narrow(rig))
+    try:
+        base = fitted(criterion, THETA)
+        found = selection(base, fitted(criterion, strong(DRAG, 0.1, rig), GAP, DRAG), GAP, DRAG)
+        before = found.fit.loglik
+        search.stand_ins(criterion, found, candidates=(BY_NAME[FORCE],), few=3)
+    finally:
+        criterion.close()
+
+    assert found.causes == [GAP]
+    assert set(found.gains) == {GAP}
+    assert found.fit.free == (*BASE, *coordinates_of(GAP))
+    assert found.fit.loglik > before - THRESHOLD
+
+
+@pytest.mark.slow
+def test_beside_dry_friction_a_doubtful_name_goes_to_one_that_the_screen_hardly_knows() -> None:
+    """The friction comes out wrong without the magnetism, and there is no slope from there to the true numbers."""
+    rig = strong(MAGNETISM, 0.04, strong(FRICTION, 3e-3))
+    criterion = criterion_of(narrow(rig, seconds=8.0))
+    free = (*BASE, *STOPS, *coordinates_of(FRICTION))
+    try:
+        base = climb(criterion, THETA, (*BASE, *STOPS))
+        true = climb(criterion, rig, (*free, *coordinates_of(MAGNETISM)))
+        rubs = climb(criterion, roused(strong(FRICTION, 3e-3)), free)
+        false = climb(criterion, strong(FORCE, 1e-3, rubs.theta), (*free, *coordinates_of(FORCE)))
+        floor = floor_of(criterion, base.theta)
+        doubtful = floor.under(criterion, false.theta).material(false.loglik)
+        shown = {score.cause: score.gain for score in screen(criterion, rubs.theta, rubs.free)}
+        spared, asked = selection(base, false, FRICTION, FORCE), selection(base, false, FRICTION, FORCE)
+        search.stand_ins(criterion, spared, candidates=(BY_NAME[MAGNETISM],), few=3)
+        search.stand_ins(criterion, asked, floor, candidates=(BY_NAME[MAGNETISM],), few=3)
+    finally:
+        criterion.close()
+
+    assert doubtful
+    assert true.loglik - rubs.loglik > 50.0 * shown[MAGNETISM]
+    assert MAGNETISM not in spared.causes
+    assert asked.causes == [FRICTION, MAGNETISM]
+    assert asked.fit.loglik > true.loglik - MARGIN
+    assert asked.fit.theta.value("residual-magnetism.i_r_a") == pytest.approx(0.04, rel=0.03)
+
+
+def test_a_candidate_starts_with_the_numbers_of_the_causes_that_stood_in_for_it() -> None:
+    """Beside an offset of i_c that has taken up a dead zone, the dead zone begins where the offset gives it back."""
+    rig = strong("amplifier-dead-zone", 0.24, strong("current-sensor-offset", -0.065))
+    criterion = criterion_of(narrow(rig))
+    try:
+        at = fitted(criterion, strong("current-sensor-offset", -0.13), "current-sensor-offset")
+        scores = {score.cause: score for score in screen(criterion, at.theta, at.free)}
+        gains = [
+            criterion.value(start_of(criterion, at.theta, scores[cause])) - at.loglik
+            for cause in ("amplifier-dead-zone", "amplifier-offset")
+        ]
+    finally:
+        criterion.close()
+
+    assert at.theta.value("current-sensor-offset.offset_a") < -0.12
+    assert min(gains) > 0.0
