@@ -3,7 +3,8 @@
 Rule 1: the prediction of sample k knows the readings up to k - N and the inputs up to k, nothing else.
 Rule 2: what is predicted is what the position sensor will show (offset, scale, lag and all), so that it is compared
         with what it did show.
-Rule 3: no prediction where the ball met a stop, a sample was lost or x is no reading between k - N and k, nor before
+Rule 3: what is told to people is `within_reach`: a ball does not go through a stop.
+Rule 4: no prediction where the ball met a stop, a sample was lost or x is no reading between k - N and k, nor before
         the filter has had `settle_s` of the flight to find the speed.
 """
 
@@ -13,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.compiled import Packed, kernel
+from twin.diagnose.contact import NEAR_SHARE
 from twin.diagnose.filter import LOST, OUT_COLUMNS, drive_over, run_extended
 from twin.identify.innovations import FLIES, FOLLOWS, USE_X
-from twin.model.extended import SENSOR, STATES
+from twin.model.extended import SENSOR, STATES, Base, position_reading
 
 _FOUND = 3  # samples behind a lost one whose readings tell its input
 SETTLE_S = 0.1  # an estimate forgets its start within 1 / (unstable pole) = 12 ms; eight of them
@@ -63,6 +65,19 @@ def predict_ahead(
     everywhere = np.ones(len(u), np.bool_)
     roll(base, c, t, step, u, flags, state, ahead, max(round(settle_s / tick_s), 2), everywhere, x_hat)
     return x_hat
+
+
+def within_reach(
+    x_hat: NDArray[np.float64], base: Base, c: NDArray[np.float64], stops_m: tuple[float, float]
+) -> NDArray[np.float64]:
+    """The predictions, shape (n,), none farther behind a stop than a stop may seem displaced: the ball ends there.
+
+    Near the coil's plane a wrong model throws it ten travels in 20 ms, and such a number tells nobody anything.
+    The other arguments are those of `predict_ahead`.
+    """
+    margin = NEAR_SHARE * base.travel_m
+    low, high = (float(position_reading(base, c, place, 0.0)) for place in (stops_m[0], base.travel_m + stops_m[1]))
+    return np.clip(x_hat, low - margin, high + margin)
 
 
 @kernel

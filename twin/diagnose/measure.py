@@ -18,7 +18,7 @@ from scipy.linalg import LinAlgError, solve_discrete_are
 from protocol.campaign import Plant
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.floor import Floor
-from twin.diagnose.horizon import predict_ahead
+from twin.diagnose.horizon import predict_ahead, within_reach
 from twin.diagnose.phase import has_phase, predict_in_phase
 from twin.diagnose.theta import FLOORS, Theta
 from twin.identify.innovations import FLIES
@@ -58,8 +58,9 @@ def predictions(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float, s
     noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, tick_s)
     c = theta.vector()
     ahead = predict_in_phase if has_phase(c) else predict_ahead
-    stops = (theta.stop_low_m, theta.stop_high_m)
-    return ahead(tuple(theta.base(plant)), c, noise, stops, evidence.t, s.step, s.u, s.i, s.x, s.flags, tick_s, samples)
+    stops, p = (theta.stop_low_m, theta.stop_high_m), theta.base(plant)
+    x_hat = ahead(tuple(p), c, noise, stops, evidence.t, s.step, s.u, s.i, s.x, s.flags, tick_s, samples)
+    return within_reach(x_hat, p, c, stops)
 
 
 def gain(

@@ -15,7 +15,7 @@ import numpy as np
 from protocol.errors import DataError
 from twin.diagnose.evidence import gather
 from twin.diagnose.filter import LOST
-from twin.diagnose.horizon import SETTLE_S, predict_ahead
+from twin.diagnose.horizon import SETTLE_S, predict_ahead, within_reach
 from twin.diagnose.phase import has_phase, predict_in_phase
 from twin.identify.innovations import FLIES, FOLLOWS, USE_X
 from twin.identify.record import FloatArray, Record
@@ -82,6 +82,7 @@ def predict(model: Model, record: Record, ahead: int) -> Prediction:
     noise = (point.sigma_i_c_a, point.sigma_x_m, point.process_i_c_a, point.process_a_m_s2, tick_s)
     ahead_of = predict_in_phase if has_phase(c) else predict_ahead
     x_hat = ahead_of(tuple(p), c, noise, (0.0, 0.0), evidence.t, s.step, s.u, s.i, s.x, s.flags, tick_s, ahead)
+    x_hat = within_reach(x_hat, p, c, (0.0, 0.0))
     sampled = s.flags & LOST == 0  # the series has a row for a lost sample, the recording has none
     flags, x_hat = s.flags[sampled], x_hat[sampled]
     there = np.isfinite(x_hat)

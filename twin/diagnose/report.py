@@ -19,6 +19,7 @@ from twin.diagnose.figures import (
     error_figure,
     piece_figure,
 )
+from twin.diagnose.regimes import Estimate
 from twin.diagnose.report_causes import causes, not_the_cause, ranking
 from twin.diagnose.report_where import left, where
 from twin.diagnose.result import Diagnosis
@@ -121,9 +122,9 @@ def _before_after(found: Diagnosis, show: Show) -> str:
     rows = [
         [
             f"{one.horizon_s * 1e3:.3g} ms",
-            f"{one.baseline.value * 1e6:.3g} ({one.baseline.low * 1e6:.3g} .. {one.baseline.high * 1e6:.3g})",
-            f"{one.extended.value * 1e6:.3g} ({one.extended.low * 1e6:.3g} .. {one.extended.high * 1e6:.3g})",
-            f"{one.floor_m * 1e6:.3g}",
+            _spread(one.baseline),
+            _spread(one.extended),
+            _micro(one.floor_m),
             f"{one.ratio[0]:.3f} .. {one.ratio[1]:.3f}",
             _removed(one.removed, one.baseline.value, one.floor_m),
             f"{one.count}",
@@ -138,9 +139,20 @@ def _before_after(found: Diagnosis, show: Show) -> str:
         "milliseconds before and the measured input since. Intervals: 95 %, bootstrap over blocks of half a second. "
         "The floor is what sensor noise alone leaves of a right model; removed: share of the mean square above it. "
         f"The ball is unstable: in the middle of its travel an error grows by e every {_growth_s(found) * 1e3:.0f} ms, "
-        "so that small causes show at long horizons."
+        "so that small causes show at long horizons. No prediction is taken farther than a quarter of the travel "
+        "behind a stop: a ball does not go there."
     )
     return figures(drawings) + table(head, rows) + paragraph(text) + _worse(found, show) + _cost(found)
+
+
+def _micro(value_m: float) -> str:
+    """In micrometres, never with an exponent."""
+    micro = value_m * 1e6
+    return f"{micro:.0f}" if micro >= 1e3 else f"{micro:.3g}"
+
+
+def _spread(error: Estimate) -> str:
+    return f"{_micro(error.value)} ({_micro(error.low)} .. {_micro(error.high)})"
 
 
 def _growth_s(found: Diagnosis) -> float:

@@ -197,8 +197,8 @@ def percent(share: float) -> str:
 def _um(value_m: float) -> str:
     """To three digits, never with an exponent."""
     micro = value_m * 1e6
-    if micro >= 1e4:
-        return f"{micro / 1e3:.0f} mm"
+    if micro >= 1e3:
+        return f"{micro / 1e3:.3g} mm"
     return f"{micro:.0f} µm" if micro >= 100.0 else f"{micro:.3g} µm"
 
 

@@ -146,6 +146,22 @@ def test_a_prediction_knows_nothing_of_what_comes_later(gap_flight: Record) -> N
     assert x_hat(kicked) > x_hat(gap_flight)
 
 
+def test_no_prediction_throws_the_ball_through_a_stop(gap_flight: Record) -> None:
+    """A model with the coil at the stop has the ball ten travels away 40 ms on; a rig has stops."""
+    model = true_model()
+    wrong = replace(model, plant=replace(model.plant, x_max_m=model.plant.travel_m * 1.02))
+
+    right = true_model(effects={"air-gap-offset": 8e-4})
+    thrown, near = predict(wrong, gap_flight, 20).x_hat, predict(right, gap_flight, AHEAD).x_hat
+
+    travel_m = model.plant.travel_m
+    assert thrown.min() >= -0.25 * travel_m
+    assert thrown.max() <= 1.25 * travel_m
+    assert np.isclose(thrown, 1.25 * travel_m).any()
+    assert near.min() > 0.0
+    assert near.max() < travel_m
+
+
 def test_the_phase_of_a_periodic_force_is_taken_from_the_past_alone() -> None:
     record = fly({"periodic-disturbance": 2e-3})
     model = true_model(effects={"periodic-disturbance": 2e-3})
