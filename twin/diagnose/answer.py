@@ -34,7 +34,7 @@ from twin.diagnose.result import (
     Verdict,
     fit_parameters,
 )
-from twin.diagnose.select import Selection
+from twin.diagnose.selection import Selection
 from twin.diagnose.theta import Theta
 from twin.diagnose.trials import Trial
 from twin.diagnose.words import bound_sentence, finding_sentence, summary_sentence

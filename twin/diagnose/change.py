@@ -26,8 +26,10 @@ from twin.diagnose.floor import Floor
 from twin.diagnose.likelihood import Criterion, Run
 from twin.diagnose.probes import probes_of
 from twin.diagnose.result import Finding
+from twin.diagnose.rivals import stand_ins
 from twin.diagnose.screen import LEAST_INFORMATION, VISIBLE, probed
-from twin.diagnose.select import Selection, select, stand_ins
+from twin.diagnose.select import select
+from twin.diagnose.selection import Selection
 from twin.diagnose.theta import Theta, derivative_step, moved
 from twin.identify.innovations import information
 from twin.identify.record import BoolArray, FloatArray, Record, runs

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from twin.diagnose.select import Selection
+from twin.diagnose.selection import Selection
 
 _HALF_LEAD = 6.0  # of log-likelihood
 # Of the names that stood beside `unknown-cause` in two draws of the whole matrix 6 of 21 were right.

@@ -11,7 +11,7 @@ from twin.diagnose.estimate import Fit
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.floor import Floor
 from twin.diagnose.measure import Gain
-from twin.diagnose.select import Selection
+from twin.diagnose.selection import Selection
 from twin.diagnose.theta import Theta
 from twin.model.parameters import Model, Parameter
 

@@ -20,7 +20,7 @@ from twin.diagnose.measure import HORIZONS_S, gain
 from twin.diagnose.models import model_of
 from twin.diagnose.result import Diagnosis, Finding, Member, NotTestable, Proposal, RuledOut, fit_parameters
 from twin.diagnose.screen import Score
-from twin.diagnose.select import Selection
+from twin.diagnose.selection import Selection
 from twin.diagnose.synthetic import Schedule, simulate
 from twin.diagnose.theta import BASE, Theta, coordinates_of
 from twin.diagnose.trials import Trial

@@ -18,7 +18,9 @@ from twin.diagnose.estimate import climb
 from twin.diagnose.evidence import gather
 from twin.diagnose.floor import Floor, floor_of
 from twin.diagnose.likelihood import Criterion
+from twin.diagnose.rivals import stand_ins
 from twin.diagnose.screen import probed
+from twin.diagnose.selection import Selection
 from twin.diagnose.theta import BASE, STOPS, coordinates_of
 from twin.diagnose.trials import MARGIN, Trial
 from twin.identify.reading import read_campaign
@@ -78,23 +80,23 @@ def test_who_gains_nearly_as_much_as_the_leader_is_tried_as_the_first_of_several
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_one_cause_takes_the_place_of_two_that_stand_in_for_it(tmp_path: Path) -> None:
-    stand_ins = ("position-sensor-nonlinearity", "force-exponent", "quadratic-drag")
+    three = ("position-sensor-nonlinearity", "force-exponent", "quadratic-drag")
     make_campaign(tmp_path / "both", effects=HIDDEN, seed=310, plant="independent", quick=True)
     campaign = load(tmp_path / "both")
     criterion = Criterion(gather(read_campaign(campaign), campaign.plant), campaign.plant, 2e-3, workers=1)
     try:
         base = climb(criterion, start_theta(read_campaign(campaign), campaign.plant), (*BASE, *STOPS))
-        free = (*base.free, *(name for cause in stand_ins for name in coordinates_of(cause)))
+        free = (*base.free, *(name for cause in three for name in coordinates_of(cause)))
         fit = climb(criterion, probed(base.theta, BY_NAME["quadratic-drag"], 2.0), free)
-        gains = dict(zip(stand_ins, (1.0, 2.0, 3.0), strict=True))
-        found = search.Selection(base=base, fit=fit, causes=[*stand_ins], gains={**gains})
-        unmoved = replace(found, causes=[*stand_ins], gains={**gains})
-        search.stand_ins(criterion, unmoved, candidates=(BY_NAME["constant-force"],), few=3)
-        search.stand_ins(criterion, found, candidates=(*TRIED, BY_NAME["force-exponent"]), few=3)
+        gains = dict(zip(three, (1.0, 2.0, 3.0), strict=True))
+        found = Selection(base=base, fit=fit, causes=[*three], gains={**gains})
+        unmoved = replace(found, causes=[*three], gains={**gains})
+        stand_ins(criterion, unmoved, candidates=(BY_NAME["constant-force"],), few=3)
+        stand_ins(criterion, found, candidates=(*TRIED, BY_NAME["force-exponent"]), few=3)
     finally:
         criterion.close()
 
-    assert unmoved.causes == list(stand_ins)
+    assert unmoved.causes == list(three)
     assert set(found.causes) == set(found.gains) == set(HIDDEN)
     assert found.fit.loglik > fit.loglik - MARGIN
     assert found.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)

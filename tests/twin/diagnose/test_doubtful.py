@@ -5,11 +5,12 @@ from __future__ import annotations
 import pytest
 
 from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
-from twin.diagnose import select as search
 from twin.diagnose.estimate import Fit, climb
 from twin.diagnose.floor import floor_of
 from twin.diagnose.forward import THRESHOLD, Round
+from twin.diagnose.rivals import stand_ins
 from twin.diagnose.screen import screen
+from twin.diagnose.selection import Selection
 from twin.diagnose.starts import start_of
 from twin.diagnose.theta import BASE, STOPS, coordinates_of, roused
 from twin.diagnose.trials import MARGIN
@@ -24,10 +25,10 @@ GAP, DRAG, FORCE, FRICTION, MAGNETISM = (
 )
 
 
-def selection(base: Fit, fit: Fit, *causes: str) -> search.Selection:
+def selection(base: Fit, fit: Fit, *causes: str) -> Selection:
     """As if these had been taken, the last one by the only round that is known."""
     first = Round(scores=(), trials=(), taken=causes[0], why="")
-    return search.Selection(base=base, fit=fit, causes=[*causes], gains=dict.fromkeys(causes, 100.0), rounds=[first])
+    return Selection(base=base, fit=fit, causes=[*causes], gains=dict.fromkeys(causes, 100.0), rounds=[first])
 
 
 def test_a_cause_that_turns_out_to_explain_nothing_is_dropped() -> None:
@@ -37,7 +38,7 @@ def test_a_cause_that_turns_out_to_explain_nothing_is_dropped() -> None:
         base = fitted(criterion, THETA)
         found = selection(base, fitted(criterion, strong(DRAG, 0.1, rig), GAP, DRAG), GAP, DRAG)
         before = found.fit.loglik
-        search.stand_ins(criterion, found, candidates=(BY_NAME[FORCE],), few=3)
+        stand_ins(criterion, found, candidates=(BY_NAME[FORCE],), few=3)
     finally:
         criterion.close()
 
@@ -62,8 +63,8 @@ def test_beside_dry_friction_a_doubtful_name_goes_to_one_that_the_screen_hardly_
         doubtful = floor.under(criterion, false.theta).material(false.loglik)
         shown = {score.cause: score.gain for score in screen(criterion, rubs.theta, rubs.free)}
         spared, asked = selection(base, false, FRICTION, FORCE), selection(base, false, FRICTION, FORCE)
-        search.stand_ins(criterion, spared, candidates=(BY_NAME[MAGNETISM],), few=3)
-        search.stand_ins(criterion, asked, floor, candidates=(BY_NAME[MAGNETISM],), few=3)
+        stand_ins(criterion, spared, candidates=(BY_NAME[MAGNETISM],), few=3)
+        stand_ins(criterion, asked, floor, candidates=(BY_NAME[MAGNETISM],), few=3)
     finally:
         criterion.close()
 

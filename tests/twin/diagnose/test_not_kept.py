@@ -10,6 +10,7 @@ from twin.diagnose.estimate import PASSES
 from twin.diagnose.floor import floor_of
 from twin.diagnose.forward import BESIDE_NOISE, THRESHOLD
 from twin.diagnose.screen import probed
+from twin.diagnose.selection import Selection
 from twin.model.causes.catalogue import BY_NAME
 
 FIRST, LATER = "motional-emf", "actuation-delay"
@@ -22,7 +23,7 @@ def test_a_trifle_beside_a_later_cause_goes_if_noise_remains(strength: float, ke
     try:
         base, both = fitted(criterion, THETA), fitted(criterion, rig, FIRST, LATER)
         alone = fitted(criterion, strong(LATER, 6e-4), LATER)
-        found = select.Selection(base=base, fit=both, causes=[FIRST, LATER], gains={FIRST: 1e3, LATER: 1e3})
+        found = Selection(base=base, fit=both, causes=[FIRST, LATER], gains={FIRST: 1e3, LATER: 1e3})
 
         select._backward(criterion, found, floor_of(criterion, rig), lambda line: None, PASSES)
     finally:

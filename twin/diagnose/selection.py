@@ -1,0 +1,59 @@
+"""What has been selected so far, and everything that was tried on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from twin.diagnose import periodic
+from twin.diagnose.estimate import PASSES, Fit, climb
+from twin.diagnose.floor import Floor
+from twin.diagnose.forward import Round
+from twin.diagnose.likelihood import Criterion
+from twin.diagnose.theta import roused
+from twin.diagnose.trials import MARGIN, Trial
+from twin.identify.record import FloatArray
+
+MOST_TOGETHER = 3
+FEW = 5  # candidates that are fitted in a round
+
+
+@dataclass(slots=True, kw_only=True)
+class Selection:
+    """The causes in the order in which they were taken, and everything that was tried."""
+
+    base: Fit
+    fit: Fit
+    causes: list[str] = field(default_factory=list)
+    gains: dict[str, float] = field(default_factory=dict)
+    classes: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # rivals within MARGIN
+    runner_up: dict[str, float] = field(default_factory=dict)  # lead over the best rival outside the class
+    rounds: list[Round] = field(default_factory=list)
+    # Models of fewer causes by what is free in them, each with the phases of periodic forces that it was fitted with.
+    smaller: dict[frozenset[str], tuple[Fit, FloatArray]] = field(default_factory=dict)
+
+    def remember(self, fit: Fit, criterion: Criterion) -> None:
+        """Keep a fit for `recall`."""
+        self.smaller[frozenset(fit.free)] = fit, criterion.shift_s
+
+    def recall(self, free: Sequence[str], criterion: Criterion) -> Fit | None:
+        """The fit of these numbers, where one is known and its phases are those of today."""
+        fit, shift_s = self.smaller.get(frozenset(free), (None, criterion.shift_s))
+        return fit if shift_s is criterion.shift_s or periodic.AMPLITUDE not in free else None
+
+
+def material(criterion: Criterion, found: Selection, floor: Floor) -> bool:
+    """Whether the model leaves more than noise."""
+    return floor.under(criterion, found.fit.theta).material(found.fit.loglik)
+
+
+def without(criterion: Criterion, found: Selection, cause: str, passes: int = PASSES) -> Fit:
+    """The model that was found less one cause; known where the search came that way, or was asked before."""
+    free = tuple(name for name in found.fit.free if not name.startswith(cause + "."))
+    known = found.recall(free, criterion)
+    if known is not None and (known.converged or known.ahead < MARGIN):
+        return known
+    start = roused(found.fit.theta.without(cause)) if known is None else known.theta
+    fit = climb(criterion, start, free, passes=passes)
+    found.remember(fit, criterion)
+    return fit
