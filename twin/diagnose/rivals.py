@@ -49,6 +49,7 @@ def stand_ins(
     def doubtful() -> bool:
         return floor is not None and len(found.causes) > 1 and material(criterion, found, floor)
 
+    found.classes, found.runner_up = {}, {}
     if 1 < len(found.causes) <= MOST_TOGETHER and not quick:
         criterion.each(lambda cause: without(criterion, found, cause), found.causes)
     for cause in found.causes[::-1] if doubtful() else list(found.causes):
@@ -58,7 +59,6 @@ def stand_ins(
             same = same_as(cause) & {entry.name for entry in candidates}
             found.classes[cause] = tuple(renamed(own, other) for other in sorted(same))
         elif _rivals(criterion, found, cause, candidates, few, doubtful(), say):
-            found.classes, found.runner_up = {}, {}
             return stand_ins(criterion, found, floor, candidates=candidates, few=few, say=say)
 
 

@@ -31,6 +31,7 @@ MOST_CAUSES = 4
 _PASSES_QUICK = 10  # of a model without one of its causes: enough to see that it is worse, hardly by how much
 _NEARLY = 0.7  # of the best gain: one of two that hide each other may be behind a false one
 _FIRSTS = 4  # such that are tried
+_TURNS = 3  # forward and backward, while one cause takes the place of another and more than noise is left
 
 
 def select(
@@ -60,15 +61,21 @@ def select(
     """
     found = Selection(base=base, fit=base)
     most = MOST_CAUSES if share >= SHARE else len(candidates)
-    while len(found.causes) < most and _add(
-        criterion, found, floor, candidates, few, share, say, _PASSES_QUICK if quick else PASSES
-    ):
-        pass
-    if share == SHARE and not quick and material(criterion, found, floor):
-        found = _together(criterion, found, floor, candidates, few, say)
-    if classes:
-        asks = floor if share == SHARE and not quick else None
-        stand_ins(criterion, found, asks, candidates=candidates, few=few, quick=quick, say=say)
+    thorough = share == SHARE and not quick
+    for _ in range(_TURNS if thorough and classes else 1):
+        while len(found.causes) < most and _add(
+            criterion, found, floor, candidates, few, share, say, _PASSES_QUICK if quick else PASSES
+        ):
+            pass
+        if thorough and material(criterion, found, floor):
+            found = _together(criterion, found, floor, candidates, few, say)
+        if not classes:
+            break
+        before = set(found.causes)
+        stand_ins(criterion, found, floor if thorough else None, candidates=candidates, few=few, quick=quick, say=say)
+        # What was refused beside a false name may be what is missing beside the right one.
+        if set(found.causes) == before or not material(criterion, found, floor):
+            break
     return found
 
 

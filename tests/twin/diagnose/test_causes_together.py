@@ -102,6 +102,27 @@ def test_one_cause_takes_the_place_of_two_that_stand_in_for_it(tmp_path: Path) -
     assert found.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_what_was_refused_beside_a_stand_in_is_asked_again_beside_the_right_cause(tmp_path: Path) -> None:
+    """A lag of the sensor stands for one of the force, and beside it a drag explains a hundredth of what is left."""
+    hidden = {"eddy-current-lag": 3.7e-3, "quadratic-drag": 1.0, "periodic-disturbance": 5e-3}
+    make_campaign(tmp_path / "three", effects=hidden, seed=6, plant="emulator", quick=True)
+    campaign = load(tmp_path / "three")
+    records = read_campaign(campaign)
+    criterion = Criterion(gather(records, campaign.plant), campaign.plant, 2e-3, workers=1)
+    tried = tuple(BY_NAME[name] for name in (*hidden, "position-sensor-lag"))
+    try:
+        start = no_better(start_theta(records, campaign.plant), criterion.evidence)
+        base = climb(criterion, start, (*BASE, *STOPS))
+        found = search.select(criterion, base, floor_of(criterion, base.theta), candidates=tried)
+    finally:
+        criterion.close()
+
+    assert [step.taken for step in found.rounds][:3] == ["position-sensor-lag", "periodic-disturbance", ""]
+    assert set(found.causes) == set(found.gains) == set(found.classes) == set(hidden)
+
+
 def test_a_ball_that_is_held_is_well_predicted_and_that_proves_no_friction(monkeypatch: pytest.MonkeyPatch) -> None:
     """Prediction pays for a cause that explains a tenth of what is left, but not for one that stops the ball."""
     rig = strong("coulomb-friction", 4e-3)
