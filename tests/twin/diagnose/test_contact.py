@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from protocol.campaign import Plant
+from protocol.campaign import Kind, Plant
 from twin.diagnose.contact import at_converter_end, bounces, near_converter_end
 from twin.diagnose.evidence import gather
 from twin.diagnose.filter import RESTS_LOW
@@ -22,11 +22,11 @@ COUNT_M = 1.5e-6
 REST_M = 2.2 * COUNT_M  # noise at rest
 
 
-def record(x: FloatArray, kind: str = "prbs") -> Record:
+def record(x: FloatArray, kind: Kind = "prbs") -> Record:
     n = len(x)
     return Record(
         name="flight",
-        kind=kind,  # type: ignore[arg-type]
+        kind=kind,
         use="fit",
         t=np.arange(float(n)) * TICK_S,
         u_c=np.full(n, 2.0),
