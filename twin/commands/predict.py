@@ -28,7 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 predict model.json runs/monday/flight.csv --horizon 10 --out pred.csv\n"
         "  board51 predict extended_model.json flight.csv.gz --campaign runs/monday --horizon 10 --out pred.csv\n"
         "\nRows of --out: t, x, x_hat in s and m, one for each sample that can be predicted; the printed error is\n"
-        "sqrt(mean((x - x_hat)^2)) over all of them.\n"
+        "sqrt(mean((x - x_hat)^2)) over all of them. No x_hat is farther than a quarter of the travel behind a stop.\n"
         "exit code 0: done; 1: nothing in the recording can be predicted so far ahead; 2: bad input"
     )
     parser.add_argument("model", metavar="MODEL", help="model.json, or a shipped model: ce152, inteco")

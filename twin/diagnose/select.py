@@ -67,7 +67,8 @@ def select(
             criterion, found, floor, candidates, few, share, say, _PASSES_QUICK if quick else PASSES
         ):
             pass
-        if thorough and material(criterion, found, floor):
+        # With the most causes there is no refused round, whose trials `_together` takes up.
+        if thorough and len(found.causes) < most and material(criterion, found, floor):
             found = _together(criterion, found, floor, candidates, few, say)
         if not classes:
             break
