@@ -15,8 +15,10 @@ from gateway.views.feed import Feed
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.endpoint import zenoh_config
-from tests.gateway.gateway_peers import free_port
+from tests.gateway.gateway_peers import free_port, wait_for
 
+JUNK = b"\xff\xff"  # no message of any kind
+HEARD = ("state", "status", "event", "alarms", "parameters", "command/record", "twin/state")  # one of each subscriber
 CommandHandler = Callable[[str, pb.Command], pb.CommandReply]
 
 
@@ -36,7 +38,13 @@ class PlayedGateway:
         self._queryable.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
 
     def send(self, topic: str, message: Message, board: str = "rig") -> None:
-        self.session.put(topics.key("board51", board, topic), message.SerializeToString())
+        """As a gateway does: blocking, so that nothing is lost here."""
+        self.put(topic, message.SerializeToString(), board)
+
+    def put(self, topic: str, payload: bytes, board: str = "rig") -> None:
+        """Whatever a test wants to send."""
+        key = topics.key("board51", board, topic)
+        self.session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
 
     def state(self, board: str = "rig", **fields: object) -> None:
         """One tick."""
@@ -78,11 +86,29 @@ def played_gateway() -> Iterator[PlayedGateway]:
 
 @contextmanager
 def feed_of(gateway: PlayedGateway) -> Iterator[Feed]:
+    """A feed that hears already: what a test sends once arrives."""
     config = zenoh_config("client", connect=[gateway.endpoint])
     with zenoh.open(zenoh.Config.from_json5(config)) as session:
         feed = Feed(session)
+        for topic in HEARD:
+            _reach(feed, gateway, topic)
+        feed.refused = 0
         yield feed
         feed.close()
+
+
+def _reach(feed: Feed, gateway: PlayedGateway, topic: str) -> None:
+    """Send junk, which leaves nothing behind in a feed, until it arrives: a subscription takes a moment to reach the
+    router, and what is put before that is lost."""
+    before = feed.refused
+    for _ in range(30):
+        gateway.put(topic, JUNK)
+        try:
+            wait_for(lambda: feed.refused > before, topic, timeout_s=1.0)
+        except AssertionError:
+            continue
+        return
+    raise AssertionError(f"the feed does not hear {topic}")
 
 
 @contextmanager

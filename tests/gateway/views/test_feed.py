@@ -172,9 +172,13 @@ def test_what_is_seen_in_one_view_is_seen_in_all_and_in_those_that_come_later() 
             feeds = [Feed(bus.session), Feed(elsewhere.session)]
             boards = [wait_for(partial(feed.board, "rig"), "board") for feed in feeds]
             raised = pb.Alarm(name="divergence-x", active=True, text="off", host_time_ns=time.time_ns())
-            for topic, message in (("alarm", raised), ("alarms", pb.TwinAlarms(active=[raised]))):
-                bus.session.put(f"board51/rig/twin/{topic}", message.SerializeToString())
-            wait_for(lambda: all(board.waits("divergence-x") for board in boards), "alarm")
+
+            def arrived() -> bool:
+                for topic, message in (("alarm", raised), ("alarms", pb.TwinAlarms(active=[raised]))):
+                    bus.session.put(f"board51/rig/twin/{topic}", message.SerializeToString())  # repeated: no new alarm
+                return all(board.waits("divergence-x") for board in boards)
+
+            wait_for(arrived, "alarm")
 
             reply = feeds[0].acknowledge("rig", "divergence-x", who="eva", comment="known")
             seen = wait_for(lambda: [a for a in boards[1].alarms() if a.acknowledged], "acknowledgement elsewhere")
@@ -245,7 +249,7 @@ def test_a_command_says_who_and_comes_back_with_the_answer(feed: Feed, gateway: 
 def test_junk_on_the_bus_is_counted_and_changes_nothing(feed: Feed, gateway: PlayedGateway) -> None:
     rig = heard(feed, gateway)
 
-    gateway.session.put("board51/rig/state", b"\xff\xff\xff")
+    gateway.put("state", b"\xff\xff\xff")
     wait_for(lambda: feed.refused, "refusal")
     for n in range(200):
         gateway.send("status", pb.Status(), f"made-up-{n}")
