@@ -31,7 +31,7 @@ DELAYING = frozenset({"actuation-delay", "eddy-current-lag", "position-sensor-la
 # A gain of the current sensor is exactly a change of K_A and K_c (design.md): asked alone, to hear "not testable".
 INVISIBLE = frozenset({"current-sensor-gain"})
 COUNTS = {"i_c": 5e-4, "x": 1.5e-6}  # of the converters: A, m
-_DRAW = 25
+_DRAW = 26
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
