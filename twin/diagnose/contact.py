@@ -16,6 +16,8 @@ from twin.identify.record import BoolArray, FloatArray, Record, runs
 
 HELD_SAMPLES = 25  # 50 ms: four times the time constant of the unstable pole
 HELD_SCALES = 10.0  # of the sensor noise, largest spread while held
+HOP_SAMPLES = 5  # 10 ms: a ball that hops is off its place for longer
+HOP_SCALES = 10.0  # of the mean of so many readings, as it spreads in the same rest
 NEAR_SHARE = 0.25  # of the travel: as far as a stop may seem displaced
 AGREE_SHARE = 0.06  # of the travel: by this much the same stop may differ between recordings (crosstalk, drift)
 EDGE_SAMPLES = 4  # left out at both ends of a rest: the ball rocks
@@ -43,10 +45,28 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
     least = max(noise_of(x), 1e-4 * plant.travel_m)
     core = spread <= HELD_SCALES * least
     held = maximum_filter1d(core.astype(np.uint8), HELD_SAMPLES) > 0  # a window that is still is still at its ends
+    for piece in runs(held & known, HELD_SAMPLES):
+        held[piece] &= ~_hops(record.i_c[piece], x[piece], least)
     follows_reference = np.abs(x - record.x_ref) < 0.03 * plant.travel_m  # NaN compares False
     if record.kind == "free" and record.has("x_ref") and np.mean(follows_reference) > 0.5:
         held[:] = False
     return np.asarray(held & known)
+
+
+def _hops(i_c: FloatArray, x: FloatArray, sigma: float) -> BoolArray:
+    """Where a ball that lies otherwise leaves its place for a moment, shape (n,), by less than a rest may spread.
+
+    Just before it lifts off for good, a force that comes and goes raises it by some ten micrometres.
+    """
+    place = line_over(i_c, x)(i_c) if np.isfinite(i_c).all() else np.median(x)
+    off = uniform_filter1d(x - place, HOP_SAMPLES)
+    spread = max(1.4826 * float(np.median(np.abs(off))), sigma / np.sqrt(HOP_SAMPLES))
+    return np.asarray(np.abs(off) > HOP_SCALES * spread)
+
+
+def line_over(i_c: FloatArray, x: FloatArray) -> np.polynomial.Polynomial:
+    """Reading of a ball that lies over the current, m over A: crosstalk of the sensor shows it along a line."""
+    return np.polynomial.Polynomial.fit(i_c, x, 1 if np.ptp(i_c) > 0.0 else 0)
 
 
 def bounces(record: Record, plant: Plant) -> BoolArray:
@@ -192,6 +212,6 @@ def _lying(record: Record, pieces: Sequence[slice], plant: Plant) -> list[slice]
     known = np.isfinite(i_c) & np.isfinite(x)
     if known.sum() < HELD_SAMPLES:
         return list(pieces)
-    line = np.polynomial.Polynomial.fit(i_c[known], x[known], 1 if np.ptp(i_c[known]) > 0.0 else 0)
+    line = line_over(i_c[known], x[known])
     off = [abs(float(np.nanmedian(record.x[piece] - line(record.i_c[piece])))) for piece in pieces]
     return [piece for piece, by in zip(pieces, off, strict=True) if not by > HOVERS_SHARE * plant.travel_m]

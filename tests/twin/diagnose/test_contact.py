@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from protocol.campaign import Kind, Plant
-from twin.diagnose.contact import at_converter_end, bounces, near_converter_end
+from twin.diagnose.contact import at_converter_end, bounces, held_samples, near_converter_end
 from twin.diagnose.evidence import gather
 from twin.diagnose.filter import RESTS_LOW
 from twin.diagnose.rest_noise import sensor_noise
@@ -53,6 +53,32 @@ def thrown(speed_m_s: float, *, lag_s: float = 0.0, drag: float = 0.0, stop_m: f
 def noisy(x: FloatArray, seed: int) -> FloatArray:
     noise = np.random.default_rng(seed).normal(0.0, SIGMA_M, len(x))
     return np.asarray(np.round((x + noise) / COUNT_M) * COUNT_M)
+
+
+def hop(height_m: float, n: int = 1000) -> FloatArray:
+    """Heights of a ball at rest that is raised for 50 ms, about the middle, shape (n,)."""
+    x = np.zeros(n)
+    x[n // 2 : n // 2 + 25] = height_m * np.sin(np.pi * np.arange(25) / 25) ** 2
+    return x
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_ball_that_hops_does_not_lie_meanwhile(seed: int) -> None:
+    raised = held_samples(record(noisy(hop(45e-6), seed), "sawtooth"), PLANT)
+
+    assert not raised[508:517].any(), "45 um are less than a rest may spread, and no noise"
+    assert raised[:490].all()
+    assert raised[535:].all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_crosstalk_and_a_trembling_table_are_no_hops(seed: int) -> None:
+    i_c = 0.3 + 0.3 * np.sign(np.sin(np.arange(1000.0) / 40.0))
+    trembling = 12e-6 * np.sin(2.0 * np.pi * 47.0 * TICK_S * np.arange(1000.0))
+
+    assert held_samples(record(noisy(np.zeros(1000), seed), "sawtooth"), PLANT).all()
+    assert held_samples(replace(record(noisy(60e-6 * i_c, seed), "sawtooth"), i_c=i_c), PLANT).all()
+    assert held_samples(record(noisy(trembling, seed), "sawtooth"), PLANT).all()
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 1e-3, 2.5e-3])
