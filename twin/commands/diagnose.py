@@ -62,6 +62,7 @@ def run(args: argparse.Namespace) -> int:
     from twin.diagnose.result import to_json
     from twin.diagnose.show import shown, to_dict
     from twin.diagnose.static_shell import rests_alone, run_static
+    from twin.diagnose.words import sizes
     from twin.model.parameters import load_model, model_to_dict
 
     began = time.monotonic()
@@ -122,6 +123,8 @@ def run(args: argparse.Namespace) -> int:
                 f"  {cause.name}: confidence {cause.confidence:.2f}, explains {share:.0f} %"
                 + (f"; these data cannot tell it from {others}" if others else "")
             )
+        for trifle in found.trifles:
+            print(f"  seen, too small to be named: {trifle.name} ({sizes(trifle.name, trifle.parameters)})")
         for warning in found.warnings:
             print(f"  ! {warning}")
         if args.out is not None:

@@ -24,22 +24,21 @@ from twin.diagnose.likelihood import Criterion
 from twin.diagnose.lost import Lost, lost_samples
 from twin.diagnose.measure import HORIZONS_S, Gain, gain
 from twin.diagnose.models import model_of
+from twin.diagnose.not_named import missing_channels, not_testable, ruled_out, trifles_of
 from twin.diagnose.result import (
     Diagnosis,
     Finding,
     Member,
-    NotTestable,
     Proposal,
-    RuledOut,
     Verdict,
     fit_parameters,
 )
 from twin.diagnose.selection import Selection
 from twin.diagnose.theta import Theta
 from twin.diagnose.trials import Trial
-from twin.diagnose.words import bound_sentence, finding_sentence, summary_sentence
+from twin.diagnose.words import finding_sentence, summary_sentence
 from twin.identify.record import Record
-from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
 from twin.model.parameters import Model, Parameter
 
@@ -90,11 +89,6 @@ def testable_causes(records: Sequence[Record]) -> tuple[Cause, ...]:
     )
 
 
-def missing_channels(cause: Cause, records: Sequence[Record]) -> list[str]:
-    """Channels that a cause needs and no recording has."""
-    return [channel for channel in cause.needs if not any(record.has(channel) for record in records)]
-
-
 def told(
     campaign: Campaign,
     done: Searched,
@@ -138,14 +132,16 @@ def told(
     if not done.fine:
         verdict = "unknown-cause"
         warnings.append(done.why_not)
+    trifles = tuple(trifles_of(criterion, found)) if done.fine and done.change is None else ()
     lacks = under.excess(found.fit.loglik)
     left = max(lacks, 0.0) / max(_excess(found, floor), floor.readings * 1e-3)
     diagnosis = Diagnosis(
         verdict=verdict,
         sentence="",
         causes=tuple(findings),
-        not_testable=tuple(_not_testable(found, records)),
-        ruled_out=tuple(_ruled_out(found, findings)),
+        not_testable=tuple(not_testable(found, records)),
+        trifles=trifles,
+        ruled_out=tuple(ruled_out(found, {*_names(findings), *(one.name for one in trifles)})),
         unexplained_share=0.0 if done.fine else min(left, 1.0),
         unexplained_where=where,
         gains=tuple(gains),
@@ -244,6 +240,13 @@ def _findings(
     return findings
 
 
+def _names(findings: Sequence[Finding]) -> set[str]:
+    """Of the causes, and of those that none of these data can tell from them."""
+    return {finding.name for finding in findings} | {
+        member.name for finding in findings for member in finding.indistinguishable_from
+    }
+
+
 def _proposals(criterion: Criterion, found: Selection, campaign: Campaign, say: Say) -> dict[str, Proposal]:
     """For each cause with a class, the experiment that splits it best, or why none can."""
     result = {}
@@ -277,31 +280,3 @@ def _member(trial: Trial) -> Member:
 
 def _own_spread(fit: Fit) -> dict[str, float]:
     return {name: math.nan for name in fit.free}
-
-
-def _not_testable(found: Selection, records: Sequence[Record]) -> list[NotTestable]:
-    entries = []
-    last = {score.cause: score for score in found.rounds[-1].scores} if found.rounds else {}
-    for cause in CATALOGUE:
-        missing = missing_channels(cause, records)
-        score = last.get(cause.name)
-        if cause.not_testable:
-            entries.append(NotTestable(name=cause.name, why=cause.not_testable))
-        elif missing:
-            entries.append(NotTestable(name=cause.name, why=f"no recording has {' and '.join(missing)}"))
-        elif score is not None and not score.testable:
-            shows = ", ".join(cause.shows_in) or "no experiment"
-            why = f"these recordings would not show it ({shows} would): what it does, the other parameters can do"
-            entries.append(NotTestable(name=cause.name, why=why))
-    return entries
-
-
-def _ruled_out(found: Selection, findings: Sequence[Finding]) -> list[RuledOut]:
-    """Every other cause, with the size that it has at most."""
-    named = {finding.name for finding in findings}
-    named |= {member.name for finding in findings for member in finding.indistinguishable_from}
-    entries = []
-    for score in found.rounds[-1].scores if found.rounds else ():
-        if score.cause not in named and score.testable:
-            entries.append(RuledOut(name=score.cause, why=bound_sentence(BY_NAME[score.cause], score)))
-    return entries

@@ -96,6 +96,26 @@ def _next(proposal: Proposal | None) -> str:
 def not_the_cause(found: Diagnosis) -> str:
     """What was ruled out, and what could not be tested."""
     parts = []
+    if found.trifles:
+        rows = [
+            [
+                one.name,
+                BY_NAME[one.name].title,
+                html.escape(sizes(one.name, one.parameters)),
+                f"{one.loglik_gain:.0f}",
+                html.escape(", ".join(BY_NAME[one.name].shows_in)),
+            ]
+            for one in found.trifles
+        ]
+        total = found.selection.fit.loglik - found.selection.base.loglik
+        parts.append(
+            paragraph(
+                "Seen, and too small to be named: the log-likelihood gains more than chance makes of it, and next to "
+                f"nothing beside the {total:.0f} of what was named. Each was fitted alone. It may be there, or mend "
+                "how the model writes what was named; the experiments that show it best would tell."
+            )
+            + table(["cause", "", "size", "gain", "shows in"], rows, words=True)
+        )
     if found.ruled_out:
         rows = [[entry.name, BY_NAME[entry.name].title, entry.why] for entry in found.ruled_out]
         parts.append(

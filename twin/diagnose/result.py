@@ -70,6 +70,15 @@ class RuledOut:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Trifle:
+    """A cause that gains more than chance does, and too little beside what was named to be named itself."""
+
+    name: str
+    parameters: Mapping[str, Parameter]
+    loglik_gain: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnosis:
     """Everything that was found; what `report.py` shows."""
 
@@ -77,6 +86,7 @@ class Diagnosis:
     sentence: str  # the answer, for people
     causes: tuple[Finding, ...]
     not_testable: tuple[NotTestable, ...]
+    trifles: tuple[Trifle, ...]
     ruled_out: tuple[RuledOut, ...]
     unexplained_share: float
     unexplained_where: str
@@ -131,6 +141,14 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             for cause in found.causes
         ],
         "not_testable": [{"name": entry.name, "why": entry.why} for entry in found.not_testable],
+        "trifles": [
+            {
+                "name": trifle.name,
+                "parameters": _parameters(trifle.parameters),
+                "log_likelihood_gain": _number(trifle.loglik_gain),
+            }
+            for trifle in found.trifles
+        ],
         "ruled_out": [{"name": entry.name, "why": entry.why} for entry in found.ruled_out],
         "unexplained": {"share_of_excess": _number(found.unexplained_share), "where": found.unexplained_where},
         "gain": _gain(found.gain),

@@ -96,6 +96,7 @@ def diagnosis(
         sentence="",
         causes=(_finding(cause, after_fit, spread),) if extended else (),
         not_testable=(NotTestable(name="current-sensor-gain", why="absorbed by K_A and K_c"),),
+        trifles=(),
         ruled_out=(RuledOut(name="coulomb-friction", why="F_f is at most 3 µN (95 %)"),),
         unexplained_share=0.001 if extended else 1.0,
         unexplained_where="" if extended else "most in x in steps_1",

@@ -82,6 +82,11 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
         result += [
             Rate(name="one cause, right: a false name besides", hits=besides, count=len(right)),
             Rate(name="one cause, right: unknown-cause all the same", hits=reserved, count=len(right)),
+            Rate(
+                name="one cause, right: another listed as too small to be named",
+                hits=sum(bool(o.trifles) for o, _ in right),
+                count=len(right),
+            ),
         ]
     carried = [(o, j) for o, j in part("gateway") if j.right is not None]
     if carried:
@@ -115,6 +120,10 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
                 count=len(outside),
             ),
         ]
+    listed = [(o, name) for o, _ in part("composites") for name, _ in o.trifles]
+    if listed:
+        there = sum(name in o.truths for o, name in listed)
+        result.append(Rate(name="several causes: listed as too small, and there", hits=there, count=len(listed)))
     for number in (2, 3):
         several = [j for o, j in part("composites") if len(o.truths) == number]
         if several:

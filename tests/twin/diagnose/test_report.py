@@ -12,10 +12,10 @@ from tests.twin.diagnose.known_diagnosis import diagnosis
 from tests.twin.diagnose.simulated_rig import controller
 from twin.diagnose.figures import _short
 from twin.diagnose.report import to_html
-from twin.diagnose.result import Diagnosis, Proposal
+from twin.diagnose.result import Diagnosis, Proposal, Trifle
 from twin.diagnose.show import shown
 from twin.diagnose.words import finding_sentence, measured, quantity, summary_sentence
-from twin.model.causes.catalogue import CATALOGUE
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 from twin.model.parameters import Parameter
 
@@ -81,6 +81,19 @@ def test_every_part_of_the_argument_is_there() -> None:
     ):
         assert part in text, part
     assert gap_page().count(PICTURE) >= 15
+
+
+def test_what_is_too_small_to_be_named_is_listed_with_its_size_and_where_it_shows() -> None:
+    found = found_gap()
+    parameters = {"c_n_s2_m2": Parameter(value=0.2, unit="N s^2/m^2", ci95=(0.15, 0.25))}
+    small = Trifle(name="quadratic-drag", parameters=parameters, loglik_gain=31.4)
+
+    text = text_of(page(replace(found, trifles=(small,))))
+    listed = text[text.index("too small to be named") : text.index("ruled out but for a size")]
+
+    for part in ("quadratic-drag", "c = 0.20 N s^2/m^2", "31", *BY_NAME["quadratic-drag"].shows_in):
+        assert part in listed, part
+    assert "too small to be named" not in text_of(gap_page())
 
 
 def test_a_pair_that_no_experiment_separates_has_no_command() -> None:

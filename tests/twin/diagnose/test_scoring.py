@@ -144,14 +144,14 @@ def test_wilson_is_the_interval_of_the_book() -> None:
 def test_rates_matrix_and_reliability_count_what_they_say() -> None:
     silent = replace(ANSWER, verdict="model-adequate", causes=())
     outcomes = [
-        outcome("causes", ("air-gap-offset",), ANSWER),
+        replace(outcome("causes", ("air-gap-offset",), ANSWER), trifles=(("motional-emf", 12.0),)),
         outcome("causes", ("quadratic-drag",), ANSWER),
         outcome("causes", ("current-sensor-gain",), silent),
         outcome("causes", ("motional-emf",), silent, grade="medium"),
         outcome("nulls", (), silent),
         outcome("nulls", (), ANSWER),
         outcome("outside", ("wire-spring",), named("force-exponent", verdict="unknown-cause")),
-        outcome("composites", ("a", "b"), named("a", "c")),
+        replace(outcome("composites", ("a", "b"), named("a", "c")), trifles=(("b", 30.0), ("d", 11.0))),
         replace(outcome("composites", ("a", "b"), ANSWER), status="grounded", judgement=None),
     ]
 
@@ -167,11 +167,13 @@ def test_rates_matrix_and_reliability_count_what_they_say() -> None:
         "medium: first": (0, 1),
         "one cause, right: a false name besides": (0, 1),
         "one cause, right: unknown-cause all the same": (0, 1),
+        "one cause, right: another listed as too small to be named": (1, 1),
         "nothing hidden: false alarm": (1, 2),
         "outside: honest": (1, 1),
         "outside: false name": (0, 1),
         "outside: honest, with stand-ins listed": (1, 1),
         "outside: not noticed": (0, 1),
+        "several causes: listed as too small, and there": (1, 2),
         "2 causes: truths found": (1, 2),
         "2 causes: all found": (0, 1),
         "campaigns without an answer": (1, 9),

@@ -111,5 +111,6 @@ def _run(hidden: Hidden, folder: Path, *, program: str, quick: bool) -> Outcome:
         verdict=answer.verdict,
         named=tuple(cause.name for cause in answer.causes),
         not_testable=answer.not_testable,
+        trifles=answer.trifles,
         judgement=judge(hidden.part, tuple(effects), answer, may_be_adequate=lenient, in_the_data=present),
     )

@@ -1,0 +1,76 @@
+"""What a diagnosis says of the causes that it does not name: ruled out but for a size, or seen and too small."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from protocol.campaign import load
+from tests.twin.diagnose.hidden_campaign import make_campaign
+from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from twin.diagnose.forward import THRESHOLD, Round
+from twin.diagnose.likelihood import Criterion
+from twin.diagnose.not_named import trifles_of
+from twin.diagnose.pipeline import diagnose
+from twin.diagnose.selection import Selection
+from twin.diagnose.trials import Trial
+
+INDUCTANCE = "position-dependent-inductance"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_what_is_a_hundredth_of_another_cause_is_listed_with_its_size_and_not_ruled_out(tmp_path: Path) -> None:
+    growth = 2.4  # of T_A at the upper stop; the catalogue counts it in the middle of the travel
+    make_campaign(tmp_path / "two", effects={"slew-rate-limit": 70.0, INDUCTANCE: growth}, seed=41, plant="emulator")
+
+    found = diagnose(load(tmp_path / "two"), workers=2)
+
+    assert [cause.name for cause in found.causes] == ["slew-rate-limit"]
+    assert [one.name for one in found.trifles] == [INDUCTANCE]
+    assert found.trifles[0].loglik_gain < 0.015 * found.causes[0].loglik_gain
+    assert INDUCTANCE not in {one.name for one in found.ruled_out}
+    size = found.trifles[0].parameters["growth"]
+    assert size.ci95 is not None
+    bottom, middle, top = 8.1e-3, 5.25e-3, 2.4e-3
+    truth = growth * (1 / middle - 1 / bottom) / (1 / top - 1 / bottom)
+    assert size.value == pytest.approx(truth, abs=1.5 * (size.ci95[1] - size.ci95[0]) / 2.0)
+
+
+@pytest.fixture
+def refused() -> Iterator[tuple[Criterion, Selection]]:
+    """A search that named a constant force, and refused a lag of the sensor beside it."""
+    rig = strong("position-sensor-lag", 2e-3, strong("constant-force", 2e-3))
+    criterion = criterion_of(narrow(rig))
+    base = fitted(criterion, THETA)
+    one = fitted(criterion, strong("constant-force", 2e-3), "constant-force")
+    both = fitted(criterion, rig, "constant-force", "position-sensor-lag")
+    trial = Trial(cause="position-sensor-lag", fit=replace(both, converged=True), gain=both.loglik - one.loglik)
+    last = Round(scores=(), trials=(trial,), taken="", why="a trifle")
+    found = Selection(base=base, fit=one, causes=["constant-force"], gains={"constant-force": 1.0}, rounds=[last])
+    yield criterion, found
+    criterion.close()
+
+
+def test_what_chance_makes_what_stands_in_and_what_belongs_to_another_model_are_no_trifles(
+    refused: tuple[Criterion, Selection],
+) -> None:
+    criterion, found = refused
+    trial = found.rounds[-1].trials[0]
+
+    def listed(**changes: object) -> list[str]:
+        return [one.name for one in trifles_of(criterion, replace(found, **changes))]  # type: ignore[arg-type]  # one helper
+
+    def after(last: Round) -> list[Round]:
+        return [last]
+
+    assert trial.gain > 2.0 * THRESHOLD
+    assert listed() == ["position-sensor-lag"]
+    assert listed(rounds=after(replace(found.rounds[-1], taken="position-sensor-lag"))) == []
+    assert listed(rounds=after(replace(found.rounds[-1], trials=(replace(trial, gain=0.9 * THRESHOLD),)))) == []
+    assert listed(classes={"constant-force": (trial,)}) == []
+    assert listed(causes=["air-gap-offset"]) == []
+    assert listed(rounds=[]) == []
