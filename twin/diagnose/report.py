@@ -62,7 +62,7 @@ def to_html(found: Diagnosis, show: Show, *, campaign: Path, out: Path) -> str:
         left(found, show),
         "<h2>The model's numbers</h2>",
         _numbers(found),
-        "<h2>What was not the cause</h2>",
+        "<h2>What was not named</h2>",
         not_the_cause(found),
         "<h2>How the campaign was used</h2>",
         _use(found),
