@@ -194,9 +194,9 @@ class Criterion:
         """`value` of each, -inf for those that are not finite."""
         return [value if math.isfinite(value) else -math.inf for value in self._pool.map(self.value, thetas)]
 
-    def white(self, theta: Theta) -> tuple[FloatArray, FloatArray]:
-        """(log-likelihood of each sample, shape (n,); whitened innovations, shape (n, 2))."""
-        out = self.outputs(theta)
+    def white(self, theta: Theta, shift_s: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """(log-likelihood of each sample, shape (n,); whitened innovations, shape (n, 2)); `shift_s`: `outputs`."""
+        out = self.outputs(theta, shift_s=shift_s)
         loglik, white = np.zeros(len(out)), np.full((len(out), 2), np.nan)
         whiten(out, loglik, white)
         return loglik, white

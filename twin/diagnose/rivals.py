@@ -17,15 +17,18 @@ from twin.diagnose.floor import Floor
 from twin.diagnose.forward import THRESHOLD, Say
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.screen import screen
-from twin.diagnose.selection import FEW, MOST_TOGETHER, Selection, material, without
+from twin.diagnose.selection import FEW, MOST_TOGETHER, Selection, material, superfluous, without
 from twin.diagnose.starts import beside
 from twin.diagnose.theta import roused
 from twin.diagnose.trials import MARGIN, Trial, fitted, inside, renamed, rises, same_as
+from twin.identify.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 
 _CLEAR = 60.0  # of log-likelihood: a rival so far behind is out, whatever more he gains
 _COMPARABLE = 0.2  # of the cause's own gain on the screen: what stands in for it shows there, too
+_TURNED = 0.2  # of what a periodic force gains: phases that are 25 degrees off cost so much
+_REPHASED = 2  # rivals that get phases of their own
 _ALIKE = 0.8  # of the cause's own gain on the screen: it may do the same, and have begun to climb at a worse place
 
 
@@ -58,7 +61,7 @@ def stand_ins(
             own = Trial(cause=cause, fit=found.fit, gain=found.gains[cause])
             same = same_as(cause) & {entry.name for entry in candidates}
             found.classes[cause] = tuple(renamed(own, other) for other in sorted(same))
-        elif _rivals(criterion, found, cause, candidates, few, doubtful(), say):
+        elif _rivals(criterion, found, floor, cause, candidates, few, doubtful(), say):
             return stand_ins(criterion, found, floor, candidates=candidates, few=few, say=say)
 
 
@@ -88,6 +91,7 @@ def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Tria
 def _rivals(
     criterion: Criterion,
     found: Selection,
+    floor: Floor | None,
     cause: str,
     candidates: Sequence[Cause],
     few: int,
@@ -107,7 +111,8 @@ def _rivals(
     else:
         at, known = without(criterion, found, cause), {}
     own = Trial(cause=cause, fit=found.fit, gain=found.fit.loglik - at.loglik)
-    if own.gain < THRESHOLD and len(found.causes) > 1:
+    needless = own.gain < THRESHOLD if floor is None else superfluous(criterion, found, floor, at)
+    if needless and len(found.causes) > 1:
         found.causes.remove(cause)
         found.gains.pop(cause)
         found.fit = at
@@ -134,12 +139,16 @@ def _rivals(
     trials += fitted(criterion, at, scores, beaten=-math.inf if everyone else own.gain - _CLEAR)
     trials = criterion.each(lambda trial: _again(criterion, own, trial) if trial.cause in alike else trial, trials)
     trials = sorted((trial for trial in trials if inside(trial)), key=lambda trial: -trial.gain)
+    shaken = found.gains[periodic.CAUSE.name] if periodic.AMPLITUDE in at.free else 0.0
+    shifts = _rephase(criterion, own, trials, shaken)
+    trials.sort(key=lambda trial: -trial.gain)
     if trials and trials[0].gain > own.gain + MARGIN:
         own = _again(criterion, trials[0], own)
         found.fit = own.fit
     if trials and trials[0].gain > own.gain + MARGIN:
         say(f"{trials[0].cause} explains more than {cause} beside the others: it takes its place")
         best = trials[0]
+        criterion.shift_s = shifts.get(best.cause, criterion.shift_s)
         found.causes[found.causes.index(cause)] = best.cause
         found.fit, found.gains[best.cause] = best.fit, best.gain
         if periodic.CAUSE.name in found.causes:
@@ -154,6 +163,22 @@ def _rivals(
     found.gains[cause] = own.gain
     news = [trial for trial in (own, *near) if trial.cause not in (stood, *same)]
     return any(_one_for_two(criterion, found, cause, trial, say) for trial in news)
+
+
+def _rephase(criterion: Criterion, own: Trial, trials: list[Trial], shaken: float) -> dict[str, FloatArray]:
+    """The trials behind `own` by what phases can make fitted with phases of their own, and those; `shaken`: their gain.
+
+    A lag of the sensor turns what shakes the ball as it is read, one of the field does not: with the other's phases the
+    right cause was 170 behind the wrong one, with its own 800 before.
+    """
+    shifts: dict[str, FloatArray] = {}
+    behind = [n for n, trial in enumerate(trials) if own.gain + MARGIN > trial.gain > own.gain - _TURNED * shaken]
+    for n in behind[:_REPHASED] if shaken > 0.0 else ():
+        before, trial = criterion.shift_s, trials[n]
+        fit = periodic.rephased(criterion, trial.fit, PASSES)
+        trials[n] = replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
+        shifts[trial.cause], criterion.shift_s = criterion.shift_s, before
+    return shifts
 
 
 def _again(criterion: Criterion, own: Trial, rival: Trial) -> Trial:

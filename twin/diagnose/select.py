@@ -17,10 +17,10 @@ from dataclasses import replace
 from twin.diagnose import periodic
 from twin.diagnose.estimate import PASSES, Fit
 from twin.diagnose.floor import Floor
-from twin.diagnose.forward import BESIDE_NOISE, SHARE, THRESHOLD, Round, Say, decided, forward
+from twin.diagnose.forward import SHARE, Round, Say, decided, forward
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.rivals import stand_ins
-from twin.diagnose.selection import FEW, MOST_TOGETHER, Selection, material, without
+from twin.diagnose.selection import FEW, MOST_TOGETHER, Selection, material, superfluous, without
 from twin.diagnose.trials import MARGIN, climbed, inside, worth_the_whole
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
@@ -74,6 +74,8 @@ def select(
             break
         before = set(found.causes)
         stand_ins(criterion, found, floor if thorough else None, candidates=candidates, few=few, quick=quick, say=say)
+        if thorough and periodic.CAUSE.name in found.causes:
+            found.fit = periodic.settled(criterion, found.fit, PASSES)
         # What was refused beside a false name may be what is missing beside the right one.
         if set(found.causes) == before or not material(criterion, found, floor):
             break
@@ -174,12 +176,10 @@ def _backward(criterion: Criterion, found: Selection, floor: Floor, say: Say, pa
     criterion.each(lambda cause: without(criterion, found, cause, passes), found.causes[:-1])
     for cause in found.causes[:-1]:
         smaller = without(criterion, found, cause, passes)
-        loss = found.fit.loglik - smaller.loglik
-        trifle = loss < BESIDE_NOISE * (found.fit.loglik - found.base.loglik)
-        if loss < THRESHOLD or (trifle and not floor.under(criterion, smaller.theta).material(smaller.loglik)):
+        if superfluous(criterion, found, floor, smaller):
             found.causes.remove(cause)
             found.gains.pop(cause, None)
             found.fit = smaller
             say(f"dropped: {cause} (the others explain it)")
         else:
-            found.gains[cause] = loss
+            found.gains[cause] = found.fit.loglik - smaller.loglik

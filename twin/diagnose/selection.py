@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from twin.diagnose import periodic
 from twin.diagnose.estimate import PASSES, Fit, climb
 from twin.diagnose.floor import Floor
-from twin.diagnose.forward import Round
+from twin.diagnose.forward import BESIDE_NOISE, THRESHOLD, Round
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.theta import roused
 from twin.diagnose.trials import MARGIN, Trial
@@ -45,6 +45,13 @@ class Selection:
 def material(criterion: Criterion, found: Selection, floor: Floor) -> bool:
     """Whether the model leaves more than noise."""
     return floor.under(criterion, found.fit.theta).material(found.fit.loglik)
+
+
+def superfluous(criterion: Criterion, found: Selection, floor: Floor, smaller: Fit) -> bool:
+    """Whether `smaller`, the model less one of its causes, does as well: what would not be taken now is not kept."""
+    loss = found.fit.loglik - smaller.loglik
+    trifle = loss < BESIDE_NOISE * (found.fit.loglik - found.base.loglik)
+    return loss < THRESHOLD or (trifle and not floor.under(criterion, smaller.theta).material(smaller.loglik))
 
 
 def without(criterion: Criterion, found: Selection, cause: str, passes: int = PASSES) -> Fit:

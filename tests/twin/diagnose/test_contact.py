@@ -72,6 +72,19 @@ def test_a_ball_that_hops_does_not_lie_meanwhile(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
+def test_a_rest_ends_where_it_did_whether_hops_are_asked_for_or_not(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its last current is that of lift-off: two readings fewer made another force law of it."""
+    x = np.zeros(1000)
+    x[800:] = 0.5 * 0.4 * (TICK_S * np.arange(200.0)) ** 2
+    takes_off = record(noisy(x, seed), "sawtooth")
+    with_hops = held_samples(takes_off, PLANT)
+    monkeypatch.setattr("twin.diagnose.contact.HOP_SCALES", np.inf)
+
+    assert 800 < with_hops.sum() < 830
+    assert np.array_equal(with_hops, held_samples(takes_off, PLANT))
+
+
+@pytest.mark.parametrize("seed", range(5))
 def test_noise_crosstalk_and_a_trembling_table_are_no_hops(seed: int) -> None:
     i_c = 0.3 + 0.3 * np.sign(np.sin(np.arange(1000.0) / 40.0))
     trembling = 12e-6 * np.sin(2.0 * np.pi * 47.0 * TICK_S * np.arange(1000.0))
