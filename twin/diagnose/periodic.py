@@ -78,10 +78,7 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
         weighted, weight = weighted + size * float(np.trace(normal)), weight + float(np.trace(normal))
         pair = -pair
         by = math.atan2(pair[1], pair[0]) / (2.0 * math.pi * frequency)
-        # Whole periods more, so that another frequency turns the phase about the middle of the recording: a minute off,
-        # a thousandth of a hertz would turn all of it, and phases and frequency hold each other where they are.
-        middle = float(criterion.evidence.t[use].mean())
-        shift[own] = by - round((by + middle) * frequency) / frequency
+        shift[own] = _about(by, float(criterion.evidence.t[use].mean()), frequency)
     if weight == 0.0:
         return None
     return Line(
@@ -132,9 +129,18 @@ def _nearer(criterion: Criterion, theta: Theta) -> FloatArray:
     for number in np.unique(series.recording):
         own = series.recording == number
         slope, curve = float(np.sum((more - less)[own])), float(np.sum((more - 2.0 * here + less)[own]))
-        if curve < 0.0:
-            shift[own] -= step * float(np.clip(0.5 * slope / curve, -_FAR_STEPS, _FAR_STEPS))
+        by = step * float(np.clip(0.5 * slope / curve, -_FAR_STEPS, _FAR_STEPS)) if curve < 0.0 else 0.0
+        middle = float(criterion.evidence.t[own].mean())
+        shift[own] = _about(float(shift[own][0]) - by, middle, theta.value(FREQUENCY))
     return shift
+
+
+def _about(shift_s: float, middle_s: float, frequency_hz: float) -> float:
+    """The shift less whole periods, so that another frequency turns the phase about the middle of the recording.
+
+    A minute off, a thousandth of a hertz would turn all of it, and phases and frequency hold each other where they are.
+    """
+    return shift_s - round((shift_s + middle_s) * frequency_hz) / frequency_hz
 
 
 def _strongest(criterion: Criterion, theta: Theta) -> float | None:

@@ -27,7 +27,7 @@ from twin.model.causes.cause import Cause
 
 _CLEAR = 60.0  # of log-likelihood: a rival so far behind is out, whatever more he gains
 _COMPARABLE = 0.2  # of the cause's own gain on the screen: what stands in for it shows there, too
-_TURNED = 0.2  # of what a periodic force gains: phases that are 25 degrees off cost so much
+_TURNED = 0.5  # of what a periodic force gains: phases that are 10 degrees off cost a quarter
 _REPHASED = 2  # rivals that get phases of their own
 _ALIKE = 0.8  # of the cause's own gain on the screen: it may do the same, and have begun to climb at a worse place
 
@@ -79,8 +79,11 @@ def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Tria
 
     for other, fit in zip(others, criterion.each(less, others), strict=True):
         if fit.loglik > least:
-            say(f"{trial.cause} explains as much as {cause} and {other} together: it takes their place")
-            found.causes = [name for name in found.causes if name not in (cause, other)] + [trial.cause]
+            if trial.cause == cause:
+                say(f"dropped: {other} ({cause} explains it)")
+            else:
+                say(f"{trial.cause} explains as much as {cause} and {other} together: it takes their place")
+            found.causes = [trial.cause if name == cause else name for name in found.causes if name != other]
             found.fit, gain = fit, fit.loglik - found.base.loglik
             found.gains = {name: found.gains.get(name, gain) for name in found.causes}
             found.remember(fit, criterion)
@@ -140,7 +143,7 @@ def _rivals(
     trials = criterion.each(lambda trial: _again(criterion, own, trial) if trial.cause in alike else trial, trials)
     trials = sorted((trial for trial in trials if inside(trial)), key=lambda trial: -trial.gain)
     shaken = found.gains[periodic.CAUSE.name] if periodic.AMPLITUDE in at.free else 0.0
-    shifts = _rephase(criterion, own, trials, shaken)
+    shifts = _rephase(criterion, own, trials, alike, shaken)
     trials.sort(key=lambda trial: -trial.gain)
     if trials and trials[0].gain > own.gain + MARGIN:
         own = _again(criterion, trials[0], own)
@@ -165,17 +168,22 @@ def _rivals(
     return any(_one_for_two(criterion, found, cause, trial, say) for trial in news)
 
 
-def _rephase(criterion: Criterion, own: Trial, trials: list[Trial], shaken: float) -> dict[str, FloatArray]:
-    """The trials behind `own` by what phases can make fitted with phases of their own, and those; `shaken`: their gain.
+def _rephase(
+    criterion: Criterion, own: Trial, trials: list[Trial], alike: set[str], shaken: float
+) -> dict[str, FloatArray]:
+    """Those `alike` that are behind `own` by what phases can make, fitted with phases of their own; their shifts.
+
+    `shaken` is what the periodic force gains.
 
     A lag of the sensor turns what shakes the ball as it is read, one of the field does not: with the other's phases the
     right cause was 170 behind the wrong one, with its own 800 before.
     """
     shifts: dict[str, FloatArray] = {}
-    behind = [n for n, trial in enumerate(trials) if own.gain + MARGIN > trial.gain > own.gain - _TURNED * shaken]
+    least, most = own.gain - _TURNED * shaken, own.gain + MARGIN
+    behind = [n for n, trial in enumerate(trials) if trial.cause in alike and least < trial.gain < most]
     for n in behind[:_REPHASED] if shaken > 0.0 else ():
         before, trial = criterion.shift_s, trials[n]
-        fit = periodic.rephased(criterion, trial.fit, PASSES)
+        fit = periodic.settled(criterion, periodic.rephased(criterion, trial.fit, PASSES), PASSES)
         trials[n] = replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
         shifts[trial.cause], criterion.shift_s = criterion.shift_s, before
     return shifts

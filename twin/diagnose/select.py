@@ -73,13 +73,19 @@ def select(
         if not classes:
             break
         before = set(found.causes)
+        _settle(criterion, found, thorough)
         stand_ins(criterion, found, floor if thorough else None, candidates=candidates, few=few, quick=quick, say=say)
-        if thorough and periodic.CAUSE.name in found.causes:
-            found.fit = periodic.settled(criterion, found.fit, PASSES)
+        _settle(criterion, found, thorough)
         # What was refused beside a false name may be what is missing beside the right one.
         if set(found.causes) == before or not material(criterion, found, floor):
             break
     return found
+
+
+def _settle(criterion: Criterion, found: Selection, thorough: bool) -> None:
+    """The phases of a periodic force as they are beside all others."""
+    if thorough and periodic.CAUSE.name in found.causes:
+        found.fit = periodic.settled(criterion, found.fit, PASSES)
 
 
 def _add(

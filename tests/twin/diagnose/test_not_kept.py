@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
 from twin.diagnose import select
 from twin.diagnose.estimate import PASSES
 from twin.diagnose.floor import floor_of
-from twin.diagnose.forward import BESIDE_NOISE, THRESHOLD
+from twin.diagnose.forward import BESIDE_NOISE, THRESHOLD, Round
+from twin.diagnose.rivals import stand_ins
 from twin.diagnose.screen import probed
 from twin.diagnose.selection import Selection
 from twin.model.causes.catalogue import BY_NAME
@@ -24,8 +27,12 @@ def test_a_trifle_beside_a_later_cause_goes_if_noise_remains(strength: float, ke
         base, both = fitted(criterion, THETA), fitted(criterion, rig, FIRST, LATER)
         alone = fitted(criterion, strong(LATER, 6e-4), LATER)
         found = Selection(base=base, fit=both, causes=[FIRST, LATER], gains={FIRST: 1e3, LATER: 1e3})
+        found.rounds.append(Round(scores=(), trials=(), taken=LATER, why=""))
 
-        select._backward(criterion, found, floor_of(criterion, rig), lambda line: None, PASSES)
+        floor = floor_of(criterion, rig)
+        asked = replace(found, causes=[*found.causes], gains={**found.gains})
+        select._backward(criterion, found, floor, lambda line: None, PASSES)
+        stand_ins(criterion, asked, floor, candidates=(BY_NAME["quadratic-drag"],), few=3)
     finally:
         criterion.close()
 
@@ -34,3 +41,4 @@ def test_a_trifle_beside_a_later_cause_goes_if_noise_remains(strength: float, ke
     assert (loss > BESIDE_NOISE * gained) == kept
     assert found.causes == ([FIRST, LATER] if kept else [LATER])
     assert (found.fit is both) == kept
+    assert asked.causes == found.causes, "nor is what an exchange has left next to nothing"

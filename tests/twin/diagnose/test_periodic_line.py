@@ -9,11 +9,14 @@ import pytest
 
 from tests.twin.diagnose.known_diagnosis import QUIET, steps
 from tests.twin.diagnose.simulated_rig import PLANT, TICK_S, strong
+from twin.diagnose import rivals
 from twin.diagnose.estimate import PASSES, climb
 from twin.diagnose.evidence import gather
 from twin.diagnose.likelihood import Criterion
-from twin.diagnose.periodic import AMPLITUDE, CAUSE, FREQUENCY, find_line, rephased
-from twin.diagnose.theta import BASE
+from twin.diagnose.periodic import AMPLITUDE, CAUSE, FREQUENCY, find_line, rephased, settled
+from twin.diagnose.selection import Selection
+from twin.diagnose.theta import BASE, coordinates_of
+from twin.model.causes.catalogue import BY_NAME
 
 FORCE_N, FREQUENCY_HZ = 2e-3, 7.3
 
@@ -76,3 +79,54 @@ def test_a_short_recording_has_a_phase_of_its_own() -> None:
         criterion.close()
 
     assert 0.8 < np.nanmean(white[own, 1] ** 2) < 1.2
+
+
+def test_each_recording_settles_at_the_phase_of_its_own() -> None:
+    rig = strong(CAUSE.name, FORCE_N, QUIET).having(FREQUENCY, FREQUENCY_HZ)
+    criterion = Criterion(gather([steps(rig, seed=seed) for seed in (3, 4, 5)], PLANT), PLANT, TICK_S, workers=1)
+    free = (*BASE, AMPLITUDE, FREQUENCY)
+    turn_s = 1.0 / (2.0 * np.pi * FREQUENCY_HZ)
+    recording = criterion.evidence.series.recording
+    try:
+        best = climb(criterion, rig, free)
+        criterion.shift_s = np.where(recording == 1, 0.6, np.where(recording == 2, -0.3, 0.0)) * turn_s
+        off = climb(criterion, rig, free)
+        fit = settled(criterion, off, PASSES)
+        turns = [float(np.median(criterion.shift_s[recording == k])) / turn_s % (2.0 * np.pi) for k in range(3)]
+    finally:
+        criterion.close()
+
+    assert off.loglik < best.loglik - 100.0
+    assert best.loglik - 1.0 < fit.loglik < best.loglik + 10.0, "three phases gain a little out of noise"
+    assert np.ptp(turns) < 0.1  # all together they may turn with the frequency
+    assert fit.theta.value(AMPLITUDE) == pytest.approx(FORCE_N, rel=0.03)
+
+
+@pytest.mark.slow
+def test_a_rival_has_the_phases_that_belong_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What shakes the ball is read late by a lag of the sensor, and not by one of the field."""
+    field, sensor = "eddy-current-lag", "position-sensor-lag"
+    rig = strong(field, 3e-3, strong(CAUSE.name, 4e-3, QUIET).having(FREQUENCY, FREQUENCY_HZ))
+    criterion = Criterion(gather([steps(rig, seed=seed) for seed in (3, 4)], PLANT), PLANT, TICK_S, workers=1)
+    free = (*BASE, AMPLITUDE, FREQUENCY, *coordinates_of(sensor))
+    start = strong(sensor, 3e-3, rig.without(field))
+    answers = {}
+    try:
+        base = climb(criterion, QUIET, BASE)
+        false = settled(criterion, rephased(criterion, climb(criterion, start, free), PASSES), PASSES)
+        shift_s = criterion.shift_s
+        for most in (0, 2):
+            monkeypatch.setattr(rivals, "_REPHASED", most)
+            criterion.shift_s = shift_s
+            causes = [CAUSE.name, sensor]
+            gained = dict.fromkeys(causes, false.loglik - base.loglik)
+            found = Selection(base=base, fit=false, causes=causes, gains=gained)
+            rivals.stand_ins(criterion, found, candidates=(BY_NAME[field],), few=3)
+            answers[most] = found
+    finally:
+        criterion.close()
+
+    assert set(answers[2].causes) == {CAUSE.name, field}
+    assert answers[2].fit.theta.value(f"{field}.tau_s") == pytest.approx(3e-3, rel=0.03)
+    assert answers[2].fit.loglik > false.loglik + 50.0
+    assert set(answers[0].causes) == {CAUSE.name, sensor}, "else nothing shows that it takes phases"
