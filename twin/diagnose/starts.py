@@ -75,15 +75,16 @@ def beside(criterion: Criterion, theta: Theta, own: Cause, rival: Cause) -> Thet
     """The best strength of `rival` with the numbers of `theta`, in which it takes the place of `own`.
 
     From the bent numbers of the model without either, one of two causes that do the same may never get there; two that
-    are measured in the same unit may even be of the same size.
+    are measured in the same unit, or in V and in A, may even be of the same size.
     """
     strength = rival.strength
     at = [strength.coordinate(probe) * factor for probe in strength.probes for factor in _GRID]
     if strength.low < strength.neutral < strength.high:
         at += [-one for one in at]
     sizes = [strength.value(one) for one in at]
-    if own.strength.unit == strength.unit:
-        size = theta.value(f"{own.name}.{own.strength.name}")
+    same = {(strength.unit, strength.unit): 1.0, ("V", "A"): theta.K_A, ("A", "V"): 1.0 / theta.K_A}
+    if (own.strength.unit, strength.unit) in same:
+        size = theta.value(f"{own.name}.{own.strength.name}") * same[own.strength.unit, strength.unit]
         sizes += [one for one in (size, -size) if strength.low <= one <= strength.high]
     bare = theta.without(own.name)
     starts = _with_stops(criterion.plant, theta, [probed(bare, rival, one) for one in sizes], rival)

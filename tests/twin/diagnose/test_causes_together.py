@@ -21,6 +21,7 @@ from twin.diagnose.likelihood import Criterion
 from twin.diagnose.rivals import stand_ins
 from twin.diagnose.screen import probed
 from twin.diagnose.selection import Selection
+from twin.diagnose.starts import beside
 from twin.diagnose.theta import BASE, STOPS, coordinates_of
 from twin.diagnose.trials import MARGIN, Trial
 from twin.identify.reading import read_campaign
@@ -100,6 +101,21 @@ def test_one_cause_takes_the_place_of_two_that_stand_in_for_it(tmp_path: Path) -
     assert set(found.causes) == set(found.gains) == set(HIDDEN)
     assert found.fit.loglik > fit.loglik - MARGIN
     assert found.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
+
+
+def test_a_dead_zone_begins_with_the_size_of_the_offset_that_it_may_stand_for() -> None:
+    """One in V, one in A: between the values of a grid the likelihood is 100 000 lower, and no climb began there."""
+    offset, zone = BY_NAME["amplifier-offset"], BY_NAME["amplifier-dead-zone"]
+    rig = strong(offset.name, -0.0611)
+    criterion = criterion_of(narrow(rig, seconds=4.0))
+    try:
+        there = beside(criterion, rig, offset, zone)
+        back = beside(criterion, there, zone, offset)
+    finally:
+        criterion.close()
+
+    assert there.value("amplifier-dead-zone.width_v") == pytest.approx(0.0611 / rig.K_A)
+    assert back.value("amplifier-offset.offset_a") == pytest.approx(-0.0611)
 
 
 @pytest.mark.slow
