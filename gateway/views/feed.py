@@ -53,6 +53,7 @@ _WANTED = ("state", "status", "event", "alarms", "parameters", "command/record",
 # One subscriber for all of the twin: zenoh keeps the order within a subscriber, and a list of active alarms that
 # overtakes an alarm would end it.
 _KEYS = (*(topic for topic in _WANTED if not topic.startswith("twin/")), "twin/*")
+_OF_GATEWAY = (pb.Status, pb.Event, pb.State)  # while one of them comes, there is a gateway
 _REASONS = {
     "absent": "Its port is not there.",
     "silent": "The board sends nothing.",
@@ -114,7 +115,7 @@ class BoardFeed:
         limit_s = max(SILENT_S, 3.0 * self._period_s)
         if age_s < limit_s and self._alive:
             return Link(state="live", reason="", age_s=age_s)
-        if min(self.age_s(pb.Status), self.age_s(pb.Event), age_s) > GATEWAY_S:
+        if min(self.age_s(kind) for kind in _OF_GATEWAY) > GATEWAY_S:
             return Link(state="no-gateway", reason="Nothing comes from the gateway.", age_s=age_s)
         word = "connecting" if status is None else status.link
         if word == "streaming":  # of a status before the loss
@@ -171,8 +172,8 @@ class BoardFeed:
     def take(self, message: Message, now_ns: int) -> None:
         """One message from the bus; with the feed's lock."""
         name = message.DESCRIPTOR.full_name
-        if isinstance(message, pb.Status) and self.age_s(pb.Status) > GATEWAY_S:
-            self._back_s = self._now_s()
+        if isinstance(message, _OF_GATEWAY) and min(self.age_s(kind) for kind in _OF_GATEWAY) > GATEWAY_S:
+            self._back_s = self._now_s()  # with whichever comes first: status follows a sample by up to a second
         self._latest[name] = message
         self._at_s[name] = self._now_s()
         for tap in self._taps.get(name, ()):
