@@ -248,7 +248,7 @@ def test_a_step_of_the_wall_clock_is_seen_once_and_does_not_reach_the_session() 
     driver = BoardDriver(BoardConfig(name="rig", port="x"), collector, clock)
     driver.port_opened("x", 5.0)
     driver.poll(5.0)
-    hello = driver.take_output()
+    hello = driver.output()
     number = _hello_id(hello)
 
     driver.received(frame("IDENTITY", id=number, tick=100, **identity_values()) + _state(100), 5 * NS)
