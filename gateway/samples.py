@@ -7,7 +7,6 @@ Rule 3: rounding that the sender would notice is said in `WireCommand.note`.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from protocol.bus import board51_pb2 as pb
@@ -248,7 +247,20 @@ def _excite(command: pb.Command, s: Scaling) -> WireCommand:
     if not 0 <= shape <= max(Shape):
         raise _OutOfFieldError(f"shape {shape} is none of 0 .. {max(Shape):d}")
     offset, lsb, unit = (s.x_offset_m, s.x_lsb_m, "m") if e.on_reference else (s.u_offset_v, s.u_lsb_v, "V")
-    amplitude = _nearest(e.amplitude / lsb) if shape != Shape.NONE else 0
+    values: dict[str, Value] = {
+        "shape": shape,
+        "target": int(e.on_reference),
+        "amplitude": 0,
+        "offset": _count(e.offset, offset, lsb, "offset", unit),
+        "period": 1,
+        "period_end": 1,
+        "seed": 1,
+        "duration": 0,
+    }
+    if shape == Shape.NONE:
+        what = "The reference" if e.on_reference else "u_c"
+        return WireCommand(name="EXCITE", values=values, note=f"{what} stays at {e.offset:.6g} {unit}.")
+    amplitude = _nearest(e.amplitude / lsb)
     if abs(amplitude) > COUNTS_MAX:
         raise _OutOfFieldError(f"amplitude {e.amplitude:g} {unit} is above {COUNTS_MAX * abs(lsb):g} {unit}")
     needs_period = shape in (Shape.RECTANGLE, Shape.SAWTOOTH, Shape.PRBS, Shape.MULTISINE, Shape.CHIRP)
@@ -259,20 +271,10 @@ def _excite(command: pb.Command, s: Scaling) -> WireCommand:
         raise _OutOfFieldError(f"seed {seed} is above {_U16}")
     if shape == Shape.CHIRP and e.duration_s == 0:
         raise _OutOfFieldError("a chirp needs a duration")
-    return WireCommand(
-        name="EXCITE",
-        values={
-            "shape": shape,
-            "target": int(e.on_reference),
-            "amplitude": amplitude,
-            "offset": _count(e.offset, offset, lsb, "offset", unit),
-            "period": period,
-            "period_end": period_end,
-            "seed": seed,
-            # 0 ticks are endless, and nobody who asks for half a tick means that.
-            "duration": _whole(e.duration_s, s.sample_time_s, "duration", 1 if e.duration_s else 0, _U32),
-        },
-    )
+    # 0 ticks are endless, and nobody who asks for half a tick means that.
+    duration = _whole(e.duration_s, s.sample_time_s, "duration", 1 if e.duration_s else 0, _U32)
+    values |= {"amplitude": amplitude, "period": period, "period_end": period_end, "seed": seed, "duration": duration}
+    return WireCommand(name="EXCITE", values=values)
 
 
 def _capture(command: pb.Command, s: Scaling) -> WireCommand:

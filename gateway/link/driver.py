@@ -161,8 +161,8 @@ class BoardDriver:
             self._capture.poll(now_s)
         self._set_deadline()
 
-    def command(self, payload: bytes, reply: Reply, now_s: float, sender: Sender | None = None) -> None:
-        """A query from the bus; `sender` where the bus is guarded."""
+    def command(self, payload: bytes, reply: Reply, now_s: float, sender: Sender) -> None:
+        """A query from the bus."""
         self._now_s = now_s
         self.desk.take(payload, reply, now_s, self.host_ns(), link=self.link, reason=self.reason, sender=sender)
         self._drain(now_s)

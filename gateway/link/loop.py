@@ -24,7 +24,6 @@ from gateway.access.doorkeeper import Sender
 from gateway.link.driver import BoardDriver
 from gateway.link.outlet import Reply
 from gateway.link.port import Port, PortProblem, open_port
-from protocol.bus import board51_pb2 as pb
 
 POLL_S = 0.005  # how late a time-out may be noticed; the shortest configurable one is 20 ms
 # From this many streaming boards on, the thread rests after each round so that the next one finds several boards ready:
@@ -78,16 +77,17 @@ class LinkThread:
                 os.write(self._wake_write, b"\x00")
             return True
 
-    def command(self, driver: BoardDriver, payload: bytes, reply: Reply, sender: Sender | None = None) -> None:
-        """Hand a query to a board's driver; from any thread.  `sender` is known on a guarded bus."""
+    def command(self, driver: BoardDriver, payload: bytes, reply: Reply, sender: Sender) -> None:
+        """Hand a query to a board's driver; from any thread."""
 
         def act() -> None:
+            line = self._by_driver[id(driver)]
             try:
                 driver.command(payload, reply, time.monotonic(), sender)
+                self._write_output(line)
             except Exception:
-                _logger.exception("%s: a command", driver.config.name)
-                reply(pb.CommandReply(refused_by="gateway", reason="internal-error", text="See the gateway's log."))
-            self._write_output(self._by_driver[id(driver)])
+                _logger.exception("%s: after a command", driver.config.name)
+                self._give_up(line)
 
         if not self.post(act):
             act()  # says that the link is down

@@ -136,7 +136,7 @@ class Session:
         self.deadline_s = float("inf")
         return self.take_outcomes()
 
-    def submit(self, name: str, now_s: float, /, *, wait_s: float = WAIT_S, **values: Value) -> int:
+    def submit(self, name: str, now_s: float, wait_s: float = WAIT_S, /, **values: Value) -> int:
         """Queue a command and return its token; it waits for the handshake, STOP does not.
 
         Of many STOPs that are not answered, the later ones may get the same token: the frame goes out again for each.

@@ -60,7 +60,7 @@ def test_a_frame_that_was_begun_is_not_finished_for_nobody() -> None:
 def test_a_command_waits_for_its_turn_for_so_long_and_no_longer() -> None:
     session = opened(timeout_s=10.0)
     first = session.submit("PING", 0.0)
-    brief = session.submit("SET_MODE", 0.0, wait_s=0.3, mode=2)
+    brief = session.submit("SET_MODE", 0.0, 0.3, mode=2)
     patient = session.submit("SET_MODE", 0.0, mode=1)
 
     early = session.poll(0.31)
@@ -78,7 +78,7 @@ def test_a_command_waits_for_its_turn_for_so_long_and_no_longer() -> None:
 def test_the_end_of_the_waiting_is_a_deadline() -> None:
     session = opened(timeout_s=10.0)
     session.submit("PING", 0.0)
-    session.submit("SET_MODE", 0.0, wait_s=0.3, mode=2)
+    session.submit("SET_MODE", 0.0, 0.3, mode=2)
 
     assert session.deadline_s == 0.3
 

@@ -77,7 +77,7 @@ def test_many_commands_do_not_make_the_desk_forget_one_that_is_still_fresh() -> 
     replies: list[pb.CommandReply] = []
     with ScriptedBoard() as board:
         driver = BoardDriver(
-            BoardConfig(name="rig", port=board.url, limits=LimitsConfig(commands_per_s=1000.0)),
+            BoardConfig(name="rig", port=board.url, command_timeout_s=10.0, limits=LimitsConfig(commands_per_s=1000.0)),
             Collector(),
             HostClock(),
         )
