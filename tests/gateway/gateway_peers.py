@@ -73,10 +73,11 @@ class ScriptedBoard:
         self.master, slave = os.openpty()
         tty.setraw(slave)
         self.url = os.ttyname(slave)
-        self._slave = slave  # held, so that the pty outlives a gateway that closes it
+        self.slave = slave  # held, so that the pty outlives a gateway that closes it
         self.heard: list[Message] = []
         self.tick = 1000
         self.streaming = streaming
+        self.reading = True
         self.flags = 0
         self._answers = answers
         self._stop = threading.Event()
@@ -90,7 +91,7 @@ class ScriptedBoard:
         self._stop.set()
         self._thread.join()
         os.close(self.master)
-        os.close(self._slave)
+        os.close(self.slave)
 
     def send(self, data: bytes) -> None:
         if select.select([], [self.master], [], 0.0)[1]:  # a full pty drops, as a wire would
@@ -102,7 +103,7 @@ class ScriptedBoard:
     def _work(self) -> None:
         decoder = StreamDecoder()
         while not self._stop.is_set():
-            if select.select([self.master], [], [], 0.004)[0]:
+            if select.select([self.master] if self.reading else [], [], [], 0.004)[0]:
                 for message in decoder.feed(os.read(self.master, 4096)):
                     if isinstance(message, Message):
                         self.heard.append(message)
