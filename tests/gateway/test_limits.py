@@ -176,6 +176,7 @@ def test_ending_an_excitation_needs_no_bounds_but_a_mode_in_which_one_plays() ->
     narrow = Gate(LimitsConfig(x_ref_min_m=3e-3, x_ref_max_m=3.1e-3, u_max_v=0.1))
 
     assert verdict(narrow, **ENDING) == ""
+    assert verdict(narrow, excite=pb.Excite(shape=pb.SHAPE_NONE, on_reference=True, amplitude=1.0)) == ""
     assert verdict(narrow, replace(VIEW, mode=Mode.OPEN_LOOP), **ENDING) == ""
     assert verdict(narrow, replace(VIEW, mode=Mode.IDLE), **ENDING) == "wrong-mode"
 

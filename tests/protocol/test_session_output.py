@@ -97,6 +97,17 @@ def test_a_command_after_a_silence_is_preceded_by_a_question() -> None:
     assert [(a.token, a.outcome) for a in answers(events)] == [(token, "ack")]
 
 
+def test_a_command_that_was_given_up_takes_the_proof_with_it() -> None:
+    session = opened(timeout_s=0.02, retries=0)
+    session.submit("SET_MODE", 0.0, mode=2)
+    assert names(session) == ["SET_MODE"]
+    session.poll(0.03)
+
+    session.submit("SET_REFERENCE", 0.04, x_ref=100)
+
+    assert names(session) == ["PING"]
+
+
 def test_while_nothing_is_answered_one_command_is_on_the_line_and_never_a_second() -> None:
     session = opened()
     first = session.submit("SET_MODE", 0.0, mode=2)
