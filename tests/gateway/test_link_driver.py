@@ -150,7 +150,7 @@ def test_the_reply_says_how_often_it_was_tried() -> None:
         tries.append(message.int("id"))
         return b"" if len(tries) < 3 else None
 
-    with ScriptedBoard(answers=answers) as board, linked(board.url, command_timeout_s=0.03) as (driver, link, _):
+    with ScriptedBoard(answers=answers) as board, linked(board.url, command_timeout_s=0.5) as (driver, link, _):
         wait_for(lambda: driver.link == "streaming", "stream")
 
         reply = asked(driver, link, pb.Command(id="m", set_mode=pb.SetMode(mode=pb.MODE_OPEN_LOOP)))
