@@ -42,7 +42,7 @@ MOVERS = frozenset({"SET_MODE", "SET_REFERENCE", "SET_GAINS", "EXCITE", "CAPTURE
 RESETS = frozenset({EventCode.RESET_POWER_ON, EventCode.RESET_WATCHDOG, EventCode.RESET_COMMANDED})
 WAIT_S = 2.0  # a command that could not begin to go out for this long is given up: nobody expects it to act any more
 PROVEN_S = 0.5  # twice the time between two PINGs that keep the default host-loss time-out away
-MAX_STOPS = 64  # unanswered at a time; ids are a byte
+MAX_STOPS = 8  # unanswered at a time: more would fill the line with STOPs, and no answer would come in time
 _YOUNG_S = 1.0  # the EVENT of a reset reaches the host within this after the reset
 
 
@@ -139,7 +139,8 @@ class Session:
     def submit(self, name: str, now_s: float, wait_s: float = WAIT_S, /, **values: Value) -> int:
         """Queue a command and return its token; it waits for the handshake, STOP does not.
 
-        Of many STOPs that are not answered, the later ones may get the same token: the frame goes out again for each.
+        While MAX_STOPS are not answered, and repeated until they are, what is asked for shares the STOP after them, and
+        its token.
 
         Args:
             name: of the message.
@@ -153,17 +154,13 @@ class Session:
         encode_body(name, id=1, **values)  # refuse what cannot be sent before it gets a place in the queue
         if name == "STOP":
             self._cancel(lambda c: c.name in MOVERS, "stop")
-            stops = [c for c in self._outstanding.values() if c.name == "STOP"]
-            if len(stops) >= MAX_STOPS:
-                self._write(stops[-1])
-                return stops[-1].token
+            shared = next((c for c in self._queue if c.name == "STOP"), None)
+            if shared is not None:
+                return shared.token
         self._next_token += 1
         command = _Command(self._next_token, name, values, deadline_s=now_s + min(wait_s, WAIT_S))
-        if name == "STOP":
-            self._send(command, now_s)
-        else:
-            self._queue.append(command)
-            self._pump(now_s)
+        self._queue.append(command)
+        self._pump(now_s)
         return command.token
 
     def output(self) -> bytes:
@@ -348,10 +345,15 @@ class Session:
         self.deadline_s = now_s
 
     def _pump(self, now_s: float) -> None:
-        busy = any(c.name != "STOP" for c in self._outstanding.values())
-        if self.is_open and not busy and self._queue:
+        stops = sum(c.name == "STOP" for c in self._outstanding.values())
+        if stops < MAX_STOPS:
+            for stop in [c for c in self._queue if c.name == "STOP"]:
+                self._queue.remove(stop)
+                self._send(stop, now_s)
+        others = [c for c in self._queue if c.name != "STOP"]
+        if self.is_open and others and not any(c.name != "STOP" for c in self._outstanding.values()):
             proven = now_s - self._proven_s <= PROVEN_S
-            following = next((c for c in self._queue if proven or c.name in ANSWERS), None)
+            following = next((c for c in others if proven or c.name in ANSWERS), None)
             if following is not None:
                 self._queue.remove(following)
             self._send(following or _Command(0, "PING", {}), now_s)
