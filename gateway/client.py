@@ -21,6 +21,8 @@ from protocol.bus.encoding import parse, zenoh_encoding
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint, refused_by_router, zenoh_config
 from protocol.bus.identity import HELP, Identity
 
+JUST_STARTED_S = 2.0  # longer than a gateway refuses what may be older than itself (access/doorkeeper.py)
+
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """`--connect`, `--site` and `--identity`, the same everywhere."""
@@ -71,36 +73,50 @@ def send(
 ) -> pb.CommandReply:
     """Send one command and return the gateway's answer; `refused_by` "link" where none came.
 
-    An empty `command.id` is filled in; keep it to repeat a command without its being executed twice.
+    An empty `command.id` and a missing `issued_ns` are filled in.  Keep both to repeat a command, at this gateway or
+    the next one: it is not executed twice.  What is filled in here is new, so a gateway that has just started and
+    cannot know that (`not-fresh`) is asked again for a moment.
 
     Args:
         session: of the bus.
         site: first chunk of the key.
         board: second.
-        command: what; `issued_ns` is filled in.
-        timeout_s: for the answer.
+        command: what.
+        timeout_s: for the answer; the command does not begin to act later.
         identity: whose command it is, on a guarded bus.
         role: instead of an identity: of `command.who`, whom the caller has checked; only the views' account may do so.
     """
     if not command.id:
         command.id = uuid.uuid4().hex
-    command.issued_ns = time.time_ns()
+    is_new = not command.issued_ns
+    command.valid_s = command.valid_s or timeout_s
     if identity is not None:
         role, command.who = identity.role, identity.name
-    replies = session.get(
-        topics.command_key(site, board, role=role, who=command.who),
-        payload=command.SerializeToString(),
-        encoding=zenoh_encoding(pb.Command),
-        timeout=timeout_s,
-    )
-    for reply in replies:
-        answer = parse(pb.CommandReply, reply.ok.payload.to_bytes()) if reply.ok is not None else None
-        if answer is not None:
+    key = topics.command_key(site, board, role=role, who=command.who)
+    end_s = time.monotonic() + min(timeout_s, JUST_STARTED_S)
+    while True:
+        if is_new:
+            command.issued_ns = time.time_ns()
+        answer = _ask(session, key, command, timeout_s)
+        if answer is None:
+            return _unanswered(command, f"{site}/{board}", guarded=identity is not None)
+        if not is_new or answer.reason != "not-fresh" or time.monotonic() >= end_s:
             return answer
-    return pb.CommandReply(
-        id=command.id,
-        refused_by="link",
-        reason="not-delivered",
-        text=f"No gateway answered for {site}/{board}: is it running, and is that the board's name?"
-        + (" If it does not guard its bus, leave --identity out." if identity else " A guarded one wants --identity."),
+        time.sleep(0.1)
+
+
+def _ask(session: zenoh.Session, key: str, command: pb.Command, timeout_s: float) -> pb.CommandReply | None:
+    replies = session.get(
+        key, payload=command.SerializeToString(), encoding=zenoh_encoding(pb.Command), timeout=timeout_s
     )
+    answers = (parse(pb.CommandReply, reply.ok.payload.to_bytes()) for reply in replies if reply.ok is not None)
+    return next((answer for answer in answers if answer is not None), None)
+
+
+def _unanswered(command: pb.Command, board: str, *, guarded: bool) -> pb.CommandReply:
+    text = (
+        f"No gateway answered for {board}: is it running, and is that the board's name?"
+        + (" If it does not guard its bus, leave --identity out." if guarded else " A guarded one wants --identity.")
+        + " Had one received the command before it ended, it may have acted."
+    )
+    return pb.CommandReply(id=command.id, refused_by="link", reason="not-delivered", text=text)

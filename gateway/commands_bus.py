@@ -36,7 +36,7 @@ class CommandQueryable:
         driver: of the board.
         link: the serial thread.
         messages: takes the replies.
-        door: of a guarded bus; None where the bus is not.
+        door: says who sends.
     """
 
     def __init__(
@@ -46,28 +46,25 @@ class CommandQueryable:
         driver: BoardDriver,
         link: LinkThread,
         messages: Publisher,
-        door: Doorkeeper | None = None,
+        door: Doorkeeper,
     ) -> None:
         self._key = topics.key(site, driver.config.name, "command")
         self._driver, self._link, self._messages, self._door = driver, link, messages, door
         self._lock = threading.Lock()  # of _posted: queries come in several threads
         self._posted = 0
-        served = f"{self._key}/{topics.AS}/*/*" if door is not None else self._key
+        served = f"{self._key}/{topics.AS}/*/*" if door.guarded else self._key
         self._queryable = session.declare_queryable(served, self._on_query)
 
     def _on_query(self, query: zenoh.Query) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""
-        key = self._key
-        sender: Sender | None = None
-        if self._door is not None:
-            asked = str(query.key_expr)
-            found = self._door.sender(asked, time.time_ns())
-            if isinstance(found, Refusal):
-                refusal = pb.CommandReply(refused_by="gateway", reason=found.reason, text=found.text)
-                _Reply(query, asked, self._messages)(refusal)
-                return
-            sender = found
-            key = f"{self._key}/{topics.AS}/{sender.role.word}/{sender.name}"
+        asked = str(query.key_expr)
+        sender = self._door.sender(asked, time.time_ns())
+        if isinstance(sender, Refusal):
+            refusal = pb.CommandReply(refused_by="gateway", reason=sender.reason, text=sender.text)
+            _Reply(query, asked, self._messages)(refusal)
+            return
+        role = sender.role
+        key = self._key if role is None else f"{self._key}/{topics.AS}/{role.word}/{sender.name}"
         reply = _Reply(query, key, self._messages)
         flood = self._flood(payload, sender)
         if flood is not None:
@@ -83,19 +80,18 @@ class CommandQueryable:
 
         self._link.command(self._driver, payload, done, sender)
 
-    def _flood(self, payload: bytes, sender: Sender | None) -> pb.CommandReply | None:
+    def _flood(self, payload: bytes, sender: Sender) -> pb.CommandReply | None:
         """The refusal of what is too much, before it costs the serial thread anything; None if it may go on."""
         full = self._posted >= MAX_POSTED
-        if not full and sender is None:
+        if not full and not self._door.guarded:
             return None
-        command = read_command(payload)
-        id = "" if isinstance(command, Refusal) else command.id
-        if not isinstance(command, Refusal) and command.WhichOneof("what") == "stop":
+        command, _ = read_command(payload)
+        if command.WhichOneof("what") == "stop":
             return None
-        if not full and (self._door is None or sender is None or not self._door.flooded(sender, time.monotonic())):
+        if not full and not self._door.flooded(sender, time.monotonic()):
             return None
         text = "Too many commands at once; STOP alone is exempt."
-        return pb.CommandReply(id=id, refused_by="gateway", reason="flood", text=text)
+        return pb.CommandReply(id=command.id, refused_by="gateway", reason="flood", text=text)
 
 
 class _Reply:

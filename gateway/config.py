@@ -53,7 +53,9 @@ class LimitsConfig:
     commands_per_s: float = _key(
         50.0, "commands per second and board; STOP is never refused for this", unit="1/s", low=0.1, high=1000.0
     )
-    excitation_max_s: float = _key(600.0, "longest excitation", unit="s", low=0.0, high=1e6)
+    excitation_max_s: float = _key(
+        600.0, "longest excitation; 0: no bound, endless ones too", unit="s", low=0.0, high=1e6
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

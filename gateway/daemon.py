@@ -76,7 +76,8 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             for board, outlet in zip(config.boards, outlets, strict=True)
         ]
         link = LinkThread(drivers)
-        door = Doorkeeper(time.time_ns(), partial(_tell_flood, drivers)) if config.security.directory else None
+        guarded = bool(config.security.directory)
+        door = Doorkeeper(time.time_ns(), partial(_tell_flood, drivers), guarded=guarded)
         queryables = [CommandQueryable(bus, config.site, driver, link, messages, door) for driver in drivers]
         if recorder is not None:
             recorder.on_event = partial(_tell_all, drivers)
@@ -93,9 +94,9 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
         look_s = time.monotonic()
         while not stop.wait(STATUS_S):
             step_ns = clock.step_ns()
-            if step_ns and door is not None:
+            if step_ns:
                 door.clock_stepped(step_ns)
-            if door is not None and time.monotonic() >= look_s:
+            if guarded and time.monotonic() >= look_s:
                 look_s += CERTIFICATES_S
                 for text in expiring(config):
                     _tell_all(drivers, "certificate-expires", "warning", text)

@@ -2,12 +2,13 @@
 
 The board checks again; this gate is nearer to the sender, may be tighter (configuration), and says why in SI units.
 
-Rule 1: STOP passes always: no rate, no mode, no bound.  Only its form is checked.
+Rule 1: STOP passes always: no rate, no mode, no bound, no form but that it can be read as a STOP.
 Rule 2: every refusal has a stable kebab-case reason and a sentence.  Reasons: malformed, oversize, bad-id, bad-who,
-        empty-command, not-finite, out-of-range, slew, wrong-mode, fault-active, flood, queue-full.
+        empty-command, not-finite, out-of-range, slew, wrong-mode, fault-active, flood, queue-full, not-available.
 Rule 3: bounds are those of the configuration and of the board, whichever is tighter.
 Rule 4: the reference has an allowance, as on the board (protocol/README.md, rule 7): `x_ref_step_m` at once, refilled
         at `x_ref_slew_m_s`, used up by each accepted jump.
+Rule 5: to end an excitation nothing but its mode is needed: no bound can keep somebody from it, and nothing jumps.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from protocol.bus.encoding import parse
 from protocol.wire.messages import Flag, Message, Mode
 
 MAX_PAYLOAD = 4096  # bytes; the largest sensible command has about 200
+MAX_STOP = 65536  # bytes that are looked at for a STOP, as many as pass the router of a guarded bus
 MAX_ID = 128
 MAX_WHO = 128
 MAX_TEXT = 200  # characters of a remark, of a comment
@@ -38,16 +40,27 @@ class BoardView:
     mode: Mode | None
     flags: int
     x_ref_m: float | None  # in force, or commanded and not yet visible
+    u_c_v: float | None  # in force
     parameters: Message | None  # PARAMETERS, counts
 
 
-def read_command(payload: bytes) -> pb.Command | Refusal:
-    """The command in a query, or why it is none: its form, not yet its content."""
+def read_command(payload: bytes) -> tuple[pb.Command, Refusal | None]:
+    """The command in a query, and why it is none: its form, not yet its content.  Empty where it cannot be read."""
+    command = parse(pb.Command, payload) if len(payload) <= MAX_STOP else None
+    if command is not None and command.WhichOneof("what") == "stop":
+        # Whatever else is wrong with it; what is too long is cut, for the record.
+        return pb.Command(
+            id=command.id[:MAX_ID], who=command.who[:MAX_WHO], issued_ns=command.issued_ns, stop=pb.Stop()
+        ), None
     if len(payload) > MAX_PAYLOAD:
-        return Refusal("oversize", f"The payload has {len(payload)} bytes; a command has at most {MAX_PAYLOAD}.")
-    command = parse(pb.Command, payload)
+        text = f"The payload has {len(payload)} bytes; a command has at most {MAX_PAYLOAD}."
+        return pb.Command(), Refusal("oversize", text)
     if command is None:
-        return Refusal("malformed", "The payload is not a board51.v1.Command in protobuf.")
+        return pb.Command(), Refusal("malformed", "The payload is not a board51.v1.Command in protobuf.")
+    return command, _form(command)
+
+
+def _form(command: pb.Command) -> Refusal | None:
     if not 0 < len(command.id) <= MAX_ID:
         return Refusal(
             "bad-id", f"The id has {len(command.id)} characters; choose 1 to {MAX_ID}, new for each command."
@@ -63,9 +76,7 @@ def read_command(payload: bytes) -> pb.Command | Refusal:
     if command.WhichOneof("what") is None:
         return Refusal("empty-command", "The command says not what to do, or something this gateway does not know.")
     wrong = next((name for name, value in _numbers(command) if not math.isfinite(value)), None)
-    if wrong is not None:
-        return Refusal("not-finite", f"{wrong} is not a finite number.")
-    return command
+    return None if wrong is None else Refusal("not-finite", f"{wrong} is not a finite number.")
 
 
 def _numbers(message: ProtoMessage, path: str = "") -> Iterator[tuple[str, float]]:
@@ -76,6 +87,25 @@ def _numbers(message: ProtoMessage, path: str = "") -> Iterator[tuple[str, float
         elif field.cpp_type == field.CPPTYPE_DOUBLE:
             values = [value] if isinstance(value, float) else value
             yield from ((name, v) for v in values)
+
+
+def ends_excitation(command: pb.Command) -> bool:
+    """Shape none; but on u_c with an offset it is a level."""
+    excite = command.excite
+    none = command.WhichOneof("what") == "excite" and excite.shape == pb.SHAPE_NONE
+    return none and (excite.on_reference or not excite.HasField("offset"))
+
+
+def bumpless(command: pb.Command, board: BoardView) -> pb.Command | Refusal:
+    """`command`; where it ends an excitation, with what is in force now as the level that stays."""
+    if not ends_excitation(command):
+        return command
+    closed = board.mode == Mode.CLOSED_LOOP
+    level = board.x_ref_m if closed else board.u_c_v
+    if board.mode is None or level is None:
+        text = "Where the signal is now is not known yet: try again, or end it with a reference or a mode."
+        return Refusal("not-available", text)
+    return pb.Command(excite=pb.Excite(shape=pb.SHAPE_NONE, on_reference=closed, offset=level))
 
 
 class TokenBucket:
@@ -121,6 +151,8 @@ class Gate:
             case "set_gains":
                 return self._gains(command.set_gains)
             case "excite":
+                if ends_excitation(command):
+                    return _needs(board, command)
                 return _needs(board, command) or self._excite(command.excite, wire, board)
             case "capture":
                 return _needs(board, command) or self._capture(command.capture, wire, board)
@@ -153,11 +185,10 @@ class Gate:
         return None
 
     def _excite(self, excite: pb.Excite, wire: WireCommand, board: BoardView) -> Refusal | None:
-        limits = self._limits
-        if not 0 <= excite.duration_s <= limits.excitation_max_s:
-            return Refusal(
-                "out-of-range", f"A duration of {excite.duration_s:g} s is outside 0 .. {limits.excitation_max_s:g} s."
-            )
+        limits, longest_s = self._limits, self._limits.excitation_max_s
+        if longest_s and excite.shape != pb.SHAPE_NONE and not 0 < excite.duration_s <= longest_s:
+            given = f"A duration of {excite.duration_s:g} s" if excite.duration_s else "A duration of 0 s, endless,"
+            return Refusal("out-of-range", f"{given} is outside the gateway's limit, up to {longest_s:g} s.")
         low, high = excite.offset - abs(excite.amplitude), excite.offset + abs(excite.amplitude)
         offset, amplitude = int(wire.values["offset"]), abs(int(wire.values["amplitude"]))
         if excite.on_reference:
@@ -205,6 +236,8 @@ def _needs(board: BoardView, command: pb.Command) -> Refusal | None:
     good: tuple[Mode, ...]
     if command.WhichOneof("what") == "capture":
         good = (Mode.IDLE, Mode.OPEN_LOOP)
+    elif ends_excitation(command):
+        good = (Mode.OPEN_LOOP, Mode.CLOSED_LOOP)
     else:
         good = (Mode.CLOSED_LOOP,) if command.excite.on_reference else (Mode.OPEN_LOOP,)
     if board.mode in good:

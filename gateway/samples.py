@@ -7,7 +7,6 @@ Rule 3: rounding that the sender would notice is said in `WireCommand.note`.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from protocol.bus import board51_pb2 as pb
@@ -18,6 +17,7 @@ _MANTISSA_MAX = 32767
 _SHIFT_MAX = 30
 _U16 = 0xFFFF
 _U32 = 0xFFFFFFFF
+_BEYOND = 2.0**53
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,8 +166,13 @@ def to_wire(command: pb.Command, scaling: Scaling) -> WireCommand | Refusal:
         return Refusal("out-of-range", f"{problem}.")
 
 
+def _nearest(number: float) -> int:
+    """Rounded; what is beyond all fields (1e308 over a small unit is infinite) stays beyond them."""
+    return round(min(max(number, -_BEYOND), _BEYOND))
+
+
 def _count(value: float, offset: float, lsb: float, what: str, unit: str) -> int:
-    count = round((value - offset) / lsb)
+    count = _nearest((value - offset) / lsb)
     if not 0 <= count <= COUNTS_MAX:
         ends = sorted((offset, offset + lsb * COUNTS_MAX))
         raise _OutOfFieldError(
@@ -177,7 +182,7 @@ def _count(value: float, offset: float, lsb: float, what: str, unit: str) -> int
 
 
 def _whole(value: float, unit_s: float, what: str, low: int, high: int) -> int:
-    number = round(value / unit_s)
+    number = _nearest(value / unit_s)
     if not low <= number <= high:
         raise _OutOfFieldError(f"{what} {value:g} s is outside {low * unit_s:g} .. {high * unit_s:g} s")
     return number
@@ -198,11 +203,11 @@ def to_mantissa(gain: float) -> tuple[int, int]:
     """(mantissa, shift) with mantissa * 2^-shift nearest to `gain`; OverflowError above 32767."""
     if gain == 0:
         return 0, 0
-    if abs(gain) >= _MANTISSA_MAX + 0.5:
-        raise OverflowError(gain)
-    shift = min(_SHIFT_MAX, math.floor(math.log2((_MANTISSA_MAX + 0.5) / abs(gain))))
-    mantissa = round(gain * 2.0**shift)
-    return (mantissa, shift) if abs(mantissa) <= _MANTISSA_MAX else (round(gain * 2.0 ** (shift - 1)), shift - 1)
+    for shift in range(_SHIFT_MAX, -1, -1):
+        mantissa = _nearest(gain * 2.0**shift)
+        if abs(mantissa) <= _MANTISSA_MAX:
+            return mantissa, shift
+    raise OverflowError(gain)
 
 
 def _set_gains(command: pb.Command, s: Scaling) -> WireCommand:
@@ -220,6 +225,11 @@ def _set_gains(command: pb.Command, s: Scaling) -> WireCommand:
             raise _OutOfFieldError(
                 f"gain {n} = {gain:g} is above {_MANTISSA_MAX / abs(unit):g}, the board's largest"
             ) from None
+        if gain and not mantissa:
+            raise _OutOfFieldError(
+                f"gain {n} = {gain:g} becomes 0 on the board, whose smallest is {2.0**-_SHIFT_MAX / abs(unit):.3g}:"
+                " give 0, or a larger one"
+            )
         values[f"k{n}_mantissa"], values[f"k{n}_shift"] = mantissa, shift
         if gain:
             worst = max(worst, abs(mantissa * 2.0**-shift / (gain * unit) - 1))
@@ -237,7 +247,20 @@ def _excite(command: pb.Command, s: Scaling) -> WireCommand:
     if not 0 <= shape <= max(Shape):
         raise _OutOfFieldError(f"shape {shape} is none of 0 .. {max(Shape):d}")
     offset, lsb, unit = (s.x_offset_m, s.x_lsb_m, "m") if e.on_reference else (s.u_offset_v, s.u_lsb_v, "V")
-    amplitude = round(e.amplitude / lsb)
+    values: dict[str, Value] = {
+        "shape": shape,
+        "target": int(e.on_reference),
+        "amplitude": 0,
+        "offset": _count(e.offset, offset, lsb, "offset", unit),
+        "period": 1,
+        "period_end": 1,
+        "seed": 1,
+        "duration": 0,
+    }
+    if shape == Shape.NONE:
+        what = "The reference" if e.on_reference else "u_c"
+        return WireCommand(name="EXCITE", values=values, note=f"{what} stays at {e.offset:.6g} {unit}.")
+    amplitude = _nearest(e.amplitude / lsb)
     if abs(amplitude) > COUNTS_MAX:
         raise _OutOfFieldError(f"amplitude {e.amplitude:g} {unit} is above {COUNTS_MAX * abs(lsb):g} {unit}")
     needs_period = shape in (Shape.RECTANGLE, Shape.SAWTOOTH, Shape.PRBS, Shape.MULTISINE, Shape.CHIRP)
@@ -248,19 +271,10 @@ def _excite(command: pb.Command, s: Scaling) -> WireCommand:
         raise _OutOfFieldError(f"seed {seed} is above {_U16}")
     if shape == Shape.CHIRP and e.duration_s == 0:
         raise _OutOfFieldError("a chirp needs a duration")
-    return WireCommand(
-        name="EXCITE",
-        values={
-            "shape": shape,
-            "target": int(e.on_reference),
-            "amplitude": amplitude,
-            "offset": _count(e.offset, offset, lsb, "offset", unit),
-            "period": period,
-            "period_end": period_end,
-            "seed": seed,
-            "duration": _whole(e.duration_s, s.sample_time_s, "duration", 0, _U32),
-        },
-    )
+    # 0 ticks are endless, and nobody who asks for half a tick means that.
+    duration = _whole(e.duration_s, s.sample_time_s, "duration", 1 if e.duration_s else 0, _U32)
+    values |= {"amplitude": amplitude, "period": period, "period_end": period_end, "seed": seed, "duration": duration}
+    return WireCommand(name="EXCITE", values=values)
 
 
 def _capture(command: pb.Command, s: Scaling) -> WireCommand:

@@ -70,7 +70,6 @@ class StatusMaker:
                 "duplicate": unwrapper.duplicates,
                 "stray-answer": counters.stray_answers,
                 "events-lost": counters.events_lost,
-                "write-overflow": counts.write_overflows,
             }
         )
         if log is not None:

@@ -42,7 +42,6 @@ class LinkCounts:
     bytes_sent: int = 0
     reconnects: int = 0
     opened: int = 0
-    write_overflows: int = 0
 
 
 class BoardDriver:
@@ -162,21 +161,23 @@ class BoardDriver:
             self._capture.poll(now_s)
         self._set_deadline()
 
-    def command(self, payload: bytes, reply: Reply, now_s: float, sender: Sender | None = None) -> None:
-        """A query from the bus; `sender` where the bus is guarded."""
+    def command(self, payload: bytes, reply: Reply, now_s: float, sender: Sender) -> None:
+        """A query from the bus."""
         self._now_s = now_s
         self.desk.take(payload, reply, now_s, self.host_ns(), link=self.link, reason=self.reason, sender=sender)
         self._drain(now_s)
         self._set_deadline()
 
-    def take_output(self, host_ns: int | None = None) -> bytes:
-        """Bytes to write now; they count as sent and are logged."""
-        data = self.session.take_output()
-        if data:
-            self.counts.bytes_sent += len(data)
-            if self._log_raw:
-                self._outlet.raw(data, self.host_ns() if host_ns is None else host_ns, to_board=True)
-        return data
+    def output(self) -> bytes:
+        """What to write next; asked again after `wrote`, for there may be more."""
+        return self.session.output()
+
+    def wrote(self, count: int) -> None:
+        """The port has taken so much of it: that is sent, and logged."""
+        if count and self._log_raw:
+            self._outlet.raw(self.session.output()[:count], self.host_ns(), to_board=True)
+        self.counts.bytes_sent += count
+        self.session.wrote(count)
 
     def host_ns(self) -> int:
         """Unix time that does not step within a session."""

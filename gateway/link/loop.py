@@ -3,7 +3,8 @@
 Rule 1: a port that is ready is read once, everything there is, and stamped once.
 Rule 2: what may block is done elsewhere: ports are opened in short-lived helper threads, puts and replies go out in the
         publisher's threads, the log has its own.
-Rule 3: bytes to a board wait in a bounded buffer; what does not fit is dropped whole and counted, the session repeats.
+Rule 3: nothing waits here to be written: what the port does not take stays with the session, which knows who still
+        waits for it.
 Rule 4: a fault in the handling of one board costs that board its connection, not the others theirs.
 """
 
@@ -17,16 +18,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from gateway.access.doorkeeper import Sender
 from gateway.link.driver import BoardDriver
 from gateway.link.outlet import Reply
 from gateway.link.port import Port, PortProblem, open_port
-from protocol.bus import board51_pb2 as pb
 
 POLL_S = 0.005  # how late a time-out may be noticed; the shortest configurable one is 20 ms
-OUT_BUFFER = 4096  # bytes to one board; 0.35 s of line at 115200
 # From this many streaming boards on, the thread rests after each round so that the next one finds several boards ready:
 # without it 32 boards cost a wake-up for each of 16000 frames a second.
 BATCH_BOARDS = 4
@@ -41,7 +40,6 @@ class _Line:
 
     driver: BoardDriver
     port: Port | None = None
-    out: bytearray = field(default_factory=bytearray)
     opening: bool = False
     next_open_s: float = 0.0
     waits_for_room: bool = False
@@ -79,16 +77,17 @@ class LinkThread:
                 os.write(self._wake_write, b"\x00")
             return True
 
-    def command(self, driver: BoardDriver, payload: bytes, reply: Reply, sender: Sender | None = None) -> None:
-        """Hand a query to a board's driver; from any thread.  `sender` is known on a guarded bus."""
+    def command(self, driver: BoardDriver, payload: bytes, reply: Reply, sender: Sender) -> None:
+        """Hand a query to a board's driver; from any thread."""
 
         def act() -> None:
+            line = self._by_driver[id(driver)]
             try:
                 driver.command(payload, reply, time.monotonic(), sender)
+                self._write_output(line)
             except Exception:
-                _logger.exception("%s: a command", driver.config.name)
-                reply(pb.CommandReply(refused_by="gateway", reason="internal-error", text="See the gateway's log."))
-            self._write_output(self._by_driver[id(driver)])
+                _logger.exception("%s: after a command", driver.config.name)
+                self._give_up(line)
 
         if not self.post(act):
             act()  # says that the link is down
@@ -138,7 +137,7 @@ class LinkThread:
 
     def _serve(self, line: _Line, mask: int) -> None:
         if mask & selectors.EVENT_WRITE:
-            self._write(line)
+            self._write_output(line)
         if not mask & selectors.EVENT_READ or line.port is None:
             return
         data = line.port.read()
@@ -211,7 +210,6 @@ class LinkThread:
             result.close()
             return
         line.port = result
-        line.out.clear()
         line.waits_for_room = False
         self._selector.register(result.fd, selectors.EVENT_READ, line)
         line.driver.port_opened(result.name, now_s)
@@ -233,25 +231,16 @@ class LinkThread:
     # -- writing
 
     def _write_output(self, line: _Line) -> None:
-        data = line.driver.take_output()
-        if not data or line.port is None:
-            return
-        if len(line.out) + len(data) > OUT_BUFFER:
-            line.driver.counts.write_overflows += 1
-            return
-        line.out += data
-        self._write(line)
-
-    def _write(self, line: _Line) -> None:
-        if line.port is None:
-            return
-        if line.out:
-            written = line.port.write(bytes(line.out))
+        while line.port is not None and (data := line.driver.output()):
+            written = line.port.write(data)
             if written is None:
                 self._close(line, f"{line.port.name} is gone.")
                 return
-            del line.out[:written]
-        if bool(line.out) != line.waits_for_room:
-            line.waits_for_room = bool(line.out)
-            wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if line.out else 0)
+            line.driver.wrote(written)
+            if written < len(data):
+                break
+        waits = bool(line.driver.output())
+        if line.port is not None and waits != line.waits_for_room:
+            line.waits_for_room = waits
+            wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if waits else 0)
             self._selector.modify(line.port.fd, wanted, line)

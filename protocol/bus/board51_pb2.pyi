@@ -233,11 +233,12 @@ class Mark(_message.Message):
     def __init__(self, text: _Optional[str] = ...) -> None: ...
 
 class Command(_message.Message):
-    __slots__ = ("id", "who", "issued_ns", "role", "set_mode", "set_reference", "set_gains", "excite", "capture", "set_stream", "set_host_loss", "stop", "ping", "mark", "acknowledge")
+    __slots__ = ("id", "who", "issued_ns", "role", "valid_s", "set_mode", "set_reference", "set_gains", "excite", "capture", "set_stream", "set_host_loss", "stop", "ping", "mark", "acknowledge")
     ID_FIELD_NUMBER: _ClassVar[int]
     WHO_FIELD_NUMBER: _ClassVar[int]
     ISSUED_NS_FIELD_NUMBER: _ClassVar[int]
     ROLE_FIELD_NUMBER: _ClassVar[int]
+    VALID_S_FIELD_NUMBER: _ClassVar[int]
     SET_MODE_FIELD_NUMBER: _ClassVar[int]
     SET_REFERENCE_FIELD_NUMBER: _ClassVar[int]
     SET_GAINS_FIELD_NUMBER: _ClassVar[int]
@@ -253,6 +254,7 @@ class Command(_message.Message):
     who: str
     issued_ns: int
     role: str
+    valid_s: float
     set_mode: SetMode
     set_reference: SetReference
     set_gains: SetGains
@@ -264,10 +266,10 @@ class Command(_message.Message):
     ping: Ping
     mark: Mark
     acknowledge: Acknowledge
-    def __init__(self, id: _Optional[str] = ..., who: _Optional[str] = ..., issued_ns: _Optional[int] = ..., role: _Optional[str] = ..., set_mode: _Optional[_Union[SetMode, _Mapping]] = ..., set_reference: _Optional[_Union[SetReference, _Mapping]] = ..., set_gains: _Optional[_Union[SetGains, _Mapping]] = ..., excite: _Optional[_Union[Excite, _Mapping]] = ..., capture: _Optional[_Union[Capture, _Mapping]] = ..., set_stream: _Optional[_Union[SetStream, _Mapping]] = ..., set_host_loss: _Optional[_Union[SetHostLoss, _Mapping]] = ..., stop: _Optional[_Union[Stop, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ..., mark: _Optional[_Union[Mark, _Mapping]] = ..., acknowledge: _Optional[_Union[Acknowledge, _Mapping]] = ...) -> None: ...
+    def __init__(self, id: _Optional[str] = ..., who: _Optional[str] = ..., issued_ns: _Optional[int] = ..., role: _Optional[str] = ..., valid_s: _Optional[float] = ..., set_mode: _Optional[_Union[SetMode, _Mapping]] = ..., set_reference: _Optional[_Union[SetReference, _Mapping]] = ..., set_gains: _Optional[_Union[SetGains, _Mapping]] = ..., excite: _Optional[_Union[Excite, _Mapping]] = ..., capture: _Optional[_Union[Capture, _Mapping]] = ..., set_stream: _Optional[_Union[SetStream, _Mapping]] = ..., set_host_loss: _Optional[_Union[SetHostLoss, _Mapping]] = ..., stop: _Optional[_Union[Stop, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ..., mark: _Optional[_Union[Mark, _Mapping]] = ..., acknowledge: _Optional[_Union[Acknowledge, _Mapping]] = ...) -> None: ...
 
 class CommandReply(_message.Message):
-    __slots__ = ("id", "accepted", "refused_by", "reason", "text", "tick", "attempts")
+    __slots__ = ("id", "accepted", "refused_by", "reason", "text", "tick", "attempts", "repeat_until_ns")
     ID_FIELD_NUMBER: _ClassVar[int]
     ACCEPTED_FIELD_NUMBER: _ClassVar[int]
     REFUSED_BY_FIELD_NUMBER: _ClassVar[int]
@@ -275,6 +277,7 @@ class CommandReply(_message.Message):
     TEXT_FIELD_NUMBER: _ClassVar[int]
     TICK_FIELD_NUMBER: _ClassVar[int]
     ATTEMPTS_FIELD_NUMBER: _ClassVar[int]
+    REPEAT_UNTIL_NS_FIELD_NUMBER: _ClassVar[int]
     id: str
     accepted: bool
     refused_by: str
@@ -282,7 +285,8 @@ class CommandReply(_message.Message):
     text: str
     tick: int
     attempts: int
-    def __init__(self, id: _Optional[str] = ..., accepted: _Optional[bool] = ..., refused_by: _Optional[str] = ..., reason: _Optional[str] = ..., text: _Optional[str] = ..., tick: _Optional[int] = ..., attempts: _Optional[int] = ...) -> None: ...
+    repeat_until_ns: int
+    def __init__(self, id: _Optional[str] = ..., accepted: _Optional[bool] = ..., refused_by: _Optional[str] = ..., reason: _Optional[str] = ..., text: _Optional[str] = ..., tick: _Optional[int] = ..., attempts: _Optional[int] = ..., repeat_until_ns: _Optional[int] = ...) -> None: ...
 
 class CommandRecord(_message.Message):
     __slots__ = ("received_ns", "answered_ns", "command", "reply")

@@ -6,15 +6,22 @@ board's side.
 Rule 1: one command is outstanding; the others wait in order.  STOP does not wait: it goes out at once, and whatever
         was waiting that could move the ball is cancelled, because a command given before STOP must not act after it.
 Rule 2: a command is repeated with the same id, at most `retries` times.  Every submitted command ends in exactly one
-        `Answer`, also when the board restarts or the connection ends.
+        `Answer`, also when the board restarts or the connection ends (STOPs that share a token: in one for all).
 Rule 3: after a reset of the board nothing that was under way counts; the handshake is made again and the session
         number goes up.
-Rule 4: time comes in as `now_s` (any monotonic clock, seconds); feed what was read before calling `poll`, so that an
+Rule 4: nothing waits as bytes.  `output` gives one frame at a time, when the port has room, and a command that was
+        given up or cancelled has no frame any more; the rest of one that was begun is dropped, and the board's CRC
+        drops what it got.  A STOP alone goes out also after it was given up: it can do no harm late.
+Rule 5: a pipe may swallow frames that its other end reads much later.  So what changes something goes out only while
+        the board has answered within PROVEN_S and no command was given up since; else a PING asks first.  Whatever
+        has not begun to go out within its `wait_s` is given up with 0 attempts: it has not acted and never will.
+Rule 6: time comes in as `now_s` (any monotonic clock, seconds); feed what was read before calling `poll`, so that an
         answer that waited in a buffer is not mistaken for a missing one.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -33,6 +40,9 @@ ANSWERS = {
 }  # all others: ACK
 MOVERS = frozenset({"SET_MODE", "SET_REFERENCE", "SET_GAINS", "EXCITE", "CAPTURE"})
 RESETS = frozenset({EventCode.RESET_POWER_ON, EventCode.RESET_WATCHDOG, EventCode.RESET_COMMANDED})
+WAIT_S = 2.0  # a command that could not begin to go out for this long is given up: nobody expects it to act any more
+PROVEN_S = 0.5  # twice the time between two PINGs that keep the default host-loss time-out away
+MAX_STOPS = 8  # unanswered at a time: more would fill the line with STOPs, and no answer would come in time
 _YOUNG_S = 1.0  # the EVENT of a reset reaches the host within this after the reset
 
 
@@ -48,15 +58,16 @@ class Counters:
     board_resets: int = 0
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Command:
-    token: int
+    token: int  # 0: the session's own
     name: str
     values: dict[str, Value]
     id: int = 0
     frame: bytes = b""
-    attempts: int = 0
-    deadline_s: float = 0.0
+    tries: int = 0  # times that it was to be written
+    attempts: int = 0  # times that at least one byte of it was
+    deadline_s: float = 0.0  # waiting: to be begun until then; outstanding: to be answered until then
 
 
 class Session:
@@ -87,7 +98,9 @@ class Session:
         self._choose_session = choose_session
         self._timeout_s, self._retries, self._hello_s = timeout_s, retries, hello_s
         self._decoder = StreamDecoder()
-        self._output = bytearray()
+        self._due: deque[_Command] = deque()  # to be written, in this order
+        self._writer: _Command | None = None  # whose frame was begun
+        self._rest = b""  # of that frame
         self._queue: deque[_Command] = deque()
         self._outstanding: dict[int, _Command] = {}  # the one command, and a STOP beside it
         self._hello: _Command | None = None
@@ -95,6 +108,7 @@ class Session:
         # with such an id would be answered but not executed.
         self._next_id = choose_session() & 0xFF
         self._next_token = 0
+        self._proven_s = -math.inf  # the board has answered
         self._identity: Message | None = None
         self._last_event: Message | None = None
         self._young_until_s = -1.0
@@ -108,39 +122,68 @@ class Session:
     def connect(self, now_s: float) -> None:
         """Begin the handshake on a fresh connection."""
         self._decoder = StreamDecoder()
-        self._output.clear()
+        self._due.clear()
+        self._rest = b""
         self._shake(now_s)
 
     def disconnect(self) -> list[Event]:
         """The port is gone: everything under way is cancelled."""
         self._cancel(lambda _: True, "disconnected")
+        if self._hello is not None:
+            self._drop(self._hello)
         self.is_open = False
         self._hello = self._identity = None
         self.deadline_s = float("inf")
         return self.take_outcomes()
 
-    def submit(self, name: str, now_s: float, /, **values: Value) -> int:
+    def submit(self, name: str, now_s: float, wait_s: float = WAIT_S, /, **values: Value) -> int:
         """Queue a command and return its token; it waits for the handshake, STOP does not.
+
+        While MAX_STOPS are not answered, and repeated until they are, what is asked for shares the STOP after them, and
+        its token.
+
+        Args:
+            name: of the message.
+            now_s: now.
+            wait_s: it is given up where it cannot begin to go out within this.
+            values: of its fields.
 
         Raises:
             ValueError: a value is out of the range of its field.
         """
         encode_body(name, id=1, **values)  # refuse what cannot be sent before it gets a place in the queue
-        self._next_token += 1
-        command = _Command(self._next_token, name, values)
         if name == "STOP":
             self._cancel(lambda c: c.name in MOVERS, "stop")
-            self._send(command, now_s)
-        else:
-            self._queue.append(command)
-            self._pump(now_s)
+            shared = next((c for c in self._queue if c.name == "STOP"), None)
+            if shared is not None:
+                return shared.token
+        self._next_token += 1
+        command = _Command(self._next_token, name, values, deadline_s=now_s + min(wait_s, WAIT_S))
+        self._queue.append(command)
+        self._pump(now_s)
         return command.token
 
+    def output(self) -> bytes:
+        """What to write to the UART next: one frame, or the rest of it; nothing where b""."""
+        if self._rest:
+            return self._rest
+        return self._due[0].frame if self._due else b""
+
+    def wrote(self, count: int) -> None:
+        """The port has taken this many bytes of `output`."""
+        if not self._rest and count:
+            self._writer = self._due.popleft()
+            self._writer.attempts += 1
+            self._rest = self._writer.frame
+        self._rest = self._rest[count:]
+
     def take_output(self) -> bytes:
-        """The bytes to write to the UART now."""
-        output = bytes(self._output)
-        self._output.clear()
-        return output
+        """All that is to be written, for a port that takes everything."""
+        taken = bytearray()
+        while data := self.output():
+            taken += data
+            self.wrote(len(data))
+        return bytes(taken)
 
     def take_outcomes(self) -> list[Event]:
         """Commands that ended within `submit`: those that a STOP cancelled."""
@@ -181,17 +224,22 @@ class Session:
     def poll(self, now_s: float) -> list[Event]:
         """Repeat or give up what was not answered in time."""
         if self._hello is not None and now_s >= self._hello.deadline_s:
-            self._hello.attempts += 1
-            self._hello.deadline_s = now_s + self._hello_s
-            self._output += self._hello.frame
+            self._transmit(self._hello, now_s, self._hello_s)
         for command in list(self._outstanding.values()):
             if now_s < command.deadline_s:
                 continue
-            if command.attempts > self._retries:
+            if command.tries > self._retries:
                 del self._outstanding[command.id]
+                self._drop(command)
+                if command in self._due and sum(c.name == "STOP" for c in self._due) > 1:
+                    self._due.remove(command)  # another STOP goes out anyway
+                self._proven_s = -math.inf
                 self._answer(command, "timed-out")
             else:
-                self._transmit(command, now_s)
+                self._transmit(command, now_s, self._timeout_s)
+        for command in [c for c in self._queue if now_s >= c.deadline_s]:
+            self._queue.remove(command)
+            self._answer(command, "timed-out")
         self._pump(now_s)
         return self.take_outcomes()
 
@@ -213,6 +261,8 @@ class Session:
             self.counters.stray_answers += 1
             return
         del self._outstanding[command.id]
+        self._unwrite(command)
+        self._proven_s = now_s
         if message.name == "NACK":
             self._answer(command, "nack", message)
             if message.int("reason") == Reason.NO_SESSION:
@@ -233,7 +283,9 @@ class Session:
             self._shake(hello.deadline_s)  # BUSY: the id was another command's; the next HELLO has a new one
             return
         version = message.int("version" if message.name == "IDENTITY" else "detail")
+        self._unwrite(hello)
         self._hello = None
+        self._proven_s = now_s
         if message.name == "NACK" or version != VERSION:
             events.append(VersionRefused(version))
             return
@@ -283,6 +335,8 @@ class Session:
         self.is_open = False
         self._identity = None
         session = self._choose_session() & 0xFFFF
+        if self._hello is not None:
+            self._unwrite(self._hello)
         self._hello = _Command(
             0, "HELLO", {"session": session, "version_min": VERSION, "version_max": VERSION}, deadline_s=now_s
         )
@@ -291,9 +345,18 @@ class Session:
         self.deadline_s = now_s
 
     def _pump(self, now_s: float) -> None:
-        busy = any(c.name != "STOP" for c in self._outstanding.values())
-        if self.is_open and not busy and self._queue:
-            self._send(self._queue.popleft(), now_s)
+        stops = sum(c.name == "STOP" for c in self._outstanding.values())
+        if stops < MAX_STOPS:
+            for stop in [c for c in self._queue if c.name == "STOP"]:
+                self._queue.remove(stop)
+                self._send(stop, now_s)
+        others = [c for c in self._queue if c.name != "STOP"]
+        if self.is_open and others and not any(c.name != "STOP" for c in self._outstanding.values()):
+            proven = now_s - self._proven_s <= PROVEN_S
+            following = next((c for c in others if proven or c.name in ANSWERS), None)
+            if following is not None:
+                self._queue.remove(following)
+            self._send(following or _Command(0, "PING", {}), now_s)
         self._set_deadline()
 
     def _send(self, command: _Command, now_s: float) -> None:
@@ -303,13 +366,32 @@ class Session:
         old, new = self.unwrapper.divider, command.values.get("divider")
         if command.name == "SET_STREAM" and old is not None and isinstance(new, int):
             self.unwrapper.divider = max(old, new)  # until the ACK: which frames are of which rate cannot be told
-        self._transmit(command, now_s)
+        self._transmit(command, now_s, self._timeout_s)
         self._set_deadline()
 
-    def _transmit(self, command: _Command, now_s: float) -> None:
-        command.attempts += 1
-        command.deadline_s = now_s + self._timeout_s
-        self._output += command.frame
+    def _transmit(self, command: _Command, now_s: float, timeout_s: float) -> None:
+        command.tries += 1
+        command.deadline_s = now_s + timeout_s
+        self._write(command)
+
+    def _write(self, command: _Command) -> None:
+        if command in self._due:
+            return
+        if command.name == "STOP":
+            self._due.appendleft(command)
+        else:
+            self._due.append(command)
+
+    def _unwrite(self, command: _Command) -> None:
+        """It need not be written again; a STOP that is to be is, whatever became of it."""
+        if command in self._due and command.name != "STOP":
+            self._due.remove(command)
+
+    def _drop(self, command: _Command) -> None:
+        """It must not act any more."""
+        self._unwrite(command)
+        if command is self._writer and command.name != "STOP":
+            self._rest = b""
 
     def _free_id(self) -> int:
         taken = self._outstanding.keys() | ({self._hello.id} if self._hello else set())
@@ -319,17 +401,19 @@ class Session:
                 return self._next_id
 
     def _answer(self, command: _Command, outcome: Outcome, message: Message | None = None, why: str = "") -> None:
-        self._pending.append(Answer(command.token, outcome, command.attempts, message, why))
+        if command.token:
+            self._pending.append(Answer(command.token, outcome, command.attempts, message, why))
 
     def _cancel(self, which: Callable[[_Command], bool], why: str) -> None:
         for command in [*self._outstanding.values(), *self._queue]:
             if which(command):
                 self._outstanding.pop(command.id, None)
+                self._drop(command)
                 self._answer(command, "cancelled", why=why)
         self._queue = deque(c for c in self._queue if not which(c))
 
     def _set_deadline(self) -> None:
-        deadlines = [c.deadline_s for c in self._outstanding.values()]
+        deadlines = [c.deadline_s for c in (*self._outstanding.values(), *self._queue)]
         if self._hello is not None:
             deadlines.append(self._hello.deadline_s)
         self.deadline_s = min(deadlines, default=float("inf"))

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from gateway.config import LimitsConfig
-from gateway.limits import BoardView, Gate, TokenBucket, read_command
+from gateway.limits import BoardView, Gate, TokenBucket, bumpless, read_command
 from gateway.samples import Refusal, Scaling, WireCommand, to_wire
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag, Message, Mode
@@ -19,7 +19,7 @@ SCALING = Scaling(
     sample_time_s=0.002, capture_time_s=4e-5, capture_size=2000,
 )  # fmt: skip
 BOARD = Message("PARAMETERS", {"x_ref_min": 200, "x_ref_max": 3000, "u_max": 3600, "divider": 1})
-VIEW = BoardView(mode=Mode.CLOSED_LOOP, flags=0, x_ref_m=2.5e-3, parameters=BOARD)
+VIEW = BoardView(mode=Mode.CLOSED_LOOP, flags=0, x_ref_m=2.5e-3, u_c_v=1.5, parameters=BOARD)
 
 
 def verdict(gate: Gate, view: BoardView = VIEW, now_s: float = 0.0, **what: Any) -> str:
@@ -39,7 +39,7 @@ def reference(x_ref_m: float) -> dict[str, Any]:
 
 
 def excite(**fields: Any) -> dict[str, Any]:
-    return {"excite": pb.Excite(shape=pb.SHAPE_STEP, **fields)}
+    return {"excite": pb.Excite(**{"shape": pb.SHAPE_STEP, "duration_s": 1.0, **fields})}
 
 
 @pytest.mark.parametrize(
@@ -48,8 +48,8 @@ def excite(**fields: Any) -> dict[str, Any]:
         (b"\xff\xff\xff", "malformed"),
         (b"", "bad-id"),
         (b"\x00" * 5000, "oversize"),
-        (pb.Command(id="x" * 129, stop=pb.Stop()).SerializeToString(), "bad-id"),
-        (pb.Command(id="x", who="y" * 129, stop=pb.Stop()).SerializeToString(), "bad-who"),
+        (pb.Command(id="x" * 129, ping=pb.Ping()).SerializeToString(), "bad-id"),
+        (pb.Command(id="x", who="y" * 129, ping=pb.Ping()).SerializeToString(), "bad-who"),
         (pb.Command(id="x").SerializeToString(), "empty-command"),
         (pb.Command(id="x").SerializeToString() + b"\xa2\x06\x00", "empty-command"),  # field 100: from the future
         (pb.Command(id="x", set_reference=pb.SetReference(x_ref_m=math.nan)).SerializeToString(), "not-finite"),
@@ -58,10 +58,29 @@ def excite(**fields: Any) -> dict[str, Any]:
     ],
 )
 def test_what_is_not_a_command_is_refused(payload: bytes, reason: str) -> None:
-    refused = read_command(payload)
+    _, refused = read_command(payload)
 
-    assert isinstance(refused, Refusal)
+    assert refused is not None
     assert refused.reason == reason
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        pb.Command(stop=pb.Stop()).SerializeToString(),
+        pb.Command(id="x" * 129, stop=pb.Stop()).SerializeToString(),
+        pb.Command(id="x", who="y" * 129, valid_s=math.nan, stop=pb.Stop()).SerializeToString(),
+        pb.Command(id="x" * 60_000, stop=pb.Stop()).SerializeToString(),
+        pb.Command(id="x", stop=pb.Stop()).SerializeToString() + b"\xa2\x06\x00",  # field 100: from the future
+    ],
+    ids=["no id", "long id", "long who", "oversize", "unknown field"],
+)
+def test_whatever_can_be_read_as_a_stop_is_one(payload: bytes) -> None:
+    command, refused = read_command(payload)
+
+    assert refused is None
+    assert command.WhichOneof("what") == "stop"
+    assert command.ByteSize() < 300  # what goes into the log
 
 
 def test_the_reference_stays_within_configuration_and_board() -> None:
@@ -115,7 +134,69 @@ def test_an_excitation_stays_within_the_bounds_at_both_peaks() -> None:
     assert verdict(gate, open_loop, **excite(offset=3.0, amplitude=-1.1)) == "out-of-range"
     assert verdict(gate, open_loop, **excite(offset=1.0, amplitude=1.1)) == "out-of-range"  # below 0 counts
     assert verdict(gate, **excite(on_reference=True, offset=4.4e-3, amplitude=0.2e-3)) == "out-of-range"
-    assert verdict(gate, open_loop, **excite(offset=1.0, duration_s=601.0)) == "out-of-range"
+
+
+@pytest.mark.parametrize(
+    ("longest_s", "duration_s", "reason"),
+    [(600.0, 600.0, ""), (600.0, 601.0, "out-of-range"), (600.0, 0.0, "out-of-range"), (0.0, 0.0, ""), (0.0, 1e6, "")],
+)
+def test_an_excitation_ends_within_the_bound_where_there_is_one(
+    longest_s: float, duration_s: float, reason: str
+) -> None:
+    gate, open_loop = Gate(LimitsConfig(excitation_max_s=longest_s)), replace(VIEW, mode=Mode.OPEN_LOOP)
+
+    assert verdict(gate, open_loop, **excite(offset=1.0, duration_s=duration_s)) == reason
+
+
+ENDING: dict[str, Any] = {"excite": pb.Excite(shape=pb.SHAPE_NONE)}
+
+
+@pytest.mark.parametrize(
+    ("mode", "on_reference", "offset"), [(Mode.CLOSED_LOOP, True, 2.5e-3), (Mode.OPEN_LOOP, False, 1.5)]
+)
+@pytest.mark.parametrize(
+    "excite",
+    [
+        pb.Excite(shape=pb.SHAPE_NONE),
+        pb.Excite(shape=pb.SHAPE_NONE, on_reference=True),
+        pb.Excite(shape=pb.SHAPE_NONE, on_reference=True, offset=0.0, amplitude=1.0),  # all that OPC UA can say
+    ],
+)
+def test_ending_an_excitation_leaves_the_signal_where_it_is(
+    mode: Mode, on_reference: bool, offset: float, excite: pb.Excite
+) -> None:
+    command = bumpless(pb.Command(excite=excite), replace(VIEW, mode=mode))
+
+    assert isinstance(command, pb.Command)
+    assert (command.excite.shape, command.excite.on_reference) == (pb.SHAPE_NONE, on_reference)
+    assert command.excite.offset == offset
+
+
+def test_ending_an_excitation_needs_no_bounds_but_a_mode_in_which_one_plays() -> None:
+    narrow = Gate(LimitsConfig(x_ref_min_m=3e-3, x_ref_max_m=3.1e-3, u_max_v=0.1))
+
+    assert verdict(narrow, **ENDING) == ""
+    assert verdict(narrow, excite=pb.Excite(shape=pb.SHAPE_NONE, on_reference=True, amplitude=1.0)) == ""
+    assert verdict(narrow, replace(VIEW, mode=Mode.OPEN_LOOP), **ENDING) == ""
+    assert verdict(narrow, replace(VIEW, mode=Mode.IDLE), **ENDING) == "wrong-mode"
+
+
+def test_an_excitation_is_not_ended_at_a_level_that_nobody_knows() -> None:
+    for view in (replace(VIEW, mode=None), replace(VIEW, x_ref_m=None)):
+        refused = bumpless(pb.Command(**ENDING), view)
+
+        assert isinstance(refused, Refusal)
+        assert refused.reason == "not-available"
+
+
+def test_shape_none_with_an_offset_is_a_level_of_the_input_within_the_limits() -> None:
+    gate, open_loop = Gate(LimitsConfig(u_max_v=4.0)), replace(VIEW, mode=Mode.OPEN_LOOP)
+    command = pb.Command(excite=pb.Excite(shape=pb.SHAPE_NONE, offset=0.0))
+
+    assert bumpless(command, open_loop) is command
+    assert verdict(gate, open_loop, excite=pb.Excite(shape=pb.SHAPE_NONE, offset=0.0)) == ""
+    assert verdict(gate, open_loop, excite=pb.Excite(shape=pb.SHAPE_NONE, offset=4.1)) == "out-of-range"
+    assert verdict(gate, excite=pb.Excite(shape=pb.SHAPE_NONE, offset=1.0)) == "wrong-mode"  # closed loop
 
 
 def test_a_capture_needs_idle_or_open_loop_and_bounded_inputs() -> None:

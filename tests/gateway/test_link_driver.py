@@ -17,7 +17,7 @@ from gateway.link.loop import LinkThread
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.messages import BY_NAME, EventCode, Message, Reason
-from tests.gateway.gateway_peers import Collector, ScriptedBoard, frame, identity_values, wait_for
+from tests.gateway.gateway_peers import Collector, ScriptedBoard, anybody, frame, identity_values, wait_for
 
 NS = 1_000_000_000
 
@@ -37,7 +37,7 @@ def linked(url: str, **options: Any) -> Iterator[tuple[BoardDriver, LinkThread, 
 
 def asked(driver: BoardDriver, link: LinkThread, command: pb.Command) -> pb.CommandReply:
     replies: list[pb.CommandReply] = []
-    link.command(driver, command.SerializeToString(), replies.append)
+    link.command(driver, command.SerializeToString(), replies.append, anybody())
     return wait_for(lambda: replies[0] if replies else None, "reply")
 
 
@@ -150,7 +150,7 @@ def test_the_reply_says_how_often_it_was_tried() -> None:
         tries.append(message.int("id"))
         return b"" if len(tries) < 3 else None
 
-    with ScriptedBoard(answers=answers) as board, linked(board.url, command_timeout_s=0.03) as (driver, link, _):
+    with ScriptedBoard(answers=answers) as board, linked(board.url, command_timeout_s=0.5) as (driver, link, _):
         wait_for(lambda: driver.link == "streaming", "stream")
 
         reply = asked(driver, link, pb.Command(id="m", set_mode=pb.SetMode(mode=pb.MODE_OPEN_LOOP)))
@@ -185,7 +185,7 @@ def test_stop_overtakes_a_command_that_waits_for_its_answer() -> None:
         wait_for(lambda: driver.link == "streaming", "stream")
         replies: list[pb.CommandReply] = []
         mode = pb.Command(id="m", set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP))
-        link.command(driver, mode.SerializeToString(), replies.append)
+        link.command(driver, mode.SerializeToString(), replies.append, anybody())
         wait_for(lambda: "SET_MODE" in board.names(), "SET_MODE")
 
         stop = asked(driver, link, pb.Command(id="s", stop=pb.Stop()))
@@ -204,7 +204,7 @@ def test_a_lost_port_answers_what_was_under_way() -> None:
         with board:
             wait_for(lambda: driver.link == "streaming", "stream")
             mode = pb.Command(id="m", set_mode=pb.SetMode(mode=pb.MODE_OPEN_LOOP))
-            link.command(driver, mode.SerializeToString(), replies.append)
+            link.command(driver, mode.SerializeToString(), replies.append, anybody())
             wait_for(lambda: "SET_MODE" in board.names(), "SET_MODE")
 
         wait_for(lambda: replies, "reply")
@@ -248,7 +248,7 @@ def test_a_step_of_the_wall_clock_is_seen_once_and_does_not_reach_the_session() 
     driver = BoardDriver(BoardConfig(name="rig", port="x"), collector, clock)
     driver.port_opened("x", 5.0)
     driver.poll(5.0)
-    hello = driver.take_output()
+    hello = driver.output()
     number = _hello_id(hello)
 
     driver.received(frame("IDENTITY", id=number, tick=100, **identity_values()) + _state(100), 5 * NS)

@@ -15,7 +15,7 @@ from gateway.link.driver import BoardDriver
 from gateway.link.loop import LinkThread
 from gateway.link.port import Port, PortProblem, open_port
 from protocol.bus import board51_pb2 as pb
-from tests.gateway.gateway_peers import Collector, wait_for
+from tests.gateway.gateway_peers import Collector, anybody, wait_for
 
 
 def test_a_command_after_the_end_is_told_that_the_link_is_down() -> None:
@@ -25,7 +25,7 @@ def test_a_command_after_the_end_is_told_that_the_link_is_down() -> None:
     link.stop()
     replies: list[pb.CommandReply] = []
 
-    link.command(driver, pb.Command(id="late", ping=pb.Ping()).SerializeToString(), replies.append)
+    link.command(driver, pb.Command(id="late", ping=pb.Ping()).SerializeToString(), replies.append, anybody())
 
     assert [reply.refused_by for reply in replies] == ["link"]
     assert not link.post(lambda: None)

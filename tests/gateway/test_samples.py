@@ -164,3 +164,60 @@ def test_what_does_not_fit_its_field_is_refused_with_the_bound(what: dict[str, A
 
     assert refused.reason == "out-of-range"
     assert refused.text.endswith(".")
+
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(x_ref_m=FINITE)
+def test_any_finite_reference_is_converted_or_refused(x_ref_m: float) -> None:
+    converted = to_wire(pb.Command(set_reference=pb.SetReference(x_ref_m=x_ref_m)), SCALING)
+
+    assert isinstance(converted, WireCommand) or converted.reason == "out-of-range"
+
+
+@pytest.mark.parametrize("gain", [5e-324, -5e-324, 1e-300, 2.0**-31 / 0.0012 * 0.9])
+def test_a_gain_that_would_become_zero_is_refused(gain: float) -> None:
+    refused = refusal(set_gains=pb.SetGains(gains=[1.0, gain, 0.0, 0.0], u_0_v=1.0))
+
+    assert refused.reason == "out-of-range"
+    assert "becomes 0" in refused.text
+    assert "gain 2" in refused.text
+
+
+def test_the_smallest_gain_that_is_named_is_taken() -> None:
+    smallest = 2.0**-30 / (1.5e-6 / 1.25e-3)
+
+    command = wire(set_gains=pb.SetGains(gains=[1.0, smallest, 0.0, 0.0], u_0_v=1.0))
+
+    assert (command.values["k2_mantissa"], command.values["k2_shift"]) == (1, 30)
+
+
+@given(gain=FINITE)
+def test_the_mantissa_is_right_to_half_a_step_or_the_gain_too_large(gain: float) -> None:
+    try:
+        mantissa, shift = to_mantissa(gain)
+    except OverflowError:
+        assert abs(gain) >= 32767.5
+        return
+    assert abs(mantissa) <= 32767
+    assert abs(mantissa * 2.0**-shift - gain) <= 0.5 * 2.0**-shift
+    assert gain == 0 or shift == 30 or abs(gain * 2.0 ** (shift + 1)) >= 32767.5  # no finer one would do
+
+
+@pytest.mark.parametrize("duration_s", [1e-300, 1e-4, 0.0009])
+def test_a_duration_of_less_than_a_tick_is_not_endless(duration_s: float) -> None:
+    refused = refusal(excite=pb.Excite(shape=pb.SHAPE_STEP, offset=1.0, duration_s=duration_s))
+
+    assert refused.reason == "out-of-range"
+
+
+def test_shape_none_carries_nothing_but_its_level() -> None:
+    excite = pb.Excite(shape=pb.SHAPE_NONE, offset=2.7, amplitude=1e308, period_s=-1.0, seed=70_000, duration_s=1e308)
+
+    command = wire(excite=excite)
+
+    assert command.values == {
+        "shape": 0, "target": 0, "amplitude": 0, "offset": 2000, "period": 1, "period_end": 1, "seed": 1, "duration": 0,
+    }  # fmt: skip
+    assert command.note == "u_c stays at 2.7 V."

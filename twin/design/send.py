@@ -111,6 +111,7 @@ def _command(design: Design, who: str) -> pb.Command:
         id=uuid.uuid4().hex,
         who=who,
         issued_ns=time.time_ns(),
+        valid_s=REPLY_WAIT_S,
         set_gains=pb.SetGains(
             law=pb.LAW_PID if design.law == "pid" else pb.LAW_LQI,
             gains=design.gains,

@@ -68,6 +68,33 @@ def test_a_clock_set_back_does_not_shut_everybody_out() -> None:
     assert after.fresh(command) is None
 
 
+def test_a_clock_set_forward_does_not_let_in_what_is_older_than_the_gateway() -> None:
+    """A host that boots without a clock finds the time after its gateway has started."""
+    door, step_s = Doorkeeper(START_NS, lambda *_: None), 3600
+    door.clock_stepped(step_s * S)
+    now_ns = START_NS + (step_s + 5) * S  # 5 s after the start
+    found = door.sender("board51/rig/command/as/operator/ben", now_ns)
+
+    assert isinstance(found, Sender)
+    assert found.fresh(pb.Command(id="1", issued_ns=now_ns - 6 * S, ping=pb.Ping())) is not None
+    assert found.fresh(pb.Command(id="1", issued_ns=now_ns - 3 * S, ping=pb.Ping())) is None
+
+
+@pytest.mark.parametrize(("issued_ns", "fresh"), [(0, True), (1, False), (START_NS + 99 * S, True)])
+def test_on_a_bus_that_is_not_guarded_a_command_may_be_undated_and_nobody_has_a_role(
+    issued_ns: int, fresh: bool
+) -> None:
+    door = Doorkeeper(START_NS, lambda *_: None, guarded=False)
+    found = door.sender("board51/rig/command", START_NS + 100 * S)
+    command = pb.Command(id="1", who="eve", role="engineer", issued_ns=issued_ns, set_gains=pb.SetGains())
+
+    assert isinstance(found, Sender)
+    found.sign(command)
+
+    assert (command.who, command.role, found.right(command)) == ("eve", "", None)
+    assert (found.fresh(command) is None) == fresh
+
+
 def test_ids_are_remembered_for_longer_than_a_command_is_fresh() -> None:
     assert KEPT_S > MAX_AGE_S + MAX_AHEAD_S
 
@@ -77,7 +104,7 @@ def test_many_commands_do_not_make_the_desk_forget_one_that_is_still_fresh() -> 
     replies: list[pb.CommandReply] = []
     with ScriptedBoard() as board:
         driver = BoardDriver(
-            BoardConfig(name="rig", port=board.url, limits=LimitsConfig(commands_per_s=1000.0)),
+            BoardConfig(name="rig", port=board.url, command_timeout_s=10.0, limits=LimitsConfig(commands_per_s=1000.0)),
             Collector(),
             HostClock(),
         )
