@@ -7,7 +7,8 @@ the covariance of that estimate, P, carried on by the slopes of the steps betwee
 
 Rule 1: P, F and h are the filter's own, along the recorded motion, for exactly the samples that were predicted: lags,
         delays, offsets, limits, lost samples and dry friction need no equations of their own here.
-Rule 2: the noise is the caller's: `diagnose` asks what sensor noise alone leaves, `validate` what the model claims.
+Rule 2: the noise is the caller's.  Both reports ask what sensor noise alone leaves: process noise takes up what a
+        model gets wrong, and a floor with it would forgive that.
 
 Against recordings simulated with the true model, for each cause of the catalogue: within 1 % (dry friction too weak to
 hold the ball 4 %, 40 ms ahead) beside the sampling error (tests/twin/test_prediction_floor.py).  A linearisation at

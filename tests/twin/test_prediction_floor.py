@@ -104,3 +104,20 @@ def test_diagnose_and_validate_print_the_same_floor(cause: str) -> None:
         told = gain(evidence, theta, theta, floor, PLANT, TICK_S, samples, 0)
         assert told is not None
         assert row.floor_m == pytest.approx(told.floor_m, rel=2e-3)
+
+
+def test_what_a_model_gets_wrong_is_not_forgiven_for_the_process_noise_that_took_it_up() -> None:
+    rig = strong("quadratic-drag", 1.0, QUIET)
+    record = flown(rig, seed=8, seconds=20.0).records[0]
+    rows = []
+
+    for theta in (rig, replace(QUIET, process_a_m_s2=0.4)):  # such noise a fit without drag ends with
+        model = model_of(campaign(), fit_of(theta, 0.0), {}, [record], 0.0, "")
+        judged = filtered(source_of(record, model), model)
+        assert judged is not None
+        rows.append({round(row.horizon_s / TICK_S): row for row in multi_step([judged], model)})
+
+    right, wrong = rows
+    assert all(row.at_floor for row in right.values())
+    assert wrong[10].ratio > 2.0
+    assert not wrong[10].at_floor

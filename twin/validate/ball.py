@@ -2,7 +2,7 @@
 
 The ball is unstable (an error grows by e within about 13 ms on a CE 152), so open loop means short windows.
 
-The noise floor is what a right model with the noise of this one leaves (`twin/prediction_floor.py`).
+The noise floor is what the model's sensor noise alone leaves of a right model (`twin/prediction_floor.py`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.identify.fit import physics
+from twin.identify.fit import FLOORS, physics
 from twin.identify.horizon import HORIZONS_S, predict
 from twin.identify.innovations import FLIES, FOLLOWS
 from twin.identify.record import BoolArray, FloatArray, runs
@@ -126,7 +126,8 @@ def _effective(error: FloatArray, count: int) -> float:
 
 def _floor_m(run: Filtered, model: Model, tick_s: float, ahead: int, predicted: BoolArray) -> float:
     s, point = run.series, run.point
-    noise = (point.sigma_i_c_a, point.sigma_x_m, point.process_i_c_a, point.process_a_m_s2, tick_s)
+    # Process noise takes up what a model gets wrong: with it a model without the rig's drag lay below its own floor.
+    noise = (point.sigma_i_c_a, point.sigma_x_m, FLOORS["process_i_c_a"], FLOORS["process_a_m_s2"], tick_s)
     numbers, c, t = tuple(base(model)), plant_numbers(model, tick_s).c, np.cumsum(s.step)
     return floor_rmse(numbers, c, noise, (0.0, 0.0), t, s.step, s.u, s.i, s.x, s.flags, ahead, predicted)
 
