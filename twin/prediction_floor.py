@@ -26,6 +26,8 @@ from twin.diagnose.filter import OUT_COLUMNS, RECORDS, run_along, states_in
 from twin.model.causes import eddy_current_lag, position_sensor_lag
 from twin.model.extended import I_C, STATES, Base, X, position_reading
 
+TOLERANCE = 1.05  # of error over floor: what rounding and numbers fitted to finite data add to a right model
+
 
 def floor_rmse(
     base: Packed,

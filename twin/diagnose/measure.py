@@ -26,6 +26,7 @@ from twin.prediction_floor import floor_rmse
 HORIZONS_S = (0.002, 0.010, 0.020, 0.040)
 BLOCK_S = 0.5
 DRAWS = 1000
+FEWEST_BLOCKS = 10  # of fewer the interval would be too narrow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,15 +39,17 @@ class Gain:
     extended_rmse_m: float
     floor_m: float
     ci95_ratio: tuple[float, float]  # of extended over baseline
+    ci95_floor: tuple[float, float]  # of extended over the floor; NaN with too few blocks to tell
     count: int
     # x_hat - x of every sample, baseline and extended, shape (2, n); NaN where one of them predicts nothing
     errors_m: FloatArray = field(default_factory=lambda: np.empty((2, 0)), repr=False, compare=False)
 
     @property
     def removed(self) -> float:
-        """Share of the mean square error above the floor that is gone; NaN where there was none."""
+        """Share of the mean square error above the floor that is gone, at most 1; NaN where there was none."""
         excess = self.baseline_rmse_m**2 - self.floor_m**2
-        return (self.baseline_rmse_m**2 - self.extended_rmse_m**2) / excess if excess > 0.0 else math.nan
+        gone = self.baseline_rmse_m**2 - self.extended_rmse_m**2
+        return min(gone / excess, 1.0) if excess > 0.0 else math.nan
 
 
 def predictions(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float, samples: int) -> FloatArray:
@@ -70,13 +73,19 @@ def gain(
     if both.sum() < 50:
         return None
     first, second = errors[0][both] ** 2, errors[1][both] ** 2
+    block = max(round(BLOCK_S / tick_s), 1)
+    floor_m = _floor_m(evidence, after, floor, plant, tick_s, samples, both)
+    over = (math.nan, math.nan)
+    if math.isfinite(floor_m) and len(second) >= FEWEST_BLOCKS * block:
+        over = bootstrap(np.full_like(second, floor_m**2), second, block, seed)
     return Gain(
         samples=samples,
         horizon_s=samples * tick_s,
         baseline_rmse_m=math.sqrt(float(first.mean())),
         extended_rmse_m=math.sqrt(float(second.mean())),
-        floor_m=_floor_m(evidence, after, floor, plant, tick_s, samples, both),
-        ci95_ratio=bootstrap(first, second, max(round(BLOCK_S / tick_s), 1), seed),
+        floor_m=floor_m,
+        ci95_ratio=bootstrap(first, second, block, seed),
+        ci95_floor=over,
         count=int(both.sum()),
         errors_m=np.where(both, errors, np.nan),
     )

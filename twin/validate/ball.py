@@ -19,14 +19,13 @@ from twin.identify.record import BoolArray, FloatArray, runs
 from twin.identify.transition import Physics, moments, transit
 from twin.model.extension import base
 from twin.model.parameters import Model
-from twin.prediction_floor import floor_rmse
+from twin.prediction_floor import TOLERANCE, floor_rmse
 from twin.simulate import plant_numbers
 from twin.validate.extended import predictions, window
 from twin.validate.source import Filtered, plant_of
 
 SETTLE_S = 0.1  # the filter's own start
 WINDOW_S = 0.04
-FLOOR_TOLERANCE = 1.05  # of the floor's linearisation, half of it seen around 40 ms on an exact model
 FEWEST = 20.0  # independent errors: fewer pass any model
 
 
@@ -107,7 +106,7 @@ def multi_step(runs_: Sequence[Filtered], model: Model) -> tuple[Ahead, ...]:
                 ratio_ci95=(float(low), float(high)),
                 still_m=float(np.sqrt(np.mean(np.concatenate(stills) ** 2))),
                 count=count,
-                at_floor=bool(low <= FLOOR_TOLERANCE),
+                at_floor=bool(low <= TOLERANCE),
             )
         )
     return tuple(rows)
