@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import re
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,11 +14,14 @@ import pytest
 
 from tests.twin.diagnose.agreement import disagreements
 from tests.twin.diagnose.known_diagnosis import QUIET, diagnosis, fit_of
+from tests.twin.diagnose.simulated_rig import controller
 from twin.diagnose.account import account_of, beyond_sentence, verdict_of
 from twin.diagnose.confidence import MOST
 from twin.diagnose.measure import FEWEST_BLOCKS, Gain, bootstrap
+from twin.diagnose.report import to_html
 from twin.diagnose.result import Diagnosis, to_json
 from twin.diagnose.selection import Selection
+from twin.diagnose.show import shown
 from twin.diagnose.words import summary_sentence
 from twin.prediction_floor import TOLERANCE
 
@@ -135,6 +140,21 @@ def test_an_answer_that_leaves_more_than_noise_on_the_judge_recordings_says_so_e
     assert data["verdict"] == "partly-explained"
     assert "not all is explained on the judge recordings" in data["sentence"]
     assert data["gain"]["judge"]["ci95_over_floor"][0] > TOLERANCE
+
+
+def test_the_page_says_of_which_quantity_each_share_is() -> None:
+    show = shown(found_gap(), controller(), quick=True)
+    whole, part = (
+        re.sub(r"<[^>]+>", " ", to_html(found, show, campaign=Path("runs/monday"), out=Path("diagnosis")))
+        for found in (found_gap(), partly())
+    )
+
+    for text in (whole, part):
+        assert "over 99 % of the log-likelihood that the model lacks on the recordings for fitting" in text
+        assert "On the judge recordings extending the model cuts the 20 ms prediction error" in text
+        assert "confidence in the name" in text
+    assert "Nothing that can be measured: what is left is white" in whole
+    assert "Nothing measurable of the recordings for fitting, but not all is explained on the judge recordings" in part
 
 
 def changed(data: dict[str, Any], path: str, value: object) -> dict[str, Any]:
