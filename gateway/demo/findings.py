@@ -132,7 +132,11 @@ def conclusion(diagnosis: Mapping[str, Any]) -> str:
     names = [f"{cause['name']} ({cause['sentence']})" for cause in diagnosis["causes"]]
     if not names:
         return f"Cause: {diagnosis['sentence']}"
-    rest = " Something else is left that no known cause explains." if diagnosis["verdict"] == "unknown-cause" else ""
+    rest = (
+        " Something else is left that no known cause explains."
+        if diagnosis["verdict"] in ("unknown-cause", "partly-explained")
+        else ""
+    )
     return f"Cause: {'; '.join(names)}.{rest}"
 
 

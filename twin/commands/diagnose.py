@@ -26,8 +26,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 diagnose runs/monday --out diagnosis\n"
         "  board51 diagnose runs/monday --model model.json --quick --out diagnosis\n"
         "  board51 diagnose --live 2 --board rig1 --out diagnosis --hand-over    the last two minutes of a board\n"
-        "\nexit code 0: causes found, or the model is adequate; 1: the model is wrong and no known cause explains it;\n"
-        "2: bad input"
+        "\nexit code 0: causes found, if only for a part, or the model is adequate; 1: the model is wrong and no\n"
+        "known cause explains it; 2: bad input"
     )
     parser.add_argument("campaign", type=Path, nargs="?", metavar="CAMPAIGN", help="campaign.toml, or its folder")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for diagnosis.json, report.html, models")
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     from twin.diagnose.result import to_json
     from twin.diagnose.show import shown, to_dict
     from twin.diagnose.static_shell import rests_alone, run_static
-    from twin.diagnose.words import sizes
+    from twin.diagnose.words import percent, sizes
     from twin.model.parameters import load_model, model_to_dict
 
     began = time.monotonic()
@@ -118,9 +118,9 @@ def run(args: argparse.Namespace) -> int:
         print(found.sentence)
         for cause in found.causes:
             others = ", ".join(member.name for member in cause.indistinguishable_from)
-            share = 100 * cause.share_of_excess_explained
+            share = percent(cause.share_of_excess_explained)
             print(
-                f"  {cause.name}: confidence {cause.confidence:.2f}, explains {share:.0f} %"
+                f"  {cause.name}: confidence {cause.confidence:.2f}, explains {share}"
                 + (f"; these data cannot tell it from {others}" if others else "")
             )
         for trifle in found.trifles:

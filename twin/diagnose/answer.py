@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 from protocol.campaign import Campaign, Plant
+from twin.diagnose.account import Account, Verdict, account_of, beyond_floor, beyond_sentence, verdict_of
 from twin.diagnose.adequacy import where_left
 from twin.diagnose.change import Change, late_finding
 from twin.diagnose.confidence import confidence_of
@@ -30,7 +31,6 @@ from twin.diagnose.result import (
     Finding,
     Member,
     Proposal,
-    Verdict,
     fit_parameters,
 )
 from twin.diagnose.selection import Selection
@@ -104,6 +104,7 @@ def told(
     criterion, found, floor, model = done.criterion, done.found, done.floor, asked.model
     with timed(stages, "what is left"):
         under = floor.under(criterion, found.fit.theta)
+        account = account_of(found, under.excess(found.fit.loglik), done.fine)
         where = "" if done.fine else where_left(criterion, found.fit, under)
         spread = spreads(criterion, found.fit)
         warnings += contradictions(criterion, found.fit)
@@ -125,16 +126,16 @@ def told(
             off = off_sentence(model, done.base.theta, at_20_ms, anew)
             warnings += [off] if off else []
     lost = lost_samples([*records, *judges])
-    findings = _findings(found, floor, spread, proposals, done.fine, asked.quick, lost)
+    verdict = verdict_of(named=bool(found.causes) or lost is not None, fine=done.fine, gain=at_20_ms)
+    findings = _findings(found, account, spread, proposals, verdict, asked.quick, lost)
     if done.change is not None:
         findings = [late_finding(one, done.change) for one in findings]
-    verdict: Verdict = "causes-found" if findings else "model-adequate"
     if not done.fine:
-        verdict = "unknown-cause"
         warnings.append(done.why_not)
+    elif at_20_ms is not None and beyond_floor(at_20_ms):
+        where = beyond_sentence(at_20_ms)
+        warnings.append(f"not all is explained {where}")
     trifles = tuple(trifles_of(criterion, found)) if done.fine and done.change is None else ()
-    lacks = under.excess(found.fit.loglik)
-    left = max(lacks, 0.0) / max(_excess(found, floor), floor.readings * 1e-3)
     diagnosis = Diagnosis(
         verdict=verdict,
         sentence="",
@@ -142,12 +143,14 @@ def told(
         not_testable=tuple(not_testable(found, records)),
         trifles=trifles,
         ruled_out=tuple(ruled_out(found, {*_names(findings), *(one.name for one in trifles)})),
-        unexplained_share=0.0 if done.fine else min(left, 1.0),
+        account=account,
         unexplained_where=where,
         gains=tuple(gains),
         gain=at_20_ms,
-        baseline=model or _paper(campaign, done, records),
-        extended=model_of(campaign, found.fit, spread, records, lacks, "extended by board51 diagnose"),
+        baseline=model or _paper(campaign, done, records, under),
+        extended=model_of(
+            campaign, found.fit, spread, records, under.excess(found.fit.loglik), "extended by board51 diagnose"
+        ),
         warnings=tuple(dict.fromkeys(warnings)),
         quick=asked.quick or asked.share < SHARE,
         stages_s=stages,
@@ -167,8 +170,8 @@ def told(
     return replace(diagnosis, sentence=sentence)
 
 
-def _paper(campaign: Campaign, done: Searched, records: Sequence[Record]) -> Model:
-    lacks = done.floor.excess(done.base.loglik)
+def _paper(campaign: Campaign, done: Searched, records: Sequence[Record], under: Floor) -> Model:
+    lacks = under.excess(done.base.loglik)
     return model_of(campaign, done.base, {}, records, lacks, "the paper's model at its best")
 
 
@@ -188,26 +191,15 @@ def _gains(
     return found[::-1]
 
 
-def _gained(found: Selection) -> float:
-    """Log-likelihood that all causes together gain."""
-    return found.fit.loglik - found.base.loglik
-
-
-def _excess(found: Selection, floor: Floor) -> float:
-    """Log-likelihood that the paper's model lacks against sensor noise alone; not less than the causes gain."""
-    return max(floor.excess(found.base.loglik), _gained(found), 1e-9)
-
-
 def _findings(
     found: Selection,
-    floor: Floor,
+    account: Account,
     spread: dict[str, float],
     proposals: dict[str, Proposal],
-    fine: bool,
+    verdict: Verdict,
     quick: bool,
     lost: Lost | None,
 ) -> list[Finding]:
-    total = _excess(found, floor)
     findings = []
     for cause in found.causes:
         near = found.classes.get(cause, ())
@@ -217,9 +209,9 @@ def _findings(
                 name=cause,
                 sentence=finding_sentence(cause, parameters),
                 parameters=parameters,
-                confidence=confidence_of(found, cause, fine, quick),
+                confidence=confidence_of(found, cause, verdict, quick),
                 indistinguishable_from=tuple(_member(trial) for trial in near),
-                share_of_excess_explained=min(found.gains[cause] / total, 1.0),
+                share_of_excess_explained=account.by_cause[cause],
                 loglik_gain=found.gains[cause],
                 next_experiment=proposals.get(cause),
             )

@@ -9,22 +9,25 @@ from __future__ import annotations
 
 import math
 
+from twin.diagnose.account import Verdict
 from twin.diagnose.selection import Selection
 
 _HALF_LEAD = 6.0  # of log-likelihood
-# Of the names that stood beside `unknown-cause` in two draws of the whole matrix 6 of 21 were right.
-_MOST, _UNFINISHED, _QUICK = 0.98, 0.3, 0.8
+_UNCALIBRATED = 0.8
+# At most, by verdict.  Of the names that stood beside `unknown-cause` in two draws of the whole matrix 6 of 21 were
+# right; none was counted yet beside `partly-explained`.
+MOST: dict[Verdict, float] = {"causes-found": 0.98, "partly-explained": 0.98 * _UNCALIBRATED, "unknown-cause": 0.294}
 
 
-def confidence_of(found: Selection, cause: str, fine: bool, quick: bool) -> float:
+def confidence_of(found: Selection, cause: str, verdict: Verdict, quick: bool) -> float:
     """Probability that the truth is `cause` or in its class.
 
     Args:
         found: the selection.
         cause: one of its causes.
-        fine: whether what is left is noise; where it is not, a name may stand in for what nobody knows.
+        verdict: of the answer; where more than noise is left, a name may stand in for what nobody knows.
         quick: without classes, not calibrated.
     """
     lead = found.runner_up.get(cause, found.gains.get(cause, 0.0))
     sure = 1.0 - 0.5 * math.exp(-max(lead, 0.0) / _HALF_LEAD)
-    return round(_MOST * sure * (1.0 if fine else _UNFINISHED) * (_QUICK if quick else 1.0), 3)
+    return round(MOST[verdict] * sure * (_UNCALIBRATED if quick else 1.0), 3)

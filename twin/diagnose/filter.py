@@ -202,6 +202,7 @@ def run_along(
     slopes: NDArray[np.float64],
     before: NDArray[np.float64],
     after: NDArray[np.float64],
+    spread: NDArray[np.float64],
 ) -> None:
     """`run_extended`, or one model along another: with the slopes of its steps, which are most of the work.
 
@@ -225,6 +226,8 @@ def run_along(
         slopes: of each step in flight, shape (n, m, m) with m active states.
         before: the state at each sample before its correction, shape (n, 6).
         after: behind it, shape (n, 6).
+        spread: receives the covariance of the active states after the correction, shape (n, m, m); shape (0, m, m)
+            where nobody wants it.
     """
     p = Base(*base)
     r_i, r_x, q_per_s, a2 = noise[0] ** 2, noise[1] ** 2, noise[2] ** 2 / noise[4], noise[3] ** 2
@@ -489,6 +492,8 @@ def run_along(
             y[SENSOR] = position_reading(p, c, y[X], y[I_C])
         if mode == RECORDS:
             after[n] = y
+        if spread.shape[0] > 0:
+            spread[n] = P
         if state.shape[0] > 0:
             for k in range(STATES):
                 state[n, k] = y[k] if in_flight else np.nan
@@ -521,4 +526,4 @@ def run_extended(
     The arguments are those of `run_along`.
     """
     nothing, none = np.empty((0, STATES)), np.empty((0, 3, 3))
-    run_along(base, c, noise, stops_m, t, step, u, y_i, y_x, flags, out, state, ALONE, none, nothing, nothing)
+    run_along(base, c, noise, stops_m, t, step, u, y_i, y_x, flags, out, state, ALONE, none, nothing, nothing, none)

@@ -41,9 +41,19 @@ class Floor:
         """Log-likelihood that a model lacks."""
         return self.loglik - loglik
 
+    def quiet(self, theta: Theta) -> Theta:
+        """The model with sensor noise alone."""
+        return replace(
+            theta,
+            sigma_i_c_a=self.sigma_i_c_a,
+            sigma_x_m=self.sigma_x_m,
+            process_i_c_a=FLOORS["process_i_c_a"],
+            process_a_m_s2=FLOORS["process_a_m_s2"],
+        )
+
     def under(self, criterion: Criterion, theta: Theta) -> Floor:
         """The floor of another model: how far a right one's innovations spread depends on its slope of the force."""
-        loglik, readings = expected(criterion.outputs(_quiet(theta, self.sigma_i_c_a, self.sigma_x_m)))
+        loglik, readings = expected(criterion.outputs(self.quiet(theta)))
         misplaced_m = max(abs(theta.stop_low_m), abs(theta.stop_high_m))
         return replace(self, loglik=loglik, readings=readings, misplaced_m=misplaced_m)
 
@@ -70,16 +80,6 @@ def floor_of(criterion: Criterion, theta: Theta) -> Floor:
         error=noise_error(criterion.evidence) if measured else 0.0,
     )
     return floor.under(criterion, theta)
-
-
-def _quiet(theta: Theta, sigma_i_c_a: float, sigma_x_m: float) -> Theta:
-    return replace(
-        theta,
-        sigma_i_c_a=sigma_i_c_a,
-        sigma_x_m=sigma_x_m,
-        process_i_c_a=FLOORS["process_i_c_a"],
-        process_a_m_s2=FLOORS["process_a_m_s2"],
-    )
 
 
 def expected(out: FloatArray) -> tuple[float, int]:

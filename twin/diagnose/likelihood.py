@@ -42,6 +42,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 STOP_STD_M = 2e-5  # how well anybody knows where a stop is
 _NO_STATE = np.empty((0, STATES))
+_NO_SPREAD = np.empty((0, 3, 3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,6 +137,7 @@ class Criterion:
             at.slopes[part],
             at.before[part],
             at.after[part],
+            _NO_SPREAD,
         )
 
     def run(self, theta: Theta) -> Run:

@@ -1,8 +1,8 @@
 """What the extended model gains, on recordings that were never used for fitting or choosing.
 
 Rule 1: the same samples for both models: a prediction counts where both have one.
-Rule 2: the noise floor is what a right model would show at that horizon under the sensor noise alone: the stationary
-        filter of the extended model, its covariance carried on over the horizon, at the positions that were flown.
+Rule 2: the noise floor is what a right model would show at that horizon, on the same samples, under the sensor noise
+        alone (`twin/prediction_floor.py`).
 Rule 3: intervals by block bootstrap: errors 20 ms ahead overlap, blocks of half a second hardly do.
 """
 
@@ -13,22 +13,20 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve_discrete_are
 
 from protocol.campaign import Plant
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.floor import Floor
 from twin.diagnose.horizon import predict_ahead, within_reach
 from twin.diagnose.phase import has_phase, predict_in_phase
-from twin.diagnose.theta import FLOORS, Theta
-from twin.identify.innovations import FLIES
-from twin.identify.record import FloatArray
-from twin.model.extended import STATES, X, advance, magnetic_force, position_of_reading
+from twin.diagnose.theta import Theta
+from twin.identify.record import BoolArray, FloatArray
+from twin.prediction_floor import floor_rmse
 
 HORIZONS_S = (0.002, 0.010, 0.020, 0.040)
 BLOCK_S = 0.5
 DRAWS = 1000
-_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
+FEWEST_BLOCKS = 10  # of fewer the interval would be too narrow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,15 +39,17 @@ class Gain:
     extended_rmse_m: float
     floor_m: float
     ci95_ratio: tuple[float, float]  # of extended over baseline
+    ci95_floor: tuple[float, float]  # of extended over the floor; NaN with too few blocks to tell
     count: int
     # x_hat - x of every sample, baseline and extended, shape (2, n); NaN where one of them predicts nothing
     errors_m: FloatArray = field(default_factory=lambda: np.empty((2, 0)), repr=False, compare=False)
 
     @property
     def removed(self) -> float:
-        """Share of the mean square error above the floor that is gone; NaN where there was none."""
+        """Share of the mean square error above the floor that is gone, at most 1; NaN where there was none."""
         excess = self.baseline_rmse_m**2 - self.floor_m**2
-        return (self.baseline_rmse_m**2 - self.extended_rmse_m**2) / excess if excess > 0.0 else math.nan
+        gone = self.baseline_rmse_m**2 - self.extended_rmse_m**2
+        return min(gone / excess, 1.0) if excess > 0.0 else math.nan
 
 
 def predictions(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float, samples: int) -> FloatArray:
@@ -73,13 +73,19 @@ def gain(
     if both.sum() < 50:
         return None
     first, second = errors[0][both] ** 2, errors[1][both] ** 2
+    block = max(round(BLOCK_S / tick_s), 1)
+    floor_m = _floor_m(evidence, after, floor, plant, tick_s, samples, both)
+    over = (math.nan, math.nan)
+    if math.isfinite(floor_m) and len(second) >= FEWEST_BLOCKS * block:
+        over = bootstrap(np.full_like(second, floor_m**2), second, block, seed)
     return Gain(
         samples=samples,
         horizon_s=samples * tick_s,
         baseline_rmse_m=math.sqrt(float(first.mean())),
         extended_rmse_m=math.sqrt(float(second.mean())),
-        floor_m=floor_rmse(evidence, after, floor, plant, tick_s, samples),
-        ci95_ratio=bootstrap(first, second, max(round(BLOCK_S / tick_s), 1), seed),
+        floor_m=floor_m,
+        ci95_ratio=bootstrap(first, second, block, seed),
+        ci95_floor=over,
         count=int(both.sum()),
         errors_m=np.where(both, errors, np.nan),
     )
@@ -97,57 +103,10 @@ def bootstrap(first: FloatArray, second: FloatArray, block: int, seed: int) -> t
     return float(low), float(high)
 
 
-def floor_rmse(evidence: Evidence, theta: Theta, floor: Floor, plant: Plant, tick_s: float, samples: int) -> float:
-    """Root mean square error of a right model so many samples ahead, m."""
-    flown = evidence.series.x[evidence.series.flags & FLIES != 0]
-    if not len(flown):
-        return math.nan
-    squares = []
-    for x in np.quantile(flown, _QUANTILES):
-        square = _floor_at(float(x), theta, floor, plant, tick_s, samples)
-        if math.isfinite(square):
-            squares.append(square)
-    return math.sqrt(float(np.mean(squares))) if squares else math.nan
-
-
-def _floor_at(reading: float, theta: Theta, floor: Floor, plant: Plant, tick_s: float, samples: int) -> float:
-    p, c = theta.base(plant), theta.vector()
-    x = position_of_reading(p, c, reading, 0.5)
-    i = _holding_current(theta, plant, x)
-    u = i / theta.K_A
-    F = np.empty((3, 3))
-    scales = (1e-5, 1e-8, 1e-5)
-    start = np.array([i, x, 0.0, i, x, i * i])
-    middle = start.copy()
-    advance(tuple(p), c, middle, u, 0.0, tick_s, False)
-    for column, delta in enumerate(scales):
-        moved = start.copy()
-        moved[column] += delta
-        if column == 0:
-            moved[3] += delta
-        advance(tuple(p), c, moved, u, 0.0, tick_s, False)
-        F[:, column] = (moved[:3] - middle[:3]) / delta
-    assert len(start) == STATES
-    H = np.eye(2, 3)
-    a2 = FLOORS["process_a_m_s2"] ** 2
-    Q = np.diag([FLOORS["process_i_c_a"] ** 2, 0.0, a2 * tick_s**2])
-    R = np.diag([floor.sigma_i_c_a**2, floor.sigma_x_m**2])
-    try:
-        P = solve_discrete_are(F.T, H.T, Q + 1e-16 * np.eye(3), R)
-    except (LinAlgError, ValueError):
-        return math.nan
-    S = H @ P @ H.T + R
-    P = P - P @ H.T @ np.linalg.solve(S, H @ P)
-    for _ in range(samples):
-        P = F @ P @ F.T + Q
-    return float(P[X, X] + floor.sigma_x_m**2)
-
-
-def _holding_current(theta: Theta, plant: Plant, x: float) -> float:
-    p, c = theta.base(plant), theta.vector()
-    weight = plant.mass_kg * plant.gravity_m_s2
-    low, high = 0.0, 100.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if magnetic_force(p, c, middle, x) < weight else (low, middle)
-    return high
+def _floor_m(
+    evidence: Evidence, theta: Theta, floor: Floor, plant: Plant, tick_s: float, samples: int, predicted: BoolArray
+) -> float:
+    s, quiet = evidence.series, floor.quiet(theta)
+    noise = (quiet.sigma_i_c_a, quiet.sigma_x_m, quiet.process_i_c_a, quiet.process_a_m_s2, tick_s)
+    stops, base, c = (theta.stop_low_m, theta.stop_high_m), tuple(theta.base(plant)), theta.vector()
+    return floor_rmse(base, c, noise, stops, evidence.t, s.step, s.u, s.i, s.x, s.flags, samples, predicted)

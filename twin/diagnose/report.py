@@ -30,7 +30,7 @@ from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Parameter
 from twin.page import bullets, drawing, figures, paragraph, table, untested, whole
 
-_COLOUR = {"causes-found": "found", "model-adequate": "pass", "unknown-cause": "fail"}
+_COLOUR = {"causes-found": "found", "partly-explained": "warn", "model-adequate": "pass", "unknown-cause": "fail"}
 
 
 def to_html(found: Diagnosis, show: Show, *, campaign: Path, out: Path) -> str:
@@ -94,7 +94,7 @@ def _about(found: Diagnosis, campaign: Path) -> str:
     )
     if found.causes:
         sure = ", ".join(f"{cause.name} {100 * cause.confidence:.0f} %" for cause in found.causes)
-        text += f" Confidence in the name (or in its class): {sure}."
+        text += f" Confidence that the name, or one of its class, is right: {sure}."
     return text
 
 
@@ -116,7 +116,7 @@ def _before_after(found: Diagnosis, show: Show) -> str:
         "extended [µm]",
         "noise floor [µm]",
         "extended / baseline",
-        "excess removed",
+        "of its square above the floor removed",
         "samples",
     ]
     rows = [

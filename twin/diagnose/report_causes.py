@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import html
 
+from twin.diagnose.account import Account
 from twin.diagnose.figures import round_figure
 from twin.diagnose.forward import THRESHOLD
 from twin.diagnose.result import Diagnosis, Finding, Proposal
-from twin.diagnose.words import capital, percent, sizes
+from twin.diagnose.words import LACKED, capital, percent, sizes
 from twin.model.causes.catalogue import BY_NAME
 from twin.page import bullets, drawing, figures, folded, paragraph, table
 
@@ -33,13 +34,23 @@ def ranking(found: Diagnosis) -> str:
 
 def causes(found: Diagnosis) -> str:
     """A card for each cause."""
-    return "".join(_card(finding, number, len(found.causes)) for number, finding in enumerate(found.causes, start=1))
+    cards = [_card(finding, number, len(found.causes)) for number, finding in enumerate(found.causes, start=1)]
+    return "".join(cards) + (paragraph(_together(found.account)) if len(found.account.by_cause) > 1 else "")
+
+
+def _together(account: Account) -> str:
+    """What several causes take of the whole, as a sum."""
+    return (
+        f"Of {LACKED}, {percent(sum(account.by_cause.values()))} would be missing again if each cause were taken out "
+        f"alone, {percent(account.jointly)} is what they take jointly, whichever of them is there, and "
+        f"{percent(account.unexplained)} is left."
+    )
 
 
 def _card(finding: Finding, number: int, count: int) -> str:
     known = BY_NAME[finding.name]
     head = f"{number}. {finding.name}" if count > 1 else finding.name
-    share = f"{percent(finding.share_of_excess_explained)} of what the baseline lacks"
+    share = f"{percent(finding.share_of_excess_explained)} of {LACKED} on the recordings for fitting"
     entries = [
         ("Equation", f"{known.equation} (in the {known.acts_on})"),
         ("Where it comes from", _sentence(known.source)),
@@ -51,7 +62,7 @@ def _card(finding: Finding, number: int, count: int) -> str:
     listed = "".join(f"<dt>{name}</dt><dd>{html.escape(text)}</dd>" for name, text in entries if text)
     return (
         f'<div class="card"><h3>{html.escape(head)}</h3><p><b>{html.escape(_sentence(finding.sentence))}</b> '
-        f"It explains {share}; confidence {100 * finding.confidence:.0f} %.</p>"
+        f"It explains {share}; confidence in the name {100 * finding.confidence:.0f} %.</p>"
         f"<p>{html.escape(sizes(finding.name, finding.parameters))}</p><dl>{listed}</dl>{_class(finding)}</div>"
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import math
 
+from twin.diagnose.account import beyond_floor
 from twin.diagnose.figures import (
     correction_figure,
     curve_figure,
@@ -16,7 +17,7 @@ from twin.diagnose.figures import (
 from twin.diagnose.response import Steps
 from twin.diagnose.result import Diagnosis
 from twin.diagnose.show import Show
-from twin.diagnose.words import percent
+from twin.diagnose.words import LACKED, WHERE_JUDGED, capital, percent
 from twin.page import bullets, drawing, figures, paragraph, table, untested
 from twin.validate.steps import FIGURES
 
@@ -123,11 +124,8 @@ def _pace(
 def left(found: Diagnosis, show: Show) -> str:
     """What the extended model does not explain, and the correction without a cause."""
     parts = []
-    if found.verdict == "unknown-cause":
-        text = f"Of what the baseline lacks, {100 * found.unexplained_share:.0f} % is left, and it is no sensor noise."
-        if found.unexplained_where:
-            text += f" It is largest {_lower(found.unexplained_where)}."
-        parts.append(paragraph(text))
+    if found.verdict in ("unknown-cause", "partly-explained"):
+        parts.append(paragraph(_rest(found)))
         largest = _largest(show)
         if largest:
             parts.append("<p>The extended model's error 20 ms ahead is largest</p>" + bullets(largest))
@@ -141,8 +139,7 @@ def left(found: Diagnosis, show: Show) -> str:
     else:
         parts.append(
             paragraph(
-                "What is left is as white as noise; against sensor noise alone "
-                f"{percent(found.unexplained_share)} of what the baseline lacks is still missing."
+                "Nothing that can be measured: what is left is white, and no larger than the error of the noise level."
                 if found.causes
                 else "Sensor noise: what is left is as large as at rest, and white."
             )
@@ -166,8 +163,13 @@ def left(found: Diagnosis, show: Show) -> str:
     return "".join(parts)
 
 
-def _lower(text: str) -> str:
-    return text.removeprefix("most ")
+def _rest(found: Diagnosis) -> str:
+    """What is left, and of which quantity."""
+    if beyond_floor(found.gain) and found.unexplained_where.startswith(WHERE_JUDGED):
+        return f"Nothing measurable of the recordings for fitting, but not all is explained {found.unexplained_where}."
+    share = percent(found.account.unexplained)
+    text = f"{capital(share)} of {LACKED} on the recordings for fitting is left, and it is no sensor noise."
+    return text + (f" It is largest {found.unexplained_where.removeprefix('most ')}." * bool(found.unexplained_where))
 
 
 def _largest(show: Show) -> list[str]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
+from twin.diagnose.account import Account, Verdict
 from twin.diagnose.estimate import Fit
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.floor import Floor
@@ -14,8 +15,6 @@ from twin.diagnose.measure import Gain
 from twin.diagnose.selection import Selection
 from twin.diagnose.theta import Theta
 from twin.model.parameters import Model, Parameter
-
-Verdict = Literal["causes-found", "model-adequate", "unknown-cause"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,7 +87,7 @@ class Diagnosis:
     not_testable: tuple[NotTestable, ...]
     trifles: tuple[Trifle, ...]
     ruled_out: tuple[RuledOut, ...]
-    unexplained_share: float
+    account: Account  # of what the paper's model lacks
     unexplained_where: str
     gains: tuple[Gain, ...]  # on judge recordings, one per horizon
     gain: Gain | None  # at 20 ms
@@ -150,7 +149,13 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             for trifle in found.trifles
         ],
         "ruled_out": [{"name": entry.name, "why": entry.why} for entry in found.ruled_out],
-        "unexplained": {"share_of_excess": _number(found.unexplained_share), "where": found.unexplained_where},
+        "jointly_explained": {"share_of_excess": _number(found.account.jointly)},
+        "unexplained": {"share_of_excess": _number(found.account.unexplained), "where": found.unexplained_where},
+        "excess": {
+            "quantity": "log-likelihood of the recordings for fitting, against sensor noise alone",
+            "explained": _number(found.account.explained),
+            "left": _number(found.account.left),
+        },
         "gain": _gain(found.gain),
         "gains": [_gain(gain) for gain in found.gains],
         "warnings": list(found.warnings),
@@ -201,6 +206,7 @@ def _gain(gain: Gain | None) -> dict[str, Any] | None:
             "baseline_rmse_m": gain.baseline_rmse_m,
             "extended_rmse_m": gain.extended_rmse_m,
             "ci95_ratio": list(gain.ci95_ratio),
+            "ci95_over_floor": [_number(end) for end in gain.ci95_floor],
             "noise_floor_m": _number(gain.floor_m),
             "excess_removed": _number(gain.removed),
             "samples": gain.count,

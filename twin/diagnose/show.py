@@ -231,7 +231,7 @@ def _corrected(
     seed: int,
 ) -> Correction | None:
     """Only where more than noise is left."""
-    if at_20 is None or found.verdict != "unknown-cause":
+    if at_20 is None or found.verdict not in ("unknown-cause", "partly-explained"):
         return None
     fit = found.fit_evidence
     x_hat = predictions(fit, found.after, plant, found.tick_s, at_20.samples)

@@ -100,7 +100,11 @@ def to_json(found: StaticDiagnosis) -> dict[str, Any]:
         "causes": causes,
         "not_testable": [{"name": name, "why": why} for name, why in not_testable(found)],
         "ruled_out": [{"name": one.name, "why": why_not(found, one)} for one in found.others],
-        "unexplained": {"share_of_excess": min(max(left - floor, 0.0) / excess, 1.0), "where": where},
+        "jointly_explained": {"share_of_excess": 0.0},
+        "unexplained": {
+            "share_of_excess": 0.0 if found.verdict == "model-adequate" else min(max(left - floor, 0.0) / excess, 1.0),
+            "where": where,
+        },
         "gain": {
             "horizon_samples": 0,
             "judge": None

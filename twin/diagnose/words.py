@@ -3,6 +3,8 @@
 Rule 1: a number has as many digits as its interval leaves it; both ends of an interval are in the unit of the number.
 Rule 2: the answer says what, how sure, how much of the error, and what it is worth; what these data cannot tell apart
         is said in the same breath.
+Rule 3: a share is one of log-likelihood on the recordings for fitting, and so it is called; what an answer is worth is
+        said in prediction errors on the judge recordings.
 """
 
 from __future__ import annotations
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
 
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"))
 _SCALED = ("m", "A", "s", "N", "V", "m/A")
+LACKED = "the log-likelihood that the model lacks"  # on the recordings for fitting, against sensor noise alone
+WHERE_JUDGED = "on the judge recordings"
 _HARDLY = 1.02  # a factor on the error that nobody would notice
 _NUMBERS = {2: "Two", 3: "Three", 4: "Four"}
 
@@ -115,9 +119,14 @@ def summary_sentence(found: Diagnosis) -> str:
     worth = _worth(found)
     if found.verdict == "causes-found":
         return _named(found.causes, whole=True) + _apart(found.causes) + worth
+    if found.verdict == "partly-explained":
+        rest = f" But not all is explained {found.unexplained_where}."
+        return _named(found.causes, whole=True) + _apart(found.causes) + worth + rest
     where = found.unexplained_where.removeprefix("most ")
     rest = f" What is left is largest {where}." if where else ""
     if not found.causes:
+        if found.unexplained_where.startswith(WHERE_JUDGED):
+            rest = f" It explains the recordings for fitting, and not all {found.unexplained_where}."
         return f"The model is wrong, and none of the known causes explains it.{rest}"
     nearest = _named(found.causes, whole=False)
     nearest = nearest[:1].lower() + nearest[1:] if nearest.startswith("The ") else nearest
@@ -131,8 +140,8 @@ def _unlike(gain: Gain | None) -> str:
     if gain is None:
         return ""
     return (
-        f" On the judge recordings it predicts x {gain.horizon_s * 1e3:.0f} ms ahead to {_um(gain.baseline_rmse_m)} "
-        f"rms; noise alone makes {_um(gain.floor_m)}."
+        f" On the judge recordings it predicts x {gain.horizon_s * 1e3:.0f} ms ahead to "
+        f"{micrometres(gain.baseline_rmse_m)} rms; noise alone makes {micrometres(gain.floor_m)}."
     )
 
 
@@ -143,13 +152,14 @@ def _named(causes: Sequence[Finding], *, whole: bool) -> str:
         text = capital(causes[0].sentence)
         if shares[0] <= 0.0:
             return f"{text}."
-        what = f"{percent(shares[0])} of what the model lacks"
+        what = f"{percent(shares[0])} of {LACKED}"
         return f"{text}: this explains {what}." if whole else f"{text}, which explains {what}."
     listed = "; ".join(
-        f"({n}) {one.sentence}" + (f", {percent(share)} of what the model lacks" if share > 0.0 else "")
+        f"({n}) {one.sentence}" + (f", {percent(share)}" if share > 0.0 else "")
         for n, (one, share) in enumerate(zip(causes, shares, strict=True), start=1)
     )
-    return f"{_NUMBERS.get(len(causes), str(len(causes)))} causes: {listed}."
+    of = f" (shares: of {LACKED})" if any(share > 0.0 for share in shares) else ""
+    return f"{_NUMBERS.get(len(causes), str(len(causes)))} causes{of}: {listed}."
 
 
 def _apart(causes: Sequence[Finding]) -> str:
@@ -167,20 +177,15 @@ def _worth(found: Diagnosis) -> str:
     if gain is None or not found.causes or found.before == found.after:
         return ""
     ratio = gain.baseline_rmse_m / max(gain.extended_rmse_m, 1e-12)
-    numbers = (
-        f"{gain.horizon_s * 1e3:.0f} ms prediction error on the judge recordings"
-        if ratio < _HARDLY
-        else f"{gain.horizon_s * 1e3:.0f} ms prediction error by a factor of {_times(ratio)}"
-    )
-    change = "hardly changes the" if ratio < _HARDLY else "cuts the"
-    if ratio < 1.0 / _HARDLY:
-        change, numbers = (
-            "makes the",
-            f"{gain.horizon_s * 1e3:.0f} ms prediction error {_times(1.0 / ratio)} times as large",
-        )
+    error = f"{gain.horizon_s * 1e3:.0f} ms prediction error"
+    change = f"hardly changes the {error}"
+    if ratio >= _HARDLY:
+        change = f"cuts the {error} by a factor of {_times(ratio)}"
+    elif ratio < 1.0 / _HARDLY:
+        change = f"makes the {error} {_times(1.0 / ratio)} times as large"
     return (
-        f" Extending the model {change} {numbers}: from {_um(gain.baseline_rmse_m)} to "
-        f"{_um(gain.extended_rmse_m)}; noise alone makes {_um(gain.floor_m)}."
+        f" On the judge recordings extending the model {change}: from {micrometres(gain.baseline_rmse_m)} to "
+        f"{micrometres(gain.extended_rmse_m)}; noise alone makes {micrometres(gain.floor_m)}."
     )
 
 
@@ -194,7 +199,7 @@ def percent(share: float) -> str:
     return "over 99 %" if share > 0.995 else "less than 1 %" if share < 0.005 else f"{100.0 * share:.0f} %"
 
 
-def _um(value_m: float) -> str:
+def micrometres(value_m: float) -> str:
     """To three digits, never with an exponent."""
     micro = value_m * 1e6
     if micro >= 1e3:

@@ -2,9 +2,7 @@
 
 The ball is unstable (an error grows by e within about 13 ms on a CE 152), so open loop means short windows.
 
-The noise floor is what a right model leaves: with P the filter's steady covariance around a position (discrete Riccati
-equation of (14), (15)), the error N samples ahead has the variance H (F^N P F'^N + sum of F^j Q F'^j) H' + sigma_x^2.
-It is averaged over the positions where the ball was.
+The noise floor is what the model's sensor noise alone leaves of a right model (`twin/prediction_floor.py`).
 """
 
 from __future__ import annotations
@@ -13,22 +11,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
-from twin.control import discrete
-from twin.identify.fit import Point, physics
+from twin.identify.fit import FLOORS, physics
 from twin.identify.horizon import HORIZONS_S, predict
 from twin.identify.innovations import FLIES, FOLLOWS
 from twin.identify.record import BoolArray, FloatArray, runs
 from twin.identify.transition import Physics, moments, transit
+from twin.model.extension import base
 from twin.model.parameters import Model
+from twin.prediction_floor import TOLERANCE, floor_rmse
+from twin.simulate import plant_numbers
 from twin.validate.extended import predictions, window
 from twin.validate.source import Filtered, plant_of
 
 SETTLE_S = 0.1  # the filter's own start
 WINDOW_S = 0.04
-FLOOR_TOLERANCE = 1.05  # of the floor's linearisation, half of it seen around 40 ms on an exact model
-POSITIONS = 7
 FEWEST = 20.0  # independent errors: fewer pass any model
 
 
@@ -85,7 +82,7 @@ def multi_step(runs_: Sequence[Filtered], model: Model) -> tuple[Ahead, ...]:
             if good.any():
                 errors.append(error)
                 stills.append(still[good])
-                floor2 += int(good.sum()) * _floor2(model, run.point, s.x[good], tick_s, ahead)
+                floor2 += int(good.sum()) * _floor_m(run, model, tick_s, ahead, np.asarray(good)) ** 2
         count = sum(len(e) for e in stills)
         if not count:
             continue
@@ -109,7 +106,7 @@ def multi_step(runs_: Sequence[Filtered], model: Model) -> tuple[Ahead, ...]:
                 ratio_ci95=(float(low), float(high)),
                 still_m=float(np.sqrt(np.mean(np.concatenate(stills) ** 2))),
                 count=count,
-                at_floor=bool(low <= FLOOR_TOLERANCE),
+                at_floor=bool(low <= TOLERANCE),
             )
         )
     return tuple(rows)
@@ -126,25 +123,12 @@ def _effective(error: FloatArray, count: int) -> float:
     return max(count / total, 1.0)
 
 
-def _floor2(model: Model, point: Point, x: FloatArray, tick_s: float, ahead: int) -> float:
-    """Mean variance of the prediction error of a right model over these positions, m^2."""
-    R = np.diag([point.sigma_i_c_a**2, point.sigma_x_m**2])
-    push = np.array([0.0, 0.5 * tick_s**2, tick_s]) * point.process_a_m_s2
-    values = []
-    for position in np.percentile(x, np.linspace(5.0, 95.0, POSITIONS)):
-        F, _ = discrete(model, float(np.clip(position, 0.0, 0.98 * model.plant.travel_m)), tick_s)
-        if not np.isfinite(F).all():
-            continue  # the model's ball cannot rest there
-        H = np.eye(2, len(F))
-        Q = np.diag([1e-14, 1e-18, 1e-14, *np.full(len(F) - 3, 1e-14)])  # without process noise, still a filter
-        Q[:3, :3] += np.outer(push, push)
-        Q[0, 0] += point.process_i_c_a**2
-        P = solve_discrete_are(F.T, H.T, Q, R)
-        P = P - P @ H.T @ np.linalg.solve(H @ P @ H.T + R, H @ P)
-        for _ in range(ahead):
-            P = F @ P @ F.T + Q
-        values.append(float(P[1, 1]) + point.sigma_x_m**2)
-    return float(np.mean(values)) if values else float("nan")
+def _floor_m(run: Filtered, model: Model, tick_s: float, ahead: int, predicted: BoolArray) -> float:
+    s, point = run.series, run.point
+    # Process noise takes up what a model gets wrong: with it a model without the rig's drag lay below its own floor.
+    noise = (point.sigma_i_c_a, point.sigma_x_m, FLOORS["process_i_c_a"], FLOORS["process_a_m_s2"], tick_s)
+    numbers, c, t = tuple(base(model)), plant_numbers(model, tick_s).c, np.cumsum(s.step)
+    return floor_rmse(numbers, c, noise, (0.0, 0.0), t, s.step, s.u, s.i, s.x, s.flags, ahead, predicted)
 
 
 def windows(runs_: Sequence[Filtered], model: Model, *, shown_s: float = 0.8) -> Windows | None:

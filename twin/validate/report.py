@@ -154,7 +154,7 @@ def _ahead(result: Validation) -> str:
         image(ahead_figure(result.ahead), "error over the horizon")
         + table(head, rows)
         + paragraph(
-            "The floor is what a right model with the stated noise leaves. At the floor: the interval reaches 1.05."
+            "The floor is what sensor noise alone leaves of a right model. At the floor: the interval reaches 1.05."
         )
     )
 

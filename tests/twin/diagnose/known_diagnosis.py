@@ -11,6 +11,7 @@ import numpy as np
 
 from protocol.campaign import Campaign
 from tests.twin.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, controller, strong
+from twin.diagnose.account import account_of
 from twin.diagnose.estimate import Fit
 from twin.diagnose.evidence import gather
 from twin.diagnose.floor import Floor
@@ -86,6 +87,7 @@ def diagnosis(
         gains={cause: own.gain},
         rounds=[Round(scores=(score,), trials=(own,), taken=cause if extended else "", why="log-likelihood +9")],
     )
+    account = account_of(selection, floor.excess(logliks[1]), extended)
     records = fit.records
     gains = []
     if judge is not None:
@@ -94,11 +96,11 @@ def diagnosis(
     found = Diagnosis(
         verdict="causes-found" if extended else "unknown-cause",
         sentence="",
-        causes=(_finding(cause, after_fit, spread),) if extended else (),
+        causes=(_finding(cause, after_fit, spread, account.by_cause[cause]),) if extended else (),
         not_testable=(NotTestable(name="current-sensor-gain", why="absorbed by K_A and K_c"),),
         trifles=(),
         ruled_out=(RuledOut(name="coulomb-friction", why="F_f is at most 3 µN (95 %)"),),
-        unexplained_share=0.001 if extended else 1.0,
+        account=account,
         unexplained_where="" if extended else "most in x in steps_1",
         gains=tuple(gains),
         gain=next((one for one in gains if abs(one.horizon_s - 0.02) < 1e-3), None),
@@ -120,7 +122,7 @@ def diagnosis(
     return replace(found, sentence=summary_sentence(found))
 
 
-def _finding(cause: str, fit: Fit, spread: dict[str, float]) -> Finding:
+def _finding(cause: str, fit: Fit, spread: dict[str, float], share: float) -> Finding:
     parameters = fit_parameters(fit, cause, spread)
     rival = "position-sensor-gain"
     other = fit_parameters(fit_of(strong(rival, 1.04, QUIET), 0.0), rival, {f"{rival}.gain": 0.001})
@@ -130,7 +132,7 @@ def _finding(cause: str, fit: Fit, spread: dict[str, float]) -> Finding:
         parameters=parameters,
         confidence=0.97,
         indistinguishable_from=(Member(name=rival, parameters=other),),
-        share_of_excess_explained=0.93,
+        share_of_excess_explained=share,
         loglik_gain=900.0,
         next_experiment=Proposal(
             what="raise u_c slowly until the ball leaves its rest",

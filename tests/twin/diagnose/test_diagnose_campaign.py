@@ -16,6 +16,7 @@ import pytest
 
 import board51
 from protocol.campaign import load
+from tests.twin.diagnose.agreement import disagreements
 from tests.twin.diagnose.hidden_campaign import PlantName, make_campaign
 from twin.diagnose.pipeline import diagnose
 from twin.diagnose.result import Diagnosis, to_json
@@ -40,7 +41,9 @@ def hide(tmp_path_factory: pytest.TempPathFactory) -> Hide:
 
 @cache
 def diagnosed(folder: Path, workers: int = 1) -> Diagnosis:
-    return diagnose(load(folder), quick=True, workers=workers)
+    found = diagnose(load(folder), quick=True, workers=workers)
+    assert not disagreements(to_json(found))
+    return found
 
 
 def class_of(found: Diagnosis) -> set[str]:
@@ -117,7 +120,7 @@ def test_an_effect_outside_the_catalogue_gets_no_false_name(hide: Hide, name: st
     found = diagnosed(hide(((name, strength),), 51, "independent", outside=True))
 
     assert found.verdict == "unknown-cause"
-    assert found.unexplained_share > 0.0
+    assert found.account.unexplained > 0.0
     assert found.unexplained_where
 
 

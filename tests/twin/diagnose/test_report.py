@@ -112,7 +112,7 @@ def test_an_unknown_cause_says_how_much_is_left_and_where_and_offers_a_correctio
     text = text_of(page(diagnosis("air-gap-offset", 5e-4, extended=False)))
 
     assert "none of the known causes explains it" in text
-    assert "100 % is left" in text
+    assert "of the log-likelihood that the model lacks on the recordings for fitting is left" in text
     assert "position x:" in text
     assert "For prediction only, not a cause" in text
     assert "It helps" in text
@@ -130,7 +130,7 @@ def test_names_beside_an_unknown_cause_are_said_to_be_stand_ins() -> None:
 
 def test_an_adequate_model_says_so_and_shows_one_model() -> None:
     found = diagnosis("air-gap-offset", 5e-4, extended=False)
-    found = replace(found, verdict="model-adequate", unexplained_share=0.0)
+    found = replace(found, verdict="model-adequate", account=replace(found.account, unexplained=0.0))
     found = replace(found, sentence=summary_sentence(found))
 
     html = page(found)

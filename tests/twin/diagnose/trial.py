@@ -11,6 +11,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from tests.twin.diagnose.agreement import disagreements
 from tests.twin.diagnose.draws import Hidden, in_the_data, record_hidden
 from tests.twin.diagnose.hidden_campaign import Grounded, Refused
 from tests.twin.diagnose.outside import OUTSIDE
@@ -97,10 +98,13 @@ def _run(hidden: Hidden, folder: Path, *, program: str, quick: bool) -> Outcome:
         return outcome("failed", record_s=recorded - began, message=f"no answer within {TIMEOUT_S:g} s")
     took = {"record_s": recorded - began, "diagnose_s": time.monotonic() - recorded}
     try:
-        answer = read_answer(json.loads((out / "diagnosis.json").read_text(encoding="utf-8")))
+        data = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+        answer, contradictions = read_answer(data), disagreements(data)
     except (OSError, ValueError, KeyError, TypeError) as problem:
         last = done.stderr.strip().splitlines()[-1:] or [""]
         return outcome("failed", **took, message=f"exit {done.returncode}: {last[0]} ({type(problem).__name__})")
+    if contradictions:
+        return outcome("failed", **took, message=f"the answer contradicts itself: {'; '.join(contradictions)}")
     # Asked only of an answer that finds nothing: a limit beyond every recorded current is no effect on the data.
     asked = hidden.part == "causes" and answer.verdict == ADEQUATE and not answer.causes
     present = not asked or in_the_data(hidden, folder / "again")

@@ -1,0 +1,106 @@
+"""Whether the numbers of one diagnosis.json agree with each other.  Pure: the file's content in, contradictions out.
+
+Rule 1: shares are parts of one whole, and with what is left they make it up.
+Rule 2: a verdict says what the numbers say, and no name is surer than the verdict allows.
+Rule 3: the sentence has the numbers of the file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from twin.diagnose.confidence import MOST
+from twin.diagnose.words import micrometres, percent
+from twin.prediction_floor import TOLERANCE
+
+COUNTED = "lost-samples"  # its gaps are counted: no likelihood, no share
+_ROUNDING = 1e-6
+
+
+def disagreements(data: Mapping[str, Any]) -> list[str]:
+    """What contradicts what; empty where all agrees."""
+    return [*_shares(data), *_verdict(data), *_confidence(data), *_judged(data), *_sentence(data)]
+
+
+def _shares(data: Mapping[str, Any]) -> Iterator[str]:
+    named = [cause["share_of_excess_explained"] for cause in data["causes"]]
+    jointly, left = data["jointly_explained"]["share_of_excess"], data["unexplained"]["share_of_excess"]
+    parts = [*named, jointly, left]
+    if not all(0.0 <= share <= 1.0 for share in parts):
+        yield f"shares are no parts of one whole: {parts}"
+    inferred = any(cause["name"] != COUNTED for cause in data["causes"])
+    whole = 1.0 if inferred or left > 0.0 else 0.0
+    if abs(sum(parts) - whole) > _ROUNDING:
+        yield f"shares {named}, jointly {jointly} and unexplained {left} sum to {sum(parts):.4f}"
+    if "excess" in data:
+        explained, missing = data["excess"]["explained"], data["excess"]["left"]
+        if explained + missing > 0.0 and abs(missing / (explained + missing) - left) > _ROUNDING:
+            yield f"unexplained {left} is not {missing} of {explained + missing}"
+
+
+def _verdict(data: Mapping[str, Any]) -> Iterator[str]:
+    verdict, left = data["verdict"], data["unexplained"]["share_of_excess"]
+    if (verdict in ("causes-found", "partly-explained")) and not data["causes"]:
+        yield f"{verdict} without a cause"
+    if verdict == "model-adequate" and data["causes"]:
+        yield "model-adequate with causes"
+    low = (_judge(data).get("ci95_over_floor") or [None])[0]
+    beyond = low is not None and low > TOLERANCE
+    static = "static" in data  # points of rest have an unknown noise: an F test decides
+    if verdict in ("causes-found", "model-adequate") and not static:
+        if left > 0.0:
+            yield f"{verdict}, and {left} of the excess is unexplained"
+        if beyond:
+            yield f"{verdict}, and the judge recordings lie surely above the noise floor: {low:.3f} times at least"
+    if verdict in ("partly-explained", "unknown-cause"):
+        if left == 0.0 and not beyond and not data["unexplained"]["where"]:
+            yield f"{verdict}, and nothing is said to be left"
+        if not data["unexplained"]["where"] and not data["warnings"]:
+            yield f"{verdict} without a word on what is left"
+
+
+def _confidence(data: Mapping[str, Any]) -> Iterator[str]:
+    for cause in data["causes"]:
+        most = 1.0 if cause["name"] == COUNTED else MOST.get(data["verdict"], 0.0)
+        if not 0.0 <= cause["confidence"] <= most + _ROUNDING:
+            yield f"{cause['name']} is sure to {cause['confidence']} beside {data['verdict']}"
+
+
+def _judged(data: Mapping[str, Any]) -> Iterator[str]:
+    for gain in data.get("gains", ()):
+        judge = gain["judge"]
+        base, after, floor = (judge[key] for key in ("baseline_rmse_m", "extended_rmse_m", "noise_floor_m"))
+        ratio, (low, high) = after / base, judge["ci95_ratio"]
+        if not low - _ROUNDING <= ratio <= high + _ROUNDING:
+            yield f"ratio {ratio:.4f} is outside its interval {low:.4f} to {high:.4f}"
+        removed = judge["excess_removed"]
+        if removed is not None and floor is not None:
+            expected = min((base**2 - after**2) / (base**2 - floor**2), 1.0)
+            if not math.isclose(removed, expected, rel_tol=1e-6, abs_tol=1e-9):
+                yield f"excess_removed {removed} is not that of the errors beside it, {expected}"
+    at = data.get("gain") or {}
+    if "horizon_s" in at and at not in data["gains"]:
+        yield "the gain at 20 ms is none of the gains"
+
+
+def _sentence(data: Mapping[str, Any]) -> Iterator[str]:
+    text, named = data["sentence"], [one for one in data["causes"] if one["share_of_excess_explained"] > 0.0]
+    if "static" in data:
+        return
+    for cause in named:
+        if cause["sentence"][1:] not in text or percent(cause["share_of_excess_explained"]) not in text:
+            yield f"the sentence lacks {cause['name']} with its {percent(cause['share_of_excess_explained'])}: {text}"
+    judge = _judge(data)
+    if named and judge and "extending the model" in text:
+        for key in ("baseline_rmse_m", "extended_rmse_m", "noise_floor_m"):
+            if judge[key] is not None and micrometres(judge[key]) not in text:
+                yield f"the sentence lacks {key} = {micrometres(judge[key])}: {text}"
+    reserved = "stand in" in text or "not all is explained" in text or "none of the known causes" in text
+    if reserved != (data["verdict"] in ("partly-explained", "unknown-cause")):
+        yield f"{data['verdict']} is not what the sentence says: {text}"
+
+
+def _judge(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    return (data.get("gain") or {}).get("judge") or {}
