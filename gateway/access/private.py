@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+import sys
 from pathlib import Path
 
 from protocol.errors import ConfigError
@@ -48,6 +49,15 @@ def check_private(path: Path, *, what: str) -> None:
         raise _unreadable(path, what, error) from None
     if mode & 0o077:
         raise ConfigError(f"{what} {path} is open to others (mode {mode:04o})", remedy=f"chmod 600 {path}")
+
+
+def open_output() -> str:
+    """The mode of standard output where it is a file that others may read (`> FILE` makes such a one), else ""."""
+    try:
+        mode = os.fstat(sys.stdout.fileno()).st_mode
+    except (OSError, ValueError):  # there is no standard output, or it is no file of the system
+        return ""
+    return f"{stat.S_IMODE(mode):04o}" if stat.S_ISREG(mode) and mode & 0o077 else ""
 
 
 def _unreadable(path: Path, what: str, error: OSError) -> ConfigError:

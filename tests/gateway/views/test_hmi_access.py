@@ -363,6 +363,7 @@ def test_a_page_cannot_be_framed_or_sniffed(server: Server) -> None:
     headers = server.page("vic").http.get("/", headers={"accept": "text/html"}).headers
 
     assert headers["x-frame-options"] == "DENY"
+    assert "strict-transport-security" not in headers, "plain http cannot promise TLS"
     assert "frame-ancestors 'none'" in headers["content-security-policy"]
     assert headers["x-content-type-options"] == "nosniff"
 
