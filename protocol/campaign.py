@@ -10,15 +10,15 @@ Rule 2: units are in the keys; a value that can only be another unit (a travel o
 from __future__ import annotations
 
 import os
-import tomllib
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, cast
 
 from protocol.errors import ConfigError, DataError
-from protocol.toml_table import TomlTable, is_number
+from protocol.files import parse_toml, read_small
+from protocol.toml_table import TomlTable, is_number, shown
 
 Channel = Literal["t", "u_c", "i_c", "x", "x_ref"]
 Kind = Literal["amplifier-step", "sawtooth", "prbs", "closed-loop", "equilibria", "free"]
@@ -134,7 +134,10 @@ class Campaign:
     recordings: tuple[Recording, ...]
 
     def path_of(self, recording: Recording, *, data: Path | None = None) -> Path:
-        """The recording's file: beside the campaign, else in the data folder.
+        """The recording's file: in the campaign's folder, else in the data folder.
+
+        A campaign may come from somebody else.  What it names must therefore lie, links followed, in its own folder or
+        in the one that the user has named; it cannot point `identify` at any other file of the user's.
 
         Args:
             recording: One of this campaign.
@@ -144,14 +147,28 @@ class Campaign:
             DataError: it is in neither.
         """
         shared = data or (Path(os.environ["BOARD51_DATA"]) if os.environ.get("BOARD51_DATA") else None)
-        candidates = [folder / recording.file for folder in (self.folder, shared) if folder is not None]
-        for candidate in candidates:
-            if candidate.is_file():
-                return candidate
+        folders = [folder for folder in (self.folder, shared) if folder is not None]
+        candidates = [folder / recording.file for folder in folders]
+        places = [_place(candidate, folders) for candidate in candidates]
+        if "within" in places:
+            return candidates[places.index("within")]
+        where = " nor at ".join(str(candidate) for candidate in candidates)
+        problem = "lies outside the campaign's folder" if "outside" in places else f"is not at {where}"
         raise DataError(
-            f"{self.where}: recording {recording.file!r} is not at " + " nor at ".join(str(c) for c in candidates),
+            f"{self.where}: recording {recording.file!r} {problem}",
             remedy="Put it beside the campaign, or name its folder with --data or BOARD51_DATA",
         )
+
+
+def _place(file: Path, folders: Sequence[Path]) -> Literal["within", "outside", "absent"]:
+    """Whether a file lies in one of the folders, links followed."""
+    try:
+        real = file.resolve()
+        if not any(real.is_relative_to(folder.resolve()) for folder in folders):
+            return "outside"
+        return "within" if real.exists() else "absent"
+    except (OSError, RuntimeError, ValueError):  # not allowed, a loop of links, no name of a file
+        return "absent"
 
 
 def load(path: Path) -> Campaign:
@@ -207,19 +224,11 @@ def parse(text: str, *, where: str, folder: Path = Path()) -> Campaign:
 
 def _read(path: Path, *, remedy: str) -> tuple[str, Path]:
     file = path / "campaign.toml" if path.is_dir() else path
-    try:
-        return file.read_text(encoding="utf-8"), file
-    except OSError as error:
-        raise DataError(f"{file} cannot be read: {error.strerror}", remedy=remedy) from None
-    except UnicodeDecodeError:
-        raise DataError(f"{file} is not UTF-8 text", remedy=remedy) from None
+    return read_small(file, remedy=remedy), file
 
 
 def _top(text: str, *, where: str) -> TomlTable:
-    try:
-        return TomlTable(where, "", tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{where} is not TOML: {error}", remedy="Correct that line") from None
+    return TomlTable(where, "", parse_toml(text, where=where))
 
 
 def parse_column(spec: object, *, where: str, key: str) -> Column:
@@ -232,7 +241,7 @@ def parse_column(spec: object, *, where: str, key: str) -> Column:
         return Column(column=spec)
     if not isinstance(spec, dict):
         raise ConfigError(
-            f"{where}: {key} = {spec!r} is not a column",
+            f"{where}: {key} = {shown(spec)} is not a column",
             remedy='Write the name of a column, or { column = "name", scale = 1.0, offset = 0.0 }',
         )
     table = TomlTable(where, key, cast("dict[str, object]", spec))
@@ -300,11 +309,11 @@ def _points(table: TomlTable) -> tuple[tuple[float, float], ...]:
     key = f"{table.key}.table"
     remedy = "Write two or more [raw, value] pairs with rising raw values"
     if not isinstance(raw, list) or len(raw) < 2:
-        raise ConfigError(f"{table.where}: {key} = {raw!r} is not a look-up table", remedy=remedy)
+        raise ConfigError(f"{table.where}: {key} = {shown(raw)} is not a look-up table", remedy=remedy)
     points: list[tuple[float, float]] = []
     for number, pair in enumerate(raw, 1):
         if not isinstance(pair, list) or len(pair) != 2 or not all(is_number(value) for value in pair):
-            raise ConfigError(f"{table.where}: {key}, point {number} = {pair!r} is not a pair", remedy=remedy)
+            raise ConfigError(f"{table.where}: {key}, point {number} = {shown(pair)} is not a pair", remedy=remedy)
         points.append((float(pair[0]), float(pair[1])))
         if number > 1 and points[-1][0] <= points[-2][0]:
             raise ConfigError(f"{table.where}: {key}, point {number} = {pair!r} does not rise", remedy=remedy)

@@ -16,7 +16,6 @@ from __future__ import annotations
 import logging
 import re
 import threading
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +25,7 @@ from gateway.access.private import read_private, write_private
 from gateway.access.roles import ROLE_WORDS, Role, parse_role
 from protocol.bus.topics import check_name
 from protocol.errors import ConfigError
+from protocol.files import parse_toml
 
 _logger = logging.getLogger("gateway.access")
 
@@ -138,9 +138,9 @@ def _read(path: Path) -> dict[str, _Entry]:
     data = read_private(path, what="The user file")
     try:
         text = data.decode()
-        table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} is not TOML: {error}", remedy="Correct the file") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path} is not UTF-8 text", remedy="Correct the file") from None
+    table = parse_toml(text, where=str(path), remedy="Correct the file")
     unknown = next((key for key in table if key != "users"), None)
     if unknown is not None:
         raise ConfigError(

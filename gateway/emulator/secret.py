@@ -21,6 +21,7 @@ import numpy as np
 
 from gateway.emulator.effects import EFFECTS, Effect, check
 from protocol.errors import Board51Error, DataError, ServiceError, UsageError
+from protocol.files import LARGEST_SMALL, parse_json, read_small
 
 FORMAT = "board51-sealed-effects-1"
 # Each of these alone leaves the nominal LQI its stability, two strong ones together do not: a ball on the floor would
@@ -93,18 +94,13 @@ def open_sealed(path: Path) -> dict[str, float]:
     Raises:
         DataError: no such file, not a sealed file, or changed since it was sealed.
     """
-    try:
-        envelope = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(
-            f"Sealed file {path} cannot be read: {error.strerror}", remedy="Give the file that --sealed named"
-        ) from error
-    except ValueError:
-        envelope = None
+    remedy = "Give the file that --sealed named"
+    envelope = parse_json(read_small(path, remedy=remedy, what="Sealed file "), where=str(path), remedy=remedy)
     if not isinstance(envelope, dict) or envelope.get("format") != FORMAT:
         raise DataError(f"{path} is not a sealed file ({FORMAT})", remedy="Give the file that --sealed named")
     try:
-        content = zlib.decompress(base64.b64decode(str(envelope["content"]), validate=True))
+        packed = base64.b64decode(str(envelope["content"]), validate=True)
+        content = zlib.decompressobj().decompress(packed, LARGEST_SMALL)
         intact = hashlib.sha256(content).hexdigest() == envelope["commitment"]
     except (KeyError, binascii.Error, zlib.error):
         intact = False

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from gateway.record.table import FloatArray, Table
 from protocol.errors import DataError
+from protocol.table_file import check_mat
 
 
 def read_mat(path: Path) -> Table:
@@ -22,8 +23,7 @@ def read_mat(path: Path) -> Table:
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
-    if not path.is_file():
-        raise DataError(f"{path} cannot be read: no such file", remedy="Name a CSV or MATLAB file")
+    check_mat(path)
     try:
         content: dict[str, Any] = loadmat(path, squeeze_me=False, struct_as_record=False)
     except NotImplementedError:

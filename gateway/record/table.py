@@ -6,10 +6,8 @@ Only the columns that are asked for are turned into numbers: a comment column do
 from __future__ import annotations
 
 import csv
-import gzip
 import io
 import math
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.errors import DataError
+from protocol.table_file import read_csv_bytes
+from protocol.toml_table import shown
 
 FloatArray = npt.NDArray[np.float64]
-_GZIP = b"\x1f\x8b"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +56,7 @@ class Table:
         return values
 
     def _bad(self, column: str, row: int, cell: str | float) -> DataError:
-        what = "is empty" if isinstance(cell, str) and not cell.strip() else f"= {cell!r} is not a finite number"
+        what = "is empty" if isinstance(cell, str) and not cell.strip() else f"= {shown(cell)} is not a finite number"
         remedy = "Correct the cell, or leave that row out"
         if isinstance(cell, str) and "," in cell:
             remedy = "Write decimals with a point"
@@ -70,7 +69,10 @@ def read_csv(path: Path) -> Table:
     Raises:
         DataError: it is absent, not text, badly compressed, has no names, no rows, or lines of different lengths.
     """
-    lines = _text(path).splitlines()
+    try:
+        lines = read_csv_bytes(path).decode("utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise DataError(f"{path} is not text", remedy="Name a CSV file in UTF-8, or a MATLAB file with .mat") from None
     kept = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
     if not kept:
         raise DataError(f"{path} is empty", remedy="Name a file with a line of column names and rows of numbers")
@@ -100,26 +102,6 @@ def read_csv(path: Path) -> Table:
         place=lambda row: f"line {numbers[row]}",
         cell=lambda column, row: rows[row][index[column]],
     )
-
-
-def _text(path: Path) -> str:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise DataError(
-            f"{path} cannot be read: {(error.strerror or 'unknown').lower()}", remedy="Name a CSV or MATLAB file"
-        ) from None
-    if path.suffix == ".gz" and not data.startswith(_GZIP):
-        raise DataError(f"{path} is named .gz but is not compressed", remedy="Rename it, or fetch it again")
-    if data.startswith(_GZIP):
-        try:
-            data = gzip.decompress(data)
-        except (EOFError, OSError, zlib.error) as error:
-            raise DataError(f"{path} is damaged or cut off: {error}", remedy="Fetch it again") from None
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise DataError(f"{path} is not text", remedy="Name a CSV file in UTF-8, or a MATLAB file with .mat") from None
 
 
 def _split(line: str, separator: str) -> Sequence[str]:

@@ -6,17 +6,16 @@ Rule 2: `skip_s` is taken off every file alike, after sorting out nothing: the o
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from pathlib import Path
 
 import numpy as np
 
 from protocol.campaign import CHANNELS, Campaign, Channel, Column, Recording
 from protocol.errors import DataError
+from protocol.files import open_regular
+from protocol.table_file import REMEDY, check_mat, read_csv_bytes
 from twin.identify.record import Capture, FloatArray, Record
 
-_GZIP = b"\x1f\x8b"
 _HEAD = 4096  # bytes that tell text from something else
 
 
@@ -39,11 +38,8 @@ def read_recording(path: Path, recording: Recording) -> Record:
     Raises:
         DataError: the file is none of CSV, MATLAB, MCAP, or lacks what its kind needs.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(16)
-    except OSError as error:
-        raise DataError(f"{path} cannot be read ({error.strerror})", remedy="Name a readable file") from None
+    with open_regular(path, remedy=REMEDY) as file:
+        head = file.read(16)
     if head.startswith(b"\x89MCAP0\r\n"):
         record = _read_log(path, recording)
     elif head.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
@@ -89,14 +85,8 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
     import pyarrow as pa
     from pyarrow import csv
 
-    data = path.read_bytes()
-    if data.startswith(_GZIP):
-        try:
-            data = gzip.decompress(data)
-        except (EOFError, OSError, zlib.error) as error:
-            raise DataError(f"{path} is damaged or cut off: {error}", remedy="Fetch it again") from None
-    data = data.removeprefix(b"\xef\xbb\xbf")
-    if b"\0" in data[:_HEAD] or not data[:_HEAD].decode("utf-8", errors="ignore").strip():
+    data = read_csv_bytes(path)
+    if not data[:_HEAD].decode("utf-8", errors="ignore").strip():
         raise DataError(f"{path} is not text", remedy="Name a CSV file in UTF-8, a .mat or an MCAP file")
     # Bytes all the way: an hour of samples as a list of lines takes half a gigabyte.
     if data.startswith(b"#") or b"\n#" in data:
@@ -156,6 +146,7 @@ def _mat_columns(path: Path) -> dict[str, FloatArray]:
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
+    check_mat(path)
     try:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError:
