@@ -8,6 +8,7 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -41,6 +42,33 @@ def read_csv_bytes(path: Path) -> bytes:
                 return _within_bounds(path, unpacked)
         except (EOFError, OSError, zlib.error) as error:
             raise DataError(f"{path} is damaged or cut off: {error}", remedy="Fetch it again") from None
+
+
+def check_table(path: Path, head: Sequence[str], row: Sequence[str]) -> None:
+    """Refuse what cannot be a recording without a word of what it says: it may be any file of the user's.
+
+    Args:
+        path: for the error.
+        head: cells of the first line.
+        row: cells of the first line of data.
+
+    Raises:
+        DataError: fewer than two columns, or no cell of the row is a number.
+    """
+    if len(head) < 2 or not any(is_number(cell) for cell in row):
+        raise DataError(
+            f"{path} is not a recording: it has no line of two or more column names and a line of numbers after it",
+            remedy=REMEDY,
+        )
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell of a table is one; nan and inf are."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def check_mat(path: Path) -> None:

@@ -18,6 +18,7 @@ from gateway.record.table_import import ImportReport, import_recording
 from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.campaign import CHANNELS, KINDS, Campaign, Channel, Column, Kind, Recording, load, parse_column
 from protocol.errors import UsageError
+from protocol.files import make_folder
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -88,7 +89,7 @@ def _import_campaign(args: argparse.Namespace) -> Iterator[ImportReport]:
             f"-o {args.out} is one file, the recordings are {len(tables)}", remedy="Give a directory, or use --only"
         )
     if not single:
-        args.out.mkdir(parents=True, exist_ok=True)
+        make_folder(args.out)
     for number, (recording, source) in enumerate(zip(tables, sources, strict=True), 1):
         if len(tables) > 1 and not args.json:
             print(f"[{number}/{len(tables)}] {recording.file}", file=sys.stderr)

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from gateway.emulator.effects import EFFECTS, Effect, check
-from protocol.errors import Board51Error, DataError, ServiceError, UsageError
-from protocol.files import LARGEST_SMALL, parse_json, read_small
+from protocol.errors import Board51Error, DataError, UsageError
+from protocol.files import LARGEST_SMALL, parse_json, read_small, writing
 
 FORMAT = "board51-sealed-effects-1"
 # Each of these alone leaves the nominal LQI its stability, two strong ones together do not: a ball on the floor would
@@ -59,7 +59,7 @@ def seal(path: Path, effects: Mapping[str, float]) -> str:
 
     Raises:
         UsageError: the file exists and holds anything else.
-        ServiceError: it cannot be written.
+        UsageError: it cannot be written.
     """
     if path.exists():
         try:
@@ -79,12 +79,8 @@ def seal(path: Path, effects: Mapping[str, float]) -> str:
         "commitment": commitment,
         "content": base64.b64encode(zlib.compress(content, 9)).decode("ascii"),
     }
-    try:
+    with writing(path):
         path.write_text(json.dumps(envelope, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ServiceError(
-            f"Sealed file {path} cannot be written: {error.strerror}", remedy="Give a path in a writable directory"
-        ) from error
     return commitment
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.errors import DataError
-from protocol.table_file import read_csv_bytes
+from protocol.table_file import check_table, is_number, read_csv_bytes
 from protocol.toml_table import shown
 
 FloatArray = npt.NDArray[np.float64]
@@ -79,7 +79,9 @@ def read_csv(path: Path) -> Table:
     separator = max(",;\t", key=kept[0][1].count)
     names = tuple(cell.strip() for cell in _split(kept[0][1], separator))
     where = f"{path}, line {kept[0][0]}"
-    if any(_is_number(name) for name in names):
+    if len(kept) > 1:
+        check_table(path, names, _split(kept[1][1], separator))
+    if any(is_number(name) for name in names):
         raise DataError(f"{where} holds numbers instead of column names", remedy="Put the names into the first line")
     if len(set(names)) != len(names) or "" in names:
         twice = next((name for name in names if names.count(name) > 1 or not name), "")
@@ -106,11 +108,3 @@ def read_csv(path: Path) -> Table:
 
 def _split(line: str, separator: str) -> Sequence[str]:
     return next(csv.reader(io.StringIO(line), delimiter=separator))
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

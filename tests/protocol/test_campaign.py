@@ -134,6 +134,37 @@ def test_recordings_lie_beside_the_campaign_or_in_the_data_folder(
     assert campaign.path_of(run) == shared / "run7.csv.gz"
 
 
+@pytest.mark.parametrize(
+    "name", ["../secret", "{outside}/secret", "link", "a/../../secret", "loop", "x" * 300, "a\\u0000b"]
+)
+def test_a_campaign_reaches_no_file_outside_its_folder(tmp_path: Path, name: str) -> None:
+    rig, outside = tmp_path / "rig", tmp_path
+    (rig / "a").mkdir(parents=True)
+    (outside / "secret").write_text("x")
+    (rig / "link").symlink_to(outside / "secret")
+    (rig / "loop").symlink_to(rig / "loop")
+    (rig / "campaign.toml").write_text(TEXT.replace("amplifier_step.csv", name.format(outside=outside)))
+
+    campaign = load(rig)
+
+    with pytest.raises(DataError, match=r"outside the campaign's folder|is not at") as said:
+        campaign.path_of(campaign.recordings[0])
+    assert "--data" in str(said.value)
+
+
+def test_a_link_to_the_folder_that_the_user_names_is_followed(tmp_path: Path) -> None:
+    rig, disk = tmp_path / "rig", tmp_path / "disk"
+    rig.mkdir()
+    disk.mkdir()
+    (disk / "step.csv").write_text("")
+    (rig / "amplifier_step.csv").symlink_to(disk / "step.csv")
+    (rig / "campaign.toml").write_text(TEXT)
+
+    campaign = load(rig)
+
+    assert campaign.path_of(campaign.recordings[0], data=disk) == rig / "amplifier_step.csv"
+
+
 @pytest.mark.parametrize(("content", "says"), [(None, "cannot be read"), (b"\xff\xfe", "not UTF-8 text")])
 def test_a_file_that_is_none_is_told(tmp_path: Path, content: bytes | None, says: str) -> None:
     if content is not None:

@@ -6,6 +6,7 @@ Rule 2: `skip_s` is taken off every file alike, after sorting out nothing: the o
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from protocol.campaign import CHANNELS, Campaign, Channel, Column, Recording
 from protocol.errors import DataError
 from protocol.files import open_regular
-from protocol.table_file import REMEDY, check_mat, read_csv_bytes
+from protocol.table_file import LONGEST_LINE, REMEDY, check_mat, check_table, read_csv_bytes
 from twin.identify.record import Capture, FloatArray, Record
 
 _HEAD = 4096  # bytes that tell text from something else
@@ -98,6 +99,8 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
     header = data[start:end].decode("utf-8", errors="replace").strip()
     separator = max(",;\t", key=header.count)
     names = [cell.strip().strip('"') for cell in header.split(separator)]
+    row = data[end + 1 : end + 1 + LONGEST_LINE].lstrip().partition(b"\n")[0].decode("utf-8", errors="replace")
+    check_table(path, names, row.replace('"', "").split(separator))
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise DataError(f"{path}: column {twice!r} is there twice", remedy="Give each column its own name")
@@ -122,7 +125,11 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
     try:
         table = csv.read_csv(pa.BufferReader(body), **options)
     except pa.ArrowInvalid as error:
-        raise DataError(f"{path} is not a table: {str(error).splitlines()[0]}", remedy="Complete that line") from None
+        where = (
+            str(error).splitlines()[0].partition(": ")[2]
+        )  # "CSV parse error: Row #3: Expected 4 columns, got 2: ROW"
+        where = re.sub(r"(got \d+): .*", r"\1", where)
+        raise DataError(f"{path} is not a table: {where}", remedy="Complete that line") from None
     return {name: _numbers(table.column(name)) for name in names}
 
 
@@ -144,14 +151,13 @@ def _number(cell: object) -> float:
 
 def _mat_columns(path: Path) -> dict[str, FloatArray]:
     from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
 
     check_mat(path)
     try:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError:
         raise DataError(f"{path} is a MATLAB 7.3 file", remedy="Save it again with: save(name, '-v7')") from None
-    except (MatReadError, ValueError, TypeError, IndexError, OSError, EOFError) as error:
+    except Exception as error:  # scipy lets through whatever its parser stumbles over, KeyError and zlib.error too
         raise DataError(f"{path} is not a MATLAB file, or is cut off: {error}", remedy="Save it again") from None
     columns: dict[str, FloatArray] = {}
     for name, value in content.items():
