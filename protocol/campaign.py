@@ -19,6 +19,7 @@ from typing import Literal, cast
 from protocol.errors import ConfigError, DataError
 from protocol.files import parse_toml, read_small
 from protocol.toml_table import TomlTable, is_number, shown
+from protocol.units import unit_of_name
 
 Channel = Literal["t", "u_c", "i_c", "x", "x_ref"]
 Kind = Literal["amplifier-step", "sawtooth", "prbs", "closed-loop", "equilibria", "free"]
@@ -30,6 +31,14 @@ KINDS: tuple[Kind, ...] = ("amplifier-step", "sawtooth", "prbs", "closed-loop", 
 USES: tuple[Use, ...] = ("fit", "judge")
 CONTROLLERS = ("lqi", "pid")
 GRAVITY_M_S2 = 9.81
+# What a ball on a coil can have: (lowest, highest, what that is).  The bounds catch a wrong unit and a slipped power of
+# ten: with grams for kilograms K_c comes out a thousand times too large, and nothing in the recordings contradicts it.
+PLANT_BOUNDS: Mapping[str, tuple[float, float, str]] = {
+    "mass_kg": (1e-4, 2.0, "as steel balls of 2.9 to 79 mm have"),
+    "travel_m": (1e-4, 0.5, ""),
+    "x_max_m": (1e-4, 0.5, ""),
+    "gravity_m_s2": (1.0, 20.0, ""),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -231,12 +240,24 @@ def _top(text: str, *, where: str) -> TomlTable:
     return TomlTable(where, "", parse_toml(text, where=where))
 
 
-def parse_column(spec: object, *, where: str, key: str) -> Column:
+def parse_column(spec: object, *, where: str, key: str, channel: Channel) -> Column:
     """A column from its TOML form: a name, or `{ column = ..., scale = ..., offset = ..., table = ... }`.
 
     Raises:
-        ConfigError: it is neither.
+        ConfigError: it is neither, or its name ends with another unit than the channel's and it has no scale.
     """
+    column = _column(spec, where=where, key=key)
+    unit = unit_of_name(column.column, channel)
+    scaled = isinstance(spec, dict) and ("scale" in spec or "table" in spec)
+    if unit is not None and not scaled:
+        raise ConfigError(
+            f"{where}: {key} = {shown(column.column)} is in {unit[0]} by its name, {channel} is in {UNITS[channel]}",
+            remedy=f"Give it scale = {unit[1]:g}, or scale = 1.0 if its values are in {UNITS[channel]} all the same",
+        )
+    return column
+
+
+def _column(spec: object, *, where: str, key: str) -> Column:
     if isinstance(spec, str):
         return Column(column=spec)
     if not isinstance(spec, dict):
@@ -258,16 +279,13 @@ def parse_column(spec: object, *, where: str, key: str) -> Column:
 
 
 def _plant(table: TomlTable) -> Plant:
-    # The bounds tell units apart, they do not describe rigs: no ball on a coil weighs 100 kg or travels 1 m.
     name = table.text("name", default="plant")
-    travel_m = table.number("travel_m", low=1e-5, high=1.0)
-    plant = Plant(
-        name=name,
-        mass_kg=table.number("mass_kg", low=1e-6, high=100.0),
-        travel_m=travel_m,
-        x_max_m=table.number("x_max_m", low=1e-5, high=1.0, default=travel_m),
-        gravity_m_s2=table.number("gravity_m_s2", low=0.1, high=100.0, default=GRAVITY_M_S2),
-    )
+    defaults = {"gravity_m_s2": GRAVITY_M_S2}
+    values: dict[str, float] = {}
+    for key, (low, high, meaning) in PLANT_BOUNDS.items():
+        values[key] = table.number(key, low=low, high=high, default=defaults.get(key), meaning=meaning)
+        defaults["x_max_m"] = values.get("travel_m", 0.0)
+    plant = Plant(name=name, **values)
     table.done()
     return plant
 
@@ -290,7 +308,9 @@ def _recording(table: TomlTable) -> Recording:
         mapped = table.table("columns")
         for channel in CHANNELS:
             if channel in mapped.values:
-                columns[channel] = parse_column(mapped.take(channel), where=mapped.where, key=f"{mapped.key}.{channel}")
+                columns[channel] = parse_column(
+                    mapped.take(channel), where=mapped.where, key=f"{mapped.key}.{channel}", channel=channel
+                )
         mapped.done(CHANNELS)
     recording = Recording(
         file=file,

@@ -65,9 +65,15 @@ class TomlTable:
         return cast(str, value)
 
     def number(
-        self, key: str, *, low: float = -math.inf, high: float = math.inf, default: float | None = None
+        self,
+        key: str,
+        *,
+        low: float = -math.inf,
+        high: float = math.inf,
+        default: float | None = None,
+        meaning: str = "",
     ) -> float:
-        """A finite number within bounds."""
+        """A finite number within bounds; `meaning` says what these are."""
         value = self.take(key)
         if value is None and default is not None:
             return default
@@ -76,6 +82,7 @@ class TomlTable:
         number = float(cast(float, value))
         if not low <= number <= high:
             bounds = f"in {low:g} .. {high:g}" if math.isfinite(high) else f"at least {low:g}"
+            bounds += f", {meaning}" if meaning else ""
             raise self._wrong(key, value, bounds, "Check the unit: it is the end of the key")
         return number
 

@@ -54,6 +54,9 @@ def run(args: argparse.Namespace) -> int:
     if (args.file is None) == (args.campaign is None):
         raise UsageError("Neither or both of FILE and --campaign are given", remedy="Give one of the two")
     reports = list(_import_campaign(args) if args.campaign else _import_file(args))
+    warnings = [f"{report.source}: {warning}" for report in reports for warning in report.warnings]
+    for warning in warnings:
+        print(f"! {warning}", file=sys.stderr)
     if args.json:
         plain = [{**asdict(report), "source": str(report.source), "log": str(report.log)} for report in reports]
         print(json.dumps(plain, indent=2))
@@ -124,7 +127,7 @@ def _parse_map(spec: str) -> tuple[Channel, Column]:
                 values[key] = float(value)
         except ValueError:
             raise UsageError(f"--map {spec}: {option!r} is not a number", remedy=remedy) from None
-    return channel, parse_column(values, where="--map", key=name)
+    return channel, parse_column(values, where="--map", key=name, channel=channel)
 
 
 def _as_text(report: ImportReport) -> str:

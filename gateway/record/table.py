@@ -8,8 +8,8 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,9 @@ class Table:
     rows: int
     place: Callable[[int], str]  # row -> "line 7" or "sample 6"
     cell: Callable[[str, int], str | float]
+    unusable: Mapping[str, str] = field(
+        default_factory=dict
+    )  # what else there is under a name, and why it is no column
 
     def numbers(self, column: str) -> FloatArray:
         """A column, shape (rows,), finite.
@@ -39,8 +42,9 @@ class Table:
             DataError: no such column, or a cell is not a finite number.
         """
         if column not in self.names:
+            why = f": {self.unusable[column]}" if column in self.unusable else ""
             raise DataError(
-                f"{self.path} has no column {column!r}",
+                f"{self.path} has no column {column!r}{why}",
                 remedy=f"Map another one; its columns are: {', '.join(self.names)}",
             )
         values = np.empty(self.rows)

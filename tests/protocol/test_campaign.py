@@ -75,6 +75,10 @@ def test_the_controller_is_optional() -> None:
     [
         ("mass_kg = 8.28e-3", "mass_g = 8.28", "plant.mass_kg is missing.*mass_g is not a key"),
         ("travel_m = 5.7e-3", "travel_m = 5.7", "plant.travel_m = 5.7 is not in.*Check the unit"),
+        ("mass_kg = 8.28e-3", "mass_kg = 8.28", "plant.mass_kg = 8.28 is not in 0.0001 .. 2, as steel balls of .* mm"),
+        ("mass_kg = 8.28e-3", "mass_kg = 8.28e-6", "plant.mass_kg = 8.28e-06 is not in"),
+        ('name = "ce152"', "gravity_m_s2 = 981.0", "plant.gravity_m_s2 = 981.0 is not in 1 .. 20"),
+        ('"t_s"', '"t_ms"', r"columns.t = 't_ms' is in ms by its name, t is in s.*scale = 0.001"),
         ("mass_kg = 8.28e-3", 'mass_kg = "8.28e-3"', "plant.mass_kg = '8.28e-3' is not a finite number"),
         ("mass_kg = 8.28e-3", "mass_kg = nan", "plant.mass_kg = nan is not a finite number"),
         ("mass_kg = 8.28e-3", "mass_kg = true", "plant.mass_kg = True is not a finite number"),

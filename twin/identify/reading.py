@@ -7,7 +7,9 @@ Rule 2: `skip_s` is taken off every file alike, after sorting out nothing: the o
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -44,7 +46,7 @@ def read_recording(path: Path, recording: Recording) -> Record:
     if head.startswith(b"\x89MCAP0\r\n"):
         record = _read_log(path, recording)
     elif head.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
-        record = _from_columns(path, recording, _mat_columns(path))
+        record = _from_columns(path, recording, *_mat_columns(path))
     else:
         record = _from_columns(path, recording, _csv_columns(path))
     return _skip(record, recording.skip_s)
@@ -149,7 +151,7 @@ def _number(cell: object) -> float:
         return float("nan")
 
 
-def _mat_columns(path: Path) -> dict[str, FloatArray]:
+def _mat_columns(path: Path) -> tuple[dict[str, FloatArray], dict[str, str]]:
     from scipy.io import loadmat
 
     check_mat(path)
@@ -160,21 +162,26 @@ def _mat_columns(path: Path) -> dict[str, FloatArray]:
     except Exception as error:  # scipy lets through whatever its parser stumbles over, KeyError and zlib.error too
         raise DataError(f"{path} is not a MATLAB file, or is cut off: {error}", remedy="Save it again") from None
     columns: dict[str, FloatArray] = {}
+    unusable: dict[str, str] = {}
     for name, value in content.items():
         if not name.startswith("__"):
-            _collect(name, value, columns)
+            _collect(name, value, columns, unusable)
     if not columns:
-        raise DataError(f"{path} holds no numeric vectors", remedy="Save t, x, ... as vectors of equal length")
-    return columns
+        others = "".join(f"; {name}: {why}" for name, why in unusable.items())
+        raise DataError(f"{path} holds no numeric vectors{others}", remedy="Save t, x, ... as vectors of equal length")
+    return columns, unusable
 
 
-def _collect(name: str, value: object, columns: dict[str, FloatArray]) -> None:
+def _collect(name: str, value: object, columns: dict[str, FloatArray], unusable: dict[str, str]) -> None:
     fields = getattr(value, "_fieldnames", None)
     if fields is not None:
         for field in fields:
-            _collect(f"{name}.{field}", getattr(value, field), columns)
+            _collect(f"{name}.{field}", getattr(value, field), columns, unusable)
     elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.ndim == 1 and value.size > 1:
         columns[name] = value.astype(float)
+    elif isinstance(value, np.ndarray) and value.ndim > 0:
+        shape = " x ".join(str(size) for size in value.shape)
+        unusable[name] = f"it is an array of {shape} {value.dtype.name}, not a vector of real numbers"
 
 
 _NEEDED: dict[str, tuple[Channel, ...]] = {
@@ -187,9 +194,14 @@ _NEEDED: dict[str, tuple[Channel, ...]] = {
 }
 
 
-def _from_columns(path: Path, recording: Recording, columns: dict[str, FloatArray]) -> Record:
+def _from_columns(
+    path: Path,
+    recording: Recording,
+    columns: dict[str, FloatArray],
+    unusable: Mapping[str, str] = MappingProxyType({}),  # what else there is under a name, and why it is no column
+) -> Record:
     channels: dict[str, FloatArray] = {}
-    notes: list[str] = []
+    notes = [f"{recording.file}: {name} cannot be used: {why}" for name, why in unusable.items()]
     for channel in CHANNELS:
         mapping = recording.column(channel)
         if mapping.column in columns:
@@ -199,7 +211,8 @@ def _from_columns(path: Path, recording: Recording, columns: dict[str, FloatArra
                 notes.append(f"{recording.file}: {bad} cells of {mapping.column} are not numbers and were left out")
         elif channel in recording.columns or channel in _NEEDED[recording.kind]:
             raise DataError(
-                f"{path} has no column {mapping.column!r}, which {recording.kind} needs for {channel}",
+                f"{path} has no column {mapping.column!r}{_why(mapping.column, unusable)}, which "
+                f"{recording.kind} needs for {channel}",
                 remedy=f"Map {channel} in columns; the file has: {', '.join(columns)}",
             )
     lengths = {name: len(values) for name, values in channels.items()}
@@ -220,6 +233,10 @@ def _from_columns(path: Path, recording: Recording, columns: dict[str, FloatArra
         x_ref=channels.get("x_ref", absent),
         notes=tuple(notes),
     )
+
+
+def _why(column: str, unusable: Mapping[str, str]) -> str:
+    return f" ({unusable[column]})" if column in unusable else ""
 
 
 def _convert(mapping: Column, raw: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from protocol.campaign import PLANT_BOUNDS
 from protocol.files import parse_json, read_small
 from twin.model.checks import finite, number, refuse, table
 
@@ -27,12 +28,7 @@ PARAMETERS: dict[str, tuple[str, float, float]] = {
     "K_c": ("N m^2/A^2", 1e-9, 1e-1),
     "b": ("N s/m", 0.0, 10.0),
 }
-PLANT: dict[str, tuple[float, float]] = {
-    "mass_kg": (1e-4, 10.0),
-    "travel_m": (1e-4, 0.5),
-    "x_max_m": (1e-4, 0.5),
-    "gravity_m_s2": (1.0, 20.0),
-}
+PLANT: dict[str, tuple[float, float]] = {key: (low, high) for key, (low, high, _) in PLANT_BOUNDS.items()}
 NOISE: dict[str, tuple[float, float]] = {
     "sigma_x_m": (1e-9, 1e-2),
     "sigma_i_c_a": (1e-7, 1.0),
