@@ -1,17 +1,21 @@
 """The `board51` command: lists the sub-commands, imports the one that was asked for, decides nothing.
 
 A sub-command is a module with `configure(parser)` and `run(args) -> exit code`.  Exit codes: 0 done, 1 the work says
-no, 2 bad usage or bad input (one line on stderr: what, where, what to do).
+no, 2 bad usage or bad input (one line on stderr: what, where, what to do), 70 a fault of ours.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 
-from protocol.errors import Board51Error
+from protocol.errors import Board51Error, one_line
+
+DEBUG = "BOARD51_DEBUG"  # set it to see where an unexpected error came from
+OUR_FAULT = 70  # exit code: EX_SOFTWARE of sysexits.h
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("gateway.commands.demo", "fly an emulated board, measure, identify, validate, fly on with the model"),
@@ -70,6 +74,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     except KeyboardInterrupt:
         return 130
+    except Exception as error:
+        # Not the mend of anything: what a user can cause has an error of its own.  But whoever runs a plant needs one
+        # line to pass on, and a supervisor an exit code.
+        if os.environ.get(DEBUG):
+            raise
+        what = one_line(f"{type(error).__name__}: {error}", 300)
+        print(
+            f"board51 {chosen}: a fault of board51 ({what}). Report it with the command; {DEBUG}=1 shows where.",
+            file=sys.stderr,
+        )
+        return OUR_FAULT
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ BOARD51_BOARDS="rig1=/dev/ttyUSB0,rig2=socket://10.0.0.5:4001" replaces the boar
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from pathlib import Path
@@ -19,6 +18,8 @@ from typing import Any
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.errors import ConfigError
+from protocol.files import parse_toml, read_small
+from protocol.toml_table import shown
 
 
 def _key(
@@ -178,15 +179,8 @@ def load_config(path: Path | None, environment: Mapping[str, str] = os.environ) 
     where = "environment" if path is None else str(path)
     table: dict[str, Any] = {}
     if path is not None:
-        try:
-            table = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ConfigError(
-                f"{path} cannot be read: {error.strerror}",
-                remedy="Give an existing file; `board51 gateway --print-config` writes one",
-            ) from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{path} is not TOML: {error}", remedy="Correct the file") from None
+        remedy = "Give an existing file; `board51 gateway --print-config` writes one"
+        table = parse_toml(read_small(path, remedy=remedy, error=ConfigError), where=str(path))
     _apply_environment(table, environment)
     unknown = table.keys() - {"site", "board", *_SECTIONS}
     if unknown:
@@ -245,7 +239,7 @@ def _value(value: object, kind: str, where: str) -> Any:
     if not good:
         wanted = {"str": "a string", "bool": "true or false", "int": "a whole number", "float": "a number"}
         raise ConfigError(
-            f"{where} = {value!r} has the wrong type", remedy=f"Give {wanted.get(kind, 'a list of strings')}"
+            f"{where} = {shown(value)} has the wrong type", remedy=f"Give {wanted.get(kind, 'a list of strings')}"
         )
     if kind == "float":
         return float(value)  # type: ignore[arg-type]  # checked above
@@ -256,7 +250,7 @@ def _checked(f: Field[Any], value: object, where: str) -> Any:
     unit, low, high, choices = (f.metadata[k] for k in ("unit", "low", "high", "choices"))
     good = _value(value, str(f.type), where)
     if choices and good not in choices:
-        raise ConfigError(f"{where} = {good!r} is not a choice", remedy=f"Give one of {', '.join(choices)}")
+        raise ConfigError(f"{where} = {shown(good)} is not a choice", remedy=f"Give one of {', '.join(choices)}")
     if (low is not None and not good >= low) or (high is not None and not good <= high):
         raise ConfigError(f"{where} = {good} is out of bounds", remedy=f"Give {_range(low, high)} {unit}".rstrip())
     return good

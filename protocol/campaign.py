@@ -10,15 +10,16 @@ Rule 2: units are in the keys; a value that can only be another unit (a travel o
 from __future__ import annotations
 
 import os
-import tomllib
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, cast
 
 from protocol.errors import ConfigError, DataError
-from protocol.toml_table import TomlTable, is_number
+from protocol.files import parse_toml, read_small
+from protocol.toml_table import TomlTable, is_number, shown
+from protocol.units import unit_of_name
 
 Channel = Literal["t", "u_c", "i_c", "x", "x_ref"]
 Kind = Literal["amplifier-step", "sawtooth", "prbs", "closed-loop", "equilibria", "free"]
@@ -30,6 +31,14 @@ KINDS: tuple[Kind, ...] = ("amplifier-step", "sawtooth", "prbs", "closed-loop", 
 USES: tuple[Use, ...] = ("fit", "judge")
 CONTROLLERS = ("lqi", "pid")
 GRAVITY_M_S2 = 9.81
+# What a ball on a coil can have: (lowest, highest, what that is).  The bounds catch a wrong unit and a slipped power of
+# ten: with grams for kilograms K_c comes out a thousand times too large, and nothing in the recordings contradicts it.
+PLANT_BOUNDS: Mapping[str, tuple[float, float, str]] = {
+    "mass_kg": (1e-4, 2.0, "as steel balls of 2.9 to 79 mm have"),
+    "travel_m": (1e-4, 0.5, ""),
+    "x_max_m": (1e-4, 0.5, ""),
+    "gravity_m_s2": (1.0, 20.0, ""),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,7 +143,10 @@ class Campaign:
     recordings: tuple[Recording, ...]
 
     def path_of(self, recording: Recording, *, data: Path | None = None) -> Path:
-        """The recording's file: beside the campaign, else in the data folder.
+        """The recording's file: in the campaign's folder, else in the data folder.
+
+        A campaign may come from somebody else.  What it names must therefore lie, links followed, in its own folder or
+        in the one that the user has named; it cannot point `identify` at any other file of the user's.
 
         Args:
             recording: One of this campaign.
@@ -144,14 +156,28 @@ class Campaign:
             DataError: it is in neither.
         """
         shared = data or (Path(os.environ["BOARD51_DATA"]) if os.environ.get("BOARD51_DATA") else None)
-        candidates = [folder / recording.file for folder in (self.folder, shared) if folder is not None]
-        for candidate in candidates:
-            if candidate.is_file():
-                return candidate
+        folders = [folder for folder in (self.folder, shared) if folder is not None]
+        candidates = [folder / recording.file for folder in folders]
+        places = [_place(candidate, folders) for candidate in candidates]
+        if "within" in places:
+            return candidates[places.index("within")]
+        where = " nor at ".join(str(candidate) for candidate in candidates)
+        problem = "lies outside the campaign's folder" if "outside" in places else f"is not at {where}"
         raise DataError(
-            f"{self.where}: recording {recording.file!r} is not at " + " nor at ".join(str(c) for c in candidates),
+            f"{self.where}: recording {recording.file!r} {problem}",
             remedy="Put it beside the campaign, or name its folder with --data or BOARD51_DATA",
         )
+
+
+def _place(file: Path, folders: Sequence[Path]) -> Literal["within", "outside", "absent"]:
+    """Whether a file lies in one of the folders, links followed."""
+    try:
+        real = file.resolve()
+        if not any(real.is_relative_to(folder.resolve()) for folder in folders):
+            return "outside"
+        return "within" if real.exists() else "absent"
+    except (OSError, RuntimeError, ValueError):  # not allowed, a loop of links, no name of a file
+        return "absent"
 
 
 def load(path: Path) -> Campaign:
@@ -207,32 +233,36 @@ def parse(text: str, *, where: str, folder: Path = Path()) -> Campaign:
 
 def _read(path: Path, *, remedy: str) -> tuple[str, Path]:
     file = path / "campaign.toml" if path.is_dir() else path
-    try:
-        return file.read_text(encoding="utf-8"), file
-    except OSError as error:
-        raise DataError(f"{file} cannot be read: {error.strerror}", remedy=remedy) from None
-    except UnicodeDecodeError:
-        raise DataError(f"{file} is not UTF-8 text", remedy=remedy) from None
+    return read_small(file, remedy=remedy), file
 
 
 def _top(text: str, *, where: str) -> TomlTable:
-    try:
-        return TomlTable(where, "", tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{where} is not TOML: {error}", remedy="Correct that line") from None
+    return TomlTable(where, "", parse_toml(text, where=where))
 
 
-def parse_column(spec: object, *, where: str, key: str) -> Column:
+def parse_column(spec: object, *, where: str, key: str, channel: Channel) -> Column:
     """A column from its TOML form: a name, or `{ column = ..., scale = ..., offset = ..., table = ... }`.
 
     Raises:
-        ConfigError: it is neither.
+        ConfigError: it is neither, or its name ends with another unit than the channel's and it has no scale.
     """
+    column = _column(spec, where=where, key=key)
+    unit = unit_of_name(column.column, channel)
+    scaled = isinstance(spec, dict) and ("scale" in spec or "table" in spec)
+    if unit is not None and not scaled:
+        raise ConfigError(
+            f"{where}: {key} = {shown(column.column)} is in {unit[0]} by its name, {channel} is in {UNITS[channel]}",
+            remedy=f"Give it scale = {unit[1]:g}, or scale = 1.0 if its values are in {UNITS[channel]} all the same",
+        )
+    return column
+
+
+def _column(spec: object, *, where: str, key: str) -> Column:
     if isinstance(spec, str):
         return Column(column=spec)
     if not isinstance(spec, dict):
         raise ConfigError(
-            f"{where}: {key} = {spec!r} is not a column",
+            f"{where}: {key} = {shown(spec)} is not a column",
             remedy='Write the name of a column, or { column = "name", scale = 1.0, offset = 0.0 }',
         )
     table = TomlTable(where, key, cast("dict[str, object]", spec))
@@ -249,16 +279,13 @@ def parse_column(spec: object, *, where: str, key: str) -> Column:
 
 
 def _plant(table: TomlTable) -> Plant:
-    # The bounds tell units apart, they do not describe rigs: no ball on a coil weighs 100 kg or travels 1 m.
     name = table.text("name", default="plant")
-    travel_m = table.number("travel_m", low=1e-5, high=1.0)
-    plant = Plant(
-        name=name,
-        mass_kg=table.number("mass_kg", low=1e-6, high=100.0),
-        travel_m=travel_m,
-        x_max_m=table.number("x_max_m", low=1e-5, high=1.0, default=travel_m),
-        gravity_m_s2=table.number("gravity_m_s2", low=0.1, high=100.0, default=GRAVITY_M_S2),
-    )
+    defaults = {"gravity_m_s2": GRAVITY_M_S2}
+    values: dict[str, float] = {}
+    for key, (low, high, meaning) in PLANT_BOUNDS.items():
+        values[key] = table.number(key, low=low, high=high, default=defaults.get(key), meaning=meaning)
+        defaults["x_max_m"] = values.get("travel_m", 0.0)
+    plant = Plant(name=name, **values)
     table.done()
     return plant
 
@@ -281,7 +308,9 @@ def _recording(table: TomlTable) -> Recording:
         mapped = table.table("columns")
         for channel in CHANNELS:
             if channel in mapped.values:
-                columns[channel] = parse_column(mapped.take(channel), where=mapped.where, key=f"{mapped.key}.{channel}")
+                columns[channel] = parse_column(
+                    mapped.take(channel), where=mapped.where, key=f"{mapped.key}.{channel}", channel=channel
+                )
         mapped.done(CHANNELS)
     recording = Recording(
         file=file,
@@ -300,11 +329,11 @@ def _points(table: TomlTable) -> tuple[tuple[float, float], ...]:
     key = f"{table.key}.table"
     remedy = "Write two or more [raw, value] pairs with rising raw values"
     if not isinstance(raw, list) or len(raw) < 2:
-        raise ConfigError(f"{table.where}: {key} = {raw!r} is not a look-up table", remedy=remedy)
+        raise ConfigError(f"{table.where}: {key} = {shown(raw)} is not a look-up table", remedy=remedy)
     points: list[tuple[float, float]] = []
     for number, pair in enumerate(raw, 1):
         if not isinstance(pair, list) or len(pair) != 2 or not all(is_number(value) for value in pair):
-            raise ConfigError(f"{table.where}: {key}, point {number} = {pair!r} is not a pair", remedy=remedy)
+            raise ConfigError(f"{table.where}: {key}, point {number} = {shown(pair)} is not a pair", remedy=remedy)
         points.append((float(pair[0]), float(pair[1])))
         if number > 1 and points[-1][0] <= points[-2][0]:
             raise ConfigError(f"{table.where}: {key}, point {number} = {pair!r} does not rise", remedy=remedy)

@@ -8,7 +8,8 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 
-from protocol.campaign import CHANNELS, GRAVITY_M_S2, Campaign, Column, Controller, Plant, Recording
+from protocol.campaign import CHANNELS, GRAVITY_M_S2, Campaign, Channel, Column, Controller, Plant, Recording
+from protocol.units import unit_of_name
 
 
 def emit(campaign: Campaign, *, comments: Iterable[str] = ()) -> str:
@@ -53,15 +54,15 @@ def _recording(recording: Recording) -> list[str]:
         lines.append(f"skip_s = {_number(recording.skip_s)}")
     if recording.board:
         lines.append(f"board = {_text(recording.board)}")
-    mapped = [f"{name} = {_column(recording.columns[name])}" for name in CHANNELS if name in recording.columns]
+    mapped = [f"{name} = {_column(recording.columns[name], name)}" for name in CHANNELS if name in recording.columns]
     if mapped:
         lines.append(f"columns = {{ {', '.join(mapped)} }}")
     return lines
 
 
-def _column(column: Column) -> str:
+def _column(column: Column, channel: Channel) -> str:
     parts = [f"column = {_text(column.column)}"]
-    if column.scale != 1.0:
+    if column.scale != 1.0 or unit_of_name(column.column, channel):  # there a scale of 1 is said, not left out
         parts.append(f"scale = {_number(column.scale)}")
     if column.offset != 0.0:
         parts.append(f"offset = {_number(column.offset)}")

@@ -11,9 +11,13 @@ Expected outcomes of an exchange (a time-out, a bad frame, a nack) are values, n
 
 from __future__ import annotations
 
+LONGEST = 1000  # characters of a problem, and of a remedy
+
 
 class Board51Error(Exception):
     """Every error raised on purpose: what is wrong, then what to do.
+
+    One line that any terminal can show, whatever was put into it: see `one_line`.
 
     Args:
         problem: What is wrong and where, with the offending value; no full stop.
@@ -23,9 +27,9 @@ class Board51Error(Exception):
     exit_code = 1
 
     def __init__(self, problem: str, *, remedy: str) -> None:
-        super().__init__(f"{problem}. {remedy}.")
-        self.problem = problem
-        self.remedy = remedy
+        self.problem = one_line(problem)
+        self.remedy = one_line(remedy)
+        super().__init__(f"{self.problem}. {self.remedy}.")
 
 
 class UsageError(Board51Error):
@@ -44,3 +48,13 @@ class DataError(UsageError):
 
 class ServiceError(Board51Error):
     """A port, the bus, the disk or another process refused."""
+
+
+def one_line(text: str, longest: int = LONGEST) -> str:
+    """`text` with line breaks and control characters spelled out, and without its middle if it is long.
+
+    What an error quotes comes from files and from the bus: it must not act on the terminal, or hide what is beside it.
+    """
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    half = (longest - 5) // 2
+    return shown if len(shown) <= longest else f"{shown[:half]} ... {shown[-half:]}"

@@ -11,12 +11,17 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import cast
 
-from protocol.errors import ConfigError
+from protocol.errors import ConfigError, one_line
 
 
 def is_number(value: object) -> bool:
     """Finite, and not a bool."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def shown(value: object) -> str:
+    """A value in an error: not more of it than tells which."""
+    return one_line(repr(value), 80)
 
 
 class TomlTable:
@@ -41,7 +46,7 @@ class TomlTable:
                 stem = key.split("_")[0]
                 near = difflib.get_close_matches(key, keys, 1) or [k for k in keys if k.split("_")[0] == stem]
                 hint = f"Did you mean {near[0]}" if near else f"Remove it; the keys are {', '.join(keys)}"
-                raise ConfigError(f"{self._name(key)} = {self.values[key]!r} is not a key", remedy=hint)
+                raise ConfigError(f"{self._name(key)} = {shown(self.values[key])} is not a key", remedy=hint)
 
     def text(self, key: str, *, default: str | None = None) -> str:
         """A text; not empty where it has no default."""
@@ -60,9 +65,15 @@ class TomlTable:
         return cast(str, value)
 
     def number(
-        self, key: str, *, low: float = -math.inf, high: float = math.inf, default: float | None = None
+        self,
+        key: str,
+        *,
+        low: float = -math.inf,
+        high: float = math.inf,
+        default: float | None = None,
+        meaning: str = "",
     ) -> float:
-        """A finite number within bounds."""
+        """A finite number within bounds; `meaning` says what these are."""
         value = self.take(key)
         if value is None and default is not None:
             return default
@@ -71,6 +82,7 @@ class TomlTable:
         number = float(cast(float, value))
         if not low <= number <= high:
             bounds = f"in {low:g} .. {high:g}" if math.isfinite(high) else f"at least {low:g}"
+            bounds += f", {meaning}" if meaning else ""
             raise self._wrong(key, value, bounds, "Check the unit: it is the end of the key")
         return number
 
@@ -108,4 +120,4 @@ class TomlTable:
                 if other.split("_")[0] == stem and other not in self._known:  # mass_g where mass_kg is meant
                     remedy = f"{other} is not a key; its unit is the end of {key}"
             return ConfigError(f"{self._name(key)} is missing: it is {expected}", remedy=remedy)
-        return ConfigError(f"{self._name(key)} = {value!r} is not {expected}", remedy=remedy)
+        return ConfigError(f"{self._name(key)} = {shown(value)} is not {expected}", remedy=remedy)

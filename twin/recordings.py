@@ -8,6 +8,7 @@ Rule 3: a channel counts by its key *and* its schema.  A foreign message under o
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -26,6 +27,7 @@ from zstandard import ZstdError
 from protocol.bus import encoding
 from protocol.bus.topics import BY_NAME, split
 from protocol.errors import DataError
+from protocol.files import open_regular
 
 # What reading a truncated or damaged record raises: mcap, its decompressors and struct each have their own.
 _DAMAGE = (McapError, ValueError, RuntimeError, EOFError, struct.error, ZstdError)
@@ -68,9 +70,10 @@ class LogReader:
     def __iter__(self) -> Iterator[Entry]:
         seen = 0
         try:
-            with self.path.open("rb") as file:
+            with open_regular(self.path, remedy="Give an MCAP log") as file:
                 try:
-                    for record in StreamReader(file, emit_chunks=True).records:
+                    longest = os.fstat(file.fileno()).st_size
+                    for record in StreamReader(file, emit_chunks=True, record_size_limit=longest).records:
                         seen += 1
                         if isinstance(record, Chunk):
                             yield from self._chunk(record)

@@ -5,6 +5,8 @@ Rule 2: everybody who is let in at all may read; only the gateway puts states, o
 Rule 3: a person's command goes under `command/as/<role>/<name>`, and under no other role or name.  Whether the role
         suffices is the gateway's decision (roles.py): it says why, and logs the attempt.  The router says nothing.
 Rule 4: the views' account may send as anybody: OPC UA and the web page have checked the password themselves.
+Rule 5: over TLS and QUIC a password counts only together with the certificate of the same name.  The other protocols
+        know no certificates; `listeners.py` keeps them on this machine.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ LARGEST_COMMAND = 65_536  # bytes that pass the router; the gateway says "oversi
 LARGEST_MODEL = 4_000_000
 LARGEST_MESSAGE = 16_000_000  # bytes that the router puts together from fragments
 
+_WITHOUT_CERTIFICATES = ("tcp", "udp", "ws", "serial", "unixsock-stream", "unixpipe", "vsock")  # zenoh's words
 _READ = ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query")
 _TOLD = ("put", "delete", "reply", "liveliness_token")
 _SERVED = ("query", "declare_subscriber", "declare_queryable")  # what a publisher or queryable must hear of others
@@ -44,19 +47,19 @@ def access_control(site: str, people: Mapping[str, Role]) -> dict[str, Any]:
             _rule(f"{service}-answers", "ingress", ("declare_queryable", "reply"), [_as(site, topic, "*", "*")]),
         ]
         names = ["read", "told", "served", f"{service}-puts", f"{service}-answers"]
-        policies.append({"subjects": [service], "rules": names})
+        policies.append({"subjects": _subject_ids(service), "rules": names})
     rules.append(_rule("gateway-lives", "ingress", ("liveliness_token",), [topics.key(site, "*", topics.ALIVE)]))
     policies[0]["rules"].append("gateway-lives")
     senders = {"views": ("*", "*"), **{name: (role.word, name) for name, role in people.items()}}
     for name, (role, who) in senders.items():
         keys = [_as(site, topic, role, who) for topic in ("command", "twin/command")]
         rules.append(_rule(f"{name}-commands", "ingress", ("query",), keys))
-        policies.append({"subjects": [name], "rules": ["read", "told", f"{name}-commands"]})
+        policies.append({"subjects": _subject_ids(name), "rules": ["read", "told", f"{name}-commands"]})
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": [{"id": name, "usernames": [name]} for name in (*SERVICES, *people)],
+        "subjects": [subject for name in (*SERVICES, *people) for subject in _subjects(name)],
         "policies": policies,
     }
 
@@ -74,6 +77,19 @@ def size_limits(site: str) -> list[dict[str, Any]]:
         }
         for topic, size in sizes
     ]
+
+
+def _subjects(name: str) -> list[dict[str, Any]]:
+    """Whom zenoh takes for `name`: within a subject the lists must all match, and one entry of each list is enough."""
+    certified, plain = _subject_ids(name)
+    return [
+        {"id": certified, "usernames": [name], "cert_common_names": [name]},
+        {"id": plain, "usernames": [name], "link_protocols": list(_WITHOUT_CERTIFICATES)},
+    ]
+
+
+def _subject_ids(name: str) -> list[str]:
+    return [name, f"{name}-without-certificate"]
 
 
 def _as(site: str, topic: str, role: str, who: str) -> str:

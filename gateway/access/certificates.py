@@ -20,6 +20,7 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from protocol.errors import ConfigError
+from protocol.files import open_regular
 
 CA_DAYS = 3650
 DAYS = 825  # of everything that it signs
@@ -101,11 +102,10 @@ def check_certificate(path: Path, *, what: str, now: datetime | None = None) -> 
     """
     now = datetime.now(UTC) if now is None else now
     try:
-        certificate = x509.load_pem_x509_certificate(path.read_bytes())
-    except OSError as error:
-        raise ConfigError(
-            f"{what} {path} cannot be read: {error.strerror}", remedy="Make it with `board51 security init`"
-        ) from None
+        with open_regular(
+            path, remedy="Make it with `board51 security init`", what=f"{what} ", error=ConfigError
+        ) as file:
+            certificate = x509.load_pem_x509_certificate(file.read())
     except ValueError:
         raise ConfigError(f"{what} {path} is not a certificate in PEM", remedy="Give one, or renew it") from None
     if now >= certificate.not_valid_after_utc:

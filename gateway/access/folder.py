@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import json
 import secrets
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -32,6 +31,7 @@ from protocol.bus.endpoint import zenoh_config
 from protocol.bus.identity import Identity, load_identity
 from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.errors import ConfigError, UsageError
+from protocol.files import make_folder, parse_toml, read_small, writing
 
 OPCUA_URI = "urn:board51:opcua"  # the server's application URI, which its certificate must carry
 ALWAYS_HOSTS = ("localhost", "127.0.0.1", "::1")
@@ -88,13 +88,14 @@ class SecurityFolder:
         """
         check_name(site, what="--site")
         now = datetime.now(UTC) if now is None else now
-        if self.path.exists() and any(self.path.iterdir()):
-            raise UsageError(
-                f"{self.path} is not empty",
-                remedy="Give a new folder; `board51 security renew` keeps passwords and people of an old one",
-            )
-        self.path.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self.path.chmod(0o700)
+        make_folder(self.path, mode=0o700)
+        with writing(self.path):
+            if any(self.path.iterdir()):
+                raise UsageError(
+                    f"{self.path} is not empty",
+                    remedy="Give a new folder; `board51 security renew` keeps passwords and people of an old one",
+                )
+            self.path.chmod(0o700)
         _, made = Authority.create(f"Board51 authority of {site}", now=now)
         self._write(self.ca, made)
         listed = ", ".join(json.dumps(host) for host in dict.fromkeys((*ALWAYS_HOSTS, *hosts)))
@@ -215,14 +216,11 @@ class SecurityFolder:
 
     def _settings(self) -> tuple[str, list[str]]:
         path = self.path / "security.toml"
+        text = read_small(path, remedy="Make the folder with `board51 security init DIR`", error=ConfigError)
+        table = parse_toml(text, where=str(path), remedy="Correct the file")
         try:
-            table = tomllib.loads(path.read_text(encoding="utf-8"))
             return str(table["site"]), [str(host) for host in table["hosts"]]
-        except OSError as error:
-            raise ConfigError(
-                f"{path} cannot be read: {error.strerror}", remedy="Make the folder with `board51 security init DIR`"
-            ) from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+        except (KeyError, TypeError) as error:
             raise ConfigError(f"{path} lacks site or hosts: {error}", remedy="Correct it") from None
 
     def _authority(self) -> Authority:
@@ -235,13 +233,14 @@ class SecurityFolder:
             ) from None
 
     def _write(self, certificate: Path, issued: Issued) -> None:
-        certificate.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        make_folder(certificate.parent, mode=0o700)
         write_private(certificate.with_name(f"{certificate.stem}-key.pem"), issued.key)
-        certificate.write_bytes(issued.certificate)
+        with writing(certificate):
+            certificate.write_bytes(issued.certificate)
 
     def _write_identity(self, authority: Authority, name: str, role: str, now: datetime, days: float) -> None:
         folder = self.identity_path(name)
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        make_folder(folder, mode=0o700)
         password = self._bus_passwords().get(name) or secrets.token_hex(32)
         issued = authority.issue(name, now=now, uris=(f"urn:board51:user:{name}",), days=days)
         lines = [
@@ -253,8 +252,9 @@ class SecurityFolder:
         ]
         write_private(folder / "identity.toml", ("\n".join(lines) + "\n").encode())
         write_private(folder / "key.pem", issued.key)
-        (folder / "certificate.pem").write_bytes(issued.certificate)
-        (folder / "ca.pem").write_bytes(self.ca.read_bytes())
+        with writing(folder):
+            (folder / "certificate.pem").write_bytes(issued.certificate)
+            (folder / "ca.pem").write_bytes(self.ca.read_bytes())
 
     def _bus_passwords(self) -> dict[str, str]:
         if not self.passwords.exists():

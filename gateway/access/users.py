@@ -6,11 +6,9 @@
 
 Rule 1: the file is its owner's alone (mode 0600); a file open to others is refused.
 Rule 2: a wrong name costs as much time as a wrong password and gets the same answer.
-Rule 3: after FAILURES wrong passwords a name is locked for LOCK_S, twice as long each further time up to LOCK_MAX_S.
-        A lock does not end sessions: who is logged in can still press STOP.
-Rule 4: AT_ONCE passwords are looked at at a time; what comes meanwhile is refused at once.  A flood of logins may keep
-        others from logging in, but neither the processor nor a thread from those who are: STOP comes before login.
-Rule 5: a changed file is taken over at the next look; a broken one is reported and changes nothing.
+Rule 3: a changed file is taken over at the next look; a broken one is reported and changes nothing.
+
+How often passwords may be tried is the matter of tries.py.
 """
 
 from __future__ import annotations
@@ -18,10 +16,7 @@ from __future__ import annotations
 import logging
 import re
 import threading
-import time
-import tomllib
-from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,12 +25,8 @@ from gateway.access.private import read_private, write_private
 from gateway.access.roles import ROLE_WORDS, Role, parse_role
 from protocol.bus.topics import check_name
 from protocol.errors import ConfigError
+from protocol.files import parse_toml
 
-FAILURES = 5
-LOCK_S = 10.0
-LOCK_MAX_S = 300.0
-AT_ONCE = 2
-MAX_TRACKED = 1000  # names with failures; an attacker's invented names must not fill the memory
 _logger = logging.getLogger("gateway.access")
 
 
@@ -53,26 +44,12 @@ class _Entry:
     password: str
 
 
-@dataclass(slots=True)
-class _Failures:
-    count: int = 0
-    locked_until_s: float = 0.0
-    lock_s: float = LOCK_S
-
-
 class Users:
-    """The users of one file.  Any thread.
+    """The users of one file.  Any thread."""
 
-    Args:
-        path: of users.toml.
-        clock: monotonic seconds.
-    """
-
-    def __init__(self, path: Path, *, clock: Callable[[], float] = time.monotonic) -> None:
-        self._path, self._clock = path, clock
+    def __init__(self, path: Path) -> None:
+        self._path = path
         self._lock = threading.Lock()
-        self._failures: OrderedDict[str, _Failures] = OrderedDict()
-        self._slots = threading.BoundedSemaphore(AT_ONCE)
         self._entries = _read(path)
         self._stamp = self._file_stamp()
 
@@ -86,24 +63,12 @@ class Users:
         return cls(path)
 
     def check(self, name: str, password: str) -> User | None:
-        """The user, or None for a wrong name, a wrong password, a locked name and too many at once alike."""
+        """The user, or None for a wrong name and a wrong password alike; slow on purpose."""
         with self._lock:
             self._refresh()
             entry = self._entries.get(name)
-            if self._locked_s(name) > 0:
-                return None
-        if not self._slots.acquire(blocking=False):
-            return None
-        try:
-            right = matches(password, entry.password if entry is not None else NOBODY)  # slow: outside the lock
-        finally:
-            self._slots.release()
-        with self._lock:
-            if right and entry is not None and self._locked_s(name) <= 0:
-                self._failures.pop(name, None)
-                return User(name=name, role=entry.role)
-            self._note_failure(name)
-        return None
+        right = matches(password, entry.password if entry is not None else NOBODY)  # outside the lock
+        return User(name=name, role=entry.role) if right and entry is not None else None
 
     def find(self, name: str) -> User | None:
         """The user of that name as the file has it now: for sessions that outlive a change of role."""
@@ -112,32 +77,11 @@ class Users:
             entry = self._entries.get(name)
         return None if entry is None else User(name=name, role=entry.role)
 
-    def locked_s(self, name: str) -> float:
-        """For how long `name` may not try again, in s; 0 if it may."""
-        with self._lock:
-            return self._locked_s(name)
-
     def names(self) -> Mapping[str, Role]:
         """Everybody and their role."""
         with self._lock:
             self._refresh()
             return {name: entry.role for name, entry in self._entries.items()}
-
-    def _locked_s(self, name: str) -> float:
-        failures = self._failures.get(name)
-        return 0.0 if failures is None else max(0.0, failures.locked_until_s - self._clock())
-
-    def _note_failure(self, name: str) -> None:
-        failures = self._failures.setdefault(name[:64], _Failures())
-        self._failures.move_to_end(name[:64])
-        failures.count += 1
-        if failures.count >= FAILURES:
-            failures.count = 0
-            failures.locked_until_s = self._clock() + failures.lock_s
-            _logger.warning("%d wrong passwords for %r: locked for %g s", FAILURES, name[:64], failures.lock_s)
-            failures.lock_s = min(2 * failures.lock_s, LOCK_MAX_S)
-        while len(self._failures) > MAX_TRACKED:
-            self._failures.popitem(last=False)
 
     def _refresh(self) -> None:
         stamp = self._file_stamp()
@@ -194,9 +138,9 @@ def _read(path: Path) -> dict[str, _Entry]:
     data = read_private(path, what="The user file")
     try:
         text = data.decode()
-        table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} is not TOML: {error}", remedy="Correct the file") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path} is not UTF-8 text", remedy="Correct the file") from None
+    table = parse_toml(text, where=str(path), remedy="Correct the file")
     unknown = next((key for key in table if key != "users"), None)
     if unknown is not None:
         raise ConfigError(

@@ -22,8 +22,10 @@ from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recording
 from protocol.campaign_text import emit
 from protocol.errors import DataError, ServiceError, UsageError
+from protocol.files import parse_json, read_small
 
 RUN_FILE = "run.json"
+_READABLE = "Give a new folder; the recordings here stay readable"
 FORMAT = 1
 # A CE 152 as published; the same numbers as the twin's nominal model, which this package may not import.
 CE152 = Plant(name="ce152", mass_kg=8.28e-3, travel_m=5.7e-3, x_max_m=5.7e-3, gravity_m_s2=9.81)
@@ -95,16 +97,14 @@ class Folder:
     def _load(self) -> None:
         file = self.path / RUN_FILE
         try:
-            table = json.loads(file.read_text(encoding="utf-8"))
+            table = parse_json(read_small(file, remedy=_READABLE), where=str(file), remedy=_READABLE)
             if table["format"] != FORMAT:
                 raise DataError(f"{file} has format {table['format']}, this is {FORMAT}", remedy="Give a new folder")
             self.lift_off_v = table["lift_off_v"]
             self._identity = table["identity"]
             self.kept = {name: Kept(**values) for name, values in table["recordings"].items() if name in BY_NAME}
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise DataError(
-                f"{file} cannot be read ({error})", remedy="Give a new folder; the recordings here stay readable"
-            ) from None
+        except (KeyError, TypeError) as error:
+            raise DataError(f"{file} cannot be read ({error})", remedy=_READABLE) from None
 
     def claim(self, identity: Mapping[str, Any]) -> None:
         """This rig, and no other.

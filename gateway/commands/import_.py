@@ -18,6 +18,7 @@ from gateway.record.table_import import ImportReport, import_recording
 from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.campaign import CHANNELS, KINDS, Campaign, Channel, Column, Kind, Recording, load, parse_column
 from protocol.errors import UsageError
+from protocol.files import make_folder
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -53,6 +54,9 @@ def run(args: argparse.Namespace) -> int:
     if (args.file is None) == (args.campaign is None):
         raise UsageError("Neither or both of FILE and --campaign are given", remedy="Give one of the two")
     reports = list(_import_campaign(args) if args.campaign else _import_file(args))
+    warnings = [f"{report.source}: {warning}" for report in reports for warning in report.warnings]
+    for warning in warnings:
+        print(f"! {warning}", file=sys.stderr)
     if args.json:
         plain = [{**asdict(report), "source": str(report.source), "log": str(report.log)} for report in reports]
         print(json.dumps(plain, indent=2))
@@ -88,7 +92,7 @@ def _import_campaign(args: argparse.Namespace) -> Iterator[ImportReport]:
             f"-o {args.out} is one file, the recordings are {len(tables)}", remedy="Give a directory, or use --only"
         )
     if not single:
-        args.out.mkdir(parents=True, exist_ok=True)
+        make_folder(args.out)
     for number, (recording, source) in enumerate(zip(tables, sources, strict=True), 1):
         if len(tables) > 1 and not args.json:
             print(f"[{number}/{len(tables)}] {recording.file}", file=sys.stderr)
@@ -123,7 +127,7 @@ def _parse_map(spec: str) -> tuple[Channel, Column]:
                 values[key] = float(value)
         except ValueError:
             raise UsageError(f"--map {spec}: {option!r} is not a number", remedy=remedy) from None
-    return channel, parse_column(values, where="--map", key=name)
+    return channel, parse_column(values, where="--map", key=name, channel=channel)
 
 
 def _as_text(report: ImportReport) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import signal
 import sys
 import threading
@@ -19,6 +20,7 @@ from gateway.access.folder import SecurityFolder
 from gateway.access.listeners import check_bus_listeners
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.errors import ConfigError, ServiceError
+from protocol.files import DEEPEST, read_small
 
 SHIPPED = Path(__file__).parent.parent / "router.json5"
 
@@ -59,6 +61,15 @@ def _endpoints(config: zenoh.Config) -> list[str]:
     return [str(endpoint) for endpoint in found] or ["tcp/[::]:7447"]
 
 
+def _check_readable(path: Path) -> None:
+    """Before zenoh opens it: it waits for a pipe for ever, and a text of brackets alone overflows its stack."""
+    depth = 0
+    for bracket in re.findall(r"[\[{}\]]", read_small(path, remedy="Give a zenoh configuration", error=ConfigError)):
+        depth += 1 if bracket in "[{" else -1
+        if depth > DEEPEST:
+            raise ConfigError(f"{path} is nested too deeply", remedy="Give a zenoh configuration")
+
+
 def run(args: argparse.Namespace) -> int:
     """Route until SIGTERM or SIGINT."""
     if args.print_config:
@@ -70,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
             folder.check()
             config = zenoh.Config.from_json5(folder.router([DEFAULT_ENDPOINT]))
         else:
+            _check_readable(args.config)
             config = zenoh.Config.from_file(args.config)
         if config.get_json("mode") != '"router"':
             raise ConfigError(f"{args.config}: mode is {config.get_json('mode')}", remedy='Set mode: "router"')

@@ -18,6 +18,7 @@ import sys
 from pathlib import Path
 
 from gateway.access.folder import SecurityFolder
+from gateway.access.private import open_output, write_private
 from gateway.access.roles import ROLE_WORDS, Role, parse_role
 from gateway.access.users import User
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint, zenoh_config
@@ -37,7 +38,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 send rig1 reference 0.003 --connect tls/10.0.0.5:7448 --identity keys/identities/ben\n"
         "  board51 security add-user keys cyd:viewer\n"
         "  board51 security check keys\n"
-        "  board51 security zenoh-config keys/identities/ben --connect tls/10.0.0.5:7448 > ben.json5"
+        "  board51 security zenoh-config keys/identities/ben --connect tls/10.0.0.5:7448 --out ben.json5"
     )
     steps = parser.add_subparsers(dest="step", required=True, metavar="STEP")
     init = _step(steps, "init", "make the folder")
@@ -55,8 +56,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     remove = _step(steps, "remove-user", "take login and identity away")
     remove.add_argument("name")
     _step(steps, "renew", "new certificates for all; names, roles and passwords stay")
-    config = _step(steps, "zenoh-config", "print an identity as zenoh's own configuration, for clients in any language")
+    config = _step(steps, "zenoh-config", "an identity as zenoh's own configuration, for clients in any language")
     config.add_argument("--connect", default=DEFAULT_ENDPOINT, metavar="ENDPOINT", help="the router (%(default)s)")
+    config.add_argument("--out", type=Path, metavar="FILE", help="write it there, readable by its owner alone")
     check = _step(steps, "check", "permissions, roles, and for how long the certificates are good")
     check.add_argument("--json", action="store_true", help="print the days as JSON")
 
@@ -93,7 +95,16 @@ def run(args: argparse.Namespace) -> int:
             print(f"{folder.path}: new certificates; copy the identity folders to their machines again")
         case "zenoh-config":
             endpoint = check_endpoint(args.connect, where="--connect")
-            print(zenoh_config("client", connect=[endpoint], identity=load_identity(args.folder)))
+            text = zenoh_config("client", connect=[endpoint], identity=load_identity(args.folder))
+            if args.out is not None:
+                write_private(args.out, f"{text}\n".encode())
+            elif mode := open_output():
+                raise UsageError(
+                    f"The password of the bus would be printed into a file that others may read (mode {mode})",
+                    remedy="Give --out FILE, which makes it readable by you alone",
+                )
+            else:
+                print(text)
         case _:
             return _check(folder, as_json=args.json)
     return 0
@@ -109,6 +120,8 @@ def _user(text: str) -> User:
 def _add(folder: SecurityFolder, user: User, *, ask: bool) -> None:
     password = getpass.getpass(f"Password of {user.name}: ") if ask else secrets.token_urlsafe(12)
     identity = folder.add_user(user, password)
+    if not ask and (mode := open_output()):
+        print(f"others may read the password of {user.name} where it is printed (mode {mode})", file=sys.stderr)
     shown = "" if ask else f"  password {password}"
     print(f"{user.name:<12} {user.role.word:<9} {identity}{shown}")
 

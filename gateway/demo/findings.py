@@ -5,7 +5,6 @@ Rule: measured is said; naming causes is left to `board51 diagnose`.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from typing import Any
 
 from gateway.record.reader import read
 from protocol.bus import board51_pb2 as pb
+from protocol.files import parse_json
 
 REST_SAMPLES = 250  # the last half second at a reference: at rest, so that only the balance of forces is compared
 NOTABLE_A = 5e-3  # the noise of i_c is 2 mA a sample, 0.1 mA in a mean over REST_SAMPLES
@@ -58,7 +58,9 @@ def gather(log: Path, flights: list[Flight]) -> None:
     for record in read(log, topics=["state", "twin/state", "twin/divergence", "twin/alarm", "twin/model"]):
         message = record.message
         if isinstance(message, pb.TwinModel):
-            allowed_m_s2 = float(json.loads(message.model_json)["noise"]["process_a_m_s2"])
+            allowed_m_s2 = float(
+                parse_json(message.model_json, where=f"{log}: the twin's model")["noise"]["process_a_m_s2"]
+            )
             continue
         if isinstance(message, pb.State):
             if message.mode == pb.MODE_CLOSED_LOOP:

@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from gateway.emulator.effects import EFFECTS, Effect, check
-from protocol.errors import Board51Error, DataError, ServiceError, UsageError
+from protocol.errors import Board51Error, DataError, UsageError
+from protocol.files import LARGEST_SMALL, parse_json, read_small, writing
 
 FORMAT = "board51-sealed-effects-1"
 # Each of these alone leaves the nominal LQI its stability, two strong ones together do not: a ball on the floor would
@@ -58,7 +59,7 @@ def seal(path: Path, effects: Mapping[str, float]) -> str:
 
     Raises:
         UsageError: the file exists and holds anything else.
-        ServiceError: it cannot be written.
+        UsageError: it cannot be written.
     """
     if path.exists():
         try:
@@ -78,12 +79,8 @@ def seal(path: Path, effects: Mapping[str, float]) -> str:
         "commitment": commitment,
         "content": base64.b64encode(zlib.compress(content, 9)).decode("ascii"),
     }
-    try:
+    with writing(path):
         path.write_text(json.dumps(envelope, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ServiceError(
-            f"Sealed file {path} cannot be written: {error.strerror}", remedy="Give a path in a writable directory"
-        ) from error
     return commitment
 
 
@@ -93,18 +90,13 @@ def open_sealed(path: Path) -> dict[str, float]:
     Raises:
         DataError: no such file, not a sealed file, or changed since it was sealed.
     """
-    try:
-        envelope = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(
-            f"Sealed file {path} cannot be read: {error.strerror}", remedy="Give the file that --sealed named"
-        ) from error
-    except ValueError:
-        envelope = None
+    remedy = "Give the file that --sealed named"
+    envelope = parse_json(read_small(path, remedy=remedy, what="Sealed file "), where=str(path), remedy=remedy)
     if not isinstance(envelope, dict) or envelope.get("format") != FORMAT:
         raise DataError(f"{path} is not a sealed file ({FORMAT})", remedy="Give the file that --sealed named")
     try:
-        content = zlib.decompress(base64.b64decode(str(envelope["content"]), validate=True))
+        packed = base64.b64decode(str(envelope["content"]), validate=True)
+        content = zlib.decompressobj().decompress(packed, LARGEST_SMALL)
         intact = hashlib.sha256(content).hexdigest() == envelope["commitment"]
     except (KeyError, binascii.Error, zlib.error):
         intact = False

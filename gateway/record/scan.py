@@ -23,6 +23,7 @@ from typing import BinaryIO, NamedTuple
 
 from gateway.record.chunk import CHUNK_HEAD, text, text_map, unpack, unpack_prefix
 from protocol.errors import DataError
+from protocol.files import open_regular
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = range(1, 7)
@@ -247,13 +248,10 @@ class Scan:
 
 def _check(path: Path) -> int:
     """The size of a file that begins as MCAP does."""
-    try:
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            magic = file.read(len(MAGIC))
-    except OSError as error:
-        remedy = f"Name the MCAP files in it: {path}/*.mcap" if path.is_dir() else "Name an MCAP file"
-        raise DataError(f"Log {path} cannot be read: {(error.strerror or 'unknown').lower()}", remedy=remedy) from None
+    remedy = f"Name the MCAP files in it: {path}/*.mcap" if path.is_dir() else "Name an MCAP file"
+    with open_regular(path, remedy=remedy, what="Log ") as file:
+        size = os.fstat(file.fileno()).st_size
+        magic = file.read(len(MAGIC))
     if size == 0:
         raise DataError(f"Log {path} is empty", remedy="Nothing can be recovered from it; use another part")
     if magic != MAGIC:

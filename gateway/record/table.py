@@ -6,21 +6,20 @@ Only the columns that are asked for are turned into numbers: a comment column do
 from __future__ import annotations
 
 import csv
-import gzip
 import io
 import math
-import zlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from protocol.errors import DataError
+from protocol.table_file import check_table, is_number, read_csv_bytes
+from protocol.toml_table import shown
 
 FloatArray = npt.NDArray[np.float64]
-_GZIP = b"\x1f\x8b"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,6 +31,9 @@ class Table:
     rows: int
     place: Callable[[int], str]  # row -> "line 7" or "sample 6"
     cell: Callable[[str, int], str | float]
+    unusable: Mapping[str, str] = field(
+        default_factory=dict
+    )  # what else there is under a name, and why it is no column
 
     def numbers(self, column: str) -> FloatArray:
         """A column, shape (rows,), finite.
@@ -40,8 +42,9 @@ class Table:
             DataError: no such column, or a cell is not a finite number.
         """
         if column not in self.names:
+            why = f": {self.unusable[column]}" if column in self.unusable else ""
             raise DataError(
-                f"{self.path} has no column {column!r}",
+                f"{self.path} has no column {column!r}{why}",
                 remedy=f"Map another one; its columns are: {', '.join(self.names)}",
             )
         values = np.empty(self.rows)
@@ -57,7 +60,7 @@ class Table:
         return values
 
     def _bad(self, column: str, row: int, cell: str | float) -> DataError:
-        what = "is empty" if isinstance(cell, str) and not cell.strip() else f"= {cell!r} is not a finite number"
+        what = "is empty" if isinstance(cell, str) and not cell.strip() else f"= {shown(cell)} is not a finite number"
         remedy = "Correct the cell, or leave that row out"
         if isinstance(cell, str) and "," in cell:
             remedy = "Write decimals with a point"
@@ -70,14 +73,19 @@ def read_csv(path: Path) -> Table:
     Raises:
         DataError: it is absent, not text, badly compressed, has no names, no rows, or lines of different lengths.
     """
-    lines = _text(path).splitlines()
+    try:
+        lines = read_csv_bytes(path).decode("utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise DataError(f"{path} is not text", remedy="Name a CSV file in UTF-8, or a MATLAB file with .mat") from None
     kept = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
     if not kept:
         raise DataError(f"{path} is empty", remedy="Name a file with a line of column names and rows of numbers")
     separator = max(",;\t", key=kept[0][1].count)
     names = tuple(cell.strip() for cell in _split(kept[0][1], separator))
     where = f"{path}, line {kept[0][0]}"
-    if any(_is_number(name) for name in names):
+    if len(kept) > 1:
+        check_table(path, names, _split(kept[1][1], separator))
+    if any(is_number(name) for name in names):
         raise DataError(f"{where} holds numbers instead of column names", remedy="Put the names into the first line")
     if len(set(names)) != len(names) or "" in names:
         twice = next((name for name in names if names.count(name) > 1 or not name), "")
@@ -102,33 +110,5 @@ def read_csv(path: Path) -> Table:
     )
 
 
-def _text(path: Path) -> str:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise DataError(
-            f"{path} cannot be read: {(error.strerror or 'unknown').lower()}", remedy="Name a CSV or MATLAB file"
-        ) from None
-    if path.suffix == ".gz" and not data.startswith(_GZIP):
-        raise DataError(f"{path} is named .gz but is not compressed", remedy="Rename it, or fetch it again")
-    if data.startswith(_GZIP):
-        try:
-            data = gzip.decompress(data)
-        except (EOFError, OSError, zlib.error) as error:
-            raise DataError(f"{path} is damaged or cut off: {error}", remedy="Fetch it again") from None
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise DataError(f"{path} is not text", remedy="Name a CSV file in UTF-8, or a MATLAB file with .mat") from None
-
-
 def _split(line: str, separator: str) -> Sequence[str]:
     return next(csv.reader(io.StringIO(line), delimiter=separator))
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -22,10 +22,13 @@ from gateway.record.table import FloatArray, Table, read_csv
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.campaign import CHANNELS, Campaign, Channel, Column, Recording
+from protocol.campaign import CHANNELS, UNITS, Campaign, Channel, Column, Recording
 from protocol.errors import DataError
+from protocol.toml_table import shown
+from protocol.units import MOST, NOT_MEASURED, scale_of_size
 
 GAP_STEPS = 1.5  # a step longer than this lost at least one sample
+LARGEST_GAP = 1 << 31  # samples: `lost_before` counts in 32 bits
 JITTER_SHARE = 0.1  # a step off a whole number of T_s by more than this share is irregular
 _FIELDS: Mapping[Channel, str] = {"u_c": "u_c_v", "i_c": "i_c_a", "x": "x_m", "x_ref": "x_ref_m"}
 
@@ -46,6 +49,7 @@ class ImportReport:
     irregular_steps: int
     worst_step_s: float  # the step farthest from a whole number of T_s
     beyond_table: Mapping[str, int]  # values for which a look-up table was extrapolated, by channel
+    warnings: tuple[str, ...] = ()  # what a rig of this kind does not do, and columns that cannot be used
 
 
 def open_table(path: Path) -> Table:
@@ -108,6 +112,10 @@ def import_recording(
         irregular_steps=int(np.count_nonzero(off > JITTER_SHARE * sample_time_s)),
         worst_step_s=float(steps[np.argmax(off)]) if off.size else 0.0,
         beyond_table=beyond,
+        warnings=(
+            *_implausible(recording, values, steps),
+            *(f"column {name!r} cannot be used: {why}" for name, why in table.unusable.items()),
+        ),
     )
     writer = LogWriter(log, metadata=_provenance(report, recording, campaign), compression="zstd")
     try:
@@ -131,10 +139,37 @@ def _channels(table: Table, recording: Recording) -> tuple[dict[Channel, FloatAr
             continue
         raw = table.numbers(column.column)
         values[channel] = _convert(column, raw)
+        _check_measured(table, channel, column, values[channel])
         count = sum(column.beyond_table(value) for value in raw.tolist())
         if count:
             beyond[channel] = count
     return values, beyond
+
+
+def _check_measured(table: Table, channel: Channel, column: Column, values: FloatArray) -> None:
+    bad = np.flatnonzero(~(np.abs(values) <= NOT_MEASURED[channel]))
+    if bad.size:
+        row = int(bad[0])
+        raise DataError(
+            f"{table.path}, {table.place(row)}: {column.column} = {shown(table.cell(column.column, row))} gives "
+            f"{values[row]:.3g} {UNITS[channel]} for {channel}, which nothing measures",
+            remedy="Correct the cell, leave that row out, or give the column another scale",
+        )
+
+
+def _implausible(recording: Recording, values: Mapping[Channel, FloatArray], steps: FloatArray) -> Iterator[str]:
+    """One line for each channel that is beyond what a rig of this kind has, with the scale that would mend it."""
+    sizes: dict[Channel, float] = {} if recording.kind == "equilibria" else {"t": float(np.median(steps))}
+    sizes |= {channel: float(np.percentile(np.abs(column), 99)) for channel, column in values.items()}
+    for channel, size in sizes.items():
+        scale = scale_of_size(size, channel)
+        if scale is not None:
+            what = "its samples are {:.3g} s apart" if channel == "t" else f"it reaches {{:.3g}} {UNITS[channel]}"
+            column = recording.column(channel)
+            yield (
+                f"{channel} (column {column.column!r}): {what.format(size)}, more than the {MOST[channel]:g} "
+                f"{UNITS[channel]} of any rig of this kind; scale = {column.scale * scale:g} would make it plausible"
+            )
 
 
 def _convert(column: Column, raw: FloatArray) -> FloatArray:
@@ -149,6 +184,14 @@ def _check_time(table: Table, recording: Recording, time_s: FloatArray) -> Float
     if table.rows < 2:
         raise DataError(f"{table.path} has one row", remedy="T_s needs two at least")
     steps = np.diff(time_s)
+    median_s = float(np.median(steps))
+    torn = np.flatnonzero(steps > LARGEST_GAP * median_s) if median_s > 0.0 else np.zeros(0, dtype=int)
+    if torn.size:
+        row = int(torn[0]) + 1
+        raise DataError(
+            f"{table.path}, {table.place(row)}: {name} jumps by {steps[row - 1]:.3g} s, {LARGEST_GAP} samples and more",
+            remedy="Split the file there, or correct the cell",
+        )
     bad = np.flatnonzero(steps <= 0.0)
     if bad.size:
         row = int(bad[0]) + 1

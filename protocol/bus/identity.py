@@ -12,13 +12,13 @@ The folder may be copied to the machine that needs it.  `--identity FOLDER` name
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
 from protocol.errors import ConfigError
+from protocol.files import open_regular, parse_toml, read_small
 
 VARIABLE = "BOARD51_IDENTITY"
 HELP = (
@@ -84,23 +84,20 @@ def load_identity(folder: Path) -> Identity:
     """
     folder = folder.absolute()
     for name in FILES:
-        try:
-            mode = (folder / name).stat().st_mode
-            (folder / name).open("rb").close()
-        except OSError as error:
-            raise ConfigError(f"{folder / name} cannot be read: {error.strerror}", remedy=_REMEDY) from None
+        with open_regular(folder / name, remedy=_REMEDY, error=ConfigError) as file:
+            mode = os.fstat(file.fileno()).st_mode
         if name in _PRIVATE and mode & 0o077:
             raise ConfigError(
                 f"{folder / name} is open to others (mode {mode & 0o777:04o})", remedy=f"chmod 600 {folder / name}"
             )
+    where = str(folder / "identity.toml")
+    text = read_small(folder / "identity.toml", remedy=_REMEDY, error=ConfigError)
+    table = parse_toml(text, where=where, remedy=_REMEDY)
     try:
-        table = tomllib.loads((folder / "identity.toml").read_text(encoding="utf-8"))
         name, role, password = (str(table[key]) for key in ("name", "role", "password"))
         valid_until = table["valid_until"]
         if not isinstance(valid_until, datetime) or valid_until.tzinfo is None:
             raise KeyError("valid_until")
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{folder / 'identity.toml'} is not TOML: {error}", remedy=_REMEDY) from None
     except KeyError as error:
-        raise ConfigError(f"{folder / 'identity.toml'} has no {error.args[0]}", remedy=_REMEDY) from None
+        raise ConfigError(f"{where} has no {error.args[0]}", remedy=_REMEDY) from None
     return Identity(name=name, role=role, password=password, folder=folder, valid_until=valid_until)

@@ -9,7 +9,7 @@ import pytest
 
 from gateway.emulator.effects import EFFECTS, check
 from gateway.emulator.secret import draw, open_sealed, seal
-from protocol.errors import DataError, ServiceError, UsageError
+from protocol.errors import DataError, UsageError
 
 
 def test_draws_are_one_to_three_effects_of_plausible_strength() -> None:
@@ -119,5 +119,5 @@ def test_what_is_not_a_sealed_file_is_refused(tmp_path: Path, text: str) -> None
 def test_a_missing_file_and_a_missing_directory_are_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="cannot be read"):
         open_sealed(tmp_path / "none.json")
-    with pytest.raises(ServiceError, match="cannot be written"):
+    with pytest.raises(UsageError, match="cannot be written"):
         seal(tmp_path / "none" / "sealed.json", draw(1))

@@ -120,6 +120,10 @@ def test_kinds_of_csv(tmp_path: Path, separator: str, compressed: bool) -> None:
         ("t,x\n0,1\n1,nan\n", "line 3: x = 'nan' is not a finite number"),
         ("t,x\n0,1\n1,inf\n", "line 3: x = 'inf' is not a finite number"),
         ("t,x\n0,1\n1,far\n", "line 3: x = 'far' is not a finite number"),
+        ("t,x\n0,1\n1,1e308\n", r"line 3: x = '1e308' gives 1e\+308 m for x, which nothing measures"),
+        ("t,x\n0,1\n1e308,1\n", "line 3: t = '1e308' gives"),
+        ("t,x\n0,1\n1,1\n2,1\n9e9,1\n", "line 5: t jumps by 9e"),
+        ("t,x\n0,-999999999\n1,1\n", "line 2: x = '-999999999'"),
         ("# c\nt;x\n0;1\n1;2,5\n", "line 4: x = '2,5'.*decimals with a point"),
         ("t,x\n0,1\n1,2,3\n", "line 3 has 3 cells, the first line 2"),
         ("t,x\n0,1\n1\n", "line 3 has 1 cells"),
@@ -176,6 +180,67 @@ def test_bad_matlab_files_are_told(tmp_path: Path, content: dict[str, object] | 
 
     with pytest.raises(DataError, match=says):
         bring(tmp_path, data, name="a.mat")
+
+
+def test_what_a_rig_does_not_do_is_said_with_the_scale_that_would_mend_it(tmp_path: Path) -> None:
+    rows = "".join(f"{2 * n},{5.7 * n / 50},{600 + n},{2500}\n" for n in range(50))
+
+    report, found = bring(tmp_path, "t,x,i_c,u_c\n" + rows)
+
+    assert len(found) == 50, "it is the user's to decide"
+    said = {line.split(" ")[0]: line for line in report.warnings}
+    assert said.keys() == {"t", "x", "i_c", "u_c"}
+    for channel, words in (
+        ("t", "its samples are 2 s apart, more than the 0.2 s"),
+        ("x", "reaches 5.5"),
+        ("i_c", "more than the 30 A"),
+        ("u_c", "it reaches 2.5e+03 V"),
+    ):
+        assert words in said[channel]
+        assert "scale = 0.001 would make it plausible" in said[channel]
+
+
+def test_a_plausible_recording_is_imported_without_a_word(tmp_path: Path) -> None:
+    report, _ = bring(tmp_path, "t,x,i_c,u_c\n" + "".join(f"{n * 2e-3},0.0057,0.6,2.1\n" for n in range(50)))
+
+    assert report.warnings == ()
+
+
+def test_a_unit_in_the_name_of_a_column_wants_a_scale(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.csv").write_text("t_ms,x_mm\n0,1.5\n2,1.6\n")
+    words = ["import", str(tmp_path / "a.csv"), "-o", str(tmp_path / "a.mcap"), "--map", "t=t_ms,scale=1e-3", "--map"]
+
+    assert board51.main([*words, "x=x_mm"]) == 2
+    assert "x = 'x_mm' is in mm by its name, x is in m. Give it scale = 0.001" in capsys.readouterr().err
+    assert board51.main([*words, "x=x_mm,scale=1e-3"]) == 0
+    assert [s.x_m for s in states(tmp_path / "a.mcap")] == pytest.approx([0.0015, 0.0016])
+
+
+def test_variables_of_a_matlab_file_that_are_no_columns_are_named_with_the_reason(tmp_path: Path) -> None:
+    content = {
+        "t": np.arange(5) * 0.002,
+        "x": np.full(5, 1e-3),
+        "pos": np.zeros((5, 3)),
+        "z": np.zeros(5, complex),
+        "note": "hello",
+        "parts": np.array([np.zeros(5), "a"], dtype=object),
+        "T_s": 0.002,
+    }
+    savemat(tmp_path / "b.mat", content)
+
+    report, _ = bring(tmp_path, (tmp_path / "b.mat").read_bytes(), name="a.mat")
+
+    said = "\n".join(report.warnings)
+    assert len(report.warnings) == 4
+    for words in (
+        "'pos' cannot be used: it is a matrix of 5 x 3",
+        "'z' cannot be used: it is complex",
+        "'note'",
+        "'parts'",
+    ):
+        assert words in said
+    with pytest.raises(DataError, match="has no column 'pos': it is a matrix of 5 x 3"):
+        bring(tmp_path, (tmp_path / "b.mat").read_bytes(), name="c.mat", x="pos")
 
 
 def test_import_and_export_return_every_bit(tmp_path: Path) -> None:

@@ -195,7 +195,7 @@ def foreign(path: Path, *, schema: str, topic: str) -> None:
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        (None, "no such file"),
+        (None, "No such file"),
         (b"", "is empty"),
         (b"t,x\n0,1\n", "not an MCAP file"),
         (b"\x89MCA", "not an MCAP file.*cut off"),
@@ -303,4 +303,4 @@ def test_the_commands_answer_with_codes_and_one_line(tmp_path: Path, capsys: pyt
     assert board51.main(["info", str(tmp_path / "absent.mcap")]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert "no such file" in said
+    assert "No such file" in said

@@ -75,6 +75,10 @@ def test_the_controller_is_optional() -> None:
     [
         ("mass_kg = 8.28e-3", "mass_g = 8.28", "plant.mass_kg is missing.*mass_g is not a key"),
         ("travel_m = 5.7e-3", "travel_m = 5.7", "plant.travel_m = 5.7 is not in.*Check the unit"),
+        ("mass_kg = 8.28e-3", "mass_kg = 8.28", "plant.mass_kg = 8.28 is not in 0.0001 .. 2, as steel balls of .* mm"),
+        ("mass_kg = 8.28e-3", "mass_kg = 8.28e-6", "plant.mass_kg = 8.28e-06 is not in"),
+        ('name = "ce152"', "gravity_m_s2 = 981.0", "plant.gravity_m_s2 = 981.0 is not in 1 .. 20"),
+        ('"t_s"', '"t_ms"', r"columns.t = 't_ms' is in ms by its name, t is in s.*scale = 0.001"),
         ("mass_kg = 8.28e-3", 'mass_kg = "8.28e-3"', "plant.mass_kg = '8.28e-3' is not a finite number"),
         ("mass_kg = 8.28e-3", "mass_kg = nan", "plant.mass_kg = nan is not a finite number"),
         ("mass_kg = 8.28e-3", "mass_kg = true", "plant.mass_kg = True is not a finite number"),
@@ -132,6 +136,37 @@ def test_recordings_lie_beside_the_campaign_or_in_the_data_folder(
         campaign.path_of(run)
     monkeypatch.setenv("BOARD51_DATA", str(shared))
     assert campaign.path_of(run) == shared / "run7.csv.gz"
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret", "{outside}/secret", "link", "a/../../secret", "loop", "x" * 300, "a\\u0000b"]
+)
+def test_a_campaign_reaches_no_file_outside_its_folder(tmp_path: Path, name: str) -> None:
+    rig, outside = tmp_path / "rig", tmp_path
+    (rig / "a").mkdir(parents=True)
+    (outside / "secret").write_text("x")
+    (rig / "link").symlink_to(outside / "secret")
+    (rig / "loop").symlink_to(rig / "loop")
+    (rig / "campaign.toml").write_text(TEXT.replace("amplifier_step.csv", name.format(outside=outside)))
+
+    campaign = load(rig)
+
+    with pytest.raises(DataError, match=r"outside the campaign's folder|is not at") as said:
+        campaign.path_of(campaign.recordings[0])
+    assert "--data" in str(said.value)
+
+
+def test_a_link_to_the_folder_that_the_user_names_is_followed(tmp_path: Path) -> None:
+    rig, disk = tmp_path / "rig", tmp_path / "disk"
+    rig.mkdir()
+    disk.mkdir()
+    (disk / "step.csv").write_text("")
+    (rig / "amplifier_step.csv").symlink_to(disk / "step.csv")
+    (rig / "campaign.toml").write_text(TEXT)
+
+    campaign = load(rig)
+
+    assert campaign.path_of(campaign.recordings[0], data=disk) == rig / "amplifier_step.csv"
 
 
 @pytest.mark.parametrize(("content", "says"), [(None, "cannot be read"), (b"\xff\xfe", "not UTF-8 text")])

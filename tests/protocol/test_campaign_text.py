@@ -27,11 +27,11 @@ from protocol.errors import ConfigError, DataError
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 words = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=20)
-lengths = st.floats(1e-5, 1.0)
+lengths = st.floats(1e-4, 0.5)
 
 plants = st.builds(
-    Plant, name=words, mass_kg=st.floats(1e-6, 100.0), travel_m=lengths, x_max_m=lengths,
-    gravity_m_s2=st.floats(0.1, 100.0),
+    Plant, name=words, mass_kg=st.floats(1e-4, 2.0), travel_m=lengths, x_max_m=lengths,
+    gravity_m_s2=st.floats(1.0, 20.0),
 )  # fmt: skip
 controllers = st.builds(
     Controller, kind=st.sampled_from(CONTROLLERS), gains=st.tuples(finite, finite, finite, finite),
@@ -76,7 +76,7 @@ def test_a_plant_alone_is_enough_for_its_reader(tmp_path: Path) -> None:
     ("text", "error", "says"),
     [
         ("", ConfigError, "plant is missing"),
-        ("[plant]\nmass_kg = 8.28\n", ConfigError, "travel_m is missing"),
+        ("[plant]\nmass_kg = 8.28e-3\n", ConfigError, "travel_m is missing"),
         ("[plant", ConfigError, "is not TOML"),
     ],
 )
@@ -91,3 +91,11 @@ def test_a_plant_that_is_none_is_named(text: str, error: type[Exception], says: 
 def test_an_absent_plant_is_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"absent\.toml cannot be read"):
         load_plant(tmp_path / "absent.toml")
+
+
+def test_a_scale_of_one_is_written_where_the_name_says_another_unit() -> None:
+    recording = Recording(file="a.csv", kind="free", use="fit", columns={"x": Column(column="x_mm", scale=1.0)})
+    plant = Plant(name="rig", mass_kg=8.28e-3, travel_m=5.7e-3, x_max_m=5.7e-3, gravity_m_s2=9.81)
+    campaign = Campaign(where="campaign.toml", folder=Path(), plant=plant, controller=None, recordings=(recording,))
+
+    assert parse(emit(campaign), where="campaign.toml") == campaign

@@ -226,3 +226,21 @@ def _processes_in(folder: Path) -> list[str]:
         except OSError:  # ended meanwhile, or not ours
             continue
     return found
+
+
+def test_a_fault_of_ours_is_one_line_with_a_code_of_its_own_and_a_traceback_on_demand(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(_: object) -> int:
+        raise ZeroDivisionError("float division\nby zero")
+
+    monkeypatch.setattr(bench, "run", broken)
+
+    assert board51.main(["bench", "log"]) == board51.OUR_FAULT
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "ZeroDivisionError: float division\\nby zero" in err
+    assert board51.DEBUG in err
+    monkeypatch.setenv(board51.DEBUG, "1")
+    with pytest.raises(ZeroDivisionError):
+        board51.main(["bench", "log"])

@@ -21,6 +21,8 @@ FLAT_SHARE = 2e-3  # of the range of u_c: smaller changes are the same level
 SHAPE_Z = 5.0  # standard deviations of a chi-square
 SHAPE_RATIO = 1.3  # rms of the residual in the transient over the noise, below which a shape is first order enough
 BEND_Z = 5.0  # standard errors of a level off the line
+RESOLVED = 2.0**-16  # of the range of i_c: no converter of such a rig has more bits, whatever a file says
+TELLING = 100.0  # times the noise; a larger ratio is of how small the noise came out
 _HUBER = 1.5
 
 
@@ -54,11 +56,20 @@ class Shape:
     T_A: float
     T_A_std: float
     steps: int
-    ratio: float  # rms residual in the transients over the noise
+    residual_a: float  # rms, in the transients
+    resolution_a: float  # what i_c can show at best: a converter's step, where the noise is below it; else 0
+    ratio: float  # rms residual in the transients over the noise, or over the resolution
     z: float
     spread: float  # of T_A from step to step, relative
     first_order: bool
     sample_time_s: float
+
+    @property
+    def said(self) -> str:
+        """The residual, with what it is to be compared with."""
+        other = "the resolution" if self.resolution_a else "the noise"
+        many = f"{self.ratio:.1f} times" if self.ratio < TELLING else "far beyond"
+        return f"{self.residual_a * 1e3:.3g} mA rms, {many} {other}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -197,7 +208,9 @@ def find_shape(records: list[Record]) -> Shape | None:
         return None
     noise = np.array([_tail_noise(step.i) for step in steps])
     sigma = float(np.sqrt(np.mean(noise**2)))
-    sigma = max(sigma, 1e-9)
+    resolution = max(_resolution(step.i) for step in steps)
+    unresolved = sigma < resolution / np.sqrt(12.0)
+    sigma = max(sigma, resolution / np.sqrt(12.0))
     shortest, longest = steps[0].sample_time_s / 30.0, len(steps[0].i) * steps[0].sample_time_s
 
     def cost(log_tau: float) -> float:
@@ -231,6 +244,8 @@ def find_shape(records: list[Record]) -> Shape | None:
         T_A=T_A,
         T_A_std=float(T_A * sigma * np.sqrt(2.0 / max(curvature, 1e-300))),
         steps=len(steps),
+        residual_a=float(np.sqrt(squares / max(count, 1))),
+        resolution_a=resolution if unresolved else 0.0,
         ratio=ratio,
         z=float(z),
         spread=float(np.std(single) / T_A) if len(single) > 1 else 0.0,
@@ -262,6 +277,15 @@ def _recorded_steps(record: Record) -> list[_Step]:
 
 def _tail_noise(i: FloatArray) -> float:
     return float(np.std(np.diff(i[-max(len(i) // 4, 8) :]))) / float(np.sqrt(2.0))
+
+
+def _resolution(i: FloatArray) -> float:
+    """The step between the values of a quantised or rounded channel; RESOLVED of the range where there is none."""
+    values = np.unique(i)
+    span = float(np.ptp(values))
+    gaps = np.diff(values)
+    gaps = gaps[gaps > 1e-9 * span]  # nearer ones are the same value, computed twice
+    return max(float(gaps.min()) if gaps.size else 0.0, RESOLVED * span, 1e-9)
 
 
 def _first_order(step: _Step, T_A: float) -> tuple[float, FloatArray]:

@@ -6,17 +6,19 @@ Rule 2: `skip_s` is taken off every file alike, after sorting out nothing: the o
 
 from __future__ import annotations
 
-import gzip
-import zlib
+import re
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from protocol.campaign import CHANNELS, Campaign, Channel, Column, Recording
 from protocol.errors import DataError
+from protocol.files import open_regular
+from protocol.table_file import LONGEST_LINE, REMEDY, check_mat, check_table, read_csv_bytes
 from twin.identify.record import Capture, FloatArray, Record
 
-_GZIP = b"\x1f\x8b"
 _HEAD = 4096  # bytes that tell text from something else
 
 
@@ -39,15 +41,12 @@ def read_recording(path: Path, recording: Recording) -> Record:
     Raises:
         DataError: the file is none of CSV, MATLAB, MCAP, or lacks what its kind needs.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(16)
-    except OSError as error:
-        raise DataError(f"{path} cannot be read ({error.strerror})", remedy="Name a readable file") from None
+    with open_regular(path, remedy=REMEDY) as file:
+        head = file.read(16)
     if head.startswith(b"\x89MCAP0\r\n"):
         record = _read_log(path, recording)
     elif head.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
-        record = _from_columns(path, recording, _mat_columns(path))
+        record = _from_columns(path, recording, *_mat_columns(path))
     else:
         record = _from_columns(path, recording, _csv_columns(path))
     return _skip(record, recording.skip_s)
@@ -89,14 +88,8 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
     import pyarrow as pa
     from pyarrow import csv
 
-    data = path.read_bytes()
-    if data.startswith(_GZIP):
-        try:
-            data = gzip.decompress(data)
-        except (EOFError, OSError, zlib.error) as error:
-            raise DataError(f"{path} is damaged or cut off: {error}", remedy="Fetch it again") from None
-    data = data.removeprefix(b"\xef\xbb\xbf")
-    if b"\0" in data[:_HEAD] or not data[:_HEAD].decode("utf-8", errors="ignore").strip():
+    data = read_csv_bytes(path)
+    if not data[:_HEAD].decode("utf-8", errors="ignore").strip():
         raise DataError(f"{path} is not text", remedy="Name a CSV file in UTF-8, a .mat or an MCAP file")
     # Bytes all the way: an hour of samples as a list of lines takes half a gigabyte.
     if data.startswith(b"#") or b"\n#" in data:
@@ -108,6 +101,8 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
     header = data[start:end].decode("utf-8", errors="replace").strip()
     separator = max(",;\t", key=header.count)
     names = [cell.strip().strip('"') for cell in header.split(separator)]
+    row = data[end + 1 : end + 1 + LONGEST_LINE].lstrip().partition(b"\n")[0].decode("utf-8", errors="replace")
+    check_table(path, names, row.replace('"', "").split(separator))
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise DataError(f"{path}: column {twice!r} is there twice", remedy="Give each column its own name")
@@ -132,7 +127,11 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
     try:
         table = csv.read_csv(pa.BufferReader(body), **options)
     except pa.ArrowInvalid as error:
-        raise DataError(f"{path} is not a table: {str(error).splitlines()[0]}", remedy="Complete that line") from None
+        where = (
+            str(error).splitlines()[0].partition(": ")[2]
+        )  # "CSV parse error: Row #3: Expected 4 columns, got 2: ROW"
+        where = re.sub(r"(got \d+): .*", r"\1", where)
+        raise DataError(f"{path} is not a table: {where}", remedy="Complete that line") from None
     return {name: _numbers(table.column(name)) for name in names}
 
 
@@ -152,32 +151,37 @@ def _number(cell: object) -> float:
         return float("nan")
 
 
-def _mat_columns(path: Path) -> dict[str, FloatArray]:
+def _mat_columns(path: Path) -> tuple[dict[str, FloatArray], dict[str, str]]:
     from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
 
+    check_mat(path)
     try:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError:
         raise DataError(f"{path} is a MATLAB 7.3 file", remedy="Save it again with: save(name, '-v7')") from None
-    except (MatReadError, ValueError, TypeError, IndexError, OSError, EOFError) as error:
+    except Exception as error:  # scipy lets through whatever its parser stumbles over, KeyError and zlib.error too
         raise DataError(f"{path} is not a MATLAB file, or is cut off: {error}", remedy="Save it again") from None
     columns: dict[str, FloatArray] = {}
+    unusable: dict[str, str] = {}
     for name, value in content.items():
         if not name.startswith("__"):
-            _collect(name, value, columns)
+            _collect(name, value, columns, unusable)
     if not columns:
-        raise DataError(f"{path} holds no numeric vectors", remedy="Save t, x, ... as vectors of equal length")
-    return columns
+        others = "".join(f"; {name}: {why}" for name, why in unusable.items())
+        raise DataError(f"{path} holds no numeric vectors{others}", remedy="Save t, x, ... as vectors of equal length")
+    return columns, unusable
 
 
-def _collect(name: str, value: object, columns: dict[str, FloatArray]) -> None:
+def _collect(name: str, value: object, columns: dict[str, FloatArray], unusable: dict[str, str]) -> None:
     fields = getattr(value, "_fieldnames", None)
     if fields is not None:
         for field in fields:
-            _collect(f"{name}.{field}", getattr(value, field), columns)
+            _collect(f"{name}.{field}", getattr(value, field), columns, unusable)
     elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.ndim == 1 and value.size > 1:
         columns[name] = value.astype(float)
+    elif isinstance(value, np.ndarray) and value.ndim > 0:
+        shape = " x ".join(str(size) for size in value.shape)
+        unusable[name] = f"it is an array of {shape} {value.dtype.name}, not a vector of real numbers"
 
 
 _NEEDED: dict[str, tuple[Channel, ...]] = {
@@ -190,9 +194,14 @@ _NEEDED: dict[str, tuple[Channel, ...]] = {
 }
 
 
-def _from_columns(path: Path, recording: Recording, columns: dict[str, FloatArray]) -> Record:
+def _from_columns(
+    path: Path,
+    recording: Recording,
+    columns: dict[str, FloatArray],
+    unusable: Mapping[str, str] = MappingProxyType({}),  # what else there is under a name, and why it is no column
+) -> Record:
     channels: dict[str, FloatArray] = {}
-    notes: list[str] = []
+    notes = [f"{recording.file}: {name} cannot be used: {why}" for name, why in unusable.items()]
     for channel in CHANNELS:
         mapping = recording.column(channel)
         if mapping.column in columns:
@@ -202,7 +211,8 @@ def _from_columns(path: Path, recording: Recording, columns: dict[str, FloatArra
                 notes.append(f"{recording.file}: {bad} cells of {mapping.column} are not numbers and were left out")
         elif channel in recording.columns or channel in _NEEDED[recording.kind]:
             raise DataError(
-                f"{path} has no column {mapping.column!r}, which {recording.kind} needs for {channel}",
+                f"{path} has no column {mapping.column!r}{_why(mapping.column, unusable)}, which "
+                f"{recording.kind} needs for {channel}",
                 remedy=f"Map {channel} in columns; the file has: {', '.join(columns)}",
             )
     lengths = {name: len(values) for name, values in channels.items()}
@@ -223,6 +233,10 @@ def _from_columns(path: Path, recording: Recording, columns: dict[str, FloatArra
         x_ref=channels.get("x_ref", absent),
         notes=tuple(notes),
     )
+
+
+def _why(column: str, unusable: Mapping[str, str]) -> str:
+    return f" ({unusable[column]})" if column in unusable else ""
 
 
 def _convert(mapping: Column, raw: FloatArray) -> FloatArray:

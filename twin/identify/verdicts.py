@@ -14,6 +14,7 @@ from twin.identify.start import BallStart
 from twin.model.parameters import PARAMETERS, Parameter
 
 IDENTIFIED, WEAK = 0.25, 1.0  # half width of the 95 % interval over the value
+SUREST = 1e-6  # relative standard error: no volt, ampere or metre of a laboratory is known better
 AGREE = 4.0  # standard errors between two estimates of the same number
 DIFFERENT = 0.02  # relative: two values of K_c so far apart are two
 OFFSET_SHARE = 2e-3  # of the largest level: a smaller offset is not worth a word
@@ -49,8 +50,8 @@ def gain(
             )
         if shape is not None and not shape.first_order:
             warnings.append(
-                f"the amplifier's step response is not first order: its residual is {shape.ratio:.1f} times the noise "
-                f"(z = {shape.z:.0f}, {shape.steps} steps); K_A is from the steady levels, T_A the best first-order fit"
+                f"the amplifier's step response is not first order: its residual is {shape.said} "
+                f"({shape.steps} steps); K_A is from the steady levels, T_A the best first-order fit"
             )
         differ = (
             joint is not None
@@ -86,16 +87,15 @@ def time_constant(
     """T_A: from the steps where the shape is odd, else jointly."""
     joint = intervals.get("T_A")
     if shape is not None and not shape.first_order:
-        # The spread from step to step says more than the noise does about a number that is not one number.
-        std = math.hypot(shape.T_A_std, shape.spread * shape.T_A / math.sqrt(shape.steps))
+        # What is left over, and the spread from step to step, say more than the noise about a number that is not one.
+        std = math.hypot(shape.T_A_std * shape.ratio, shape.spread * shape.T_A / math.sqrt(shape.steps))
         return _parameter(
             "T_A",
             shape.T_A,
             std,
             shape.T_A - 1.96 * std,
             shape.T_A + 1.96 * std,
-            f"best first-order response to {shape.steps} steps, which are not first order "
-            f"(residual {shape.ratio:.1f} times the noise)",
+            f"best first-order response to {shape.steps} steps, which are not first order (residual {shape.said})",
             "(1)",
             _TIME_HELP,
         )
@@ -276,6 +276,8 @@ def _parameter(
     name: str, value: float, std: float, low: float, high: float, method: str, equation: str, remedy: str
 ) -> Parameter:
     unit, lowest, highest = PARAMETERS[name]
+    least = SUREST * abs(value)  # recordings without noise would ask for any number of digits
+    std, low, high = max(std, least), min(low, value - 1.96 * least), max(high, value + 1.96 * least)
     bounded = min(max(value, lowest), highest)
     low = max(low, 0.0)
     high = high if math.isfinite(high) else highest

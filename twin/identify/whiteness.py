@@ -42,6 +42,9 @@ def whiteness(series: Series, white: FloatArray) -> Whiteness:
             continue
         filled = np.where(good, values, 0.0)
         power = float(filled @ filled)
+        if power == 0.0:  # simulated without noise, by this very model
+            results.append((0.0, float("nan"), 0.0))
+            continue
         statistic, worst = 0.0, 0.0
         for lag in range(1, LAGS + 1):
             same = good[lag:] & good[:-lag] & (groups[lag:] == groups[:-lag])

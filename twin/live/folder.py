@@ -5,7 +5,6 @@ Rule: a new folder each time; nothing is overwritten, and what was diagnosed can
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from itertools import pairwise
@@ -16,6 +15,7 @@ from protocol.bus import topics
 from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recording
 from protocol.campaign_text import emit
 from protocol.errors import DataError
+from protocol.files import parse_json
 from twin.live.pieces import Piece
 from twin.live.source import Heard
 from twin.model.nominal import nominal
@@ -64,9 +64,8 @@ def write(heard: Heard, pieces: Sequence[Piece], plant: Plant, out: Path, *, sit
 
 def plant_of(heard: Heard) -> Plant:
     """Of the model that the live twin runs on; of the nominal CE 152 where no twin is heard."""
-    model = (
-        model_from_dict(json.loads(heard.model_json), where="the live twin's model") if heard.model_json else nominal()
-    )
+    where = "the live twin's model"
+    model = model_from_dict(parse_json(heard.model_json, where=where), where=where) if heard.model_json else nominal()
     return Plant(
         name=model.plant.name,
         mass_kg=model.plant.mass_kg,

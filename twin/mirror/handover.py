@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import parse
 from protocol.errors import DataError
+from protocol.files import parse_json
 from twin.model.parameters import Model, model_from_dict, model_to_dict
 
 MAX_PAYLOAD = 1_000_000  # bytes; an identified model has some 10 000
@@ -106,15 +107,11 @@ def read_command(payload: bytes) -> pb.TwinCommand | pb.CommandReply:
 def read_model(command: pb.TwinCommand) -> Belief | pb.CommandReply:
     """The model of a `use_model`, checked as a model file is, or the refusal that names what is wrong with it."""
     try:
-        # Apart from JSON's own errors: an integer too long to convert, a number too large for a float, a nesting
-        # deeper than the parser's stack.
-        data = json.loads(command.use_model.model_json)
+        data = parse_json(command.use_model.model_json, where="the model handed over")
         model = model_from_dict(data, where="the model handed over")
         return believe(model, who=command.who, command_id=command.id)
     except DataError as error:
         return refusal("bad-model", str(error), command_id=command.id)
-    except (ValueError, OverflowError, RecursionError) as error:
-        return refusal("bad-model", f"The model handed over is not JSON of a model ({error}).", command_id=command.id)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,14 +8,14 @@ Rule 3: `causes` are of the catalogue, each with all its parameters (`extension.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from protocol.errors import DataError
+from protocol.campaign import PLANT_BOUNDS
+from protocol.files import parse_json, read_small
 from twin.model.checks import finite, number, refuse, table
 
 VERDICTS = ("identified", "weak", "not-identifiable", "assumed")  # assumed: taken from a source, not from a record
@@ -28,12 +28,7 @@ PARAMETERS: dict[str, tuple[str, float, float]] = {
     "K_c": ("N m^2/A^2", 1e-9, 1e-1),
     "b": ("N s/m", 0.0, 10.0),
 }
-PLANT: dict[str, tuple[float, float]] = {
-    "mass_kg": (1e-4, 10.0),
-    "travel_m": (1e-4, 0.5),
-    "x_max_m": (1e-4, 0.5),
-    "gravity_m_s2": (1.0, 20.0),
-}
+PLANT: dict[str, tuple[float, float]] = {key: (low, high) for key, (low, high, _) in PLANT_BOUNDS.items()}
 NOISE: dict[str, tuple[float, float]] = {
     "sigma_x_m": (1e-9, 1e-2),
     "sigma_i_c_a": (1e-7, 1.0),
@@ -124,16 +119,8 @@ def load_model(path: str | Path) -> Model:
         DataError: no such file, not JSON, or not a model; names the key and the value.
     """
     where = str(path)
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{where}: cannot be read ({error})", remedy="Give the path of a model.json") from error
-    try:
-        data = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise DataError(
-            f"{where}, line {error.lineno}: not JSON ({error.msg})", remedy="Give a model.json as `identify` writes it"
-        ) from error
+    text = read_small(Path(path), remedy="Give the path of a model.json")
+    data = parse_json(text, where=where, remedy="Give a model.json as `identify` writes it")
     return model_from_dict(data, where=where)
 
 

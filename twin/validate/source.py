@@ -16,6 +16,7 @@ import numpy as np
 
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Campaign, Controller, Plant
+from protocol.files import open_regular
 from twin.control import LawNumbers, law_numbers
 from twin.identify.checks import inspect
 from twin.identify.dead import without_dead
@@ -203,7 +204,7 @@ def _usages(model: Model) -> list[dict[str, object]]:
 
 
 def _announced(path: Path, board: str) -> list[pb.Parameters]:
-    with path.open("rb") as file:
+    with open_regular(path, remedy="Name a recording") as file:
         if not file.read(8).startswith(b"\x89MCAP0"):
             return []
     return [parse(pb.Parameters, entry, path) for entry in LogReader(path, topics=("parameters",), board=board or None)]

@@ -5,15 +5,15 @@ Rule: a file is checked whole before anything of it is shown: what the screen sh
 
 from __future__ import annotations
 
-import json
 import math
-import tomllib
 from typing import Any
 
 from protocol.bus import board51_pb2 as pb
-from protocol.errors import DataError
+from protocol.errors import DataError, UsageError
+from protocol.files import parse_json, parse_toml
 
 MAX_BYTES = 64_000
+_REMEDY = "Take one that board51 design wrote"
 NAMES = {"lqi": ("k_i", "k_x", "k_v", "k_int"), "pid": ("k_p", "k_int", "k_d", "")}
 UNITS = {"lqi": ("V/A", "V/m", "V s/m", "V/(m s)"), "pid": ("V/m", "V/(m s)", "V s/m", "")}
 _POINT = ("i_0_a", "x_0_m", "u_0_v")
@@ -76,13 +76,15 @@ def _table(data: bytes) -> dict[str, Any]:
         raise DataError(f"The file has {len(data)} bytes", remedy=f"A file of gains has at most {MAX_BYTES}")
     try:
         text = data.decode("utf-8")
-        table = json.loads(text) if text.lstrip().startswith("{") else tomllib.loads(text)
-    except (UnicodeDecodeError, ValueError, RecursionError) as error:
-        raise DataError(
-            f"The file is neither JSON nor TOML ({str(error)[:80]})", remedy="Take one that board51 design wrote"
-        ) from None
+    except UnicodeDecodeError:
+        raise DataError("The file is not UTF-8 text", remedy=_REMEDY) from None
+    parse = parse_json if text.lstrip().startswith("{") else parse_toml
+    try:
+        table = parse(text, where="the file")
+    except UsageError as error:
+        raise DataError(f"The file is neither JSON nor TOML ({error.problem})", remedy=_REMEDY) from None
     if not isinstance(table, dict):
-        raise DataError("The file holds no table of keys", remedy="Take one that board51 design wrote")
+        raise DataError("The file holds no table of keys", remedy=_REMEDY)
     return table
 
 

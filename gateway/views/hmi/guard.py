@@ -9,6 +9,8 @@ Rule 3: what changes something bears the session's token in TOKEN_HEADER, a WebS
 Rule 4: on loopback the Host must be a name of loopback: a page elsewhere whose name leads to 127.0.0.1 is no guest.
 Rule 5: a WebSocket ends with its session, also in the middle.
 Rule 6: bodies are bounded.
+Rule 7: over TLS the browser is told to come by TLS for a year (HSTS).  It keeps that for the host's name, whatever the
+        port, and not for an address.
 """
 
 from __future__ import annotations
@@ -46,6 +48,7 @@ _HEADERS = (
         b" base-uri 'self'",
     ),
 )
+_HTTPS_HEADERS = ((b"strict-transport-security", b"max-age=31536000"),)
 
 
 class Guard:
@@ -64,6 +67,7 @@ class Guard:
     ) -> None:
         self._app, self._sessions, self._newcomer = app, sessions, newcomer
         self._loopback, self._https = loopback, https
+        self._added = _HEADERS + (_HTTPS_HEADERS if https else ())
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One request or one WebSocket."""
@@ -157,7 +161,7 @@ class Guard:
         async def sender(message: Message) -> None:
             if message["type"] == "http.response.start":
                 there = {name.lower() for name, _ in message["headers"]}
-                message["headers"] = [*message["headers"], *(h for h in _HEADERS if h[0] not in there)]
+                message["headers"] = [*message["headers"], *(h for h in self._added if h[0] not in there)]
                 if opened is not None:
                     message["headers"].append((b"set-cookie", self.cookie(opened, host).encode("latin-1")))
             await send(message)

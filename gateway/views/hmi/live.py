@@ -25,6 +25,8 @@ from gateway.views.hmi.guard import PROTOCOL, SESSION_OVER
 from gateway.views.hmi.sessions import Session, Sessions
 from gateway.views.hmi.traces import Traces
 from protocol.bus import board51_pb2 as pb
+from protocol.errors import DataError
+from protocol.files import parse_json
 
 FRAME_S = 1.0 / 30.0
 REST_S = 0.25  # lists and health are looked at so often, and sent when they changed
@@ -74,9 +76,9 @@ class Pictures:
 def travel_of(model_json: str) -> float:
     """The way between the stops that a model file tells, m; NaN where it does not."""
     try:
-        value = json.loads(model_json)["plant"]["travel_m"]
+        value = parse_json(model_json, where="the twin's model")["plant"]["travel_m"]
         return float(value) if 0.0 < float(value) < 1.0 else math.nan
-    except (ValueError, TypeError, KeyError):
+    except (DataError, ValueError, TypeError, KeyError):
         return math.nan
 
 

@@ -22,9 +22,10 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
+from gateway.access.logins import Logins, TooMany
 from gateway.access.users import Users
 from gateway.views.hmi.console import Console
-from gateway.views.hmi.guard import Guard, refusal
+from gateway.views.hmi.guard import Guard, cookie_name, refusal
 from gateway.views.hmi.sessions import Session
 from protocol.bus import board51_pb2 as pb
 
@@ -43,7 +44,8 @@ class Requests:
     """
 
     def __init__(self, console: Console, users: Users | None) -> None:
-        self._console, self._users = console, users
+        self._console = console
+        self._logins = Logins(users) if users is not None else None
         self.guard: Guard | None = None  # makes the cookies; set once it stands
 
     def routes(self) -> list[Route]:
@@ -118,20 +120,21 @@ class Requests:
 
     async def login_form(self, request: Request) -> Response:
         """The form."""
-        if self._users is None:
+        if self._logins is None:
             return RedirectResponse("/", status_code=303)
         return _form("Your session is over: log in again." if "over" in request.query_params else "")
 
     async def login(self, request: Request) -> Response:
         """Name and password in, a session out."""
-        if self._users is None or self.guard is None:
+        if self._logins is None or self.guard is None:
             return RedirectResponse("/", status_code=303)
         fields = parse_qs((await request.body())[:4096].decode("utf-8", errors="replace"))
         name, password = (fields.get(field, [""])[0] for field in ("name", "password"))
-        locked_s = self._users.locked_s(name)
-        if locked_s > 0.0:
-            return _form(f"Too many wrong passwords. Try again in {locked_s:.0f} s.", status=429)
-        user = await asyncio.to_thread(self._users.check, name, password)  # slow on purpose
+        host = request.client.host if request.client is not None else ""
+        browser = self._console.sessions.held(request.cookies.get(cookie_name(_host(request)), ""), name)
+        user = await self._logins.login(name, password, host, browser=browser)
+        if isinstance(user, TooMany):
+            return _form(f"Too many passwords from your address. Try again in {user.wait_s:.0f} s.", status=429)
         if user is None:
             return _form("The name or the password is wrong.", status=401)
         session = self._console.sessions.open(user.name, user.role, time.monotonic())

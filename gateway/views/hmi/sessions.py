@@ -11,6 +11,7 @@ Rule 4: memory is bounded: the session that was idle longest makes room.
 from __future__ import annotations
 
 import secrets
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -46,6 +47,7 @@ class Sessions:
     ) -> None:
         self.idle_s, self.lifetime_s, self._known = idle_s, lifetime_s, known
         self._open: dict[str, Session] = {}
+        self._names: OrderedDict[str, str] = OrderedDict()  # by token, also of sessions that are over
 
     def open(self, name: str, role: Role, now_s: float) -> Session:
         """A new session; the caller has checked who it is."""
@@ -55,7 +57,14 @@ class Sessions:
             del self._open[min(self._open.values(), key=lambda s: s.acted_s).token]
         session = Session(name=name, role=role, opened_s=now_s, acted_s=now_s)
         self._open[session.token] = session
+        self._names[session.token] = name
+        if len(self._names) > MAX_SESSIONS:
+            self._names.popitem(last=False)
         return session
+
+    def held(self, token: str, name: str) -> str:
+        """The token if it is, or was, of a session of `name`, else ""."""
+        return token if self._names.get(token) == name else ""
 
     def get(self, token: str, now_s: float) -> Session | None:
         """The session of a cookie, None where there is none or it is over."""

@@ -20,6 +20,7 @@ from cryptography.x509.oid import NameOID
 
 from gateway.access.certificates import WARN_DAYS, check_certificate
 from gateway.access.folder import OPCUA_URI, SecurityFolder
+from gateway.access.logins import Logins, TooMany
 from gateway.access.private import read_private
 from gateway.access.users import User, Users
 from gateway.views.opcua.desk import Visitor
@@ -54,14 +55,22 @@ class Security:
         check_certificate(folder.ca, what="The authority's certificate")
         self._authority = _load(folder.ca)
         self._users = Users.load(folder.users)
+        self._logins = Logins(self._users)
         self._trusted = path / "opcua" / "trusted"
 
-    def identify(self, name: str | None, password: str | None, certificate: bytes | None) -> Visitor | None:
-        """Who this is; None for a wrong password, an unknown certificate and an unknown name alike."""
-        if name is not None:
-            user = self._users.check(name, password or "")
-        else:
-            user = self._of_certificate(certificate or b"")
+    def identify(self, name: str | None, password: str | None, certificate: bytes | None, host: str) -> Visitor | None:
+        """Who this is; None for a wrong password, an unknown certificate and an unknown name alike.
+
+        Raises:
+            ServiceError: too many passwords were tried from this host.
+        """
+        user = (
+            self._of_certificate(certificate or b"")
+            if name is None
+            else self._logins.at_once(name, password or "", host)
+        )
+        if isinstance(user, TooMany):
+            raise ServiceError(S.BadTooManyOperations)
         return None if user is None else Visitor(name=user.name, role=user.role)
 
     async def check_client(self, certificate: x509.Certificate, application: ua.ApplicationDescription) -> None:

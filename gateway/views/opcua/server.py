@@ -67,10 +67,10 @@ async def serve(feed: Feed, settings: Settings, stop: asyncio.Event, ready: Call
     security = settings.security
     anonymous = Visitor(name="anonymous", role=settings.anonymous) if settings.anonymous is not None else None
 
-    def identify(name: str | None, password: str | None, certificate: bytes | None) -> Visitor | None:
+    def identify(name: str | None, password: str | None, certificate: bytes | None, host: str) -> Visitor | None:
         if name is None and certificate is None:
             return anonymous
-        return security.identify(name, password, certificate) if security is not None else None
+        return security.identify(name, password, certificate, host) if security is not None else None
 
     inner = GuardedServer(Reception(identify), Desk(feed), secured=security is not None)
     server = Server(iserver=inner)

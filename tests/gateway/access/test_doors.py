@@ -18,7 +18,7 @@ from gateway.access.private import write_private
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import refused_by_router, zenoh_config
 from protocol.errors import ConfigError
-from tests.gateway.access.access_peers import Client, GuardedRig, guarded_rig, join
+from tests.gateway.access.access_peers import Client, GuardedRig, fresh, guarded_rig, join
 from tests.gateway.gateway_peers import free_port, wait_for
 
 pytestmark = pytest.mark.xdist_group("guarded-bus")
@@ -110,6 +110,31 @@ def test_a_session_ends_when_its_certificate_does(rig: GuardedRig, keys: Securit
         before = len(client.states)
         assert client.command(ping=pb.Ping()) is None
         assert len(client.states) == before
+
+
+@pytest.mark.parametrize("whose", ["identities/ana/certificate", "identities/views/certificate", "bus/router"])
+@pytest.mark.parametrize("kind", ["tls", "quic"])
+def test_a_password_with_the_certificate_of_somebody_else_gets_nothing(
+    keys: SecurityFolder, tmp_path: Path, whose: str, kind: str
+) -> None:
+    ben, key = keys.identity("ben"), whose.replace("certificate", "key") if "identities" in whose else f"{whose}-key"
+
+    def others(config: dict[str, Any]) -> None:
+        tls(config)["connect_certificate"] = str(keys.path / f"{whose}.pem")
+        tls(config)["connect_private_key"] = str(keys.path / f"{key}.pem")
+
+    with guarded_rig(keys, tmp_path, kind=kind) as rig, rig.join("vic") as honest:
+        with join(rig.endpoint, ben, change=others) as client:
+            assert list(client.session.info.routers_zid()), "the authority signed both, and the password is right"
+            assert client.ask(fresh(stop=pb.Stop()).SerializeToString(), timeout_s=1.0) == []
+            heard = len(honest.states)
+            wait_for(lambda: len(honest.states) > heard + 50, "states for the honest one")
+
+            assert client.states == []
+        with join(rig.endpoint, ben) as himself:
+            assert (reply := himself.command(stop=pb.Stop())) is not None
+            assert reply.accepted
+        assert rig.board.names().count("STOP") == 1
 
 
 def test_a_false_router_gets_nobodys_password(keys: SecurityFolder, tmp_path: Path) -> None:

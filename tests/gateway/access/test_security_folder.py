@@ -8,12 +8,15 @@ import shutil
 import socket
 import ssl
 import stat
+import subprocess
+import sys
 import threading
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+import zenoh
 from cryptography import x509
 
 import board51
@@ -333,3 +336,37 @@ def test_a_mistake_is_one_line_and_exit_code_two(
     assert len(err.splitlines()) == 1
     assert message in err
     assert os.listdir(tmp_path) == []  # nothing half made is left behind
+
+
+def test_the_configuration_for_other_languages_is_its_owner_s_alone(keys: SecurityFolder, tmp_path: Path) -> None:
+    identity, file, printed = keys.identity_path("ben"), tmp_path / "ben.json5", tmp_path / "printed.json5"
+    words = [sys.executable, "-m", "board51", "security", "zenoh-config", str(identity)]
+
+    written = subprocess.run([*words, "--out", str(file)], capture_output=True, text=True, check=False)
+    with printed.open("wb") as out:
+        printed.chmod(0o644)
+        refused = subprocess.run(words, stdout=out, stderr=subprocess.PIPE, text=True, check=False)
+    with printed.open("wb") as out:
+        printed.chmod(0o600)
+        private = subprocess.run(words, stdout=out, stderr=subprocess.PIPE, text=True, check=False)
+    piped = subprocess.run(words, capture_output=True, text=True, check=False)
+
+    assert (written.returncode, written.stderr, written.stdout) == (0, "", "")
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    assert refused.returncode == 2
+    assert len(refused.stderr.splitlines()) == 1
+    assert "--out FILE" in refused.stderr
+    assert (private.returncode, piped.returncode) == (0, 0)
+    assert file.read_text() == printed.read_text() == piped.stdout
+    assert zenoh.Config.from_json5(piped.stdout).get_json("transport/auth/usrpwd/user") == '"ben"'
+
+
+def test_a_password_printed_into_an_open_file_is_said(own: SecurityFolder, tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "board51", "security", "add-user", str(own.path), "eva:viewer"]
+
+    with (tmp_path / "out").open("wb") as out:
+        (tmp_path / "out").chmod(0o644)
+        said = subprocess.run(words, stdout=out, stderr=subprocess.PIPE, text=True, check=False)
+
+    assert said.returncode == 0
+    assert "others may read the password of eva" in said.stderr

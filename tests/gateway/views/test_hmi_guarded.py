@@ -133,6 +133,7 @@ def test_a_person_s_command_reaches_the_board_under_that_person_s_name_and_role(
         forbidden = page.post("/api/rig/command", {"set_stream": {"divider": 2}})
 
         assert "Secure" in cookie
+        assert "max-age=31536000" in page.http.get("/login").headers["strict-transport-security"]
         assert stopped.status_code == 200
         assert "STOP" in rig.board.names()
         record = next(r for r in bus.records if r.command.HasField("stop"))

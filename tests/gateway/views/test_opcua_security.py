@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
 from asyncua import Client, ua
+from asyncua.common.utils import ServiceError
 from asyncua.crypto.security_policies import (
     SecurityPolicy,
     SecurityPolicyAes128Sha256RsaOaep,
@@ -25,6 +26,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from gateway.access.certificates import Authority
 from gateway.access.folder import SecurityFolder
 from gateway.access.roles import Role
+from gateway.access.tries import BURST
 from gateway.access.users import User
 from gateway.views.opcua.security import Security
 from gateway.views.opcua.server import Settings
@@ -42,6 +44,7 @@ ROLES = {"vera": Role.VIEWER, "otto": Role.OPERATOR, "emma": Role.ENGINEER}
 class Plant:
     folder: Path
     server: Served
+    security: Security
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +55,9 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
     for name, role in ROLES.items():
         folder.add_user(User(name=name, role=role), PASSWORD[name])
     with played_gateway() as gateway, ticking(gateway, "rig"):
-        with Served(gateway, Settings(port=0, anonymous=None, security=Security(path))) as server:
-            yield Plant(folder=path, server=server)
+        security = Security(path)
+        with Served(gateway, Settings(port=0, anonymous=None, security=security)) as server:
+            yield Plant(folder=path, server=server, security=security)
 
 
 async def enter(
@@ -170,9 +174,7 @@ def test_nobody_without_a_name(plant: Plant) -> None:
 def test_a_client_that_the_authority_did_not_sign_is_refused(plant: Plant, tmp_path: Path) -> None:
     strange = stranger(plant, tmp_path)
 
-    assert (
-        refused(Plant(folder=strange, server=plant.server), "otto", certificate_of="eve") == "BadCertificateUntrusted"
-    )
+    assert refused(replace(plant, folder=strange), "otto", certificate_of="eve") == "BadCertificateUntrusted"
 
 
 def stranger(plant: Plant, tmp_path: Path) -> Path:
@@ -196,14 +198,14 @@ def test_a_trusted_certificate_of_another_authority_is_let_in(plant: Plant, tmp_
     (trusted / "scada.pem").write_bytes((folder / "identities" / "eve" / "certificate.pem").read_bytes())
 
     async def ask() -> dict[str, int]:
-        strange = Plant(folder=folder, server=plant.server)
+        strange = replace(plant, folder=folder)
         async with await entered(strange, "otto", certificate_of="eve") as client:
             return await acts(client)
 
     try:
         assert asyncio.run(ask())["stop"] == S.Good
         # Trusted as an application, it is nobody's login: the name in it is not its own to give.
-        assert refused(Plant(folder=folder, server=plant.server), None, certificate_of="eve", by_certificate=True) in (
+        assert refused(replace(plant, folder=folder), None, certificate_of="eve", by_certificate=True) in (
             "BadUserAccessDenied",
             "BadIdentityTokenRejected",
         )
@@ -314,17 +316,41 @@ def test_guessing_a_session_does_not_give_its_rights(plant: Plant) -> None:
     assert plant.server.gateway.commands == []
 
 
-def test_a_name_is_locked_after_wrong_passwords_and_others_are_not(plant: Plant) -> None:
-    for _ in range(5):
-        refused(plant, "vera", "guess")
-
-    assert refused(plant, "vera") == "BadUserAccessDenied"  # the right one
-
-    async def ask() -> dict[str, int]:
+def test_a_flood_of_wrong_passwords_is_refused_and_keeps_nobody_out_who_was_in(plant: Plant) -> None:
+    async def ask() -> tuple[list[str], dict[str, int]]:
+        async with await entered(plant, "otto"):
+            pass
+        told = [await told_of(plant, "vera", f"guess-{n}") for n in range(3 * BURST)]
         async with await entered(plant, "otto") as client:
-            return await acts(client)
+            return told, await acts(client)
 
-    assert asyncio.run(ask())["stop"] == S.Good
+    told, done = asyncio.run(ask())
+
+    assert set(told) == {"BadUserAccessDenied", "BadTooManyOperations"}
+    assert done["stop"] == S.Good
+    assert ("otto", "127.0.0.1") in plant.security._logins._tries._known
+
+
+async def told_of(plant: Plant, name: str, password: str) -> str:
+    try:
+        client = await enter(plant, name, password)
+    except UaError as error:
+        return type(error).__name__
+    await client.disconnect()
+    return "Good"
+
+
+def test_where_a_login_comes_from_is_the_address_of_its_connection(folder: SecurityFolder) -> None:
+    folder.add_user(User(name="otto", role=Role.OPERATOR), PASSWORD["otto"])
+    security = Security(folder.path)
+
+    for _ in range(BURST):
+        assert security.identify("otto", "guess", None, "10.0.0.66") is None
+    with pytest.raises(ServiceError) as said:
+        security.identify("otto", PASSWORD["otto"], None, "10.0.0.66")
+
+    assert said.value.code == S.BadTooManyOperations
+    assert security.identify("otto", PASSWORD["otto"], None, "10.0.0.7") is not None
 
 
 @pytest.fixture

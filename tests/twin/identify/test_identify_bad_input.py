@@ -261,3 +261,48 @@ def test_a_sampling_time_that_varies_is_said_and_used(records: list[Record], cam
     assert any("the sampling interval varies" in warning for warning in found.warnings)
     K_c = found.model.parameters["K_c"]
     assert abs(K_c.value / RIG.force_constant_n_m2_a2 - 1.0) < 2e-3
+
+
+def amplifier_step(second_order_s: float = 0.0, digits: int = 17) -> Record:
+    """Plateaus of u_c and the exact answer of (1), K_A 0.297 A/V, T_A 20 ms; behind a second lag; rounded."""
+    n, dt, K_A, T_A = 1500, 2e-3, 0.297, 0.02
+    u = np.array([0.5, 1.5, 2.5, 1.0, 3.0])[(np.arange(n) // 100) % 5]
+    i, lagged = np.zeros(n), np.zeros(n)
+    for k in range(n - 1):
+        i[k + 1] = K_A * u[k] + (i[k] - K_A * u[k]) * np.exp(-dt / T_A)
+        share = np.exp(-dt / second_order_s) if second_order_s else 0.0
+        lagged[k + 1] = i[k + 1] + (lagged[k] - i[k + 1]) * share
+    absent = np.full(n, np.nan)
+    return Record(
+        name="step",
+        kind="amplifier-step",
+        use="fit",
+        t=dt * np.arange(n, dtype=np.float64),
+        u_c=u,
+        i_c=np.round(lagged, digits),
+        x=absent,
+        x_ref=absent,
+    )
+
+
+@pytest.mark.parametrize("digits", [17, 3])
+def test_a_current_without_noise_is_identified_no_surer_than_it_is_resolved(campaign: Campaign, digits: int) -> None:
+    found = identify_records(campaign, [amplifier_step(digits=digits)])
+
+    assert not any("not first order" in warning for warning in found.warnings)
+    for name, truth in (("K_A", 0.297), ("T_A", 0.02)):
+        parameter = found.model.parameters[name]
+        assert parameter.std is not None
+        assert parameter.std >= 1e-6 * truth
+        assert parameter.value == pytest.approx(truth, abs=5.0 * parameter.std)
+
+
+def test_a_misfit_is_told_in_amperes_where_there_is_no_noise_to_compare_it_with(campaign: Campaign) -> None:
+    found = identify_records(campaign, [amplifier_step(second_order_s=5e-3)])
+
+    (said,) = [warning for warning in found.warnings if "not first order" in warning]
+    assert "mA rms, far beyond the" in said
+    assert not any(len(word.strip("()x.")) > 6 for word in said.split() if word[0].isdigit())
+    T_A = found.model.parameters["T_A"]
+    assert T_A.std is not None
+    assert T_A.std > 1e-3 * T_A.value, "an answer of another shape has no time constant to five digits"

@@ -1,0 +1,144 @@
+"""Files that somebody else wrote, opened and read within bounds.
+
+Rule 1: only regular files are opened.  A pipe waits for ever, a device never ends, and opening one may act.
+Rule 2: a small file (configuration, campaign, model) has at most LARGEST_SMALL bytes, and nests at most DEEPEST tables.
+Rule 3: whatever a parser raises becomes one line that names the file.  What is in the file is not repeated.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import tomllib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from protocol.errors import ConfigError, DataError, UsageError
+
+LARGEST_SMALL = 4_000_000  # bytes; as large as a model that the bus carries
+DEEPEST = 50
+_INTEGER = 1 << 63  # TOML's integers have 64 bits
+_KINDS = (
+    (stat.S_ISDIR, "it is a folder"),
+    (stat.S_ISFIFO, "it is a pipe"),
+    (stat.S_ISCHR, "it is a device"),
+    (stat.S_ISBLK, "it is a device"),
+    (stat.S_ISSOCK, "it is a socket"),
+)
+Refusal = type[ConfigError] | type[DataError]
+
+
+def open_regular(path: Path, *, remedy: str, what: str = "", error: Refusal = DataError) -> BinaryIO:
+    """Open a regular file to read bytes; never waits.
+
+    Args:
+        path: of the file.
+        remedy: of the error, where it is none.
+        what: it is, before the path in the error: "Log ".
+        error: to raise.
+
+    Raises:
+        DataError, ConfigError: it is absent, not readable, or no regular file.
+    """
+    try:
+        problem = _not_regular(path.stat().st_mode)
+        if not problem:
+            descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+            file = os.fdopen(descriptor, "rb")
+            problem = _not_regular(os.fstat(descriptor).st_mode)  # it may have been exchanged meanwhile
+            if not problem:
+                return file
+            file.close()
+    except (OSError, ValueError) as failed:  # ValueError: a NUL in the name
+        problem = getattr(failed, "strerror", None) or "this is no name of a file"
+    else:
+        if "folder" not in problem:
+            remedy = "Save what it gives into a file, and name that"
+    raise error(f"{what}{path} cannot be read: {problem}", remedy=remedy)
+
+
+def read_small(path: Path, *, remedy: str, what: str = "", error: Refusal = DataError) -> str:
+    """The text of a small file.  Arguments and errors as `open_regular`; also where it is too large or not UTF-8."""
+    with open_regular(path, remedy=remedy, what=what, error=error) as file:
+        data = file.read(LARGEST_SMALL + 1)
+    if len(data) > LARGEST_SMALL:
+        raise error(f"{what}{path} has more than {LARGEST_SMALL} bytes", remedy=remedy)
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise error(f"{what}{path} is not UTF-8 text", remedy=remedy) from None
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Around whatever makes the file or folder `path`.
+
+    Raises:
+        UsageError: the system did not let it be made.
+    """
+    try:
+        yield
+    except OSError as failed:
+        raise UsageError(
+            f"{path} cannot be written: {failed.strerror or failed}",
+            remedy="Give a path in a folder that exists and that you may write to",
+        ) from None
+
+
+def make_folder(path: Path, *, mode: int = 0o777) -> None:
+    """Make the folder `path`, its parents too, where it is not there.  Raises UsageError where it cannot be one."""
+    with writing(path):
+        path.mkdir(mode=mode, parents=True, exist_ok=True)
+
+
+def parse_toml(text: str, *, where: str, remedy: str = "Correct that line") -> dict[str, Any]:
+    """The table of a TOML text; `where` names its source in the ConfigError."""
+    try:
+        table = tomllib.loads(text)
+        _check_depth(table)
+    except tomllib.TOMLDecodeError as wrong:
+        raise ConfigError(f"{where} is not TOML: {wrong}", remedy=remedy) from None
+    except (RecursionError, ValueError) as wrong:
+        raise ConfigError(f"{where} is not usable TOML: {_excess(wrong)}", remedy="Correct the file") from None
+    return table
+
+
+def parse_json(text: str, *, where: str, remedy: str = "Correct that line") -> Any:
+    """The value of a JSON text; `where` names its source in the DataError.  An integer of 19 digits becomes a float."""
+    try:
+        value = json.loads(text, parse_int=lambda digits: int(digits) if len(digits) < 19 else float(digits))
+        _check_depth(value)
+    except json.JSONDecodeError as wrong:
+        raise DataError(f"{where}, line {wrong.lineno}: not JSON ({wrong.msg})", remedy=remedy) from None
+    except (RecursionError, ValueError) as wrong:
+        raise DataError(f"{where} is not usable JSON: {_excess(wrong)}", remedy="Correct the file") from None
+    return value
+
+
+def _not_regular(mode: int) -> str:
+    return next((problem for is_kind, problem in _KINDS if is_kind(mode)), "")
+
+
+def _excess(wrong: Exception) -> str:
+    if isinstance(wrong, RecursionError):
+        return "it is nested too deeply"
+    return "an integer has more than 64 bits" if "digits" in str(wrong) else str(wrong)
+
+
+def _check_depth(value: object) -> None:
+    """By levels, not by recursion: dotted keys of TOML nest without any."""
+    level: list[object] = [value]
+    for _ in range(DEEPEST):
+        inner: list[object] = []
+        for one in level:
+            items: Iterable[object] = one.values() if isinstance(one, dict) else one if isinstance(one, list) else ()
+            inner += items
+            if isinstance(one, int) and not -_INTEGER <= one < _INTEGER:
+                raise ValueError("an integer has more than 64 bits")
+        if not inner:
+            return
+        level = inner
+    raise RecursionError

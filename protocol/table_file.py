@@ -1,0 +1,124 @@
+"""The bytes of a recording in a table (CSV, also .gz; MATLAB), unpacked within bounds.
+
+Rule: what is unpacked is counted while it is unpacked: a kilobyte may hold a gigabyte.
+"""
+
+from __future__ import annotations
+
+import gzip
+import struct
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+from protocol.errors import DataError
+from protocol.files import open_regular
+
+LARGEST_TABLE = 500_000_000  # bytes, unpacked: four hours at 500 Hz
+LONGEST_LINE = 100_000  # bytes; below the largest cell of Python's csv
+REMEDY = "Name a CSV file (also .gz), a MATLAB or an MCAP file"
+_GZIP = b"\x1f\x8b"
+_PIECE = 1 << 16  # below LONGEST_LINE: a line within one piece is short enough
+_MAT_HEAD = 128
+_COMPRESSED = 15  # miCOMPRESSED of the MAT-file format, level 5
+
+
+def read_csv_bytes(path: Path) -> bytes:
+    """The text of a CSV file, unpacked, without a byte order mark.
+
+    Raises:
+        DataError: absent, no regular file, badly compressed, not text, or beyond the bounds.
+    """
+    with open_regular(path, remedy=REMEDY) as file:
+        packed = file.read(2) == _GZIP
+        file.seek(0)
+        if not packed:
+            if path.suffix == ".gz":
+                raise DataError(f"{path} is named .gz but is not compressed", remedy="Rename it, or fetch it again")
+            return _within_bounds(path, file)
+        try:
+            with gzip.GzipFile(fileobj=file) as unpacked:
+                return _within_bounds(path, unpacked)
+        except (EOFError, OSError, zlib.error) as error:
+            raise DataError(f"{path} is damaged or cut off: {error}", remedy="Fetch it again") from None
+
+
+def check_table(path: Path, head: Sequence[str], row: Sequence[str]) -> None:
+    """Refuse what cannot be a recording without a word of what it says: it may be any file of the user's.
+
+    Args:
+        path: for the error.
+        head: cells of the first line.
+        row: cells of the first line of data.
+
+    Raises:
+        DataError: fewer than two columns, or no cell of the row is a number.
+    """
+    if len(head) < 2 or not any(is_number(cell) for cell in row):
+        raise DataError(
+            f"{path} is not a recording: it has no line of two or more column names and a line of numbers after it",
+            remedy=REMEDY,
+        )
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell of a table is one; nan and inf are."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def check_mat(path: Path) -> None:
+    """Refuse a MATLAB file that unpacks to more than LARGEST_TABLE bytes; any other fault is left to its reader.
+
+    Raises:
+        DataError: absent, no regular file, or too large.
+    """
+    with open_regular(path, remedy=REMEDY) as file:
+        file.seek(_MAT_HEAD - 2)
+        order = "<" if file.read(2) == b"IM" else ">"
+        total = 0
+        while len(tag := file.read(8)) == 8:
+            kind, size = struct.unpack(f"{order}II", tag)
+            if kind != _COMPRESSED:
+                file.seek(size, 1)
+                continue
+            unpack = zlib.decompressobj()
+            while size > 0 and (piece := file.read(min(size, _PIECE))):
+                size -= len(piece)
+                try:
+                    while piece:
+                        total += len(unpack.decompress(piece, LARGEST_TABLE // 100))
+                        piece = unpack.unconsumed_tail
+                        if total > LARGEST_TABLE:
+                            raise _too_large(path)
+                except zlib.error:
+                    return
+
+
+def _within_bounds(path: Path, file: BinaryIO | gzip.GzipFile) -> bytes:
+    pieces: list[bytes] = []
+    total = lines = unfinished = 0  # `unfinished`: bytes of the line that the last piece ended in
+    while piece := file.read(_PIECE):
+        total += len(piece)
+        if total > LARGEST_TABLE:
+            raise _too_large(path)
+        if not pieces and b"\0" in piece:
+            raise DataError(f"{path} is not text", remedy="Name a CSV file in UTF-8, or a MATLAB file with .mat")
+        first = piece.find(b"\n")
+        if unfinished + (first if first >= 0 else len(piece)) > LONGEST_LINE:
+            raise DataError(
+                f"{path}, line {lines + 1} is longer than {LONGEST_LINE} bytes",
+                remedy="Name a file with a line of column names and a line for each sample",
+            )
+        lines += piece.count(b"\n")
+        unfinished = len(piece) - piece.rfind(b"\n") - 1 if first >= 0 else unfinished + len(piece)
+        pieces.append(piece)
+    return b"".join(pieces).removeprefix(b"\xef\xbb\xbf")
+
+
+def _too_large(path: Path) -> DataError:
+    return DataError(f"{path} holds more than {LARGEST_TABLE // 1_000_000} MB", remedy="Split it")
