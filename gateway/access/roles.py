@@ -27,7 +27,7 @@ class Role(enum.IntEnum):
 
 ROLE_WORDS = tuple(role.word for role in Role)
 
-# Kinds of pb.Command and pb.TwinCommand by the name of their field, then acts of the web page that are no command.
+# Kinds of pb.Command and pb.TwinCommand by the name of their field, then acts of views that are no command.
 LEAST_ROLE: dict[str, Role] = {
     "read": Role.VIEWER,  # everything published, logs, reports
     "ping": Role.VIEWER,
@@ -44,6 +44,7 @@ LEAST_ROLE: dict[str, Role] = {
     "set_host_loss": Role.ENGINEER,
     "use_model": Role.ENGINEER,  # of the twin
     "campaign": Role.ENGINEER,  # sets the stream divider among other things
+    "disable_alarm": Role.ENGINEER,  # of OPC UA: its clients are not told of it until it is enabled
 }
 
 

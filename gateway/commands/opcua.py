@@ -1,7 +1,7 @@
 """The rigs as an OPC UA server, for SCADA systems: reads, subscriptions, history, alarms; setpoints and methods.
 
 It joins the bus like any other client: nothing that an OPC UA client does can hold up the gateway.  Without --security
-it serves this machine only, and everybody may look; with it, sessions are encrypted and people have roles.
+it serves this machine only, and everybody on it may command; with it, sessions are encrypted and people have roles.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from gateway.client import open_bus
 from gateway.config import OpcuaConfig, changed
 from gateway.views.account import views_identity
 from gateway.views.listen import add_view_arguments, listener
+from protocol.bus.identity import Identity
 from protocol.errors import UsageError
 
 if TYPE_CHECKING:  # asyncua takes a second to import: --help answers at once
@@ -48,7 +49,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--anonymous",
         choices=("off", "viewer", "operator", "engineer"),
-        help="what a client without a name may do (with --security: off, else viewer; more on loopback only)",
+        help="what a client without a name may do: with --security off; else on loopback engineer, as everybody on an "
+        "unguarded bus, and viewer where others reach it or the bus has roles",
     )
 
 
@@ -62,7 +64,8 @@ def run(args: argparse.Namespace) -> int:
     host, port = listener(args, "OPC UA", remedy="Give --security DIR, made by `board51 security init DIR`")
     served = changed(OpcuaConfig(), "--rate", rate_hz=args.rate)
     served = changed(served, "--history", history_s=args.history)
-    word = args.anonymous or ("off" if args.security is not None else "viewer")
+    identity = views_identity(args.identity)
+    word = args.anonymous or anonymous(host, secured=args.security is not None, guarded=identity is not None)
     if word in ("operator", "engineer") and not is_loopback(host):
         raise UsageError(
             f"--anonymous {word} would let everybody in the network command",
@@ -77,17 +80,25 @@ def run(args: argparse.Namespace) -> int:
         security=Security(args.security) if args.security is not None else None,
     )
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # it writes a line or a traceback per bad request
-    return asyncio.run(_serve(args, settings))
+    return asyncio.run(_serve(args, settings, identity))
 
 
-async def _serve(args: argparse.Namespace, settings: Settings) -> int:
+def anonymous(host: str, *, secured: bool, guarded: bool) -> str:
+    """What a client without a name may do: here no less than on the bus, where whoever reaches it may command."""
+    from gateway.access.listeners import is_loopback
+
+    if secured:
+        return "off"
+    return "engineer" if is_loopback(host) and not guarded else "viewer"
+
+
+async def _serve(args: argparse.Namespace, settings: Settings, identity: Identity | None) -> int:
     from gateway.views.feed import Feed
     from gateway.views.opcua.server import serve
 
     stop = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    identity = views_identity(args.identity)
     with open_bus(args.connect, identity) as session:
         feed = Feed(session, args.site, guarded=identity is not None)
         shown = settings.host if settings.host not in ("0.0.0.0", "::") else "HOST"

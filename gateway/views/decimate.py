@@ -31,6 +31,7 @@ class Bin:
     low: dict[str, float]
     high: dict[str, float]
     last: dict[str, float]
+    message: object = None  # what the last sample came in, for all that is no number
 
 
 class Decimator:
@@ -58,11 +59,20 @@ class Decimator:
         self._low: list[float] = []
         self._high: list[float] = []
         self._last: Sequence[float] = ()
+        self._message: object = None
 
     def push(
-        self, values: Sequence[float], *, session: int, tick: int, t_s: float, host_time_ns: int = 0, lost: int = 0
+        self,
+        values: Sequence[float],
+        *,
+        session: int,
+        tick: int,
+        t_s: float,
+        host_time_ns: int = 0,
+        lost: int = 0,
+        message: object = None,
     ) -> None:
-        """One sample; its values in the order of `channels`, NaN for an absent one."""
+        """One sample; its values in the order of `channels`, NaN for an absent one; `message`: what it came in."""
         slot = tick // self._width
         if slot != self._slot or session != self._session:
             self._close()
@@ -77,7 +87,7 @@ class Decimator:
                 low[n] = value
             if value > high[n]:
                 high[n] = value
-        self._last = values
+        self._last, self._message = values, message
 
     def take(self, *, unfinished: bool = False) -> list[Bin]:
         """The finished bins since the last call, oldest first; with `unfinished`, the one being filled too.
@@ -116,6 +126,7 @@ class Decimator:
             low=low,
             high=high,
             last=last,
+            message=self._message,
         )
         if len(self._done) >= self._keep:
             self._done.popleft()
@@ -145,6 +156,7 @@ def merge(bins: Sequence[Bin]) -> Bin:
         low={name: _least([b.low[name] for b in bins]) for name in first.low},
         high={name: -_least([-b.high[name] for b in bins]) for name in first.high},
         last=last.last,
+        message=last.message,
     )
 
 

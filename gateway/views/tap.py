@@ -39,6 +39,7 @@ class Tap:
             t_s=m.t_s,
             host_time_ns=getattr(message, "host_time_ns", 0),
             lost=getattr(message, "lost_before", 0),
+            message=message,
         )
 
     def take(self, *, unfinished: bool = False) -> list[Bin]:

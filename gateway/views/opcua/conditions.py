@@ -1,7 +1,9 @@
 """Alarms as OPC UA conditions, and the board's events and commands as OPC UA events.
 
 A condition of a board is `<board>/alarm/<name>`.  Everything is emitted by the Server object and by the board's object:
-clients subscribe at either.  ConditionRefresh shows what is retained; Acknowledge is a method of the condition.
+clients subscribe at either.  ConditionRefresh shows what is retained; Acknowledge, AddComment, Enable and Disable are
+methods of the condition.  A disabled one is not told of to any client of this server, until it is enabled or the server
+starts again; every other view goes on showing it.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ class Conditions:
     def __init__(self, server: GuardedServer, feed: BoardFeed, node: ua.NodeId) -> None:
         self._server, self._feed, self._node = server, feed, node
         self._revision = -1
-        self._sent: dict[str, Alarm] = {}
+        self._sent: dict[str, Alarm] = {}  # those that are retained
+        self._known: dict[str, tuple[Condition, Alarm]] = {}  # with what was said last, also of those that are over
         self._last_event = self._newest(feed.events())
         self._last_command = self._newest(feed.commands())
 
@@ -41,6 +44,7 @@ class Conditions:
         if revision != self._revision:
             self._revision = revision
             await self._alarms()
+        await self._changed_by_clients()
         for event in self._after(self._feed.events(), self._last_event):
             self._last_event = event
             await self._send(_plain(f"{event.name}: {event.text}", event.severity, event.host_time_ns))
@@ -50,47 +54,41 @@ class Conditions:
 
     async def _alarms(self) -> None:
         listed = {alarm.name: alarm for alarm in self._feed.alarms()}
-        for name, alarm in listed.items():
-            if self._sent.get(name) != alarm:
-                await self._condition(alarm, retain=True)
-        for name in self._sent.keys() - listed.keys():
-            await self._condition(self._sent[name], retain=False)
-        self._sent = listed
+        gone = [self._sent[name] for name in self._sent.keys() - listed.keys()]
+        told, self._sent = self._sent, listed
+        for alarm in listed.values():
+            before = told.get(alarm.name)
+            if before != alarm:
+                came = before is None or (before.since_ns, before.times) != (alarm.since_ns, alarm.times)
+                await self._say(alarm, retain=True, came=came)
+        for alarm in gone:
+            await self._say(alarm, retain=False)
 
-    async def _condition(self, alarm: Alarm, *, retain: bool) -> None:
-        active, acknowledged = (alarm.active, alarm.acknowledged) if retain else (False, True)
-        event: Any = AlarmCondition(message=alarm.text, severity=SEVERITY[alarm.severity])
+    async def _changed_by_clients(self) -> None:
+        for name, (condition, alarm) in self._known.items():
+            if condition.is_changed:
+                condition.is_changed = False
+                await self._say(alarm, retain=name in self._sent, switched=True)
+
+    async def _say(self, alarm: Alarm, *, retain: bool, came: bool = False, switched: bool = False) -> None:
+        """Tell of a condition; of a disabled one, only that it has been switched."""
         node = ua.NodeId(f"{alarm.board}/alarm/{alarm.name}", self._server.namespace)
-        sent = self._sent.get(alarm.name)
-        condition = self._server.conditions.get(node)
-        if condition is None or sent is None or (sent.since_ns, sent.times) != (alarm.since_ns, alarm.times):
-            condition = self._server.conditions[node] = Condition(alarm.board, alarm.name)  # events of before are over
-        event.add_property("NodeId", node, ua.VariantType.NodeId)
-        event.Time = datetime_of(alarm.changed_ns)
-        event.ConditionName, event.ConditionClassId = alarm.name, _PROCESS
-        event.ConditionClassName = ua.LocalizedText("ProcessConditionClassType")
-        event.Retain = retain
-        event.BranchId = ua.NodeId()
-        event.Quality, event.LastSeverity = ua.StatusCode(), event.Severity
-        event.Comment, event.ClientUserId = ua.LocalizedText(alarm.comment), alarm.acknowledged_by
-        event.SuppressedOrShelved = False
-        for state, holds, words in (
-            ("EnabledState", True, ("Disabled", "Enabled")),
-            ("ActiveState", active, ("Inactive", "Active")),
-            ("AckedState", acknowledged, ("Unacknowledged", "Acknowledged")),
-            ("ConfirmedState", True, ("Unconfirmed", "Confirmed")),
-        ):
-            setattr(event, f"{state}/Id", holds)
-            setattr(event, state, ua.LocalizedText(words[holds]))
-        event.EventId = uuid.uuid4().bytes
-        condition.event_ids.append(event.EventId)
-        await self._send(event)
+        condition = self._server.conditions.setdefault(node, Condition(alarm.board, alarm.name))
+        self._known[alarm.name] = condition, alarm
+        if came:  # the events and comments of before are over
+            condition.event_ids.clear()
+            condition.comment = None
+        if condition.enabled or switched:
+            event = _condition_event(alarm, condition, retain=retain)
+            event.Time = datetime.now(UTC) if switched else datetime_of(alarm.changed_ns)
+            event.add_property("NodeId", node, ua.VariantType.NodeId)
+            await self._send(event)
 
     async def _send(self, event: Any) -> None:
         event.ReceiveTime = datetime.now(UTC)
         event.LocalTime = ua.TimeZoneDataType()
         event.SourceNode, event.SourceName = self._node, self._feed.name
-        for emitter in (self._node, _SERVER):  # the Server last: a refresh repeats the last one
+        for emitter in (self._node, _SERVER):
             emitted = copy.copy(event)
             emitted.emitting_node = emitter
             await self._server.subscription_service.trigger_event(emitted)
@@ -104,6 +102,29 @@ class Conditions:
         """Those after `last`; all that are kept where it has dropped out."""
         place = next((n for n in range(len(kept) - 1, -1, -1) if kept[n] is last), -1)
         return kept[place + 1 :]
+
+
+def _condition_event(alarm: Alarm, condition: Condition, *, retain: bool) -> Any:
+    event: Any = AlarmCondition(message=alarm.text, severity=SEVERITY[alarm.severity])
+    event.ConditionName, event.ConditionClassId = alarm.name, _PROCESS
+    event.ConditionClassName = ua.LocalizedText("ProcessConditionClassType")
+    event.Retain = retain and condition.enabled
+    event.BranchId = ua.NodeId()
+    event.Quality, event.LastSeverity = ua.StatusCode(), event.Severity
+    comment, by = condition.comment or (alarm.comment, alarm.acknowledged_by)
+    event.Comment, event.ClientUserId = ua.LocalizedText(comment), by
+    event.SuppressedOrShelved = False
+    for state, holds, words in (
+        ("EnabledState", condition.enabled, ("Disabled", "Enabled")),
+        ("ActiveState", alarm.active and retain, ("Inactive", "Active")),
+        ("AckedState", alarm.acknowledged or not retain, ("Unacknowledged", "Acknowledged")),
+        ("ConfirmedState", True, ("Unconfirmed", "Confirmed")),
+    ):
+        setattr(event, f"{state}/Id", holds)
+        setattr(event, state, ua.LocalizedText(words[holds]))
+    event.EventId = uuid.uuid4().bytes
+    condition.event_ids.append(event.EventId)
+    return event
 
 
 def _plain(text: str, severity: str, time_ns: int) -> Any:

@@ -8,6 +8,7 @@ Rule 4: an empty answer says why it is empty: nothing in that time, no history o
 
 from __future__ import annotations
 
+import time
 from array import array
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
@@ -17,6 +18,7 @@ from asyncua import ua
 from asyncua.server.history import HistoryManager, HistoryStorageInterface
 from asyncua.server.internal_server import InternalServer
 
+from gateway.views.opcua.timestamps import stamped
 from gateway.views.opcua.values import data_value, datetime_of
 
 MAX_VALUES = 10_000
@@ -32,13 +34,14 @@ class Track:
         self.count = 0
         self._head = 0
         self._stamps_ns = array("q", bytes(8 * rows))
+        self._kept_ns = array("q", bytes(8 * rows))  # when the row came here: the server's timestamp
         self._values = [array("d", bytes(8 * rows)) for _ in range(columns)]
         self._codes = [array("L", bytes(array("L").itemsize * rows)) for _ in range(columns)]
 
     def append(self, stamp_ns: int, values: Sequence[float], codes: Sequence[int]) -> None:
         """One row, in the order of the columns; the oldest makes room."""
         at = self._head
-        self._stamps_ns[at] = stamp_ns
+        self._stamps_ns[at], self._kept_ns[at] = stamp_ns, time.time_ns()
         for column, (value, code) in enumerate(zip(values, codes, strict=True)):
             self._values[column][at] = value
             self._codes[column][at] = code
@@ -59,7 +62,11 @@ class Track:
     def value(self, column: int, row: int) -> ua.DataValue:
         """The value in a row, counted from the oldest."""
         at = self._slot(row)
-        return data_value(self._values[column][at], ua.VariantType.Double, self._codes[column][at], self._stamps_ns[at])
+        found = data_value(
+            self._values[column][at], ua.VariantType.Double, self._codes[column][at], self._stamps_ns[at]
+        )
+        found.ServerTimestamp = datetime_of(self._kept_ns[at])
+        return found
 
     def stamp(self, row: int) -> datetime:
         """Of a row."""
@@ -143,18 +150,23 @@ class Historian(HistoryManager):  # type: ignore[misc]  # as above
         """One result for each node that is asked for."""
         results: list[ua.HistoryReadResult] = await super().read_history(params)
         return [
-            self._judged(params.HistoryReadDetails, wanted.NodeId, result)
+            self._judged(params, wanted.NodeId, result)
             for wanted, result in zip(params.NodesToRead, results, strict=True)
         ]
 
-    def _judged(self, details: Any, node: ua.NodeId, result: ua.HistoryReadResult) -> ua.HistoryReadResult:
+    def _judged(
+        self, params: ua.HistoryReadParameters, node: ua.NodeId, result: ua.HistoryReadResult
+    ) -> ua.HistoryReadResult:
+        details, asked = params.HistoryReadDetails, params.TimestampsToReturn
         raw = isinstance(details, ua.ReadRawModifiedDetails) and not details.IsReadModified
         if node not in self._server.aspace:
             code = S.BadNodeIdUnknown
         elif not raw or not self._kept.holds(node):
             code = S.BadHistoryOperationUnsupported
         else:
-            if not result.HistoryData.DataValues:
+            values = result.HistoryData.DataValues
+            result.HistoryData.DataValues = [stamped(value, asked, value.ServerTimestamp) for value in values]
+            if not values:
                 result.StatusCode = ua.StatusCode(S.GoodNoData)
             return result
         return ua.HistoryReadResult(StatusCode=ua.StatusCode(code))

@@ -190,17 +190,16 @@ class BoardNodes:
         return data_value(value, leaf.variant, self._status_of(leaf, shown, status), self._stamps_ns[leaf.topic])
 
     def _status_of(self, leaf: Leaf, shown: Bin, status: int) -> int:
-        if leaf.topic == "state":
-            state = self.feed.latest(pb.State)
-            flags = state.flags if state is not None else 0
-            status = quality.of_signal(status, leaf, flags, sensor_fault=self._sensor_fault())
+        if isinstance(shown.message, pb.State):
+            status = quality.of_signal(status, leaf, shown.message.flags, sensor_fault=self._sensor_fault())
         return quality.of_extreme(status, leaf.statistic, shown.lost)
 
     def _sensor_fault(self) -> bool:
         return self.feed.fault() == "sensor-fault"
 
     def _value_of_message(self, leaf: Leaf, status: int) -> Value:
-        message: Any = self.feed.latest(leaf.message)
+        shown = self._bins.get(leaf.topic)  # of the values beside it, not a newer one: they belong together
+        message: Any = self.feed.latest(leaf.message) if shown is None else shown.message
         if message is None:
             return data_value(None, leaf.variant, quality.WAITING, 0)
         value: Any = message
@@ -211,11 +210,8 @@ class BoardNodes:
         if leaf.topic == "state":
             status = quality.of_signal(status, leaf, message.flags, sensor_fault=self._sensor_fault())
             value = None if _is_absent(message, leaf.field) else value
-        shown = self._bins.get(leaf.topic)
-        if shown is None:
-            return data_value(value, leaf.variant, status, getattr(message, "host_time_ns", 0))
-        of_bin = {"tick": shown.last_tick, "session": shown.session, "t_s": shown.t_s}  # of the values beside it
-        return data_value(of_bin.get(leaf.field, value), leaf.variant, status, self._stamps_ns[leaf.topic])
+        stamp_ns = getattr(message, "host_time_ns", 0) if shown is None else self._stamps_ns[leaf.topic]
+        return data_value(value, leaf.variant, status, stamp_ns)
 
     # -- updating
 

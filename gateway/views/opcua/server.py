@@ -1,7 +1,8 @@
 """The OPC UA server process: bus on one side, asyncua on the other.
 
 Secured (a folder made by `board51 security init`): Basic256Sha256, Aes128Sha256RsaOaep and Aes256Sha256RsaPss, sign and
-encrypt only; users by password or certificate; anonymous off.  Without security: loopback only, anonymous may look.
+encrypt only; users by password or certificate; anonymous off.  Without security: loopback only, and everybody on this
+machine may command, as on the bus (gateway/commands/opcua.py decides).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from asyncua import Server, ua
 from gateway.access.roles import Role
 from gateway.views.feed import Feed
 from gateway.views.opcua.build import Builder
+from gateway.views.opcua.capabilities import describe
 from gateway.views.opcua.conditions import Conditions
 from gateway.views.opcua.desk import Desk, Visitor
 from gateway.views.opcua.history import Historian, RingHistory
@@ -35,6 +37,7 @@ POLICIES = (
     ua.SecurityPolicyType.Aes128Sha256RsaOaep_SignAndEncrypt,
     ua.SecurityPolicyType.Aes256Sha256RsaPss_SignAndEncrypt,
 )
+_OPEN = (ua.SecurityPolicyType.NoSecurity,)
 LOOK_S = 1.0  # for new boards, deaf clients
 _logger = logging.getLogger("gateway.opcua")
 
@@ -88,8 +91,9 @@ async def serve(feed: Feed, settings: Settings, stop: asyncio.Event, ready: Call
         tokens += [ua.UserNameIdentityToken, ua.X509IdentityToken]
     else:
         await server.set_application_uri(APPLICATION_URI)
-        server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        server.set_security_policy(list(_OPEN))
     server.set_identity_tokens(tokens)
+    await describe(server, POLICIES if security is not None else _OPEN, tokens)
     inner.namespace = await server.register_namespace(NAMESPACE.format(site=feed.site))
     history = RingHistory()
     inner.history_manager = Historian(inner, history)

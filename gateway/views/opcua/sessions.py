@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import Any
 
 from asyncua import ua
@@ -21,8 +22,9 @@ from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
 
-from gateway.access.roles import Role
-from gateway.views.opcua.desk import Desk, Visitor, called, code_of, written
+from gateway.access.roles import Role, may
+from gateway.views.opcua import timestamps
+from gateway.views.opcua.desk import SETPOINTS, Desk, Visitor, called, code_of, is_of, written
 from gateway.views.opcua.model import methods
 from gateway.views.opcua.subscriptions import BoundedSubscriptions
 from protocol.bus import board51_pb2 as pb
@@ -35,11 +37,19 @@ MAX_UNREAD_BYTES = 8_000_000  # of one client that does not read
 LONGEST_COMMENT = 200  # characters that the gateway takes; the rest of a longer one is cut
 _NOBODY = User(role=UserRole.Anonymous)  # until the session is activated
 _METHODS = {method.name: method for method in methods()}
-_REFRESH = (
-    ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh),
-    ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh2),
-)
-_ACKNOWLEDGE = ua.NodeId(ua.ObjectIds.AcknowledgeableConditionType_Acknowledge)
+_V = ua.VariantType
+# Methods of Part 9 by node id, and the types of their arguments.
+_OF_CONDITIONS: dict[ua.NodeId, tuple[str, tuple[ua.VariantType, ...]]] = {
+    ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh): ("refresh", (_V.UInt32,)),
+    ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh2): ("refresh", (_V.UInt32, _V.UInt32)),
+    ua.NodeId(ua.ObjectIds.AcknowledgeableConditionType_Acknowledge): (
+        "acknowledge",
+        (_V.ByteString, _V.LocalizedText),
+    ),
+    ua.NodeId(ua.ObjectIds.ConditionType_AddComment): ("comment", (_V.ByteString, _V.LocalizedText)),
+    ua.NodeId(ua.ObjectIds.ConditionType_Enable): ("enable", ()),
+    ua.NodeId(ua.ObjectIds.ConditionType_Disable): ("disable", ()),
+}
 
 
 @dataclass
@@ -51,11 +61,14 @@ class Guest(User):  # type: ignore[misc]  # asyncua's class is untyped
 
 @dataclass
 class Condition:
-    """What a condition's node stands for, and the events of its present branch that a client may acknowledge."""
+    """What a condition's node stands for, and what clients did to it; conditions.py tells of it."""
 
     board: str
     alarm: str
-    event_ids: deque[bytes] = field(default_factory=lambda: deque(maxlen=64))
+    event_ids: deque[bytes] = field(default_factory=lambda: deque(maxlen=64))  # of its present state: may be commented
+    enabled: bool = True  # for the clients of this server
+    comment: tuple[str, str] | None = None  # text, who: of AddComment, newer than that of the acknowledgement
+    is_changed: bool = False  # by a client; not told yet
 
 
 Identify = Callable[[str | None, str | None, bytes | None, str], Visitor | None]
@@ -97,7 +110,6 @@ class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes 
         self.conditions: dict[ua.NodeId, Condition] = {}
         self.subscription_service = BoundedSubscriptions(self.aspace, iserver=self)
         self.isession.subscription_service = self.subscription_service
-        self.bind_condition_methods = 100
         self.allow_remote_admin = False
         self.max_connections = MAX_CONNECTIONS
         self.max_subscriptions = MAX_SUBSCRIPTIONS
@@ -162,19 +174,31 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         found = self.user.visitor if isinstance(self.user, Guest) else None
         return found if found is not None else Visitor(name="anonymous", role=Role.VIEWER)
 
+    async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
+        """With the timestamps that are asked for."""
+        timestamps.check(params.TimestampsToReturn)
+        values = await super().read(params)
+        now = datetime.now(UTC)
+        return [
+            timestamps.stamped(
+                value, params.TimestampsToReturn, now, of_value=wanted.AttributeId == ua.AttributeIds.Value
+            )
+            for wanted, value in zip(params.NodesToRead, values, strict=True)
+        ]
+
+    async def history_read(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
+        """With the timestamps that are asked for."""
+        timestamps.check(params.TimestampsToReturn, of_history=True)
+        results: list[ua.HistoryReadResult] = await super().history_read(params)
+        return results
+
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
         """Setpoints, as commands."""
         return [ua.StatusCode(await self._write(item)) for item in params.NodesToWrite]
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
         """Methods, as commands."""
-        results: list[ua.CallMethodResult] = []
-        for request in params:
-            if request.MethodId in _REFRESH:
-                results += await super().call([request])
-            else:
-                results.append(await self._call(request))
-        return results
+        return [await self._call(request) for request in params]
 
     async def add_nodes(self, params: Any) -> list[Any]:
         """Nobody."""
@@ -192,8 +216,24 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         self, params: ua.CreateMonitoredItemsParameters
     ) -> list[ua.MonitoredItemCreateResult]:
         """In a subscription of its own."""
+        timestamps.check(params.TimestampsToReturn)
         self._check_own([params.SubscriptionId])
         results: list[Any] = await super().create_monitored_items(params)
+        return results
+
+    async def modify_monitored_items(
+        self, params: ua.ModifyMonitoredItemsParameters
+    ) -> list[ua.MonitoredItemModifyResult]:
+        """In a subscription of its own."""
+        timestamps.check(params.TimestampsToReturn)
+        self._check_own([params.SubscriptionId])
+        results: list[Any] = await super().modify_monitored_items(params)
+        return results
+
+    async def set_monitoring_mode(self, params: ua.SetMonitoringModeParameters) -> list[ua.StatusCode]:
+        """In a subscription of its own."""
+        self._check_own([params.SubscriptionId])
+        results: list[Any] = await super().set_monitoring_mode(params)
         return results
 
     async def delete_monitored_items(self, params: ua.DeleteMonitoredItemsParameters) -> list[ua.StatusCode]:
@@ -215,10 +255,12 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         return results
 
     def _check_own(self, ids: Iterable[int]) -> None:
-        for number in ids:
-            subscription = self.subscription_service.subscriptions.get(number)
-            if subscription is not None and subscription.session_id != self.session_id:
-                raise ServiceError(S.BadSubscriptionIdInvalid)
+        if any(self._is_foreign(number) for number in ids):
+            raise ServiceError(S.BadSubscriptionIdInvalid)
+
+    def _is_foreign(self, number: int) -> bool:
+        subscription = self.subscription_service.subscriptions.get(number)
+        return subscription is not None and subscription.session_id != self.session_id
 
     def _place(self, node: ua.NodeId) -> tuple[str, str]:
         """(board, path) of a node of ours, ("", "") of any other."""
@@ -231,11 +273,12 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         board, path = self._place(item.NodeId)
         if item.NodeId not in self.aspace:
             return int(S.BadNodeIdUnknown)
-        if item.AttributeId != ua.AttributeIds.Value or not path.startswith("setpoint/"):
+        folder, _, name = path.partition("/")
+        if item.AttributeId != ua.AttributeIds.Value or folder != "setpoint" or name not in SETPOINTS:
             return int(S.BadNotWritable)
         if item.IndexRange:
             return int(S.BadIndexRangeInvalid)
-        command = written(path.partition("/")[2], item.Value)
+        command = written(name, item.Value)
         if isinstance(command, int):
             return command
         return code_of(await self.iserver.desk.command(self.visitor, board, *command))
@@ -243,8 +286,10 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
     async def _call(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
         result = ua.CallMethodResult()
         inputs = request.InputArguments or []
-        if request.MethodId == _ACKNOWLEDGE:
-            result.StatusCode = ua.StatusCode(await self._acknowledge(request.ObjectId, inputs))
+        if request.MethodId in _OF_CONDITIONS:
+            code, codes = await self._call_of_condition(request.ObjectId, *_OF_CONDITIONS[request.MethodId], inputs)
+            result.StatusCode = ua.StatusCode(code)
+            result.InputArgumentResults = [ua.StatusCode(one) for one in codes]
             return result
         board, name = self._place(request.MethodId)
         if request.MethodId not in self.aspace or request.ObjectId != ua.NodeId(board, self.iserver.namespace):
@@ -260,30 +305,63 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
                 result.InputArgumentResults = [ua.StatusCode(code) for code in command[1]]
         else:
             result.StatusCode = ua.StatusCode(S.BadMethodInvalid)
-        while len(result.InputArgumentResults) < len(inputs):
-            result.InputArgumentResults.append(ua.StatusCode())
         return result
 
-    async def _acknowledge(self, node: ua.NodeId, inputs: list[ua.Variant]) -> int:
-        """Part 9, 5.7.3: of a condition, by EventId and comment."""
+    async def _call_of_condition(
+        self, node: ua.NodeId, name: str, types: tuple[ua.VariantType, ...], inputs: list[ua.Variant]
+    ) -> tuple[int, list[int]]:
+        """Part 9, 5.5.4 to 5.5.8 and 5.7.3: status code, and one for each argument where one is wrong."""
+        if len(inputs) != len(types):
+            return int(S.BadArgumentsMissing if len(inputs) < len(types) else S.BadTooManyArguments), []
+        fit = [is_of(given, variant, is_array=False) for given, variant in zip(inputs, types, strict=True)]
+        if not all(fit):
+            return int(S.BadInvalidArgument), [int(S.Good if one else S.BadTypeMismatch) for one in fit]
+        values = [given.Value for given in inputs]
+        if name == "refresh":
+            if self._is_foreign(values[0]):
+                return int(S.BadSubscriptionIdInvalid), []
+            return await self.iserver.subscription_service.refresh(*values), []
         condition = self.iserver.conditions.get(node)
         if condition is None:
-            return int(S.BadNodeIdUnknown)
-        if len(inputs) != 2:
-            return int(S.BadArgumentsMissing if len(inputs) < 2 else S.BadTooManyArguments)
-        event_id, comment = inputs[0].Value, inputs[1].Value
-        if event_id not in condition.event_ids:
-            return int(S.BadEventIdUnknown)
-        said = comment.Text or "" if isinstance(comment, ua.LocalizedText) else ""
-        seen = pb.Command(acknowledge=pb.Acknowledge(alarm=condition.alarm, comment=said[:LONGEST_COMMENT]))
-        return code_of(await self.iserver.desk.command(self.visitor, condition.board, "acknowledge", seen))
+            return int(S.BadNodeIdUnknown), []
+        if name in ("enable", "disable"):
+            return await self._enable(condition, enabled=name == "enable"), []
+        if not condition.enabled:
+            return int(S.BadConditionDisabled), []
+        if values[0] not in condition.event_ids:
+            return int(S.BadEventIdUnknown), []
+        said = ((values[1].Text if values[1] is not None else None) or "")[:LONGEST_COMMENT]
+        if name == "acknowledge":
+            seen = pb.Command(acknowledge=pb.Acknowledge(alarm=condition.alarm, comment=said))
+            code = code_of(await self.iserver.desk.command(self.visitor, condition.board, name, seen))
+            condition.comment = condition.comment if code != S.Good else None  # its comment is the newer one
+            return code, []
+        code = await self._remark(condition, f"{condition.alarm}: {said}")
+        if code == S.Good:
+            condition.comment, condition.is_changed = (said, self.visitor.name), True
+        return code, []
+
+    async def _enable(self, condition: Condition, *, enabled: bool) -> int:
+        if condition.enabled == enabled:
+            return int(S.BadConditionAlreadyEnabled if enabled else S.BadConditionAlreadyDisabled)
+        if not may(self.visitor.role, "disable_alarm"):  # the bus knows no such command: it is judged here
+            return int(S.BadUserAccessDenied)
+        state = "enabled" if enabled else "disabled"
+        code = await self._remark(condition, f"{condition.alarm} {state} for OPC UA clients")
+        if code == S.Good:
+            condition.enabled, condition.is_changed = enabled, True
+        return code
+
+    async def _remark(self, condition: Condition, text: str) -> int:
+        """Into the log and every view; what nobody records does not happen."""
+        remark = pb.Command(mark=pb.Mark(text=text[:LONGEST_COMMENT]))
+        return code_of(await self.iserver.desk.command(self.visitor, condition.board, "mark", remark))
 
 
 def _outputs(reply: pb.CommandReply) -> list[ua.Variant]:
-    v = ua.VariantType
     return [
-        ua.Variant(reply.accepted, v.Boolean),
-        ua.Variant(reply.reason, v.String),
-        ua.Variant(reply.text, v.String),
-        ua.Variant(reply.tick, v.UInt64),
+        ua.Variant(reply.accepted, _V.Boolean),
+        ua.Variant(reply.reason, _V.String),
+        ua.Variant(reply.text, _V.String),
+        ua.Variant(reply.tick, _V.UInt64),
     ]

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import math
+import uuid
 from collections.abc import Callable
+from datetime import UTC, datetime
 from typing import Any
 
 from asyncua import ua
+from asyncua.common.event_objects import RefreshEndEvent, RefreshStartEvent
 from asyncua.server.subscription_service import SubscriptionService
+
+from gateway.views.opcua.items import Items
 
 MIN_INTERVAL_MS = 20.0
 MAX_INTERVAL_MS = 3_600_000.0
 MAX_ITEMS = 5_000  # monitored items of one subscription; eight boards have 1500 variables
+_SERVER = ua.NodeId(ua.ObjectIds.Server)
 
 
 class BoundedSubscriptions(SubscriptionService):  # type: ignore[misc]  # asyncua's class is untyped
@@ -29,15 +35,17 @@ class BoundedSubscriptions(SubscriptionService):  # type: ignore[misc]  # asyncu
         if math.isnan(asked_ms):
             asked_ms = MIN_INTERVAL_MS
         params.RequestedPublishingInterval = min(max(asked_ms, MIN_INTERVAL_MS), MAX_INTERVAL_MS)
-        return await super().create_subscription(params, callback, session_id, request_callback)
+        result = await super().create_subscription(params, callback, session_id, request_callback)
+        subscription = self.subscriptions[result.SubscriptionId]
+        subscription.monitored_item_srv = Items(subscription, self.aspace)
+        return result
 
     async def create_monitored_items(
         self, params: ua.CreateMonitoredItemsParameters
     ) -> list[ua.MonitoredItemCreateResult]:
         """As many as there is room for; BadTooManyMonitoredItems for the rest."""
         subscription = self.subscriptions.get(params.SubscriptionId)
-        items = {} if subscription is None else subscription.monitored_item_srv._monitored_items  # noqa: SLF001  # nowhere else
-        held = len(items)
+        held = 0 if subscription is None else subscription.monitored_item_srv.held()
         room = max(0, MAX_ITEMS - held)
         surplus = len(params.ItemsToCreate) - room
         params.ItemsToCreate = params.ItemsToCreate[:room]
@@ -47,3 +55,35 @@ class BoundedSubscriptions(SubscriptionService):  # type: ignore[misc]  # asyncu
             refused.StatusCode = ua.StatusCode(ua.StatusCodes.BadTooManyMonitoredItems)
             results.append(refused)
         return results
+
+    async def refresh(self, number: int, item: int | None = None) -> int:
+        """The conditions that are retained, to each event item that would have got them (Part 9, 5.5.7 and 5.5.8).
+
+        Args:
+            number: of the subscription.
+            item: the only one that is to get them; None for all of the subscription.
+
+        Returns:
+            A status code.
+        """
+        subscription = self.subscriptions.get(number)
+        if subscription is None:
+            return int(ua.StatusCodes.BadSubscriptionIdInvalid)
+        items: Items = subscription.monitored_item_srv
+        listening = items.of_events()
+        if item is not None and item not in listening:
+            return int(ua.StatusCodes.BadMonitoredItemIdInvalid)
+        start, end = _bracket(RefreshStartEvent), _bracket(RefreshEndEvent)
+        for mid, node in listening.items():
+            if item in (None, mid):
+                retained = [c for c in self._conditions.values() if node in (_SERVER, c.SourceNode)]
+                for event in (start, *retained, end):
+                    await items.send_event(event, mid)
+        return int(ua.StatusCodes.Good)
+
+
+def _bracket(kind: type) -> Any:
+    event = kind(sourcenode=_SERVER, message="conditions that are retained", severity=100)
+    event.EventId, event.SourceName = uuid.uuid4().bytes, "Server"
+    event.Time = event.ReceiveTime = datetime.now(UTC)
+    return event

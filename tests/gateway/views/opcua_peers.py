@@ -126,3 +126,84 @@ async def until(look: Callable[[], Coroutine[Any, Any, T | None]], what: str, ti
             return value
         await asyncio.sleep(0.02)
     raise AssertionError(f"no {what} within {timeout_s:g} s")
+
+
+class Kept:
+    """Keeps what a subscription brings."""
+
+    def __init__(self) -> None:
+        self.values: dict[str, list[ua.DataValue]] = {}
+        self.events: list[Any] = []
+
+    def datachange_notification(self, node: Any, _: Any, data: Any) -> None:
+        self.values.setdefault(node.nodeid.Identifier, []).append(data.monitored_item.Value)
+
+    def event_notification(self, event: Any) -> None:
+        self.events.append(event)
+
+    def status_change_notification(self, status: Any) -> None:
+        pass
+
+    def of(self, board: str) -> list[Any]:
+        """Events of a board's conditions."""
+        return [e for e in self.events if getattr(e, "ConditionName", None) and e.SourceName == board]
+
+    async def events_of(self, kind: int, count: int) -> None:
+        """So many events of this type have come."""
+
+        async def look() -> bool | None:
+            return True if sum(e.EventType.Identifier == kind for e in self.events) >= count else None
+
+        await until(look, f"{count} events of type {kind}", 20.0)
+
+    async def retained(self, name: str, count: int) -> None:
+        """A condition has been told of so often."""
+
+        async def look() -> bool | None:
+            told = [e for e in self.events if getattr(e, "ConditionName", None) == name and e.Retain]
+            return True if len(told) >= count else None
+
+        await until(look, f"{count} times {name}", 20.0)
+
+
+async def subscribe(client: Peer, kept: Kept, *paths: str, interval_ms: float = 20.0) -> Any:
+    subscription = await client.client.create_subscription(interval_ms, kept)
+    await subscription.subscribe_data_change([client.node(path) for path in paths], queuesize=100)
+    return subscription
+
+
+async def monitor(
+    client: Peer,
+    kept: Kept,
+    *paths: str,
+    asked: ua.TimestampsToReturn,
+    filter_: Any = None,
+    attribute: ua.AttributeIds = ua.AttributeIds.Value,
+) -> list[ua.MonitoredItemCreateResult]:
+    """Like `subscribe`, with the timestamps and the filter of the caller's: asyncua's client always asks for both."""
+
+    def published(result: ua.PublishResult) -> None:
+        for data in result.NotificationMessage.NotificationData or []:
+            for item in getattr(data, "MonitoredItems", []):
+                kept.values.setdefault(paths[item.ClientHandle], []).append(item.Value)
+
+    wanted = ua.CreateSubscriptionParameters(RequestedPublishingInterval=20.0, PublishingEnabled=True)
+    wanted.RequestedLifetimeCount, wanted.RequestedMaxKeepAliveCount = 10_000, 100
+    subscription = await client.client.uaclient.create_subscription(wanted, published)
+    parameters = ua.CreateMonitoredItemsParameters(SubscriptionId=subscription.SubscriptionId, TimestampsToReturn=asked)
+    for handle, path in enumerate(paths):
+        request = ua.MonitoredItemCreateRequest(MonitoringMode=ua.MonitoringMode.Reporting)
+        request.ItemToMonitor = ua.ReadValueId(NodeId=client.node(path).nodeid, AttributeId=attribute)
+        request.RequestedParameters = ua.MonitoringParameters(ClientHandle=handle, QueueSize=100, DiscardOldest=True)
+        request.RequestedParameters.Filter = filter_
+        parameters.ItemsToCreate.append(request)
+    return list(await client.client.uaclient.create_monitored_items(parameters))
+
+
+async def received(kept: Kept, path: str, count: int) -> None:
+    """So many values of `path` have come."""
+
+    async def look() -> bool | None:
+        return True if len(kept.values.get(path, [])) >= count else None
+
+    await until(look, f"{count} values of {path}", 20.0)

@@ -194,13 +194,17 @@ def double(value: object) -> ua.DataValue:
     return ua.DataValue(ua.Variant(value))
 
 
+def word(value: int) -> ua.DataValue:
+    return ua.DataValue(ua.Variant(value, ua.VariantType.UInt32))
+
+
 def test_a_written_value_becomes_a_command_or_says_why_not() -> None:
     assert written("x_ref_m", double(3e-3)) == (
         "set_reference",
         pb.Command(set_reference=pb.SetReference(x_ref_m=3e-3)),
     )
-    assert written("mode", double(2)) == ("set_mode", pb.Command(set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP)))
-    assert written("mode", double(7)) == S.BadOutOfRange
+    assert written("mode", word(2)) == ("set_mode", pb.Command(set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP)))
+    assert written("mode", word(7)) == S.BadOutOfRange
     assert written("x_ref_m", double("high")) == S.BadTypeMismatch
     assert written("x_ref_m", double(True)) == S.BadTypeMismatch
     assert written("x_ref_m", double(math.nan)) == S.BadOutOfRange
@@ -208,12 +212,17 @@ def test_a_written_value_becomes_a_command_or_says_why_not() -> None:
 
 def test_a_call_becomes_a_command_or_says_which_argument_is_wrong() -> None:
     by_act = {method.act: method for method in methods()}
-    gains = [ua.Variant(0), ua.Variant([0.5, 1700.0, 17.7, -17600.0]), ua.Variant(0.6), ua.Variant(2.85e-3)]
+    gains = [
+        ua.Variant(0, ua.VariantType.UInt32),
+        ua.Variant([0.5, 1700.0, 17.7, -17600.0]),
+        ua.Variant(0.6),
+        ua.Variant(2.85e-3),
+    ]
 
     good = called(by_act["set_gains"], [*gains, ua.Variant(2.1)])
     few = called(by_act["set_gains"], gains)
     wrong = called(by_act["set_stream"], [ua.Variant("every")])
-    negative = called(by_act["set_stream"], [ua.Variant(-1)])
+    negative = called(by_act["set_stream"], [ua.Variant(-1, ua.VariantType.UInt32)])
 
     assert isinstance(good, pb.Command)
     assert list(good.set_gains.gains) == [0.5, 1700.0, 17.7, -17600.0]
@@ -226,7 +235,9 @@ def test_a_call_becomes_a_command_or_says_which_argument_is_wrong() -> None:
 def test_every_method_takes_arguments_of_the_types_that_it_declares(method: Method) -> None:
     v = ua.VariantType
     examples = {v.Double: 0.5, v.Boolean: True, v.UInt32: 1, v.Int32: 1, v.String: "text"}
-    given = [ua.Variant([examples[a.variant]] if a.is_array else examples[a.variant]) for a in method.arguments]
+    given = [
+        ua.Variant([examples[a.variant]] if a.is_array else examples[a.variant], a.variant) for a in method.arguments
+    ]
 
     command = called(method, given)
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from gateway.access.folder import SecurityFolder
-from gateway.access.roles import Role
+from gateway.access.roles import Role, may
 from gateway.access.users import User
 from tests.gateway.gateway_peers import free_port, wait_for
 from tests.gateway.npm import installed
@@ -27,6 +27,10 @@ VARIABLES = [
     *(f"state/{n}" for n in ("tick", "sequence", "t_s", "mode", "host_time_ns", "flags", "session", "lost_before")),
 ]
 INTERVAL_MS = 20.0
+WRITES = {
+    "within": "Good", "outside": "BadOutOfRange", "wrong type": "BadTypeMismatch", "float": "BadTypeMismatch",
+    "int": "BadTypeMismatch", "mode": "Good", "measured": "BadNotWritable",
+}  # fmt: skip
 
 pytestmark = pytest.mark.timeout(300)  # the packages of npm, five processes, a minute
 
@@ -59,16 +63,18 @@ def plant(node: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plan
         yield plant
 
 
-def served(stack: ExitStack, folder: Path, node: Path) -> Plant:
-    """A guarded gateway with its OPC UA server, for a board at `folder`/tty."""
+def served(stack: ExitStack, folder: Path, node: Path, *, secured: bool = True) -> Plant:
+    """A gateway with its OPC UA server, guarded or as it comes, for a board at `folder`/tty."""
     security = SecurityFolder(folder / "security")
-    security.init()
-    security.add_user(User(name="vera", role=Role.VIEWER), PASSWORDS["vera"])
-    security.add_user(User(name="otto", role=Role.OPERATOR), PASSWORDS["otto"])
+    if secured:
+        security.init()
+        security.add_user(User(name="vera", role=Role.VIEWER), PASSWORDS["vera"])
+        security.add_user(User(name="otto", role=Role.OPERATOR), PASSWORDS["otto"])
+    guard = ("--security", str(security.path)) if secured else ()
     bus, port = f"tcp/127.0.0.1:{free_port()}", free_port()
-    run(stack, folder, "gateway", "--board", f"rig1={folder / 'tty'}", "--listen", bus, "--security",
-        str(security.path), "--log-dir", str(folder / "logs"), "--opcua", f"127.0.0.1:{port}",
-        "--opcua-rate", "50")  # fmt: skip
+    tty, logs = f"rig1={folder / 'tty'}", str(folder / "logs")
+    views = ("--opcua", f"127.0.0.1:{port}", "--opcua-rate", "50")
+    run(stack, folder, "gateway", "--board", tty, "--listen", bus, *guard, "--log-dir", logs, *views)
     wait_for(lambda: "rig1 is served" in said(folder), "OPC UA server", 90.0)
     return Plant(url=f"opc.tcp://127.0.0.1:{port}/board51/", bus=bus, folder=security.path, node=node)
 
@@ -100,7 +106,7 @@ def judge(plant: Plant, tmp_path: Path, name: str, *, seconds: float = 1.0, **op
     asked = {
         "url": plant.url, "board": "rig1", "namespaceUri": "urn:board51:board51", "seconds": seconds,
         "variables": VARIABLES, "policy": "Basic256Sha256", "certificate": str(identity / "certificate.pem"),
-        "key": str(identity / "key.pem"), "user": name, "password": PASSWORDS[name], "pki": str(tmp_path / "pki"),
+        "key": str(identity / "key.pem"), "user": name, "password": PASSWORDS.get(name), "pki": str(tmp_path / "pki"),
         "ca": str(plant.folder / "ca.pem"),
         "within": 2.9e-3, "outside": 9e-3, **options,
     }  # fmt: skip
@@ -140,21 +146,45 @@ def test_an_operator_sees_20_variables_at_50_hz_and_commands_within_limits(plant
     ]  # fmt: skip
     assert found["EngineeringUnits"]["displayName"]["text"] == "m"
     expect_no_loss(found)
-    assert found["writes"] == {
-        "within": "Good", "outside": "BadOutOfRange", "wrong type": "BadTypeMismatch", "measured": "BadNotWritable",
+    assert found["writes"] == WRITES
+    assert found["timestamps"] == {
+        "Source": ["source"], "Server": ["server"], "Both": ["source", "server"], "Neither": [],
     }  # fmt: skip
+    assert "http://opcfoundation.org/UA/SecurityPolicy#Basic256Sha256" in found["profiles"]
     assert found["calls"]["SetReference"]["code"] == "BadOutOfRange"
     assert found["calls"]["SetGains"]["code"] == "BadUserAccessDenied"
     assert found["calls"]["Stop"]["code"] == "Good"
     assert found["history"] > 30
 
 
-def test_a_viewer_is_refused_every_command(plant: Plant, tmp_path: Path) -> None:
+def test_a_viewer_is_refused_every_command_that_the_table_of_rights_does_not_give(plant: Plant, tmp_path: Path) -> None:
     found = judge(plant, tmp_path, "vera", policy="Aes256_Sha256_RsaPss")
 
-    assert found["writes"]["within"] == "BadUserAccessDenied"
-    assert {call["code"] for call in found["calls"].values()} == {"BadUserAccessDenied"}
+    assert (found["writes"]["within"], found["writes"]["mode"]) == ("BadUserAccessDenied", "BadUserAccessDenied")
+    assert {name: call["code"] for name, call in found["calls"].items()} == {
+        "SetReference": "BadUserAccessDenied",
+        "SetGains": "BadUserAccessDenied",
+        "Stop": "Good" if may(Role.VIEWER, "stop") else "BadUserAccessDenied",
+    }
     assert found["series"]["state/x_m"]["count"] > 0
+
+
+def test_on_an_unguarded_loopback_a_client_without_a_name_may_command(node: Path, tmp_path: Path) -> None:
+    """What the page says of Node-RED, Grafana and the rest: no user, no certificate, the URL as it stands."""
+    with ExitStack() as stack:
+        run(stack, tmp_path, "emulate", "--pty", str(tmp_path / "tty"))
+        wait_for((tmp_path / "tty").exists, "pty", 30.0)
+        plant = served(stack, tmp_path, node, secured=False)
+        mode = board51("send", "rig1", "mode", "closed-loop", "--connect", plant.bus)
+        assert mode.returncode == 0, mode.stdout + mode.stderr
+        found = judge(plant, tmp_path, "", user=None, policy=None)
+
+    assert found["endpoints"] == ["None None"]
+    assert found["writes"] == WRITES
+    assert found["calls"]["SetGains"]["code"] == "Good"
+    assert found["calls"]["Stop"]["code"] == "Good"
+    assert found["series"]["state/x_m/max"]["count"] > 0
+    assert found["history"] > 30
 
 
 def test_a_wrong_password_gets_no_session(plant: Plant, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.errors import ServiceError
 from protocol.wire.messages import Flag
 from tests.gateway.views.bus_peers import played_gateway, ticking
-from tests.gateway.views.opcua_peers import Peer, Served, peer, until
+from tests.gateway.views.opcua_peers import Kept, Peer, Served, peer, received, subscribe, until
 
 S = ua.StatusCodes
 DOUBLE = ua.VariantType.Double
@@ -41,29 +41,6 @@ def answer(_: str, command: pb.Command) -> pb.CommandReply:
     if command.WhichOneof("what") == "capture":
         return pb.CommandReply(id=command.id, refused_by="gateway", reason="wrong-mode", text="not now")
     return pb.CommandReply(id=command.id, accepted=True, tick=1234)
-
-
-class Kept:
-    """Keeps what a subscription brings."""
-
-    def __init__(self) -> None:
-        self.values: dict[str, list[ua.DataValue]] = {}
-        self.events: list[Any] = []
-
-    def datachange_notification(self, node: Any, _: Any, data: Any) -> None:
-        self.values.setdefault(node.nodeid.Identifier, []).append(data.monitored_item.Value)
-
-    def event_notification(self, event: Any) -> None:
-        self.events.append(event)
-
-    def status_change_notification(self, status: Any) -> None:
-        pass
-
-
-async def subscribe(client: Peer, kept: Kept, *paths: str, interval_ms: float = 20.0) -> Any:
-    subscription = await client.client.create_subscription(interval_ms, kept)
-    await subscription.subscribe_data_change([client.node(path) for path in paths], queuesize=100)
-    return subscription
 
 
 def test_a_board_has_values_units_ranges_and_descriptions(server: Served) -> None:
@@ -94,15 +71,6 @@ def test_a_board_has_values_units_ranges_and_descriptions(server: Served) -> Non
 
     with ticking(server.gateway, "units"):
         asyncio.run(ask())
-
-
-async def received(kept: Kept, path: str, count: int) -> None:
-    """So many values of `path` have come."""
-
-    async def look() -> bool | None:
-        return True if len(kept.values.get(path, [])) >= count else None
-
-    await until(look, f"{count} values of {path}", 20.0)
 
 
 async def known(client: Peer, path: str) -> Any:
@@ -303,7 +271,7 @@ def test_setpoints_are_commands_and_refusals_are_status_codes(server: Served) ->
             await client.await_status("rig/state/x_m", S.Good)
             within = await client.write("rig/setpoint/x_ref_m", ua.Variant(2e-3, DOUBLE))
             outside = await client.write("rig/setpoint/x_ref_m", ua.Variant(9e-3, DOUBLE))
-            mode = await client.write("rig/setpoint/mode", ua.Variant(2, ua.VariantType.Int32))
+            mode = await client.write("rig/setpoint/mode", ua.Variant(2, ua.VariantType.UInt32))
             measured = await client.write("rig/state/x_m", ua.Variant(2e-3, DOUBLE))
             unknown = await client.write("rig/nothing", ua.Variant(2e-3, DOUBLE))
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import board51
+from gateway.commands.opcua import anonymous
 from gateway.views.listen import address
 
 
@@ -72,3 +73,17 @@ def test_the_shipped_page_names_what_exists() -> None:
 
     assert "board51 opcua" in page
     assert all(word in page for word in ("Ignition", "Node-RED", "Grafana", "PlotJuggler", "zenoh"))
+
+
+@pytest.mark.parametrize(
+    ("host", "secured", "guarded", "may"),
+    [
+        ("127.0.0.1", False, False, "engineer"),  # as everybody on this machine may on the bus
+        ("127.0.0.1", False, True, "viewer"),  # the bus has roles, and this client none
+        ("0.0.0.0", False, False, "viewer"),
+        ("127.0.0.1", True, True, "off"),
+        ("0.0.0.0", True, True, "off"),
+    ],
+)
+def test_what_a_client_without_a_name_may_do(host: str, secured: bool, guarded: bool, may: str) -> None:
+    assert anonymous(host, secured=secured, guarded=guarded) == may

@@ -69,6 +69,16 @@ for (const path of [`${board}/state/x_m/EngineeringUnits`, `${board}/state/x_m/E
   found[path.split("/").at(-1)] = value.value.value;
 }
 
+found.timestamps = {};
+for (const asked of ["Source", "Server", "Both", "Neither"]) {
+  const node = { nodeId: id(`${board}/state/x_m`), attributeId: AttributeIds.Value };
+  const request = { nodesToRead: [node], timestampsToReturn: TimestampsToReturn[asked] };
+  const value = (await session.performMessageTransaction(new opcua.ReadRequest(request))).results[0];
+  found.timestamps[asked] = ["source", "server"].filter((which) => value[`${which}Timestamp`]);
+}
+found.profiles = (await session.read({ nodeId: "i=2269", attributeId: AttributeIds.Value })).value.value;
+say(`timestamps: ${JSON.stringify(found.timestamps)}; ${found.profiles.length} profiles`);
+
 const subscription = await session.createSubscription2({
   requestedPublishingInterval: 100, requestedLifetimeCount: 600, requestedMaxKeepAliveCount: 50,
   maxNotificationsPerPublish: 0, publishingEnabled: true, priority: 1,
@@ -118,6 +128,9 @@ const metres = (value) => ({ dataType: DataType.Double, value });
 await write("within", "setpoint/x_ref_m", metres(within));
 await write("outside", "setpoint/x_ref_m", metres(outside));
 await write("wrong type", "setpoint/x_ref_m", { dataType: DataType.String, value: "up" });
+await write("float", "setpoint/x_ref_m", { dataType: DataType.Float, value: within });
+await write("int", "setpoint/mode", { dataType: DataType.Int32, value: 2 });
+await write("mode", "setpoint/mode", { dataType: DataType.UInt32, value: 2 });
 await write("measured", "state/x_m", metres(within));
 
 async function call(name, inputs) {
@@ -127,7 +140,7 @@ async function call(name, inputs) {
 }
 await call("SetReference", [metres(outside)]);
 await call("SetGains", [
-  { dataType: DataType.Int32, value: 0 }, { dataType: DataType.Double, arrayType: 1, value: [0.49, 1700, 17.7, -17600] },
+  { dataType: DataType.UInt32, value: 0 }, { dataType: DataType.Double, arrayType: 1, value: [0.49, 1700, 17.7, -17600] },
   metres(0.6), metres(2.85e-3), metres(2.1),
 ]);
 await call("Stop", []);

@@ -1,0 +1,79 @@
+"""What the server says of itself under Server/ServerCapabilities, for clients that look before they ask.
+
+Rule: a profile is listed when what it asks of a server is done and tested.  Not listed: core and subscription facets
+      (asyncua ignores the largest number of references of a Browse and marks no queue that has run over), and the one
+      for event filters (asyncua has no LIKE).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from asyncua import Server, ua
+
+from gateway.views.opcua.history import MAX_VALUES
+from gateway.views.opcua.sessions import MAX_CONNECTIONS, MAX_QUEUE, MAX_SUBSCRIPTIONS
+from gateway.views.opcua.subscriptions import MAX_ITEMS, MIN_INTERVAL_MS
+
+_PROFILE = "http://opcfoundation.org/UA-Profile"
+_POLICY = "http://opcfoundation.org/UA/SecurityPolicy#"
+FACETS = tuple(
+    f"{_PROFILE}/Server/{name}"
+    for name in ("DataAccess", "Methods", "HistoricalRawData", "ACBaseCondition", "ACRefresh2", "ACEnable", "ACAlarm",
+                 "ACAckAlarm")
+)  # fmt: skip
+TRANSPORT = f"{_PROFILE}/Transport/uatcp-uasc-uabinary"
+_OF_POLICY = {
+    "NoSecurity": f"{_POLICY}None",
+    "Basic256Sha256": f"{_POLICY}Basic256Sha256",
+    "Aes128Sha256RsaOaep": f"{_POLICY}Aes128_Sha256_RsaOaep",
+    "Aes256Sha256RsaPss": f"{_POLICY}Aes256_Sha256_RsaPss",
+}
+_OF_TOKEN: dict[type, str] = {
+    ua.AnonymousIdentityToken: f"{_PROFILE}/Security/UserToken/Anonymous",
+    ua.UserNameIdentityToken: f"{_PROFILE}/Security/UserToken/Server/UserNamePassword",
+    ua.X509IdentityToken: f"{_PROFILE}/Security/UserToken/Server/X509Certificate",
+}
+_O, _V = ua.ObjectIds, ua.VariantType
+_LIMITS = {
+    _O.Server_ServerCapabilities_MaxSessions: MAX_CONNECTIONS,
+    _O.Server_ServerCapabilities_MaxSubscriptions: MAX_SUBSCRIPTIONS,
+    _O.Server_ServerCapabilities_MaxMonitoredItemsPerSubscription: MAX_ITEMS,
+    _O.Server_ServerCapabilities_MaxMonitoredItemsQueueSize: MAX_QUEUE,
+    _O.HistoryServerCapabilities_MaxReturnDataValues: MAX_VALUES,
+    _O.HistoryServerCapabilities_MaxReturnEventValues: 0,
+}
+_HISTORY = dict.fromkeys(
+    (
+        _O.HistoryServerCapabilities_AccessHistoryEventsCapability,
+        _O.HistoryServerCapabilities_InsertDataCapability,
+        _O.HistoryServerCapabilities_ReplaceDataCapability,
+        _O.HistoryServerCapabilities_UpdateDataCapability,
+        _O.HistoryServerCapabilities_DeleteRawCapability,
+        _O.HistoryServerCapabilities_DeleteAtTimeCapability,
+        _O.HistoryServerCapabilities_InsertEventCapability,
+        _O.HistoryServerCapabilities_ReplaceEventCapability,
+        _O.HistoryServerCapabilities_UpdateEventCapability,
+        _O.HistoryServerCapabilities_DeleteEventCapability,
+        _O.HistoryServerCapabilities_InsertAnnotationCapability,
+    ),
+    False,
+) | {
+    _O.HistoryServerCapabilities_AccessHistoryDataCapability: True,
+    _O.HistoryServerCapabilities_ServerTimestampSupported: True,
+}
+
+
+async def describe(server: Server, policies: Iterable[ua.SecurityPolicyType], tokens: Iterable[type]) -> None:
+    """Fill in the capabilities of a server that offers these security policies and logins."""
+    offered = [_OF_POLICY[policy.name.partition("_")[0]] for policy in policies]
+    profiles = [TRANSPORT, *offered, *(_OF_TOKEN[token] for token in tokens), *FACETS]
+    values = {
+        _O.Server_ServerCapabilities_ServerProfileArray: ua.Variant(profiles, _V.String),
+        _O.Server_ServerCapabilities_LocaleIdArray: ua.Variant(["en"], _V.String),
+        _O.Server_ServerCapabilities_MinSupportedSampleRate: ua.Variant(MIN_INTERVAL_MS, _V.Double),
+    }
+    values |= {node: ua.Variant(limit, _V.UInt32) for node, limit in _LIMITS.items()}
+    values |= {node: ua.Variant(able, _V.Boolean) for node, able in _HISTORY.items()}
+    for node, value in values.items():
+        await server.get_node(ua.NodeId(node)).write_value(value)
