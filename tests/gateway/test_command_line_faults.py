@@ -18,7 +18,7 @@ import pytest
 
 import board51
 from gateway.emulator.serve import Emulator
-from gateway.views.opcua.desk import called
+from gateway.views.opcua.desk import called, code_of
 from gateway.views.opcua.model import methods
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Message
@@ -216,6 +216,15 @@ def by_opcua(bus: Bus, endpoint: str) -> None:
     command.id = os.urandom(8).hex()
     reply = bus.ask(command.SerializeToString())
     assert reply.accepted, reply.text
+
+
+@pytest.mark.parametrize(
+    ("reason", "code"), [("not-fresh", "BadInvalidTimestamp"), ("internal-error", "BadInternalError")]
+)
+def test_opcua_says_of_what_kind_a_refusal_is(reason: str, code: str) -> None:
+    from asyncua import ua
+
+    assert code_of(pb.CommandReply(reason=reason)) == getattr(ua.StatusCodes, code)
 
 
 @pytest.mark.parametrize("end", [by_command_line, by_page, by_opcua])

@@ -33,6 +33,8 @@ _CODES: dict[str, int] = {
     "busy": S.BadInvalidState,
     "no-session": S.BadInvalidState,
     "not-available": S.BadInvalidState,
+    "not-fresh": S.BadInvalidTimestamp,
+    "internal-error": S.BadInternalError,
     "flood": S.BadTooManyOperations,
     "queue-full": S.BadTooManyOperations,
     "not-delivered": S.BadNoCommunication,
