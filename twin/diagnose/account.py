@@ -62,15 +62,14 @@ def account_of(found: Selection, lacks: float, fine: bool) -> Account:
             unexplained=0.0 if fine else 1.0,
         )
     alone = {cause: max(found.gains.get(cause, 0.0), 0.0) for cause in found.causes}
-    scale = min(1.0, explained / max(sum(alone.values()), 1e-300)) / total
-    by_cause = {cause: gain * scale for cause, gain in alone.items()}
-    unexplained = left / total
+    taken = sum(alone.values())
+    scale = min(1.0, explained / max(taken, 1e-300)) / total
     return Account(
         explained=explained,
         left=left,
-        by_cause=by_cause,
-        jointly=max(1.0 - unexplained - sum(by_cause.values()), 0.0),
-        unexplained=unexplained,
+        by_cause={cause: gain * scale for cause, gain in alone.items()},
+        jointly=max(explained - taken, 0.0) / total,
+        unexplained=left / total,
     )
 
 
