@@ -16,7 +16,7 @@ from protocol.wire.messages import HostLoss, Message, Value
 from protocol.wire.session import Session
 
 PARAMETERS_S = 5.0
-PING_S = 0.5
+PING_S = 0.25
 REDO_S = 1.0
 _BOARD_TIMEOUT_S = 0.5  # the board's own host-loss time-out until it is told ours
 _POLICIES = {"keep": HostLoss.KEEP, "coil-off": HostLoss.COIL_OFF, "hold": HostLoss.HOLD}
