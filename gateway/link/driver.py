@@ -33,6 +33,8 @@ from protocol.wire.messages import FAULT_EVENTS, VERSION, EventCode, Message
 from protocol.wire.session import Session
 
 DIAGNOSE_S = 2.0  # an open port without a handshake for this long gets an explanation
+# After a pause of everything the first frame need not be a STATE.  Longer than between two PONGs, shorter than stale_s.
+STANDSTILL_S = 0.6
 REFUSED_RETRY_S = 5.0  # a board that was refused may have been exchanged or flashed
 _logger = logging.getLogger("gateway.link")
 
@@ -132,7 +134,8 @@ class BoardDriver:
         if self._log_raw:
             self._outlet.raw(data, host_ns, to_board=False)
         session = self.session
-        valid, states = session.counters.valid_frames, session.counters.states
+        counters = session.counters
+        valid, states, late = counters.valid_frames, counters.states, counters.late_answers
         payloads: list[bytes] = []
         sample: Sample | None = None
         for event in session.feed(data, now_s):
@@ -153,10 +156,12 @@ class BoardDriver:
             self._hand_on(payloads, host_ns, now_ns)
             if self._encoder is not None:
                 self.known.sample = sample
-        if session.counters.valid_frames != valid:
-            self._last_valid_s = now_s
-            if session.counters.states != states:
+        if counters.valid_frames != valid:
+            if counters.states != states or now_s - self._last_valid_s >= STANDSTILL_S:
                 self._last_state_s = now_s
+            if counters.late_answers != late:
+                self.to_board.answered()  # too late for its command, but the board has heard it
+            self._last_valid_s = now_s
             self.to_board.heard(now_s, self._stream_period_s())
             if self.link != "streaming" and self._encoder is not None and not self._states_missing(now_s):
                 self._change("streaming", "link-streaming", self._who_is_there())
@@ -240,8 +245,8 @@ class BoardDriver:
                     self.tell(
                         "samples-in-doubt",
                         "warning",
-                        "PONGs of the board contradict the count of its ticks: those of the samples {} to {} of session {}"
-                        " may be wrong.".format(*event.doubtful, self.session.number),
+                        "PONGs of the board contradict the count of its ticks: the samples {} to {} of session {} may have"
+                        " wrong ticks.".format(*event.doubtful, self.session.number),
                     )
                 self._end_session("a restart of the board" if event.board_reset else "a jump of the tick")
                 why = {"tick": "its tick jumped", "no-session": "it forgot this gateway"}
@@ -384,8 +389,8 @@ class BoardDriver:
             self.unanswered = self.tell(
                 TO_BOARD,
                 "fault",
-                f"The board has answered nothing for {UNANSWERED_S:g} s although its frames arrive: a STOP may not reach"
-                " it. Check the line to the board (its RX); to stop the rig now, cut its power.",
+                f"The board has answered nothing for {UNANSWERED_S:g} s although its frames arrive: a STOP may not"
+                " reach it. Check the line to the board (its RX); to stop the rig now, cut its power.",
             )
         elif state == ANSWERING and before is not None:
             self.tell("board-answers", "info", "The board answers again.")

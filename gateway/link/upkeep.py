@@ -1,7 +1,7 @@
 """What a board needs from its gateway during a session: settings, signs of life, its parameters read.  No I/O.
 
-Rule 1: a PING at least every quarter of the host-loss time-out: three may be lost; and every PING_S, so that it is known
-        whether the board answers.
+Rule 1: a PING at least every quarter of the host-loss time-out: three may be lost; and every PING_S, so that it is
+        known whether the board answers.
 Rule 2: a setting that the board did not take is sent again a second later, for as long as the session lasts.
 Rule 3: nothing here changes mode or reference: a gateway that comes or goes must not drop the ball.
 """

@@ -54,7 +54,8 @@ class Counters:
     samples: int = 0
     states_without_session: int = 0  # nothing said what a count is worth
     bad_frames: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CAUSES, 0))
-    stray_answers: int = 0
+    stray_answers: int = 0  # to nothing that is under way: late ones, doubled ones, an echo
+    late_answers: int = 0  # those of them that only a board sends
     events_lost: int = 0
     board_resets: int = 0
 
@@ -275,6 +276,7 @@ class Session:
         command = self._outstanding.get(message.int("id"))
         if command is None or not _answers(command, message):
             self.counters.stray_answers += 1
+            self.counters.late_answers += 1
             return
         del self._outstanding[command.id]
         self._unwrite(command)

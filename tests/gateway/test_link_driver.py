@@ -132,6 +132,28 @@ def test_a_board_that_answers_but_sends_no_state_is_not_streaming() -> None:
         assert told == ("silent", "answering")
 
 
+def test_an_answer_that_comes_too_late_for_its_command_shows_that_the_board_hears() -> None:
+    """A pipe or a computer that holds answers up for longer than all repetitions last is no cut line."""
+    held: list[bytes] = []
+
+    def answers(message: Message) -> bytes | None:
+        if message.name != "PING":
+            return None
+        held.append(frame("PONG", id=message.int("id"), tick=board.tick, bad_frames=0, overruns=0))
+        return held.pop(0) if len(held) > 8 else b""
+
+    options = {"command_timeout_s": 0.05, "command_retries": 1}
+    with ScriptedBoard(answers=answers) as board, linked(board.url, **options) as (driver, _, collector):
+        wait_for(lambda: driver.session.counters.late_answers > 8, "late answers")
+        told = [event for event in collector.messages["event"] if event.name == TO_BOARD]
+        first = driver.to_board.state
+        since = driver.session.counters.late_answers
+        wait_for(lambda: driver.session.counters.late_answers > since + 40, "more of them")
+
+        assert first == driver.to_board.state == "answering"
+        assert [event for event in collector.messages["event"] if event.name == TO_BOARD] == told
+
+
 def test_a_stream_that_is_switched_off_is_not_missed() -> None:
     def answers(message: Message) -> bytes | None:
         if message.name == "GET_PARAMETERS":
