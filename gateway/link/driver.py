@@ -245,8 +245,8 @@ class BoardDriver:
                     self.tell(
                         "samples-in-doubt",
                         "warning",
-                        "PONGs of the board contradict the count of its ticks: the samples {} to {} of session {} may have"
-                        " wrong ticks.".format(*event.doubtful, self.session.number),
+                        "PONGs of the board contradict the count of its ticks: the samples {} to {} of session {}"
+                        " may have wrong ticks.".format(*event.doubtful, self.session.number),
                     )
                 self._end_session("a restart of the board" if event.board_reset else "a jump of the tick")
                 why = {"tick": "its tick jumped", "no-session": "it forgot this gateway"}
@@ -392,8 +392,10 @@ class BoardDriver:
                 f"The board has answered nothing for {UNANSWERED_S:g} s although its frames arrive: a STOP may not"
                 " reach it. Check the line to the board (its RX); to stop the rig now, cut its power.",
             )
+            _logger.error("%s: %s", self.config.name, self.unanswered.text)
         elif state == ANSWERING and before is not None:
-            self.tell("board-answers", "info", "The board answers again.")
+            told = self.tell("board-answers", "info", "The board answers again.")
+            _logger.info("%s: %s", self.config.name, told.text)
 
     def _drain(self, now_s: float) -> None:
         for event in self.session.take_outcomes():
