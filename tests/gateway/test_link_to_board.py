@@ -16,6 +16,7 @@ class Line:
         self.to_board = ToBoard(self.told.append)
         self.answers = True
         self.period_s = STATE_S
+        self.ping_s = PING_S
         self._ms = 0
 
     def run(self, seconds: float, *, frames: bool = True) -> None:
@@ -24,7 +25,7 @@ class Line:
             now_s = self._ms * 1e-3
             if frames and self._ms % round(self.period_s * 1e3) == 0:
                 self.to_board.heard(now_s, self.period_s)
-            if self._ms % round(PING_S * 1e3) == 0:
+            if self._ms % round(self.ping_s * 1e3) == 0:
                 self.to_board.sent(now_s)
                 if frames and self.answers:
                     self.to_board.heard(now_s, self.period_s)
@@ -58,10 +59,11 @@ def test_a_line_that_was_cut_before_the_first_answer_is_unanswered_too() -> None
 
 def test_a_pause_of_the_frames_says_nothing_about_the_other_direction() -> None:
     line = Line()
+    line.ping_s = 0.43  # so that pauses end at every place between two of them
     line.run(1.0)
     for n in range(40):
         line.run(0.3 + 0.05 * n, frames=False)
-        line.run(0.3)
+        line.run(0.7)
 
     assert line.told == [ANSWERING]
 
