@@ -16,6 +16,7 @@ from protocol.bus import board51_pb2 as pb
 EVERY_S = 5.0
 LINK = "link-down"  # conditions that have no event of the board
 LOG = "log-failing"
+TO_BOARD = "board-unanswered"  # the other direction of the link; an event of this name says when it began
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -54,6 +54,13 @@ class LimitsConfig:
     commands_per_s: float = _key(
         50.0, "commands per second and board; STOP is never refused for this", unit="1/s", low=0.1, high=1000.0
     )
+    host_loss_min_s: float = _key(
+        1.0,
+        "shortest host-loss time-out; less only on a computer that is never late (gateway/README.md, Host loss)",
+        unit="s",
+        low=0.05,
+        high=60.0,
+    )
     excitation_max_s: float = _key(
         600.0, "longest excitation; 0: no bound, endless ones too", unit="s", low=0.0, high=1e6
     )
@@ -75,7 +82,7 @@ class BoardConfig:
     host_loss: str = _key(
         "coil-off", "what the board does when this gateway is gone", choices=("keep", "coil-off", "hold")
     )
-    host_loss_timeout_s: float = _key(1.0, "after how long", unit="s", low=0.2, high=60.0)
+    host_loss_timeout_s: float = _key(1.0, "after how long", unit="s", low=0.05, high=60.0)
     command_timeout_s: float = _key(0.1, "wait for an answer before repeating", unit="s", low=0.02, high=10.0)
     command_retries: int = _key(4, "repetitions before giving up", low=0, high=20)
     stale_s: float = _key(1.0, "no valid frame for this long: the link is silent", unit="s", low=0.1, high=60.0)
@@ -208,6 +215,13 @@ def _board(table: dict[str, Any], where: str) -> BoardConfig:
         raise ConfigError(
             f"{where}: x_ref_min_m {limits.x_ref_min_m} is not below x_ref_max_m {limits.x_ref_max_m}",
             remedy="Give a range with room in it",
+        )
+    if board.host_loss_timeout_s < limits.host_loss_min_s:
+        raise ConfigError(
+            f"{where}: host_loss_timeout_s {board.host_loss_timeout_s:g} is below host_loss_min_s"
+            f" {limits.host_loss_min_s:g}: on a busy computer the gateway itself is silent for longer now and then,"
+            " and the board would act",
+            remedy="Give a longer one; where this computer is never late, set host_loss_min_s in [board.limits]",
         )
     return board
 

@@ -156,6 +156,8 @@ class Gate:
                 return _needs(board, command) or self._excite(command.excite, wire, board)
             case "capture":
                 return _needs(board, command) or self._capture(command.capture, wire, board)
+            case "set_host_loss":
+                return self._host_loss(command.set_host_loss.timeout_s)
         return None
 
     def passed(self, command: pb.Command, board: BoardView, now_s: float) -> None:
@@ -201,6 +203,17 @@ class Gate:
         for count in (offset - amplitude, offset + amplitude):
             refusal = refusal or _on_board(count, *bounds, "offset -+ amplitude", board)
         return refusal
+
+    def _host_loss(self, timeout_s: float) -> Refusal | None:
+        shortest_s = self._limits.host_loss_min_s
+        if timeout_s >= shortest_s:
+            return None
+        return Refusal(
+            "out-of-range",
+            f"A host-loss time-out of {timeout_s:g} s is below host_loss_min_s {shortest_s:g} s: on a busy computer the"
+            " gateway itself is silent for longer now and then, and the board would act. Where this computer is never"
+            " late, its configuration may set a smaller one.",
+        )
 
     def _capture(self, capture: pb.Capture, wire: WireCommand, board: BoardView) -> Refusal | None:
         for name, value in (("u_from", capture.u_from_v), ("u_to", capture.u_to_v)):

@@ -92,7 +92,7 @@ class StateEncoder:
     def encode(self, sample: Sample, host_time_ns: int) -> bytes:
         """pb.State of `sample`, which arrived at `host_time_ns` (Unix time)."""
         i_offset, i_lsb, x_offset, x_lsb, u_offset, u_lsb = self._scale
-        tick, _, lost_before, (sequence, i_c, x, u_c, x_ref, flags) = sample
+        tick, _, lost_before, (sequence, i_c, x, u_c, x_ref, flags), _ = sample
         # One message is used again and again: half the time of a new one for each sample.
         m = self._message
         m.sequence = sequence

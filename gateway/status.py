@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.alarms import LINK, LOG, Condition, Standing
+from gateway.alarms import LINK, LOG, TO_BOARD, Condition, Standing
 from gateway.link.driver import BoardDriver
 from gateway.publish import BoardOutlet
 from gateway.record.recorder import RecorderStats
@@ -34,7 +34,7 @@ class StatusMaker:
         driver, session = self._driver, self._driver.session
         counters, unwrapper, counts, desk = session.counters, session.unwrapper, driver.counts, driver.desk
         elapsed_s = max(now_s - self._last_s, 1e-3)
-        samples, received = counters.samples, counts.bytes_received
+        samples, received = counts.samples, counts.bytes_received
         new_samples, new_bytes = samples - self._last_samples, received - self._last_bytes
         self._last_s, self._last_samples, self._last_bytes = now_s, samples, received
         latencies_s = self._outlet.state_channel.take_latencies_s()
@@ -62,7 +62,11 @@ class StatusMaker:
             line_load=new_bytes * _BITS_PER_BYTE / elapsed_s / driver.config.baud,
             board_bad_frames=driver.upkeep.board_bad_frames,
             board_overruns=driver.upkeep.board_overruns,
+            states=counters.states,
+            to_board=driver.to_board.state,
+            unanswered_s=driver.to_board.unanswered_s(now_s),
         )
+        status.states_ignored.update({**session.states_ignored, "not-served": counts.samples_refused})
         status.bad_frames.update(counters.bad_frames)
         status.bad_frames.update(
             {
@@ -82,6 +86,8 @@ class StatusMaker:
         driver, holding = self._driver, dict[str, Condition]()
         if driver.link != "streaming":
             holding[LINK] = Condition(text=driver.reason, since_ns=driver.since_ns)
+        if driver.unanswered is not None:
+            holding[TO_BOARD] = Condition(text=driver.unanswered.text, since_ns=driver.unanswered.host_time_ns)
         sample, fault = driver.known.sample, driver.fault
         if sample is not None and sample.state.flags & Flag.FAULT:
             holding["fault" if fault is None else fault.name] = (

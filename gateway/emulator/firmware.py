@@ -8,13 +8,6 @@
 Every rule of 'Behaviour of the board' in protocol/README.md holds here; this file has 1 to 5, 10 and 13, `loop.py` and
 `commands.py` the others.  Reading order: `arithmetic.py`, `law.py`, `flash.py`, `loop.py`, `commands.py`,
 `uart.py`, this.
-
-Where the page leaves room, this board
-- keeps commands that it refused, with their NACK, too: a host that gave up must not find the repetition executed;
-  only frames that are malformed are not kept;
-- answers HELLO afresh each time and executes every STOP, whatever ids are kept;
-- does not answer frames of the board's own direction: an echoing line would otherwise talk to itself;
-- refuses a command with BUSY when 8 of them wait for the next tick, without keeping that answer.
 """
 
 from __future__ import annotations

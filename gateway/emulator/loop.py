@@ -2,12 +2,6 @@
 
 Rules 6 to 9, 11 and the board's half of 12 and 13 of protocol/README.md.  Frames, ids and sessions are
 `firmware.py`'s business; what a command does to the loop is `commands.py`'s.
-
-Where the page leaves room, this board
-- takes an EXCITE with shape none as every other: the signal is its own offset;
-- leaves x_ref at the offset of an excitation that is ended by a change of mode, a STOP, a fault or the host's loss;
-- starts open loop at count 0 each time it is entered;
-- ends a capture with SET_MODE idle even where idle is in force: the operator wants the coil off.
 """
 
 from __future__ import annotations

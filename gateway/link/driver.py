@@ -1,7 +1,8 @@
 """One board: what the link is doing, what the board says, what it is told.  No I/O; `loop.py` moves the bytes.
 
 Link states: `absent` (no port), `connecting` (being opened), `handshake` (open, the board has not agreed yet),
-`streaming` (valid frames arrive), `silent` (none for `stale_s`).
+`streaming` (valid frames arrive, and states where the stream is on), `silent` (none for `stale_s`).  That is the
+direction from the board; the one to it has a state of its own, see `to_board.py`.
 
 Rule 1: one event and one log line for each change of state or reason, with counts; not one for each attempt.
 Rule 2: nothing here changes mode or reference: a gateway that comes or goes must not drop the ball.
@@ -16,11 +17,13 @@ import time
 from dataclasses import dataclass
 
 from gateway.access.doorkeeper import Sender
+from gateway.alarms import TO_BOARD
 from gateway.config import BoardConfig
 from gateway.link.capture import CaptureReader
 from gateway.link.clock import HostClock
 from gateway.link.desk import CommandDesk, Known
 from gateway.link.outlet import Outlet, Reply
+from gateway.link.to_board import ANSWERING, UNANSWERED, UNANSWERED_S, ToBoard
 from gateway.link.upkeep import Upkeep
 from gateway.link.words import describe
 from gateway.samples import StateEncoder, WireCommand, parameters_message, scaling_of
@@ -30,6 +33,8 @@ from protocol.wire.messages import FAULT_EVENTS, VERSION, EventCode, Message
 from protocol.wire.session import Session
 
 DIAGNOSE_S = 2.0  # an open port without a handshake for this long gets an explanation
+# After a pause of everything the first frame need not be a STATE.  Longer than between two PONGs, shorter than stale_s.
+STANDSTILL_S = 0.6
 REFUSED_RETRY_S = 5.0  # a board that was refused may have been exchanged or flashed
 _logger = logging.getLogger("gateway.link")
 
@@ -42,6 +47,8 @@ class LinkCounts:
     bytes_sent: int = 0
     reconnects: int = 0
     opened: int = 0
+    samples: int = 0  # handed on
+    samples_refused: int = 0  # of a board that is not served
 
 
 class BoardDriver:
@@ -79,7 +86,9 @@ class BoardDriver:
         self._encoder: StateEncoder | None = None
         self._capture: CaptureReader | None = None
         self.upkeep = Upkeep(config, self.session, self._got_parameters)
-        self._last_valid_s = self._opened_s = 0.0
+        self.to_board = ToBoard(self._to_board_is)
+        self.unanswered: pb.Event | None = None  # while the board answers nothing
+        self._last_valid_s = self._last_state_s = self._opened_s = 0.0
         self._valid_at_open = self._bytes_at_open = 0
         self._refused_until_s = 0.0
         self._now_s = 0.0
@@ -100,6 +109,7 @@ class BoardDriver:
         self._valid_at_open = self.session.counters.valid_frames
         self._bytes_at_open = self.counts.bytes_received
         self._offset_ns = self._clock.offset_ns()
+        self.to_board.begin()
         self._change("handshake", "port-opened", f"{name} is open; calling the board.")
         self.session.connect(now_s)
         self._set_deadline()
@@ -110,6 +120,7 @@ class BoardDriver:
         for event in self.session.disconnect():
             self._handle(event, now_s)
         self._end_session("the loss of the port")
+        self.to_board.begin()
         self._change("absent", "port-lost", text, severity=severity)
         self.deadline_s = float("inf")
 
@@ -123,26 +134,36 @@ class BoardDriver:
         if self._log_raw:
             self._outlet.raw(data, host_ns, to_board=False)
         session = self.session
-        valid = session.counters.valid_frames
+        counters = session.counters
+        valid, states, late = counters.valid_frames, counters.states, counters.late_answers
         payloads: list[bytes] = []
         sample: Sample | None = None
         for event in session.feed(data, now_s):
             if type(event) is Sample:
-                if self._encoder is not None:
-                    sample = event
-                    payloads.append(self._encoder.encode(event, host_ns))
+                if self._encoder is None:
+                    self.counts.samples_refused += 1
+                    continue
+                sample = event
+                # One that had to wait for its successor was read earlier than these bytes.
+                at_ns = host_ns if event.arrived_s == now_s else round(event.arrived_s * 1e9) + self._offset_ns
+                payloads.append(self._encoder.encode(event, at_ns))
             else:
                 if payloads:  # keep the order: a reset follows the samples before it
-                    self._outlet.states(payloads, host_ns, now_ns)
+                    self._hand_on(payloads, host_ns, now_ns)
                     payloads = []
                 self._handle(event, now_s)
         if payloads:
-            self._outlet.states(payloads, host_ns, now_ns)
+            self._hand_on(payloads, host_ns, now_ns)
             if self._encoder is not None:
                 self.known.sample = sample
-        if session.counters.valid_frames != valid:
+        if counters.valid_frames != valid:
+            if counters.states != states or now_s - self._last_valid_s >= STANDSTILL_S:
+                self._last_state_s = now_s
+            if counters.late_answers != late:
+                self.to_board.answered()  # too late for its command, but the board has heard it
             self._last_valid_s = now_s
-            if self.link != "streaming" and session.is_open and self._encoder is not None:
+            self.to_board.heard(now_s, self._stream_period_s())
+            if self.link != "streaming" and self._encoder is not None and not self._states_missing(now_s):
                 self._change("streaming", "link-streaming", self._who_is_there())
         self._set_deadline()
 
@@ -151,8 +172,9 @@ class BoardDriver:
         self._now_s = now_s
         for event in self.session.poll(now_s):
             self._handle(event, now_s)
-        if self.link == "streaming" and now_s - self._last_valid_s >= self.config.stale_s:
-            self._change("silent", "link-silent", f"No valid frame for {self.config.stale_s:g} s.", severity="warning")
+        if self.link in ("streaming", "silent"):
+            self._listen(now_s)
+        self.to_board.judge(now_s)
         if self.link == "handshake":
             self._explain(now_s)
         if self.session.is_open:
@@ -170,7 +192,10 @@ class BoardDriver:
 
     def output(self) -> bytes:
         """What to write next; asked again after `wrote`, for there may be more."""
-        return self.session.output()
+        data = self.session.output()
+        if data:  # also where the port takes nothing: then nothing reaches the board
+            self.to_board.sent(self._now_s)
+        return data
 
     def wrote(self, count: int) -> None:
         """The port has taken so much of it: that is sent, and logged."""
@@ -197,24 +222,39 @@ class BoardDriver:
         self._outlet.send("event", event, event.host_time_ns)
         return event
 
+    def _hand_on(self, payloads: list[bytes], host_ns: int, now_ns: int) -> None:
+        self.counts.samples += len(payloads)
+        self._outlet.states(payloads, host_ns, now_ns)
+
     # -- what the session says
 
     def _handle(self, event: Event, now_s: float) -> None:
         match event:
             case Answer():
+                if event.message is not None:
+                    self.to_board.answered()
                 self._answered(event, now_s)
             case BoardEvent():
                 self._board_event(event, now_s)
             case Opened():
+                self.to_board.answered()
                 self._opened(event, now_s)
             case Restarted():
                 self._opened_s = now_s
+                if event.doubtful is not None:
+                    self.tell(
+                        "samples-in-doubt",
+                        "warning",
+                        "PONGs of the board contradict the count of its ticks: the samples {} to {} of session {}"
+                        " may have wrong ticks.".format(*event.doubtful, self.session.number),
+                    )
                 self._end_session("a restart of the board" if event.board_reset else "a jump of the tick")
-                why = {"event": "it said so", "tick": "its tick jumped", "no-session": "it forgot this gateway"}
+                why = {"tick": "its tick jumped", "no-session": "it forgot this gateway"}
                 self._change(
                     "handshake", "board-restarted", f"The board restarted: {why[event.why]}.", severity="warning"
                 )
             case VersionRefused():
+                self.to_board.answered()
                 self._refuse_board(
                     "version-mismatch",
                     f"The board speaks protocol version {event.board_version}, this gateway {VERSION}:"
@@ -239,6 +279,7 @@ class BoardDriver:
         self._offset_ns = self._clock.offset_ns()
         self.known.identity, self.known.scaling = opened.identity, scaling
         self._encoder = StateEncoder(scaling, opened.session)
+        self._last_state_s = now_s
         self.upkeep.begin(now_s)
 
     def _refuse_board(self, kind: str, text: str, now_s: float) -> None:
@@ -266,6 +307,8 @@ class BoardDriver:
     def _got_parameters(self, message: Message) -> None:
         identity, scaling = self.known.identity, self.known.scaling
         if identity is not None and scaling is not None:
+            if not self._stream_period_s():
+                self._last_state_s = self._now_s  # a stream that was off, or not known, may begin now
             self.known.parameters = message
             host_ns = self.host_ns()
             parameters = parameters_message(
@@ -313,6 +356,47 @@ class BoardDriver:
 
     # -- time
 
+    def _stream_period_s(self) -> float:
+        """Between two states; 0 where the stream is off or not known."""
+        identity, parameters = self.known.identity, self.known.parameters
+        if identity is None or parameters is None:
+            return 0.0
+        return parameters.int("divider") * identity.int("sample_time") * 1e-6
+
+    def _states_limit_s(self) -> float:
+        period_s = self._stream_period_s()
+        return max(self.config.stale_s, 3 * period_s) if period_s else float("inf")
+
+    def _states_missing(self, now_s: float) -> bool:
+        return now_s - self._last_state_s >= self._states_limit_s()
+
+    def _listen(self, now_s: float) -> None:
+        stale_s = self.config.stale_s
+        if now_s - self._last_valid_s >= stale_s:
+            self._change("silent", "link-silent", f"No valid frame for {stale_s:g} s.", severity="warning")
+        elif self._states_missing(now_s):
+            self._change(
+                "silent",
+                "no-states",
+                f"The board answers, but no STATE has come for {self._states_limit_s():g} s although its stream is on:"
+                " its firmware or the line from it is disturbed.",
+                severity="warning",
+            )
+
+    def _to_board_is(self, state: str) -> None:
+        before, self.unanswered = self.unanswered, None
+        if state == UNANSWERED:
+            self.unanswered = self.tell(
+                TO_BOARD,
+                "fault",
+                f"The board has answered nothing for {UNANSWERED_S:g} s although its frames arrive: a STOP may not"
+                " reach it. Check the line to the board (its RX); to stop the rig now, cut its power.",
+            )
+            _logger.error("%s: %s", self.config.name, self.unanswered.text)
+        elif state == ANSWERING and before is not None:
+            told = self.tell("board-answers", "info", "The board answers again.")
+            _logger.info("%s: %s", self.config.name, told.text)
+
     def _drain(self, now_s: float) -> None:
         for event in self.session.take_outcomes():
             self._handle(event, now_s)
@@ -348,9 +432,10 @@ class BoardDriver:
         self._change("handshake", kind, text, severity="warning")
 
     def _set_deadline(self) -> None:
-        deadline = min(self.session.deadline_s, self.upkeep.deadline_s)
+        deadline = min(self.session.deadline_s, self.upkeep.deadline_s, self.to_board.deadline_s)
         if self.link == "streaming":
-            deadline = min(deadline, self._last_valid_s + self.config.stale_s)
+            missing_s = self._last_state_s + self._states_limit_s()
+            deadline = min(deadline, self._last_valid_s + self.config.stale_s, missing_s)
         elif self.link == "handshake":
             deadline = min(deadline, self._refused_until_s or self._now_s + DIAGNOSE_S)
         if self._capture is not None:

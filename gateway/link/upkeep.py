@@ -1,6 +1,7 @@
 """What a board needs from its gateway during a session: settings, signs of life, its parameters read.  No I/O.
 
-Rule 1: a PING at least every quarter of the host-loss time-out: three may be lost.
+Rule 1: a PING at least every quarter of the host-loss time-out: three may be lost; and every PING_S, so that it is
+        known whether the board answers.
 Rule 2: a setting that the board did not take is sent again a second later, for as long as the session lasts.
 Rule 3: nothing here changes mode or reference: a gateway that comes or goes must not drop the ball.
 """
@@ -15,6 +16,7 @@ from protocol.wire.messages import HostLoss, Message, Value
 from protocol.wire.session import Session
 
 PARAMETERS_S = 5.0
+PING_S = 0.25
 REDO_S = 1.0
 _BOARD_TIMEOUT_S = 0.5  # the board's own host-loss time-out until it is told ours
 _POLICIES = {"keep": HostLoss.KEEP, "coil-off": HostLoss.COIL_OFF, "hold": HostLoss.HOLD}
@@ -66,7 +68,7 @@ class Upkeep:
 
     def host_loss_is(self, timeout_ms: int, now_s: float) -> None:
         """The board has a new host-loss time-out."""
-        self._ping_s = timeout_ms / 4e3
+        self._ping_s = min(PING_S, timeout_ms / 4e3)
         self._next_ping_s = min(self._next_ping_s, now_s + self._ping_s)
 
     def answered(self, answer: Answer, now_s: float) -> None:

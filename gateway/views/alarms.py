@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from gateway.alarms import LINK, LOG
+from gateway.alarms import LINK, LOG, TO_BOARD
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import FAULT_EVENTS, Flag
 
@@ -123,6 +123,10 @@ class AlarmBook:
             self.come(LOG, "fault", event.text, now_ns)
         elif event.name == "log-resumed":
             self.go(LOG, now_ns)
+        elif event.name == TO_BOARD:
+            self.come(TO_BOARD, "fault", event.text, now_ns)
+        elif event.name == "board-answers":
+            self.go(TO_BOARD, now_ns)
 
     def state(self, state: pb.State, now_ns: int) -> None:
         """From each `state`: the board's FAULT flag.  Faults have no end event; the flag is what ends them."""
@@ -140,6 +144,17 @@ class AlarmBook:
             return
         for name in (LINK, *_REFUSED_BOARD):
             self.go(name, now_ns)
+
+    def to_board(self, status: pb.Status, now_ns: int) -> None:
+        """From `status`: a view that joined late has not seen the event."""
+        known = self._alarms.get(TO_BOARD)
+        if known is not None and status.host_time_ns < known.changed_ns:
+            return  # the event was quicker
+        if status.to_board != "unanswered":
+            self.go(TO_BOARD, now_ns)
+        elif not self._is_active(TO_BOARD):
+            since_ns = (status.host_time_ns or now_ns) - round(status.unanswered_s * 1e9)
+            self.come(TO_BOARD, "fault", "The board answers nothing: a STOP may not reach it.", since_ns)
 
     def log(self, log_state: str, now_ns: int) -> None:
         """From `status`: a view that joined late has not seen the event."""

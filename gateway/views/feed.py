@@ -195,6 +195,7 @@ class BoardFeed:
             self._seen(message)
         elif isinstance(message, pb.Status):
             self._book.log(message.log_state, now_ns)
+            self._book.to_board(message, now_ns)
         elif isinstance(message, pb.Parameters):
             self._period_s = message.sample_time_s * max(1, message.stream_divider)
 

@@ -16,6 +16,7 @@ class Sample(NamedTuple):
     session: int
     lost_before: int
     state: State
+    arrived_s: float  # when it was read; earlier than the events around it where it had to wait for its successor
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +36,14 @@ class VersionRefused:
 
 @dataclass(frozen=True, slots=True)
 class Restarted:
-    """The count of ticks ends here; `Opened` begins a new one.  `why`: 'event', 'tick', 'no-session'."""
+    """The count of ticks ends here; `Opened` begins a new one.  `why`: 'tick', 'no-session'.
+
+    `doubtful`: first and last tick of the samples that may have been given wrong ticks before this was found.
+    """
 
     why: str
     board_reset: bool
+    doubtful: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True, slots=True)

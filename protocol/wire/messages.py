@@ -239,7 +239,7 @@ ROWS: tuple[Row, ...] = (
     Row(0x42, "PONG", False, (
         _ID,
         _u32("tick", "tick", "control ticks since reset"),
-        _u16("bad_frames", "", "frames the board rejected since reset, saturating"),
+        _u16("bad_frames", "", "frames the board dropped without an answer since reset, saturating"),
         _u16("overruns", "", "late ticks since reset, saturating"),
     ), "answer to PING"),
     Row(0x43, "ACK", False, (

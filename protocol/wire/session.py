@@ -43,7 +43,6 @@ RESETS = frozenset({EventCode.RESET_POWER_ON, EventCode.RESET_WATCHDOG, EventCod
 WAIT_S = 2.0  # a command that could not begin to go out for this long is given up: nobody expects it to act any more
 PROVEN_S = 0.5  # twice the time between two PINGs that keep the default host-loss time-out away
 MAX_STOPS = 8  # unanswered at a time: more would fill the line with STOPs, and no answer would come in time
-_YOUNG_S = 1.0  # the EVENT of a reset reaches the host within this after the reset
 
 
 @dataclass(slots=True, kw_only=True)
@@ -51,9 +50,12 @@ class Counters:
     """What one board's sessions have seen, over all connections."""
 
     valid_frames: int = 0
+    states: int = 0  # valid STATE frames; each is a sample, counted by the unwrapper, or ignored, see `states_ignored`
     samples: int = 0
+    states_without_session: int = 0  # nothing said what a count is worth
     bad_frames: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CAUSES, 0))
-    stray_answers: int = 0
+    stray_answers: int = 0  # to nothing that is under way: late ones, doubled ones, an echo
+    late_answers: int = 0  # those of them that only a board sends
     events_lost: int = 0
     board_resets: int = 0
 
@@ -111,8 +113,18 @@ class Session:
         self._proven_s = -math.inf  # the board has answered
         self._identity: Message | None = None
         self._last_event: Message | None = None
-        self._young_until_s = -1.0
         self._pending: list[Event] = []  # outcomes that arose outside `feed` and `poll`
+
+    @property
+    def states_ignored(self) -> dict[str, int]:
+        """Valid STATE frames that became no sample, by cause; at most two more wait for their successor."""
+        unwrapper = self.unwrapper
+        return {
+            "no-session": self.counters.states_without_session,
+            "unplaced": unwrapper.unplaced,
+            "implausible": unwrapper.implausible,
+            "duplicate": unwrapper.duplicates,
+        }
 
     @property
     def waiting(self) -> int:
@@ -133,6 +145,7 @@ class Session:
             self._drop(self._hello)
         self.is_open = False
         self._hello = self._identity = None
+        self.unwrapper.give_up()
         self.deadline_s = float("inf")
         return self.take_outcomes()
 
@@ -193,19 +206,20 @@ class Session:
     def feed(self, data: bytes, now_s: float) -> list[Event]:
         """Bytes read at `now_s`; never raises, whatever they are."""
         events: list[Event] = []
-        good = samples = 0
+        good = states = samples = 0
         unwrapper = self.unwrapper
         for item in self._decoder.feed(data):
             if type(item) is State:
-                good += 1
-                if self._identity is None:  # nothing says yet what a count is worth
+                states += 1
+                if self._identity is None:
+                    self.counters.states_without_session += 1
                     continue
                 for placed in unwrapper.feed(item, now_s):
                     if isinstance(placed, Jump):
-                        self._restart(events, "tick", board_reset=placed.board_reset, now_s=now_s)
+                        self._jumped(placed, now_s, events)
                         break
                     samples += 1
-                    events.append(Sample(placed[0], self.number, placed[1], placed[2]))
+                    events.append(Sample(placed[0], self.number, placed[1], placed[2], placed[3]))
             elif type(item) is BadFrame:
                 self.counters.bad_frames[item.cause] += 1
             else:
@@ -216,7 +230,10 @@ class Session:
             self.counters.samples += samples
             if self.is_open:
                 unwrapper.settle(now_s)
-        self.counters.valid_frames += good
+        self.counters.states += states
+        self.counters.valid_frames += good + states
+        if unwrapper.in_doubt:
+            self._ask_tick(now_s)
         if self._pending or self._queue:
             self._pump(now_s)
         return events + self.take_outcomes() if self._pending else events
@@ -259,6 +276,7 @@ class Session:
         command = self._outstanding.get(message.int("id"))
         if command is None or not _answers(command, message):
             self.counters.stray_answers += 1
+            self.counters.late_answers += 1
             return
         del self._outstanding[command.id]
         self._unwrite(command)
@@ -270,13 +288,12 @@ class Session:
             return
         self._answer(command, "ack", message)
         # The answer to a repeated PING is the kept one: its tick is that of the first.
-        fresh = message.name == "PONG" and command.attempts == 1 and self.is_open
-        if fresh and not self.unwrapper.anchor(message.int("tick"), now_s):
-            self._restart(events, "tick", board_reset=True, now_s=now_s)
+        if message.name == "PONG" and command.attempts == 1:
+            self._witness(message.int("tick"), now_s, events)
         elif command.name == "SET_STREAM":
-            self.unwrapper.divider = int(command.values["divider"]) or None
+            self.unwrapper.stream(int(command.values["divider"]))
         elif message.name == "PARAMETERS" and not any(c.name == "SET_STREAM" for c in self._queue):
-            self.unwrapper.divider = message.int("divider") or None
+            self.unwrapper.stream(message.int("divider"))
 
     def _hello_answered(self, hello: _Command, message: Message, now_s: float, events: list[Event]) -> None:
         if message.name == "NACK" and message.int("reason") != Reason.VERSION:
@@ -292,10 +309,8 @@ class Session:
         self.number += 1
         self._identity = message
         self._last_event = None
-        tick, sample_time_s = message.int("tick"), message.int("sample_time") * 1e-6
-        self._young_until_s = now_s + _YOUNG_S if tick * sample_time_s < _YOUNG_S else -1.0
         self.unwrapper.divider = None
-        self.unwrapper.restart(tick, now_s, sample_time_s=sample_time_s)
+        self.unwrapper.restart(message.int("tick"), now_s, sample_time_s=message.int("sample_time") * 1e-6)
         self.is_open = True
         events.append(Opened(message, self.number))
 
@@ -305,27 +320,43 @@ class Session:
             return  # the line doubled it
         code = EventCode(message.int("code"))
         missed = 0
-        if code in RESETS:
-            # Answers overtake events on the line: the EVENT of a reset may follow the IDENTITY that came after it.
-            if now_s > self._young_until_s:
-                self._restart(events, "event", board_reset=True, now_s=now_s)
-            self._young_until_s = -1.0
-            self._last_event = message
-        elif last is not None:
+        if last is not None and code not in RESETS:  # with a reset the numbers begin anew
             missed = (message.int("number") - last.int("number") - 1) & 0xFF
             self.counters.events_lost += missed
         events.append(BoardEvent(message.int("tick"), code, message.int("detail"), missed))
+        # Also of a reset: answers overtake events on the line, so it may follow the IDENTITY that was asked for later.
+        self._witness(message.int("tick"), now_s, events)
 
-    def _restart(self, events: list[Event], why: str, *, board_reset: bool, now_s: float) -> None:
+    def _witness(self, tick: int, now_s: float, events: list[Event]) -> None:
+        if self.is_open:
+            jump = self.unwrapper.witness(tick, now_s)
+            if jump is not None:
+                self._jumped(jump, now_s, events)
+
+    def _ask_tick(self, now_s: float) -> None:
+        """A full tick contradicts the count: a second one decides, and soon."""
+        if not any(c.name == "PING" for c in [*self._outstanding.values(), *self._queue]):
+            self.submit("PING", now_s)
+
+    def _jumped(self, jump: Jump, now_s: float, events: list[Event]) -> None:
+        self._restart(events, "tick", board_reset=jump.board_reset, now_s=now_s, doubtful=jump.doubtful)
+
+    def _restart(
+        self,
+        events: list[Event],
+        why: str,
+        *,
+        board_reset: bool,
+        now_s: float,
+        doubtful: tuple[int, int] | None = None,
+    ) -> None:
         """Nothing is continuous with before: cancel, forget the identity, shake hands again."""
         if not self.is_open:
             return  # the handshake is being made already
-        self.is_open = False
-        self._identity = None
         if board_reset:
             self.counters.board_resets += 1
         self._cancel(lambda _: True, "board-reset")
-        events.append(Restarted(why, board_reset))
+        events.append(Restarted(why, board_reset, doubtful))
         self._shake(now_s)
 
     # -- commands to the board
@@ -334,6 +365,7 @@ class Session:
         """HELLO with a new session; states are ignored until it is answered, for nothing says what a count is worth."""
         self.is_open = False
         self._identity = None
+        self.unwrapper.give_up()
         session = self._choose_session() & 0xFFFF
         if self._hello is not None:
             self._unwrite(self._hello)

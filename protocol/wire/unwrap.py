@@ -3,9 +3,13 @@
 Rule 1: a tick is published once and in rising order; what cannot be placed is counted, never guessed.
 Rule 2: a frame can be late, never early.  Since the best arrival so far says when tick 0 was, a sequence that would
         lie in the future is either noise that passed the CRC (once in 65536) or a restarted board.
-Rule 3: a step that breaks rule 2 or goes back is held until the next frame confirms it by following it; if that one
-        follows the old count instead, the held one was noise (`implausible`) and the count never moved.
-Rule 4: losses are counted against the divider of the stream; while it is not known, against the smallest step seen.
+Rule 3: no single frame moves the count.  The one witness besides the frame itself is, for the step of the stream, the
+        count so far; for any other step, the state that follows it; for a full tick (PONG, EVENT) that contradicts the
+        count, another full tick.  Until then the frame is held; if the next one goes on from the old count, the held
+        one was noise (`implausible`).
+Rule 4: what sequences cannot tell, the number of wraps, is not concluded from them: after half a wrap without a state
+        or a full tick, or a step forward that the host's clock does not allow, the count ends and is asked for anew.
+Rule 5: losses are counted against the divider of the stream; while it is not known, against the smallest step seen.
 """
 
 from __future__ import annotations
@@ -15,10 +19,12 @@ from typing import NamedTuple
 from protocol.wire.decoder import State
 
 WRAP = 1 << 16
+_HALF_WRAP = WRAP // 2
+_TICK_BITS = 32
 _EARLY_TICKS = 25  # 50 ms at T_s = 2 ms: queueing of the anchoring answer, drift of both clocks between two anchors
 _LATE_TICKS = 256  # an answer overtaken by this many states still speaks of the same run of the board
 _LEAD_WINDOW_S = 10.0  # the best arrival is forgotten after at most twice this, so that clock drift does not add up
-_FAST_S = 60.0  # below half a wrap of 131 s the next sequence number is unambiguous
+_CLAIM_S = 1.0  # a contradiction that nobody repeats within this is dropped: the count has its own witnesses
 
 
 class Placed(NamedTuple):
@@ -27,28 +33,39 @@ class Placed(NamedTuple):
     tick: int  # since the board's reset
     lost_before: int  # states missing directly before this one
     state: State
+    arrived_s: float
 
 
 class Jump(NamedTuple):
     """The count cannot go on; nothing is placed until the next `restart`."""
 
     board_reset: bool  # False: the board may never have restarted, but continuity cannot be claimed
+    doubtful: tuple[int, int] | None = None  # ticks, first and last, placed since a full tick agreed for the last time
 
 
 class TickUnwrapper:
-    """Follows one board's tick.  Call `restart` with a tick heard in full before the first `feed`."""
+    """Follows one board's tick.  Call `restart` with a tick heard in full before the first `feed`.
+
+    Every state fed is placed, counted in `duplicates`, `implausible` or `unplaced`, or waits: at most two do.
+    """
 
     def __init__(self) -> None:
         self.duplicates = 0
         self.implausible = 0
+        self.unplaced = 0  # good perhaps, but the count ended, or was in doubt, before a second witness came
         self.lost = 0
         self.divider: int | None = None  # None: not known
         self._smallest_step = WRAP
         self._rate = 500.0
+        self._sure_s = _HALF_WRAP / self._rate
         self._last = -_LATE_TICKS
         self._last_s = 0.0
         self._first = True
-        self._held: tuple[State, float] | None = None
+        self._witnessed = 0  # the newest full tick that agreed
+        self._witnessed_s = 0.0
+        self._gap: Placed | None = None  # in time, but not the next one: waits for its successor
+        self._odd: tuple[State, float] | None = None  # too early, or back: waits for its successor
+        self._claim: tuple[int, float] | None = None  # a full tick that contradicts the count
         self._lead = self._next_lead = 0.0
         self._window_end_s = 0.0
         self._quick = False
@@ -58,35 +75,63 @@ class TickUnwrapper:
         """The newest tick placed; before the first one, what the anchor said."""
         return max(self._last, 0)
 
+    @property
+    def in_doubt(self) -> bool:
+        """A full tick has contradicted the count: another one is wanted."""
+        return self._claim is not None
+
     def restart(self, tick: int, now_s: float, *, sample_time_s: float | None = None) -> None:
         """Begin a count near `tick`, heard in full at `now_s`; T_s in seconds where it is news."""
         if sample_time_s is not None:
             self._rate = 1.0 / sample_time_s
+            self._sure_s = _HALF_WRAP / self._rate
+        self.give_up()
         self._last = tick - _LATE_TICKS
         self._last_s = now_s
+        self._witnessed, self._witnessed_s = tick, now_s
         self._first = True
-        self._held = None
         self._quick = False
         self._smallest_step = WRAP
         self._lead = self._next_lead = tick - now_s * self._rate
         self._window_end_s = now_s + _LEAD_WINDOW_S
 
-    def anchor(self, tick: int, now_s: float) -> bool:
-        """A tick heard in full (PONG).  False: it is behind what was placed, so the board restarted."""
-        if tick < self._last - _LATE_TICKS:
-            return False
-        self._arrived(tick, now_s)
-        if tick - self._last > WRAP // 2:
-            self._quick = False  # after a long silence the next sequence number alone is ambiguous
-        return True
+    def give_up(self) -> None:
+        """Nothing comes any more that could place what waits."""
+        self.unplaced += (self._gap is not None) + (self._odd is not None)
+        self._gap = self._odd = self._claim = None
+
+    def stream(self, divider: int) -> None:
+        """The board sends every n-th tick from now on; 0: none, and what it does not send is not lost."""
+        self.divider = divider or None
+        if not divider:
+            self._first, self._quick = True, False
+
+    def witness(self, tick: int, now_s: float) -> Jump | None:
+        """A tick heard in full, modulo 2^32 (PONG, EVENT): it agrees, contradicts, or is the second that does."""
+        tick = self._last + _signed(tick - self._last)
+        if self._last - _LATE_TICKS <= tick <= max(self._latest(now_s), self._last + _EARLY_TICKS):
+            self._claim = None
+            self._agreed(tick, now_s)
+            return None
+        claim, self._claim = self._claim, (tick, now_s)
+        if claim is None or now_s - claim[1] > _CLAIM_S or not -_LATE_TICKS <= tick - claim[0] < _HALF_WRAP:
+            return None
+        ahead = tick - self._last
+        if 0 < ahead < _HALF_WRAP:  # a board that runs faster than it says (an emulator at --speed 20), little streamed
+            self._claim = None
+            self._agreed(tick, now_s)
+            return None
+        doubtful = (self._witnessed, self._last) if self._last > self._witnessed else None
+        self.give_up()
+        return Jump(ahead < 0, doubtful)
 
     def feed(self, state: State, now_s: float) -> list[Placed | Jump]:
-        """Place a state that arrived at `now_s`; nothing, one, or after a confirmed jump several results."""
+        """Place a state that arrived at `now_s`; nothing, one, or with what had waited several results."""
         step = (state.sequence - self._last) & 0xFFFF
-        if step == self.divider and self._quick and now_s - self._last_s < _FAST_S:
+        if step == self.divider and self._quick and now_s - self._last_s < self._sure_s:
             self._last += step
             self._last_s = now_s
-            return [Placed(self._last, 0, state)]
+            return [Placed(self._last, 0, state, now_s)]
         return self._feed_slowly(state, now_s)
 
     def settle(self, now_s: float) -> None:
@@ -95,59 +140,81 @@ class TickUnwrapper:
             self._arrived(self._last, now_s)
 
     def _feed_slowly(self, state: State, now_s: float) -> list[Placed | Jump]:
-        if not self._first and state.sequence == self._last & 0xFFFF and now_s - self._last_s < _FAST_S:
+        if now_s - max(self._last_s, self._witnessed_s) >= self._sure_s:
+            self.give_up()
+            self.unplaced += 1
+            return [Jump(board_reset=False)]
+        if not self._first and state.sequence == self._last & 0xFFFF:
             self.duplicates += 1
             return []
-        tick = self._candidate(state.sequence, now_s)
-        if tick <= now_s * self._rate + self._lead + _EARLY_TICKS:
-            if self._held is not None:
-                self._drop_held()
+        tick = self._candidate(state.sequence)
+        if tick > self._latest(now_s):
+            return self._too_early(state, now_s)
+        if self._odd is not None:
+            self._count_noise(self._odd[0])
+            self._odd = None
+        return self._in_time(tick, state, now_s)
+
+    def _in_time(self, tick: int, state: State, now_s: float) -> list[Placed | Jump]:
+        gap, self._gap = self._gap, None
+        if not self._first and tick - self._last == (self.divider or self._smallest_step):
+            if gap is not None:
+                self._count_noise(gap.state)
             return [self._place(tick, state, now_s)]
-        held, self._held = self._held, (state, now_s)
-        self._quick = False  # the next frame decides about this one, also if it follows the old count
-        if held is None:
-            return []
-        if not 0 < (state.sequence - held[0].sequence) & 0xFFFF <= max(self.divider or 1, _EARLY_TICKS):
-            self._count_noise(held[0])
-            return []
-        self._held = None
-        return self._jump(held, (state, now_s))
+        if gap is not None and tick > gap.tick and not self._fits_claim(state, now_s):
+            return [self._place(gap.tick, gap.state, gap.arrived_s), self._place(tick, state, now_s)]
+        if gap is not None and tick == gap.tick:
+            self.duplicates += 1
+        elif gap is not None and tick < gap.tick:
+            self._count_noise(gap.state)
+        elif gap is not None:
+            self.unplaced += 1
+        self._gap = Placed(tick, 0, state, now_s)
+        self._quick = False  # the next state decides about this one, also if it follows the old count
+        return []
 
-    def _candidate(self, sequence: int, now_s: float) -> int:
-        """The first tick after the last one with this sequence number, moved on by the wraps that time allows."""
-        tick = self._last + 1 + ((sequence - self._last - 1) & 0xFFFF)
-        latest = now_s * self._rate + self._lead + _EARLY_TICKS
-        if tick < 0:
-            tick += WRAP
-        return tick + max(0, int((latest - tick) // WRAP)) * WRAP
+    def _too_early(self, state: State, now_s: float) -> list[Placed | Jump]:
+        odd, self._odd = self._odd, (state, now_s)
+        self._quick = False
+        if odd is None:
+            return []
+        if not 0 < (state.sequence - odd[0].sequence) & 0xFFFF <= max(self.divider or 1, _EARLY_TICKS):
+            self._count_noise(odd[0])
+            return []
+        return self._jump(odd, (state, now_s))
 
-    def _place(self, tick: int, state: State, now_s: float) -> Placed:
+    def _jump(self, first: tuple[State, float], second: tuple[State, float]) -> list[Placed | Jump]:
+        gap = self._gap
+        ahead = (first[0].sequence - self._last) & 0xFFFF
+        if ahead < _LATE_TICKS and (gap is None or gap.tick < self._last + ahead):
+            # Two frames agree on a step forward that is too early by our clock: the board runs faster than it says
+            # (an emulator at --speed 20).  The losses are real, the continuity too.
+            self._odd = self._gap = None
+            tick = self._last + ahead
+            self._arrived(tick, first[1])
+            placed = [] if gap is None else [self._place(gap.tick, gap.state, gap.arrived_s)]
+            return [*placed, self._place(tick, *first), *self.feed(*second)]
+        # A board that restarted since the last state cannot be further than the time since then.
+        board_reset = first[0].sequence <= (first[1] - self._last_s) * self._rate + _EARLY_TICKS
+        self.give_up()
+        self.unplaced += 1  # the first of the two
+        return [Jump(board_reset)]
+
+    def _candidate(self, sequence: int) -> int:
+        """The first tick after the last one placed, or after the newest witness, with this sequence number."""
+        start = max(self._last, self._witnessed - _LATE_TICKS)
+        tick = start + 1 + ((sequence - start - 1) & 0xFFFF)
+        return tick if tick >= 0 else tick + WRAP
+
+    def _place(self, tick: int, state: State, arrived_s: float) -> Placed:
         lost = 0
         if not self._first:
             step = tick - self._last
             self._smallest_step = min(step, self._smallest_step)
             lost = (step - 1) // (self.divider or self._smallest_step)
             self.lost += lost
-        self._last, self._last_s, self._first, self._quick = tick, now_s, False, True
-        return Placed(tick, lost, state)
-
-    def _jump(self, first: tuple[State, float], second: tuple[State, float]) -> list[Placed | Jump]:
-        sequence, now_s = first[0].sequence, first[1]
-        # A board that restarted since the last state cannot be further than the time since then.
-        board_reset = sequence <= (now_s - self._last_s) * self._rate + _EARLY_TICKS
-        ahead = (sequence - self._last) & 0xFFFF
-        if not board_reset and ahead < WRAP // 2:
-            # Two frames agree on a step forward that is too early by our clock: the board runs faster than it says
-            # (an emulator at --speed 20).  The losses are real, the continuity too.
-            self._lead = self._next_lead = self._last + ahead - now_s * self._rate
-            placed = self._place(self._last + ahead, *first)
-            return [placed, *self.feed(*second)]
-        return [Jump(board_reset)]
-
-    def _drop_held(self) -> None:
-        assert self._held is not None
-        self._count_noise(self._held[0])
-        self._held = None
+        self._last, self._last_s, self._first, self._quick = tick, arrived_s, False, True
+        return Placed(tick, lost, state, arrived_s)
 
     def _count_noise(self, state: State) -> None:
         behind = (self._last - state.sequence) & 0xFFFF
@@ -155,6 +222,26 @@ class TickUnwrapper:
             self.duplicates += 1
         else:
             self.implausible += 1
+
+    def _fits_claim(self, state: State, now_s: float) -> bool:
+        """Whether the state speaks for the full tick that contradicts the count as much as for the count."""
+        if self._claim is None:
+            return False
+        tick, said_s = self._claim
+        if now_s - said_s > _CLAIM_S:
+            self._claim = None
+            return False
+        since = (state.sequence - tick + _LATE_TICKS) & 0xFFFF
+        return since <= 2 * _LATE_TICKS + (now_s - said_s) * self._rate
+
+    def _latest(self, now_s: float) -> float:
+        """No tick can be later than this by our clock."""
+        return now_s * self._rate + self._lead + _EARLY_TICKS
+
+    def _agreed(self, tick: int, now_s: float) -> None:
+        self._arrived(tick, now_s)
+        self._witnessed_s = now_s
+        self._witnessed = max(self._witnessed, tick)
 
     def _arrived(self, tick: int, now_s: float) -> None:
         lead = tick - now_s * self._rate
@@ -165,3 +252,9 @@ class TickUnwrapper:
             self._next_lead = lead
         if lead > self._lead:
             self._lead = lead
+
+
+def _signed(ticks: int) -> int:
+    """The nearest difference that is equal to `ticks` modulo 2^32."""
+    half = 1 << _TICK_BITS - 1
+    return (ticks + half) % (1 << _TICK_BITS) - half

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.alarms import EVERY_S, LINK, Condition, Standing
+from gateway.alarms import EVERY_S, LINK, TO_BOARD, Condition, Standing
+from gateway.emulator.serve import Emulator
 from gateway.record.reader import read
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import EventCode, Flag
@@ -51,6 +52,39 @@ def test_a_link_that_is_down_says_since_when_and_why(tmp_path: Path) -> None:
 
             assert active(late) == {LINK: since}
             assert "nothing" in newest(late).active[0].text
+
+
+def test_a_cut_line_to_the_board_is_an_alarm_and_a_state_of_its_own_while_samples_flow() -> None:
+    with Emulator() as emulator, gateway_and_client(gateway_config(*emulator.urls)) as bus:
+        bus.await_states(100)
+        emulator.inject("lost=1@0+4:rx")
+        event = bus.await_event(TO_BOARD)
+        wait_for(lambda: active(bus) == {TO_BOARD: event.host_time_ns}, "the alarm")
+        cut = wait_for(
+            lambda: next((s for s in bus.messages["rig/status"] if s.to_board == "unanswered"), None), "the status"
+        )
+        bus.await_event("board-answers")
+        wait_for(lambda: not active(bus), "its end")
+        healthy = wait_for(
+            lambda: next((s for s in reversed(bus.messages["rig/status"]) if s.to_board == "answering"), None), "status"
+        )
+
+    assert (cut.link, cut.samples_per_s > 0) == ("streaming", True)
+    assert cut.unanswered_s >= 1.0
+    assert healthy.unanswered_s == 0.0
+
+
+def test_every_state_frame_is_a_sample_of_the_status_or_counted_in_it() -> None:
+    faults = ("reset@2/1.5", "flip=2e-4:tx", "lost=2e-4:tx", "duplicate=1e-4:tx")
+    with Emulator(faults=faults) as emulator, gateway_and_client(gateway_config(*emulator.urls)) as bus:
+        status = wait_for(
+            lambda: next((s for s in bus.messages["rig/status"] if s.board_resets >= 4), None), "four restarts", 60.0
+        )
+
+    waiting = status.states - status.samples - sum(status.states_ignored.values())
+    assert 0 <= waiting <= 2
+    assert status.samples > 1000
+    assert status.states_ignored["no-session"] > 0
 
 
 def test_an_acknowledgement_is_an_event_a_record_and_kept(tmp_path: Path) -> None:

@@ -66,6 +66,7 @@ def test_the_environment_overrides_the_file(tmp_path: Path) -> None:
         ('[[board]]\nname = "a"\nport = "p"\nbaud = true', "baud = True has the wrong type"),
         ('[[board]]\nname = "a"\nport = "p"\nhost_loss = "panic"', "host_loss = 'panic' is not a choice"),
         ('[[board]]\nname = "a"\nport = "p"\n[board.limits]\nx_ref_min_m = 0.006', "not below x_ref_max_m"),
+        ('[[board]]\nname = "a"\nport = "p"\nhost_loss_timeout_s = 0.3', "0.3 is below host_loss_min_s 1"),
         ('[[board]]\nname = "a"\nport = "p"\n[board.limits]\nx_ref_min_mm = 1', "unknown key 'x_ref_min_mm'"),
         ('[[board]]\nname = "a"\nport = "p"\n[[board]]\nname = "a"\nport = "q"', "two boards have the name 'a'"),
         ('[[board]]\nname = "a"\nport = "p"\n[[board]]\nname = "b"\nport = "p"', "two boards have the port 'p'"),
@@ -98,6 +99,12 @@ def test_a_bad_environment_variable_is_an_error(tmp_path: Path, variable: str, v
 def test_an_absent_file_says_how_to_get_one(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--print-config"):
         load_config(tmp_path / "no.toml", {})
+
+
+def test_a_computer_that_is_never_late_may_hold_a_shorter_host_loss(tmp_path: Path) -> None:
+    text = '[[board]]\nname = "a"\nport = "p"\nhost_loss_timeout_s = 0.1\n[board.limits]\nhost_loss_min_s = 0.1\n'
+
+    assert _load(tmp_path, text).boards[0].host_loss_timeout_s == 0.1
 
 
 def test_the_documented_file_is_toml() -> None:

@@ -86,6 +86,43 @@ def test_rule_1_a_hanging_firmware_holds_its_output_until_the_watchdog_resets_it
     assert bench.inputs[-1][0] == 0.0
 
 
+def test_rule_1_state_goes_out_where_the_divider_divides_the_tick_whenever_it_was_set() -> None:
+    host = Host()
+    host.run(3)
+
+    answer = host.ask("SET_STREAM", divider=7)
+    host.run(40)
+    back = host.ask("SET_STREAM", divider=1)
+
+    since = [state.sequence for state in host.states if state.sequence >= answer.int("tick")]
+    assert answer.int("tick") % 7
+    assert since == [tick for tick in range(answer.int("tick"), back.int("tick")) if tick % 7 == 0] + [back.int("tick")]
+
+
+def test_rule_1_the_phase_of_the_stream_counts_from_0_again_where_the_tick_wraps() -> None:
+    host = Host()
+    host.ask("SET_STREAM", divider=10)
+    host.firmware.next_tick = 2**32 - 20
+
+    states = host.run(40)
+
+    assert [state.sequence for state in states] == [65520, 65530, 0, 10]
+
+
+def test_rule_1_the_allowance_is_full_after_a_reset() -> None:
+    host = Host()
+    host.ask("SET_REFERENCE", x_ref=LIMITS.x_ref_max)
+    host.ask("RESET")
+    host.run(BOOT_TICKS + 1, alive=False)
+    host.hello(2)
+
+    beyond = host.ask("SET_REFERENCE", x_ref=GAINS.x_0 - LIMITS.x_ref_step - 1)
+    whole = host.ask("SET_REFERENCE", x_ref=GAINS.x_0 - LIMITS.x_ref_step)
+
+    assert refusal(beyond) == (Reason.SLEW, LIMITS.x_ref_step)
+    assert whole.name == "ACK"
+
+
 # Rule 2
 
 
@@ -185,6 +222,71 @@ def test_rule_3_the_ninth_oldest_id_is_forgotten() -> None:
     assert forgotten.int("tick") > first.int("tick")
 
 
+@pytest.mark.parametrize(
+    ("name", "fields"),
+    [("GET_PARAMETERS", {}), ("READ_CAPTURE", {"index": 0}), ("STOP", {}), ("PING", {})],
+    ids=["GET_PARAMETERS", "READ_CAPTURE", "STOP", "PING"],
+)
+def test_rule_3_every_command_takes_one_of_the_eight_places(name: str, fields: dict[str, int]) -> None:
+    host = Host()
+    first = host.send(frame("SET_STREAM", id=101, divider=1))
+    for n in range(102, 109):
+        host.firmware.feed(frame(name, id=n, **fields))
+        host.run(1, alive=False)
+    kept = host.send(frame("SET_STREAM", id=101, divider=1))  # and does not take a place again
+
+    host.firmware.feed(frame(name, id=109, **fields))
+    host.run(1, alive=False)
+    forgotten = host.send(frame("SET_STREAM", id=101, divider=1))
+
+    assert kept == first
+    assert forgotten.int("tick") > first.int("tick")
+
+
+def test_rule_3_a_hello_takes_no_place() -> None:
+    host = Host()
+    first = host.send(frame("SET_STREAM", id=101, divider=1))
+    for n in range(102, 120):
+        host.send(frame("HELLO", id=n, session=1, version_min=1, version_max=1))
+
+    assert host.send(frame("SET_STREAM", id=101, divider=1)) == first
+
+
+def test_rule_3_a_repeated_ping_is_answered_with_the_tick_of_the_first() -> None:
+    host = Host()
+    pongs = []
+    for _ in range(2):
+        host.firmware.feed(frame("PING", id=9))
+        host.firmware.tick()
+        pongs += [e for e in StreamDecoder().feed(host.firmware.take_output()) if isinstance(e, Message)]
+
+    assert pongs[0] == pongs[1]
+
+
+def test_rule_3_a_stop_takes_over_the_place_of_its_id() -> None:
+    host = Host()
+    host.send(frame("SET_STREAM", id=5, divider=1))
+
+    stopped = host.send(frame("STOP", id=5))
+
+    assert stopped.name == "ACK"
+    assert refusal(host.send(frame("SET_STREAM", id=5, divider=1))) == (Reason.BUSY, 0)
+
+
+def test_rule_3_a_kept_id_is_looked_at_before_the_frame_and_the_session_before_the_command() -> None:
+    host = Host(session=False)
+
+    malformed = host.send(encode_frame(b"\x03\x09\x03"))  # no mode 3, and no session either
+    without_session = host.send(frame("SET_REFERENCE", id=9, x_ref=4095))  # out of bounds, too
+    host.hello(4)
+    kept = host.send(frame("SET_REFERENCE", id=9, x_ref=4095))
+    again = host.send(encode_frame(b"\x04\x09\xff\xff"))  # the same id and type, a field out of its range
+
+    assert refusal(malformed)[0] == Reason.OUT_OF_RANGE
+    assert refusal(without_session)[0] == Reason.NO_SESSION
+    assert again == kept
+
+
 def test_rule_3_a_frame_whose_end_was_damaged_does_not_spoil_its_repetition() -> None:
     host = Host()
     good = frame("SET_STREAM", id=70, divider=1)
@@ -219,6 +321,21 @@ def test_rule_4_commands_of_one_tick_are_executed_in_the_order_of_arrival() -> N
         (200 + n, state.sequence) for n in range(3)
     ]
     assert state.x_ref == GAINS.x_0 + 20
+
+
+def test_rule_4_the_policy_of_host_loss_shapes_the_tick_at_which_it_acts() -> None:
+    host = Host()
+    host.ask("SET_MODE", mode=2)
+    host.ask("SET_HOST_LOSS", policy=1, timeout=50)
+
+    host.run(30, alive=False)
+
+    lost, changed = host.events[-2:]
+    assert [event.int("code") for event in (lost, changed)] == [EventCode.HOST_LOST, EventCode.MODE_CHANGED]
+    tick = lost.int("tick")
+    flags = {state.sequence: state.flags for state in host.states}
+    assert not flags[tick - 1] & Flag.HOST_LOST
+    assert flags[tick] == Flag.HOST_LOST | Mode.IDLE
 
 
 # Rule 5
@@ -342,6 +459,28 @@ def test_rule_7_the_allowance_never_exceeds_one_step() -> None:
     assert refusal(answer) == (Reason.SLEW, LIMITS.x_ref_step)
 
 
+def test_rule_7_the_allowance_refills_exactly_once_per_tick() -> None:
+    host = Host()
+    host.ask("SET_REFERENCE", x_ref=GAINS.x_0 - 1000)
+    left = (LIMITS.x_ref_step - 1000) * 1_000_000
+
+    for ticks in (1, 2, 3, 10):
+        host.run(ticks - 1)
+        left += ticks * LIMITS.x_ref_slew * 2000
+        answer = host.ask("SET_REFERENCE", x_ref=LIMITS.x_ref_max)
+        assert refusal(answer) == (Reason.SLEW, left // 1_000_000)
+
+
+def test_rule_7_a_jump_counts_from_what_an_excitation_shows() -> None:
+    host = Host()
+    host.ask("SET_MODE", mode=2)
+    host.ask("EXCITE", shape=0, target=1, offset=LIMITS.x_ref_min, **QUIET)
+
+    answer = host.ask("SET_REFERENCE", x_ref=LIMITS.x_ref_min + LIMITS.x_ref_step)
+
+    assert answer.name == "ACK"
+
+
 # Rule 8 (shapes: test_firmware_excitation.py)
 
 
@@ -409,6 +548,18 @@ def test_rule_8_set_reference_ends_an_excitation_of_the_reference() -> None:
 
     assert {state.x_ref for state in host.states[-6:-1]} == {1950, 2050}
     assert {state.x_ref for state in host.run(10)} == {2100}
+
+
+def test_rule_8_what_ends_an_excitation_leaves_the_reference_at_its_offset() -> None:
+    host = Host()
+    host.ask("SET_MODE", mode=2)
+    host.ask("EXCITE", shape=2, target=1, offset=2000, **(QUIET | {"amplitude": 50, "period": 4}))
+    host.run(5)
+
+    host.ask("STOP")
+
+    assert {state.x_ref for state in host.run(5)} == {2000}
+    assert EventCode.EXCITATION_DONE not in host.codes()
 
 
 # Rule 9 (law: test_firmware_law.py)
@@ -481,6 +632,21 @@ def test_rule_10_noise_does_not_keep_the_host_alive() -> None:
     assert EventCode.HOST_LOST in host.codes()
 
 
+def test_rule_10_the_timer_runs_without_a_host_and_any_frame_with_an_id_restarts_it() -> None:
+    alone = Host(session=False)
+    alone.run(249, alive=False)
+    before = alone.codes()
+    alone.run(1, alive=False)
+    talked_to = Host()
+    for _ in range(600):
+        talked_to.firmware.feed(encode_frame(b"\x3f\x09"))  # a type that nobody knows
+        talked_to.run(1, alive=False)
+
+    assert EventCode.HOST_LOST not in before
+    assert EventCode.HOST_LOST in alone.codes()
+    assert EventCode.HOST_LOST not in talked_to.codes()
+
+
 # Rule 11
 
 
@@ -529,6 +695,17 @@ def test_rule_11_a_position_at_an_end_for_500_ticks_of_closed_loop_is_a_fault(x_
     assert before & 0xCB == Flag.POSITION_RANGE | Mode.CLOSED_LOOP
     assert host.states[-1].flags & 3 == Mode.IDLE
     assert host.details(EventCode.SENSOR_FAULT) == [count]
+
+
+def test_rule_11_a_current_still_at_the_top_is_a_fault_again_at_the_tick_after_set_mode() -> None:
+    bench = Bench(i_a=5.0)
+    host = Host(bench)
+    host.run(60)
+
+    host.ask("SET_MODE", mode=1)
+
+    assert host.codes().count(EventCode.OVER_CURRENT) == 2
+    assert host.states[-1].flags & (Flag.FAULT | 3) == Flag.FAULT
 
 
 # Rule 12
@@ -664,6 +841,33 @@ def test_rule_13_stop_ends_a_capture_and_leaves_the_stream() -> None:
     assert EventCode.CAPTURE_DONE not in host.codes()
 
 
+def test_rule_13_the_ack_of_a_stop_carries_the_tick_that_comes_next() -> None:
+    host = Host()
+    host.ask("SET_MODE", mode=1)
+    shown = host.run(3)[-1].sequence
+
+    host.firmware.feed(frame("STOP", id=77), into_tick_us=700)
+    answered = StreamDecoder().feed(host.firmware.take_output())
+    off = host.firmware.loop.u
+    state = host.run(1)[0]
+
+    (ack, changed) = [event for event in answered if isinstance(event, Message)]
+    assert (ack.name, ack.int("tick"), changed.int("tick")) == ("ACK", shown + 1, shown + 1)
+    assert off == 0
+    assert (state.sequence, state.flags) == (shown + 1, Mode.IDLE)
+
+
+def test_rule_13_a_stop_leaves_a_fault() -> None:
+    bench = Bench(i_a=5.0)
+    host = Host(bench)
+    host.run(60)
+    bench.i_a = 0.0
+
+    host.ask("STOP")
+
+    assert host.states[-1].flags == Flag.FAULT | Mode.IDLE
+
+
 def test_rule_13_a_stop_is_executed_whatever_its_id() -> None:
     host = Host()
     host.send(frame("STOP", id=5))
@@ -750,6 +954,25 @@ def test_what_is_no_command_is_counted_and_not_answered(junk: bytes) -> None:
 
     assert [(pong.name, pong.int("bad_frames")) for pong in pongs] == [("PONG", 1)]
     assert len(host.answers) == 1  # HELLO
+
+
+@pytest.mark.parametrize(
+    "refused",
+    [
+        encode_frame(b"\x3f\x09"),  # UNKNOWN_TYPE
+        encode_frame(b"\x03\x09"),  # BAD_LENGTH
+        encode_frame(b"\x03\x09\x03"),  # OUT_OF_RANGE
+        frame("EXCITE", id=9, shape=0, target=0, offset=1, **QUIET),  # WRONG_MODE
+    ],
+    ids=["UNKNOWN_TYPE", "BAD_LENGTH", "OUT_OF_RANGE", "WRONG_MODE"],
+)
+def test_what_is_answered_is_no_bad_frame(refused: bytes) -> None:
+    host = Host()
+
+    answer = host.send(refused)
+
+    assert answer.name == "NACK"
+    assert host.firmware.bad_frames == 0
 
 
 # Rule 16

@@ -243,3 +243,20 @@ def test_a_bucket_never_holds_more_than_its_size() -> None:
 
     assert bucket.level(1.5) == pytest.approx(1.5)
     assert bucket.level(100.0) == 2.0
+
+
+@pytest.mark.parametrize(
+    ("least_s", "timeout_s", "reason"), [(1.0, 0.05, "out-of-range"), (1.0, 1.0, ""), (0.05, 0.05, "")]
+)
+def test_a_host_loss_time_out_that_this_computer_cannot_hold_is_refused_with_both_numbers(
+    least_s: float, timeout_s: float, reason: str
+) -> None:
+    gate = Gate(LimitsConfig(host_loss_min_s=least_s))
+    command = pb.Command(id="a", set_host_loss=pb.SetHostLoss(policy=1, timeout_s=timeout_s))
+    wire = to_wire(command, SCALING)
+    assert isinstance(wire, WireCommand)
+
+    refusal = gate.check(command, wire, VIEW, 0.0)
+
+    assert (refusal.reason if refusal else "") == reason
+    assert refusal is None or all(f"{value:g} s" in refusal.text for value in (least_s, timeout_s))

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from gateway.alarms import TO_BOARD
 from gateway.config import BoardConfig
 from gateway.link.clock import HostClock
 from gateway.link.driver import BoardDriver
@@ -17,7 +18,15 @@ from gateway.link.loop import LinkThread
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.messages import BY_NAME, EventCode, Message, Reason
-from tests.gateway.gateway_peers import Collector, ScriptedBoard, anybody, frame, identity_values, wait_for
+from tests.gateway.gateway_peers import (
+    Collector,
+    ScriptedBoard,
+    anybody,
+    frame,
+    identity_values,
+    parameters_values,
+    wait_for,
+)
 
 NS = 1_000_000_000
 
@@ -76,6 +85,87 @@ def test_a_silent_board_is_called_silent_and_streams_again() -> None:
         wait_for(lambda: driver.link == "streaming", "stream")
 
         assert collector.event("link-silent")
+
+
+@pytest.mark.parametrize("from_the_start", [True, False])
+def test_a_board_that_streams_and_answers_nothing_is_called_unanswered_until_it_answers(from_the_start: bool) -> None:
+    """The line to the board is cut, or its receiver is dead: nothing but the missing answers shows it."""
+    dead = from_the_start
+
+    def answers(_: Message) -> bytes | None:
+        return b"" if dead else None
+
+    with ScriptedBoard(answers=answers) as board, linked(board.url) as (driver, link, collector):
+        if not from_the_start:
+            wait_for(lambda: driver.link == "streaming" and driver.to_board.state == "answering", "answers")
+            dead = True
+
+        event = wait_for(lambda: collector.event(TO_BOARD), "the event")
+        stop = asked(driver, link, pb.Command(id="s", stop=pb.Stop()))
+        since, link_state = driver.unanswered, driver.link
+        dead = False
+        wait_for(lambda: driver.to_board.state == "answering", "an answer")
+
+        assert (event.severity, "STOP" in event.text) == ("fault", True)
+        assert (stop.refused_by, stop.reason) == ("link", "timed-out")
+        assert since is not None
+        assert link_state == ("handshake" if from_the_start else "streaming")
+        assert collector.event("board-answers")
+        assert driver.unanswered is None
+        wait_for(lambda: driver.link == "streaming", "stream")
+
+
+def test_a_board_that_answers_but_sends_no_state_is_not_streaming() -> None:
+    with ScriptedBoard() as board, linked(board.url) as (driver, _, collector):
+        wait_for(lambda: driver.link == "streaming", "stream")
+        wait_for(lambda: collector.messages["parameters"], "parameters")
+        board.streaming = False
+
+        event = wait_for(lambda: collector.event("no-states"), "the event")
+        before = board.names().count("PING")
+        wait_for(lambda: board.names().count("PING") > before + 2, "more answers")
+        told = (driver.link, driver.to_board.state)
+        board.streaming = True
+        wait_for(lambda: driver.link == "streaming", "stream")
+
+        assert event.severity == "warning"
+        assert told == ("silent", "answering")
+
+
+def test_an_answer_that_comes_too_late_for_its_command_shows_that_the_board_hears() -> None:
+    """A pipe or a computer that holds answers up for longer than all repetitions last is no cut line."""
+    held: list[bytes] = []
+
+    def answers(message: Message) -> bytes | None:
+        if message.name != "PING":
+            return None
+        held.append(frame("PONG", id=message.int("id"), tick=board.tick, bad_frames=0, overruns=0))
+        return held.pop(0) if len(held) > 8 else b""
+
+    options = {"command_timeout_s": 0.05, "command_retries": 1}
+    with ScriptedBoard(answers=answers) as board, linked(board.url, **options) as (driver, _, collector):
+        wait_for(lambda: driver.session.counters.late_answers > 8, "late answers")
+        told = [event for event in collector.messages["event"] if event.name == TO_BOARD]
+        first = driver.to_board.state
+        since = driver.session.counters.late_answers
+        wait_for(lambda: driver.session.counters.late_answers > since + 40, "more of them")
+
+        assert first == driver.to_board.state == "answering"
+        assert [event for event in collector.messages["event"] if event.name == TO_BOARD] == told
+
+
+def test_a_stream_that_is_switched_off_is_not_missed() -> None:
+    def answers(message: Message) -> bytes | None:
+        if message.name == "GET_PARAMETERS":
+            return frame("PARAMETERS", id=message.int("id"), **{**parameters_values(), "divider": 0})
+        return None
+
+    with ScriptedBoard(answers=answers, streaming=False) as board, linked(board.url) as (driver, _, collector):
+        wait_for(lambda: collector.messages["parameters"], "parameters")
+        wait_for(lambda: board.names().count("PING") > 8, "a second of answers")
+
+        assert (driver.link, driver.to_board.state) == ("streaming", "answering")
+        assert not collector.event("no-states")
 
 
 def test_bytes_without_frames_are_not_a_board() -> None:

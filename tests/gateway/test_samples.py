@@ -34,7 +34,7 @@ def refusal(**what: Any) -> Refusal:
 
 
 def test_a_state_is_offset_plus_lsb_times_count() -> None:
-    sample = Sample(70_000, 3, 2, State(70_000 & 0xFFFF, 1000, 2000, 300, 4095, 0x84 | 2))
+    sample = Sample(70_000, 3, 2, State(70_000 & 0xFFFF, 1000, 2000, 300, 4095, 0x84 | 2), 0.0)
 
     state = pb.State.FromString(StateEncoder(SCALING, 3).encode(sample, 123))
 
@@ -52,7 +52,7 @@ def test_a_zero_is_present_in_the_message() -> None:
         sample_time_s=0.002, capture_time_s=4e-5, capture_size=2000,
     )  # fmt: skip
 
-    state = pb.State.FromString(StateEncoder(scaling, 1).encode(Sample(0, 1, 0, State(0, 0, 0, 0, 0, 0)), 1))
+    state = pb.State.FromString(StateEncoder(scaling, 1).encode(Sample(0, 1, 0, State(0, 0, 0, 0, 0, 0), 0.0), 1))
 
     assert all(state.HasField(name) for name in ("i_c_a", "x_m", "u_c_v", "x_ref_m"))
 

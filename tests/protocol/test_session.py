@@ -192,14 +192,14 @@ def test_a_reset_event_cancels_commands_and_makes_the_handshake_again() -> None:
     number = session.number
     reset = frame("EVENT", number=0, tick=0, code=int(EventCode.RESET_WATCHDOG), detail=1)
 
-    events = session.feed(state(11_000) + reset + state(0) + state(1), 2.0)
+    events = session.feed(state(10_999) + state(11_000) + reset + state(0) + state(1), 2.0)
     session.poll(2.0)
-    (hello,) = sent(session)
-    events += session.feed(identity(hello.int("id"), tick=2) + state(2), 2.01)
+    hello = sent(session)[-1]
+    events += session.feed(identity(hello.int("id"), tick=2) + state(2) + state(3), 2.01)
 
     names = [type(e).__name__ for e in events]
-    assert names == ["Sample", "Restarted", "BoardEvent", "Answer", "Opened", "Sample"]
-    assert answers(events)[0] == Answer(token, "cancelled", 1, None, "board-reset")
+    assert names == ["Sample", "Sample", "BoardEvent", "Restarted", "Answer", "Opened", "Sample", "Sample"]
+    assert Answer(token, "cancelled", 1, None, "board-reset") in answers(events)
     assert session.number == number + 1
     assert session.counters.board_resets == 1
 
@@ -254,15 +254,53 @@ def test_the_old_tick_in_the_answer_to_a_repeated_ping_is_not_a_reset() -> None:
     assert session.is_open
 
 
-def test_a_ping_that_finds_the_tick_behind_is_a_reset() -> None:
+def pong(command: Message, tick: int) -> bytes:
+    return frame("PONG", id=command.int("id"), tick=tick, bad_frames=0, overruns=0)
+
+
+def test_a_ping_that_finds_the_tick_behind_asks_again_and_then_it_is_a_reset() -> None:
     session = opened()
     session.feed(b"".join(state(10_000 + n) for n in range(600)), 1.2)
     session.submit("PING", 1.2)
     (ping,) = sent(session)
 
-    events = session.feed(frame("PONG", id=ping.int("id"), tick=40, bad_frames=0, overruns=0), 1.21)
+    first = session.feed(pong(ping, 40), 1.21)
+    (again,) = sent(session)
+    second = session.feed(pong(again, 43), 1.22)
 
-    assert [type(e) for e in events] == [Restarted, Answer]
+    assert [type(e) for e in first] == [Answer]
+    assert [e for e in second if isinstance(e, Restarted)] == [Restarted("tick", True, (10_000, 10_599))]
+    assert session.counters.board_resets == 1
+
+
+def test_one_wrong_pong_moves_nothing() -> None:
+    session = opened()
+    session.feed(b"".join(state(10_000 + n) for n in range(600)), 1.2)
+    session.submit("PING", 1.2)
+    (ping,) = sent(session)
+
+    session.feed(pong(ping, 10_600 + (1 << 30)), 1.2)
+    events = session.feed(b"".join(state(10_600 + n) for n in range(5)), 1.21)
+    (again,) = sent(session)
+    session.feed(pong(again, 10_605), 1.21)
+    events += session.feed(b"".join(state(10_605 + n) for n in range(5)), 1.22)
+
+    assert [e.tick for e in events if isinstance(e, Sample)] == list(range(10_600, 10_610))
+    assert session.unwrapper.lost == 0
+    assert sent(session) == []
+
+
+def test_a_reset_event_alone_ends_nothing() -> None:
+    session = opened()
+    session.feed(b"".join(state(10_000 + n) for n in range(600)), 1.2)
+
+    events = session.feed(frame("EVENT", number=0, tick=0, code=int(EventCode.RESET_WATCHDOG), detail=1), 1.2)
+    (ping,) = sent(session)
+    events += session.feed(state(10_600) + pong(ping, 10_601), 1.21)
+
+    assert ping.name == "PING"
+    assert [type(e) for e in events] == [BoardEvent, Sample, Answer]
+    assert session.is_open
 
 
 def test_lost_and_doubled_events_are_seen() -> None:

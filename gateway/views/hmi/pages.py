@@ -104,7 +104,7 @@ def _bar(console: Console, session: Session, title: str, *, live: bool = False, 
                 ui.label("Board51")
             ui.label(title).classes("title")
             if live:
-                for name in ("link", "mode", "twin", "log", "alarm-count"):
+                for name in ("link", "to-board", "mode", "twin", "log", "alarm-count"):
                     _live(name, classes="chip")
             ui.element("div").classes("space")
             with ui.element("nav"):

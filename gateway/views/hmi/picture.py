@@ -115,6 +115,7 @@ def _status(board: BoardFeed) -> dict[str, Any] | None:
     return {
         "age_s": round(board.age_s(pb.Status)),
         "port": status.port,
+        "to_board": status.to_board,
         "samples_per_s": round(status.samples_per_s),
         "lost": status.samples_lost,
         "bad_frames": sum(status.bad_frames.values()),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.alarms import LINK, LOG
+from gateway.alarms import LINK, LOG, TO_BOARD
 from gateway.views.alarms import MAX_ALARMS, TWIN, AlarmBook
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag
@@ -229,3 +229,26 @@ def test_the_gateways_list_raises_nothing_that_samples_deny() -> None:
     book.repeated(pb.Alarms(active=[pb.Alarm(name="over-current", active=True), pb.Alarm(name=LINK, active=True)]), 950)
 
     assert names(book) == []
+
+
+def test_a_board_that_does_not_answer_is_an_alarm_until_it_answers() -> None:
+    book = AlarmBook("rig")
+
+    book.event(pb.Event(name=TO_BOARD, severity="fault", text="cut", host_time_ns=100), 100)
+    book.to_board(pb.Status(to_board="answering", host_time_ns=90), 110)  # made before, came later
+    held = book.listed()[0]
+    book.event(pb.Event(name="board-answers", severity="info", host_time_ns=200), 200)
+
+    assert (held.name, held.severity, held.active, held.text) == (TO_BOARD, "fault", True, "cut")
+    assert names(book) == [(TO_BOARD, False, False)]
+
+
+def test_a_view_that_comes_late_learns_from_the_status_that_the_board_does_not_answer() -> None:
+    book = AlarmBook("rig")
+
+    book.to_board(pb.Status(to_board="unanswered", unanswered_s=3.0, host_time_ns=10_000_000_000), 0)
+    came = book.listed()[0]
+    book.to_board(pb.Status(to_board="answering", host_time_ns=11_000_000_000), 0)
+
+    assert (came.severity, came.since_ns) == ("fault", 7_000_000_000)
+    assert names(book) == [(TO_BOARD, False, False)]

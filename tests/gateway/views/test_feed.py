@@ -10,9 +10,10 @@ from functools import partial
 
 import pytest
 
-from gateway.alarms import LINK
+from gateway.alarms import LINK, TO_BOARD
 from gateway.views.alarms import TWIN
 from gateway.views.feed import SILENT_S, TWIN_GONE_S, BoardFeed, Feed
+from gateway.views.hmi.picture import rest
 from gateway.views.tap import channels
 from protocol.bus import board51_pb2 as pb
 from tests.gateway.gateway_peers import ScriptedBoard, client, gateway_config, running, wait_for
@@ -289,3 +290,22 @@ def test_a_view_finds_a_gateway_that_was_restarted() -> None:
             wait_for(lambda: rig.link().live, "samples of the new gateway", timeout_s=20.0)
             assert feed.command("rig", pb.Command(ping=pb.Ping()), who="test").accepted
             feed.close()
+
+
+def test_a_board_that_does_not_answer_is_an_alarm_while_its_samples_are_live(
+    feed: Feed, gateway: PlayedGateway
+) -> None:
+    rig = heard(feed, gateway)
+
+    def unanswered(*, active: bool) -> bool:
+        gateway.state()
+        return any(a.name == TO_BOARD and a.severity == "fault" and a.active == active for a in rig.alarms())
+
+    gateway.send("status", pb.Status(link="streaming", to_board="unanswered", unanswered_s=2.0, host_time_ns=10**18))
+    wait_for(lambda: unanswered(active=True), "the alarm")
+    live, shown = rig.link().live, rest(rig)["status"]
+    gateway.send("status", pb.Status(link="streaming", to_board="answering", host_time_ns=10**18 + 1))
+    wait_for(lambda: unanswered(active=False), "its end")
+
+    assert live
+    assert shown["to_board"] == "unanswered"

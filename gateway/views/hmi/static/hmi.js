@@ -224,9 +224,11 @@ function lists() {
     const writing = status.log_state === "writing";
     put("log", writing ? "\u25cf log writing" : status.log_state === "off" ? "\u25cb log off" : `\u2715 log ${status.log_state}`,
         writing ? "good" : status.log_state === "off" ? "warn" : "bad");
+    const unanswered = status.to_board === "unanswered";
+    put("to-board", unanswered ? "\u2715 BOARD DOES NOT ANSWER \u2013 STOP may not reach it" : "", unanswered ? "bad" : "none");
     put("rate", `${status.samples_per_s} samples/s, ${status.lost} lost`);
     fill("health", [
-      ["port", status.port], ["samples", `${status.samples_per_s} /s`], ["lost samples", status.lost], ["bad frames", status.bad_frames],
+      ["port", status.port], ["commands to the board", status.to_board || "\u2013"], ["samples", `${status.samples_per_s} /s`], ["lost samples", status.lost], ["bad frames", status.bad_frames],
       ["latency p99", `${status.latency_p99_ms} ms`], ["line load", `${status.line_load} %`], ["not published", status.dropped],
       ["board resets", status.resets], ["reconnections", status.reconnects],
       ["log file", status.log_file || "\u2013"], ["log", `${status.log_state}, ${status.log_mb} MB`], ["not logged", status.log_dropped],

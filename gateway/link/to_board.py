@@ -1,0 +1,82 @@
+"""Whether what the host sends reaches the board: known from the board's answers and from nothing else.  No I/O.
+
+    unknown      nobody has answered yet
+    answering    what was sent last was answered, or has not waited long
+    unanswered   frames of the board arrive, but none that answers: a STOP may not reach it
+
+Rule 1: a wait counts only while frames arrive without a pause.  A board or a host that was held up for a moment, or a
+        cut of the other direction, keeps answers back, too, and would be taken for a cut line to the board.
+Rule 2: only an answer ends `unanswered`, or another port.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+UNANSWERED_S = 1.0  # ten repetitions at the default time-out
+UNKNOWN, ANSWERING, UNANSWERED = "unknown", "answering", "unanswered"
+_PAUSE_S = 0.25
+_NEVER = float("inf")
+
+
+class ToBoard:
+    """The direction from the host to one board.
+
+    Args:
+        changed: called with each new state.
+    """
+
+    def __init__(self, changed: Callable[[str], None]) -> None:
+        self.state = UNKNOWN
+        self.deadline_s = _NEVER  # when `judge` has something to do
+        self._changed = changed
+        self._waits_since_s: float | None = None  # the first that was sent after the last answer or pause
+        self._unanswered_since_s = 0.0
+        self._heard_s = -_NEVER
+
+    def begin(self) -> None:
+        """A port was opened or lost: what was known is of another line."""
+        self._wait(None)
+        self._heard_s = -_NEVER
+        self._become(UNKNOWN)
+
+    def sent(self, now_s: float) -> None:
+        """Bytes went out that want an answer."""
+        if self._waits_since_s is None:
+            self._wait(now_s)
+
+    def heard(self, now_s: float, period_s: float) -> None:
+        """Valid frames arrived, of whatever kind; `period_s` is that of the stream."""
+        if now_s - self._heard_s > max(_PAUSE_S, 3 * period_s):
+            self._wait(None)
+        self._heard_s = now_s
+
+    def answered(self) -> None:
+        """An answer to something that was sent."""
+        self._wait(None)
+        self._become(ANSWERING)
+
+    def unanswered_s(self, now_s: float) -> float:
+        """For how long nothing that was sent has been answered; 0 where that is not so."""
+        return now_s - self._unanswered_since_s if self.state == UNANSWERED else 0.0
+
+    def judge(self, now_s: float) -> None:
+        """Look whether an answer has been missing for too long."""
+        waited_from_s = self._waits_since_s
+        if waited_from_s is None or now_s < waited_from_s + UNANSWERED_S:
+            return
+        self.deadline_s = _NEVER
+        if self._heard_s < waited_from_s + UNANSWERED_S / 2:  # little has come since: the next frames tell
+            self._wait(None)
+        elif self.state != UNANSWERED:
+            self._unanswered_since_s = waited_from_s
+            self._become(UNANSWERED)
+
+    def _wait(self, since_s: float | None) -> None:
+        self._waits_since_s = since_s
+        self.deadline_s = _NEVER if since_s is None else since_s + UNANSWERED_S
+
+    def _become(self, state: str) -> None:
+        if state != self.state:
+            self.state = state
+            self._changed(state)
