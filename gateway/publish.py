@@ -1,7 +1,7 @@
 """Messages onto the bus, in threads of their own; what a board's driver hands out goes to bus and log from here.
 
-Rule 1: `Publisher.put` returns at once.  A subscriber that stopped reading stalls zenoh's put for seconds (BLOCK; with
-        DROP a busy machine loses samples of healthy subscribers): it stalls this thread, never the serial one.
+Rule 1: `Publisher.put` returns at once.  A router that stopped reading stalls zenoh's put (BLOCK; what does not fit is
+        dropped by the router, for each subscriber by itself): it stalls this thread, never the serial one.
 Rule 2: the queue is bounded; when full, the OLDEST messages are dropped and counted with their channel.
 Rule 3: samples and everything else have separate threads: an event or a reply does not wait behind 8000 samples.
 Rule 4: a message is serialised once; bus and log get the same bytes.
