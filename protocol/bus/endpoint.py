@@ -74,7 +74,7 @@ def zenoh_config(
             "endpoints": list(connect),
             "timeout_ms": 5000 if wait_for_router else -1,
             "exit_on_failure": wait_for_router,
-            "retry": {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 1.5},
+            "retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5},
         },
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "timestamping": {"enabled": False},
