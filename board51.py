@@ -9,8 +9,12 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
 
 from protocol.errors import Board51Error, one_line
 
@@ -66,7 +70,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     module.configure(command)
     try:
-        return int(module.run(command.parse_args(arguments[1:])))
+        with _hang_up_ends_in_good_order():
+            return int(module.run(command.parse_args(arguments[1:])))
     except Board51Error as error:
         print(f"board51 {chosen}: {error}", file=sys.stderr)
         return error.exit_code
@@ -85,6 +90,31 @@ def main(argv: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return OUR_FAULT
+
+
+@contextmanager
+def _hang_up_ends_in_good_order() -> Iterator[None]:
+    """A closed terminal (an ssh connection that ends) is SIGTERM: logs are closed, a campaign parks its ball.
+
+    What is printed from then on goes nowhere: writing to a terminal that is gone raises, in the middle of that.  Under
+    nohup the signal stays ignored.
+    """
+    terminals = [number for number in (1, 2) if os.isatty(number)]
+
+    def hung_up(_number: int, _frame: FrameType | None) -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)  # the shell and the terminal may both send it
+        for number in terminals:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), number)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGHUP) != signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGHUP, hung_up)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from gateway.config import GatewayConfig, ZenohConfig
 from gateway.daemon import open_bus
 from gateway.emulator.serve import Emulator
 from gateway.record.reader import read
+from gateway.record.scan import Scan
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
 from protocol.errors import ServiceError
@@ -406,7 +407,32 @@ def test_the_printed_configuration_is_one_that_passes_the_check(tmp_path: Path) 
     assert "rig1 at /dev/ttyUSB0" in done.stdout
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_terminal_that_closes_ends_it_cleanly(tmp_path: Path) -> None:
+    """As at the end of an ssh connection: the terminal is gone, whoever writes to it gets an error."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    master, slave = os.openpty()
+    with ScriptedBoard() as board:
+        words = ["--board", f"rig={board.url}", "--listen", endpoint, "--log-dir", str(tmp_path)]
+        gateway = subprocess.Popen(
+            ["setsid", "--ctty", sys.executable, "-m", "board51", "gateway", *words],
+            stdin=slave, stdout=slave, stderr=slave,
+        )  # fmt: skip
+        try:
+            os.close(slave)
+            with client(endpoint) as bus:
+                wait_for(bus.states, "first sample")
+            os.close(master)
+            code = gateway.wait(30.0)
+        finally:
+            gateway.kill()
+            gateway.wait()
+    (log,) = tmp_path.glob("*.mcap")
+
+    assert code == 0
+    assert Scan(log).indexed
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_it_cleanly_and_moves_nothing(number: signal.Signals, tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with Emulator() as emulator:
@@ -427,6 +453,7 @@ def test_a_signal_ends_it_cleanly_and_moves_nothing(number: signal.Signals, tmp_
             mode = bus.states()[0].mode
 
     assert gateway.returncode == 0
+    assert Scan(next(tmp_path.glob("*.mcap"))).indexed
     assert "streaming" in lines
     assert "Traceback" not in lines
     assert mode == pb.MODE_CLOSED_LOOP
