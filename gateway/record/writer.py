@@ -128,6 +128,15 @@ class LogWriter:
         """Bytes handed to the operating system."""
         return self._memory.on_disk
 
+    def whereabouts(self) -> Literal["here", "elsewhere", "gone"]:
+        """Whether the file is still under its name: somebody may have moved it or put another there, or deleted it."""
+        if os.fstat(self._fd).st_nlink == 0:
+            return "gone"
+        try:
+            return "here" if os.path.samestat(os.stat(self.path), os.fstat(self._fd)) else "elsewhere"
+        except OSError:
+            return "elsewhere"
+
     def write(self, key: str, data: bytes, time_ns: int) -> None:
         """Add one message.
 
