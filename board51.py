@@ -12,14 +12,16 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 from protocol.errors import Board51Error, one_line
+from protocol.panics import is_panic, told
 
 DEBUG = "BOARD51_DEBUG"  # set it to see where an unexpected error came from
-OUR_FAULT = 70  # exit code: EX_SOFTWARE of sysexits.h
+OUR_FAULT = 70  # exit code: EX_SOFTWARE of sysexits.h; systemd's Restart=on-failure and the gateway start it again
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("gateway.commands.demo", "fly an emulated board, measure, identify, validate, fly on with the model"),
@@ -49,6 +51,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "bench": ("gateway.commands.bench", "benchmarks, each against a baseline in the same run"),
 }
 
+SERVICES = frozenset({"gateway", "twin", "hmi", "opcua", "foxglove", "router", "record"})  # run until they are told
+PANIC_PATIENCE_S = 10.0
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one sub-command; the entry point of the `board51` script."""
@@ -71,6 +76,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     module.configure(command)
     try:
         with _hang_up_ends_in_good_order():
+            if chosen in SERVICES:
+                return _ending_at_a_panic(module.run, command.parse_args(arguments[1:]))
             return int(module.run(command.parse_args(arguments[1:])))
     except Board51Error as error:
         print(f"board51 {chosen}: {error}", file=sys.stderr)
@@ -90,6 +97,43 @@ def main(argv: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return OUR_FAULT
+
+
+def _ending_at_a_panic(run: Callable[[argparse.Namespace], int], args: argparse.Namespace) -> int:
+    """Run; after a panic in a thread of zenoh's end as SIGTERM does, with an exit code that has it started again."""
+    if threading.current_thread() is not threading.main_thread():
+        return int(run(args))
+    real = os.dup(2)
+    reading, writing = os.pipe()
+    os.dup2(writing, 2)
+    os.close(writing)
+    panicked = threading.Event()
+
+    def forward() -> None:
+        with os.fdopen(reading, "rb") as lines:
+            for line in lines:
+                panic = is_panic(line)
+                with suppress(OSError):  # a terminal that is gone
+                    os.write(real, told(line) if panic else line)
+                if panic and not panicked.is_set():
+                    panicked.set()
+                    threading.Thread(target=give_up, daemon=True).start()
+                    os.kill(os.getpid(), signal.SIGTERM)
+
+    def give_up() -> None:
+        time.sleep(PANIC_PATIENCE_S)
+        os._exit(OUR_FAULT)  # what hangs at a lock of the dead thread's does not end by itself
+
+    thread = threading.Thread(target=forward, name="stderr", daemon=True)
+    thread.start()
+    try:
+        code = int(run(args))
+    finally:
+        sys.stderr.flush()
+        os.dup2(real, 2)  # closes the pipe, if no child holds it
+        thread.join(1.0)
+        os.close(real)
+    return OUR_FAULT if panicked.is_set() else code
 
 
 @contextmanager

@@ -407,6 +407,33 @@ def test_the_printed_configuration_is_one_that_passes_the_check(tmp_path: Path) 
     assert "rig1 at /dev/ttyUSB0" in done.stdout
 
 
+PANICS = """
+import os, sys, threading
+import board51
+
+def panic():  # what Rust writes, in the way it writes it: to the descriptor, past Python
+    os.write(2, b"\\nthread 'rx-0' (4711) panicked at zenoh/src/net/routing/dispatcher/resource.rs:823:44:\\n")
+
+threading.Timer(float(sys.argv[1]), panic).start()
+sys.exit(board51.main(sys.argv[2:]))
+"""
+
+
+def test_a_panic_in_a_thread_of_zenoh_ends_it_in_good_order_to_be_started_again(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with ScriptedBoard() as board:
+        words = ["gateway", "--board", f"rig={board.url}", "--listen", endpoint, "--log-dir", str(tmp_path)]
+        done = subprocess.run(
+            [sys.executable, "-c", PANICS, "5.0", *words], stderr=subprocess.PIPE, text=True, timeout=60, check=False
+        )
+    (log,) = tmp_path.glob("*.mcap")
+
+    assert done.returncode == 70
+    assert "its process ends" in done.stderr
+    assert "panicked at" not in done.stderr  # a gateway that reads this of a view does not end, too
+    assert Scan(log).indexed
+
+
 def test_a_terminal_that_closes_ends_it_cleanly(tmp_path: Path) -> None:
     """As at the end of an ssh connection: the terminal is gone, whoever writes to it gets an error."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
