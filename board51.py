@@ -9,13 +9,19 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from types import FrameType
 
 from protocol.errors import Board51Error, one_line
+from protocol.panics import is_panic, told
 
 DEBUG = "BOARD51_DEBUG"  # set it to see where an unexpected error came from
-OUR_FAULT = 70  # exit code: EX_SOFTWARE of sysexits.h
+OUR_FAULT = 70  # exit code: EX_SOFTWARE of sysexits.h; systemd's Restart=on-failure and the gateway start it again
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("gateway.commands.demo", "fly an emulated board, measure, identify, validate, fly on with the model"),
@@ -45,6 +51,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "bench": ("gateway.commands.bench", "benchmarks, each against a baseline in the same run"),
 }
 
+SERVICES = frozenset({"gateway", "twin", "hmi", "opcua", "foxglove", "router", "record"})  # run until they are told
+PANIC_PATIENCE_S = 10.0
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one sub-command; the entry point of the `board51` script."""
@@ -66,7 +75,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     module.configure(command)
     try:
-        return int(module.run(command.parse_args(arguments[1:])))
+        with _hang_up_ends_in_good_order():
+            if chosen in SERVICES:
+                return _ending_at_a_panic(module.run, command.parse_args(arguments[1:]))
+            return int(module.run(command.parse_args(arguments[1:])))
     except Board51Error as error:
         print(f"board51 {chosen}: {error}", file=sys.stderr)
         return error.exit_code
@@ -85,6 +97,68 @@ def main(argv: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return OUR_FAULT
+
+
+def _ending_at_a_panic(run: Callable[[argparse.Namespace], int], args: argparse.Namespace) -> int:
+    """Run; after a panic in a thread of zenoh's end as SIGTERM does, with an exit code that has it started again."""
+    if threading.current_thread() is not threading.main_thread():
+        return int(run(args))
+    real = os.dup(2)
+    reading, writing = os.pipe()
+    os.dup2(writing, 2)
+    os.close(writing)
+    panicked = threading.Event()
+
+    def forward() -> None:
+        with os.fdopen(reading, "rb") as lines:
+            for line in lines:
+                panic = is_panic(line)
+                with suppress(OSError):  # a terminal that is gone
+                    os.write(real, told(line) if panic else line)
+                if panic and not panicked.is_set():
+                    panicked.set()
+                    threading.Thread(target=give_up, daemon=True).start()
+                    os.kill(os.getpid(), signal.SIGTERM)
+
+    def give_up() -> None:
+        time.sleep(PANIC_PATIENCE_S)
+        os._exit(OUR_FAULT)  # what hangs at a lock of the dead thread's does not end by itself
+
+    thread = threading.Thread(target=forward, name="stderr", daemon=True)
+    thread.start()
+    try:
+        code = int(run(args))
+    finally:
+        sys.stderr.flush()
+        os.dup2(real, 2)  # closes the pipe, if no child holds it
+        thread.join(1.0)
+        os.close(real)
+    return OUR_FAULT if panicked.is_set() else code
+
+
+@contextmanager
+def _hang_up_ends_in_good_order() -> Iterator[None]:
+    """A closed terminal (an ssh connection that ends) is SIGTERM: logs are closed, a campaign parks its ball.
+
+    What is printed from then on goes nowhere: writing to a terminal that is gone raises, in the middle of that.  Under
+    nohup the signal stays ignored.
+    """
+    terminals = [number for number in (1, 2) if os.isatty(number)]
+
+    def hung_up(_number: int, _frame: FrameType | None) -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)  # the shell and the terminal may both send it
+        for number in terminals:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), number)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGHUP) != signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGHUP, hung_up)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ class CommandQueryable:
         site: first chunk of the key.
         driver: of the board.
         link: the serial thread.
-        messages: takes the replies.
+        replies: takes them; not what events wait in while there is no router.
         door: says who sends.
     """
 
@@ -45,11 +45,11 @@ class CommandQueryable:
         site: str,
         driver: BoardDriver,
         link: LinkThread,
-        messages: Publisher,
+        replies: Publisher,
         door: Doorkeeper,
     ) -> None:
         self._key = topics.key(site, driver.config.name, "command")
-        self._driver, self._link, self._messages, self._door = driver, link, messages, door
+        self._driver, self._link, self._replies, self._door = driver, link, replies, door
         self._lock = threading.Lock()  # of _posted: queries come in several threads
         self._posted = 0
         served = f"{self._key}/{topics.AS}/*/*" if door.guarded else self._key
@@ -61,11 +61,11 @@ class CommandQueryable:
         sender = self._door.sender(asked, time.time_ns())
         if isinstance(sender, Refusal):
             refusal = pb.CommandReply(refused_by="gateway", reason=sender.reason, text=sender.text)
-            _Reply(query, asked, self._messages)(refusal)
+            _Reply(query, asked, self._replies)(refusal)
             return
         role = sender.role
         key = self._key if role is None else f"{self._key}/{topics.AS}/{role.word}/{sender.name}"
-        reply = _Reply(query, key, self._messages)
+        reply = _Reply(query, key, self._replies)
         flood = self._flood(payload, sender)
         if flood is not None:
             reply(flood)
@@ -97,11 +97,11 @@ class CommandQueryable:
 class _Reply:
     """Answers one query."""
 
-    def __init__(self, query: zenoh.Query, key: str, messages: Publisher) -> None:
-        self._query, self._key, self._messages = query, key, messages
+    def __init__(self, query: zenoh.Query, key: str, replies: Publisher) -> None:
+        self._query, self._key, self._replies = query, key, replies
 
     def __call__(self, answer: pb.CommandReply) -> None:
-        self._messages.put(Channel(self), [answer.SerializeToString()])
+        self._replies.put(Channel(self), [answer.SerializeToString()])
 
     def put(self, payload: bytes, /) -> None:
         with self._query:

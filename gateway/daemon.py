@@ -1,7 +1,7 @@
 """The gateway process: wires boards, bus and log together; runs until it is told to end.
 
-Threads: link (all boards), two publishers (samples, everything else), recorder, zenoh's own; the main thread waits for
-signals and publishes the status once a second.
+Threads: link (all boards), three publishers (samples, replies, everything else), recorder, zenoh's own; the main thread
+waits for signals and publishes the status once a second.
 
 The end of the gateway moves nothing: no STOP is sent.  A gateway that is updated or restarted must not drop the ball;
 what the board does without its host is its host-loss policy, set in the configuration (default: coil off after 1 s).
@@ -38,6 +38,7 @@ from gateway.link.port import check_url
 from gateway.publish import BoardOutlet, Publisher
 from gateway.record.recorder import Recorder
 from gateway.record.writer import LogError
+from gateway.router_watch import RouterWatch
 from gateway.status import StatusMaker
 from protocol.bus import topics
 from protocol.bus.endpoint import Mode, zenoh_config
@@ -65,6 +66,7 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
         recorder = stack.enter_context(_recording(config.log)) if config.log.enabled else None
         samples = Publisher("publish-samples", config.zenoh.queue)
         messages = Publisher("publish-messages", MESSAGES_QUEUE)
+        replies = Publisher("publish-replies", MESSAGES_QUEUE)
         clock = HostClock()
         outlets = [
             BoardOutlet(bus, config.site, board.name, samples=samples, messages=messages, recorder=recorder)
@@ -78,14 +80,18 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
         link = LinkThread(drivers)
         guarded = bool(config.security.directory)
         door = Doorkeeper(time.time_ns(), partial(_tell_flood, drivers), guarded=guarded)
-        queryables = [CommandQueryable(bus, config.site, driver, link, messages, door) for driver in drivers]
+        queryables = [CommandQueryable(bus, config.site, driver, link, replies, door) for driver in drivers]
         if recorder is not None:
             recorder.on_event = partial(_tell_all, drivers)
             twin = bus.declare_subscriber(f"{config.site}/*/twin/**", _log_twin(recorder))
             stack.callback(twin.undeclare)
-        for publisher in (messages, samples):
+        for publisher in (messages, replies, samples):
             publisher.start()
             stack.callback(publisher.stop)
+        watch = None
+        if config.zenoh.mode == "client":
+            watch = RouterWatch(bus, ", ".join(config.zenoh.connect), outlets, (messages, samples))
+            stack.callback(watch.close)
         link.start()
         stack.callback(link.stop)
         now_s = time.monotonic()
@@ -93,6 +99,9 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
         _logger.info("serving %d boards as %s on %s", len(drivers), config.site, _where(config))
         look_s = time.monotonic()
         while not stop.wait(STATUS_S):
+            if watch is not None and (change := watch.look()) is not None:
+                _logger.log(logging.INFO if change.severity == "info" else logging.WARNING, "%s", change.text)
+                _tell_all(drivers, change.name, change.severity, change.text)
             step_ns = clock.step_ns()
             if step_ns:
                 door.clock_stepped(step_ns)

@@ -1,10 +1,12 @@
 """Messages onto the bus, in threads of their own; what a board's driver hands out goes to bus and log from here.
 
-Rule 1: `Publisher.put` returns at once.  A subscriber that stopped reading stalls zenoh's put for seconds (BLOCK; with
-        DROP a busy machine loses samples of healthy subscribers): it stalls this thread, never the serial one.
+Rule 1: `Publisher.put` returns at once.  A router that stopped reading stalls zenoh's put (BLOCK; what does not fit is
+        dropped by the router, for each subscriber by itself): it stalls this thread, never the serial one.
 Rule 2: the queue is bounded; when full, the OLDEST messages are dropped and counted with their channel.
-Rule 3: samples and everything else have separate threads: an event or a reply does not wait behind 8000 samples.
+Rule 3: samples, replies and everything else have separate threads: an event does not wait behind 8000 samples.
 Rule 4: a message is serialised once; bus and log get the same bytes.
+Rule 5: without a router zenoh throws away what it is given and says nothing.  So it is given nothing then (`hold`): the
+        queue keeps the newest, and counts the rest.
 """
 
 from __future__ import annotations
@@ -65,6 +67,7 @@ class Publisher:
         self._queue: deque[tuple[Channel, list[bytes], int]] = deque()
         self._depth = 0
         self._condition = threading.Condition(threading.Lock())
+        self._held = False
         self._stopping = False
         self._failed = False
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
@@ -88,6 +91,17 @@ class Publisher:
             if idle:  # otherwise the thread is at work and looks again by itself
                 self._condition.notify()
 
+    def hold(self, *, held: bool) -> None:
+        """Put nothing from now on, or go on with what waits."""
+        with self._condition:
+            self._held = held
+            self._condition.notify()
+
+    @property
+    def waiting(self) -> int:
+        """Payloads in the queue."""
+        return self._depth
+
     def stop(self, *, patience_s: float = 1.0) -> None:
         """Put what waits, as far as the bus takes it within `patience_s`, and end."""
         with self._condition:
@@ -98,7 +112,7 @@ class Publisher:
     def _work(self) -> None:
         while True:
             with self._condition:
-                while not self._queue:
+                while self._held or not self._queue:
                     if self._stopping:
                         return
                     self._condition.wait()
@@ -136,20 +150,25 @@ class BoardOutlet:
         self._session, self._recorder = session, recorder
         self._samples, self._messages = samples, messages
         self._keys = {topic.name: topics.key(site, board, topic.name) for topic in topics.TOPICS}
-        self._channels = {
-            topic.name: Channel(
-                session.declare_publisher(
-                    self._keys[topic.name],
-                    encoding=zenoh_encoding(topic.message),
-                    congestion_control=zenoh.CongestionControl.BLOCK,
-                )
+        publishers = {
+            topic.name: session.declare_publisher(
+                self._keys[topic.name],
+                encoding=zenoh_encoding(topic.message),
+                congestion_control=zenoh.CongestionControl.BLOCK,
             )
             for topic in topics.TOPICS
             if topic.by == "gateway" and topic.bus
         }
+        self._states = publishers["state"]
+        self._channels = {name: Channel(publisher) for name, publisher in publishers.items()}
         self.state_channel = self._channels["state"]
         self._state_key, self._raw_key = self._keys["state"], self._keys["raw"]
         self._alive_channel = Channel(_Token(session, topics.key(site, board, topics.ALIVE)))
+
+    @property
+    def wanted(self) -> bool:
+        """Whether somebody on the bus subscribes to this board's samples."""
+        return self._states.matching_status.matching  # type: ignore[attr-defined,no-any-return]  # the stub says bool
 
     @property
     def dropped(self) -> int:

@@ -159,7 +159,7 @@ class TwinLog:
             self._file = Path(path).open("xb")
         except OSError as error:
             raise DataError(f"{path}: cannot be written ({error.strerror})", remedy="Give a new file name") from error
-        self._writer = Writer(self._file)
+        self._writer = Writer(self._file, chunk_size=encoding.CHUNK_BYTES)
         self._writer.start(profile="", library="board51 twin")
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterator
 
 import lz4.frame  # type: ignore[import-untyped]  # ships no types
 import zstandard
 
+CHANNEL, CHUNK = 0x04, 0x06  # opcodes
+RECORD = struct.Struct("<BQ")  # opcode, length of the content that follows
 CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
 _LARGEST_CHUNK = 1 << 30  # a length beyond this is damage, not data
 
@@ -38,6 +41,26 @@ def unpack(content: bytes) -> tuple[bytes, str]:
     if len(plain) != size or (crc and zlib.crc32(plain) != crc):
         return b"", "a chunk whose CRC is wrong"
     return plain, ""
+
+
+def channel_records(written: bytes) -> dict[int, bytes]:
+    """The records that describe channels in the whole chunks of `written`, by channel."""
+    found = {}
+    for opcode, chunk in _records(written):
+        for inner, content in _records(unpack(chunk)[0]) if opcode == CHUNK else ():
+            if inner == CHANNEL:
+                (number,) = struct.unpack_from("<H", content)
+                found[number] = RECORD.pack(CHANNEL, len(content)) + content
+    return found
+
+
+def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
+    at = 0
+    while at + RECORD.size <= len(data):
+        opcode, length = RECORD.unpack_from(data, at)
+        at += RECORD.size
+        yield opcode, data[at : at + length]
+        at += length
 
 
 def unpack_prefix(content: bytes) -> bytes:

@@ -200,6 +200,9 @@ def read(
 
 def _ours(channel: Channel) -> tuple[str, str, str] | None:
     parts = topics.split(channel.topic)
-    if parts is None or channel.schema is None or channel.message_encoding != encoding.MESSAGE_ENCODING:
+    if parts is None or channel.message_encoding != encoding.MESSAGE_ENCODING:
         return None
-    return parts if channel.schema.name == encoding.schema_name(topics.BY_NAME[parts[2]].message) else None
+    # The schema may be lost with the first chunk; the topic says the same.
+    lost = channel.schema is None and channel.schema_id != 0
+    name = encoding.schema_name(topics.BY_NAME[parts[2]].message)
+    return parts if lost or (channel.schema is not None and channel.schema.name == name) else None

@@ -6,6 +6,8 @@ Rule 2: every part stands alone: it is closed with an index, and begins with the
 Rule 3: at most `flush_s` plus one drain of data is in memory only: that is what `kill -9` costs.
 Rule 4: a full disk or a failing one stops the log, not the caller.  It is reported once, the queue keeps the newest
         messages, and a new part begins when the disk is back; the part that was cut off is finished then, too.
+Rule 5: a part that was deleted or moved while it was written is noticed at the next drain: a new one begins, and it is
+        told.  What a deleted one held is gone with it; a moved one gets its end where it is.
 """
 
 from __future__ import annotations
@@ -59,7 +61,7 @@ class Recorder:
         min_free_bytes: Below this much free space the log pauses, so that the part in work can still be closed and the
             machine stays usable.
         on_event: Called as (name, severity, text) in the recorder's thread: log-disk-full, log-failed, log-resumed,
-            log-rotated, log-dropping.
+            log-rotated, log-dropping, log-removed.
         compression: Of the chunks.
     """
 
@@ -158,6 +160,8 @@ class Recorder:
         try:
             if self._writer is None:
                 self._resume()
+            elif (whereabouts := self._writer.whereabouts()) != "here":
+                self._replace(self._writer, gone=whereabouts == "gone")
             self._check_free_space()
             self._drain()
             now_s = time.monotonic()
@@ -204,6 +208,18 @@ class Recorder:
             self._writer = None
             self._open_part()
             self._tell("log-rotated", "info", f"{finished.path.name} closed, {finished.bytes_written} bytes")
+
+    def _replace(self, lost: LogWriter, *, gone: bool) -> None:
+        """Go on in a new part, as the one in work is no longer under its name."""
+        self._writer = None
+        if gone:
+            lost.abandon()
+            text = f"{lost.path.name} was deleted while it was written: its {lost.messages} messages are gone"
+        else:
+            lost.close()
+            text = f"{lost.path.name} was moved or replaced while it was written; it was finished where it is now"
+        self._tell("log-removed", "fault", f"{text}. Logging goes on in a new part.")
+        self._open_part()
 
     def _open_part(self) -> None:
         while True:

@@ -56,6 +56,9 @@ def recover(broken: Path, clean: Path) -> Recovery:
     """
     reader = LogReader(broken)
     scan = reader.scans[0]
+    if not scan.indexed:
+        for _ in scan.messages():  # a description that was lost may come again, behind messages that need it
+            pass
     gaps: dict[str, SampleGaps] = {}
     first_ns = last_ns = None
     messages = 0

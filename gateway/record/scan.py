@@ -5,7 +5,8 @@ wants an end that a killed process never wrote.  This one goes on.
 
 Rule 1: only what is provably whole leaves: a chunk's CRC is checked; a chunk cut off by the end of the file gives the
         messages before the cut, which decompression reproduces exactly or not at all.
-Rule 2: after damage the scan looks for the next chunk whose CRC is right, and goes on there.
+Rule 2: after damage the scan looks for the next chunk whose CRC is right, and goes on there: the first one behind what
+        was proven, wherever a damaged length may have led.
 Rule 3: every loss is a `Damage`: where, how many bytes, why.
 
 Format: mcap.dev/spec.  A record is opcode (1 byte), length (8), content; integers are little-endian.
@@ -48,7 +49,8 @@ class Channel(NamedTuple):
     id: int
     topic: str
     message_encoding: str
-    schema: Schema | None
+    schema_id: int  # 0: it has none
+    schema: Schema | None  # None also where its description is lost
 
 
 class Message(NamedTuple):
@@ -116,21 +118,23 @@ class Scan:
         self.unknown_channel = 0
         self.finished = False
         with self.path.open("rb") as file:
-            at = len(MAGIC)
+            at = proven = len(MAGIC)  # up to `proven` everything was as it was written
             while at < self.size:
                 file.seek(at)
                 head = file.read(_RECORD.size)
                 opcode, length = _RECORD.unpack(head) if len(head) == _RECORD.size else (0, 0)
                 end = at + _RECORD.size + length
                 if not (0 < opcode <= _LAST_OPCODE or opcode >= _FIRST_PRIVATE) or end > self.size:
-                    resumed = _next_chunk(file, at + 1, self.size)
+                    # Not from here: the length of a record before may have been damaged, and whole chunks skipped.
+                    resumed = _next_chunk(file, proven, self.size)
                     if resumed is None and opcode == _CHUNK:
                         yield from self._cut_chunk(file.read() if _seek(file, at + _RECORD.size) else b"", at)
                         return
-                    self._damage(at, (resumed or self.size) - at, _why(head, opcode, end, self.size))
+                    after = self.size if resumed is None else resumed
+                    self._damage(min(at, after), abs(after - at), _why(head, opcode, end, self.size))
                     if resumed is None:
                         return
-                    at = resumed
+                    at = proven = resumed
                     continue
                 content = file.read(length)
                 if opcode == _CHUNK:
@@ -140,7 +144,10 @@ class Scan:
                         continue
                     plain, problem = unpack(content)
                     if problem:
+                        end = min(end, _next_chunk(file, at + 1, self.size) or end)  # its length may be what is damaged
                         self._damage(at, end - at, problem, chunk=content)
+                    else:
+                        proven = end
                     for message in self._inside(plain):
                         if start_ns <= message.time_ns < end_ns:
                             yield message
@@ -202,7 +209,7 @@ class Scan:
                 channel_id, schema_id = struct.unpack_from("<HH", content)
                 topic, next_at = text(content, 4)
                 encoding, _ = text(content, next_at)
-                self.channels[channel_id] = Channel(channel_id, topic, encoding, self.schemas.get(schema_id))
+                self.channels[channel_id] = Channel(channel_id, topic, encoding, schema_id, self.schemas.get(schema_id))
             elif opcode == _METADATA:
                 name, next_at = text(content, 0)
                 self.metadata[name] = text_map(content, next_at)

@@ -6,6 +6,9 @@ Rule 2: no error passes silently.  foxglove-sdk given a file of its own only pri
         everything; here the write is ours, the file is cut back to its last whole chunk, the bytes are kept, and
         `flush` or `close` may be called again when the disk has space.
 Rule 3: an existing file is never touched.
+Rule 4: chunks are small, whoever writes and however seldom it flushes, and the channels are described between them
+        again and again: a damaged spot costs the chunks it touches, and neither the first chunk (which has the
+        descriptions) nor the index at the end is needed to read the others.
 """
 
 from __future__ import annotations
@@ -19,11 +22,12 @@ from typing import Literal
 from foxglove import Channel, Context, Schema, open_mcap
 from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 
+from gateway.record.chunk import channel_records
 from protocol.bus import encoding, topics
 from protocol.errors import ServiceError
 
 Compression = Literal["zstd", "lz4", "none"]
-CHUNK_BYTES = 1 << 20  # before compression; at the rates of a rig `flush` ends chunks long before
+DESCRIBE_BYTES = 1 << 16  # of the file, between two descriptions of its channels, 60 bytes for each
 HELD_BYTES = 4 << 20  # a writer nobody flushes (an import) goes to disk in pieces of this size
 
 _COMPRESSION = {"zstd": MCAPCompression.Zstd, "lz4": MCAPCompression.Lz4, "none": None}
@@ -65,6 +69,11 @@ class _Memory:
         self.held = bytearray()
         self._position = 0
 
+    @property
+    def end(self) -> int:
+        """Size of the whole file."""
+        return self.on_disk + len(self.held)
+
     def write(self, data: bytes | bytearray) -> int:
         at = self._position - self.on_disk
         self.held[at : at + len(data)] = data
@@ -72,7 +81,7 @@ class _Memory:
         return len(data)
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        start = (0, self._position, self.on_disk + len(self.held))[whence]
+        start = (0, self._position, self.end)[whence]
         if start + offset < self.on_disk:
             raise OSError(errno.ESPIPE, "that part is on disk already")
         self._position = start + offset
@@ -116,17 +125,34 @@ class LogWriter:
             self._memory,
             context=self._context,
             writer_options=MCAPWriteOptions(
-                compression=_COMPRESSION[compression], chunk_size=CHUNK_BYTES, compression_threads=0
+                compression=_COMPRESSION[compression],
+                chunk_size=None,  # `_end_chunk` ends them
+                calculate_data_section_crc=False,  # it does not know of our descriptions; each chunk has its own
+                compression_threads=0,
             ),
         )
+        self._in_chunk = 0  # bytes
+        self._described: dict[int, bytes] = {}  # by channel: its record, as the library wrote it
+        self._described_at = 0
         for name, values in (metadata or {}).items():
             self._mcap.write_metadata(name, dict(values))
+        self._mcap.flush()
         self._to_disk()
+        self._chunk_at = self._memory.end  # where the chunk in work begins
 
     @property
     def bytes_written(self) -> int:
         """Bytes handed to the operating system."""
         return self._memory.on_disk
+
+    def whereabouts(self) -> Literal["here", "elsewhere", "gone"]:
+        """Whether the file is still under its name: somebody may have moved it or put another there, or deleted it."""
+        if os.fstat(self._fd).st_nlink == 0:
+            return "gone"
+        try:
+            return "here" if os.path.samestat(os.stat(self.path), os.fstat(self._fd)) else "elsewhere"
+        except OSError:
+            return "elsewhere"
 
     def write(self, key: str, data: bytes, time_ns: int) -> None:
         """Add one message.
@@ -143,8 +169,11 @@ class LogWriter:
         channel = self._channels.get(key) or self._open_channel(key)
         channel.base.log(data, time_ns)
         self.messages += 1
-        if len(self._memory.held) > HELD_BYTES:
-            self.flush()
+        self._in_chunk += len(data)
+        if self._in_chunk >= encoding.CHUNK_BYTES:
+            self._end_chunk()
+            if len(self._memory.held) > HELD_BYTES:
+                self._to_disk()
 
     def flush(self) -> None:
         """Finish the chunk and give everything to the operating system.
@@ -153,7 +182,7 @@ class LogWriter:
             LogError: nothing of the chunk is in the file; the bytes are kept for the next call.
         """
         if not self._finished:
-            self._mcap.flush()
+            self._end_chunk()
         self._to_disk()
 
     def close(self) -> None:
@@ -165,6 +194,7 @@ class LogWriter:
         if self._fd < 0:
             return
         if not self._finished:
+            self._end_chunk()
             self._mcap.close()
             self._finished = True
             for channel in self._channels.values():
@@ -191,6 +221,18 @@ class LogWriter:
         channel = Channel(key, message_encoding=encoding.MESSAGE_ENCODING, schema=schema, context=self._context)
         self._channels[key] = channel
         return channel
+
+    def _end_chunk(self) -> None:
+        memory = self._memory
+        self._mcap.flush()
+        new = len(self._described) < len(self._channels)
+        if new:
+            self._described |= channel_records(bytes(memory.held[self._chunk_at - memory.on_disk :]))
+        if new or memory.end - self._described_at >= DESCRIBE_BYTES:
+            memory.seek(0, os.SEEK_END)
+            memory.write(b"".join(self._described.values()))
+            self._described_at = memory.end
+        self._in_chunk, self._chunk_at = 0, memory.end
 
     def _to_disk(self) -> None:
         memory = self._memory

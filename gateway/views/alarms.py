@@ -119,7 +119,7 @@ class AlarmBook:
             self.come(event.name, "fault", event.text, now_ns)
         elif event.name in _REFUSED_BOARD:
             self.come(event.name, "fault", event.text, now_ns)
-        elif event.name in ("log-disk-full", "log-failed"):
+        elif event.name in ("log-disk-full", "log-failed", "log-removed"):
             self.come(LOG, "fault", event.text, now_ns)
         elif event.name == "log-resumed":
             self.go(LOG, now_ns)

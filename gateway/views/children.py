@@ -3,12 +3,15 @@
 Rule 1: a view's trouble is the view's: the gateway logs it and goes on.
 Rule 2: what died is started again after 1 s, 2 s, ... at most 30 s; after a minute without trouble, from 1 s again.
 Rule 3: exit code 2 is a wrong option or file, which another start does not mend: it stays ended.
-Rule 4: no view outlives the gateway, also not after kill -9 (see child.py).
+Rule 4: what hangs is killed and started again: each view beats (child.py), and HUNG_S without a beat is a hang.
+Rule 5: no view outlives the gateway, also not after kill -9 (see child.py).
 """
 
 from __future__ import annotations
 
 import logging
+import os
+import select
 import subprocess
 import sys
 import threading
@@ -22,12 +25,14 @@ from gateway.access.folder import SecurityFolder
 from gateway.access.listeners import check_listener, nearest
 from gateway.config import GatewayConfig
 from gateway.views.account import ACCOUNT
+from gateway.views.child import BEAT_VARIABLE
 from gateway.views.listen import address
 
 FIRST_WAIT_S = 1.0
 LONGEST_WAIT_S = 30.0
 CALM_S = 60.0
 END_S = 5.0  # to end by itself before it is killed
+HUNG_S = 20.0  # far beyond what a busy machine keeps a process waiting
 _USAGE = 2
 _logger = logging.getLogger("gateway.views")
 
@@ -98,6 +103,7 @@ class _Keeper:
         self._stop = threading.Event()
         self._lock = threading.Lock()  # a stop must not slip between a look at it and a start
         self._process: subprocess.Popen[bytes] | None = None
+        self._beats = -1  # read end of its pipe
         self._thread = threading.Thread(target=self._work, name=f"view-{view.name}", daemon=True)
         self._thread.start()
 
@@ -120,7 +126,7 @@ class _Keeper:
         wait_s = FIRST_WAIT_S
         while (process := self._start()) is not None:
             began_s = time.monotonic()
-            code = process.wait()
+            code = self._end_of(process)
             if process.stdin is not None:
                 process.stdin.close()
             if self._stop.is_set():
@@ -135,10 +141,29 @@ class _Keeper:
                 return
             wait_s = min(2 * wait_s, LONGEST_WAIT_S)
 
+    def _end_of(self, process: subprocess.Popen[bytes]) -> int:
+        """Its exit code, once it has ended, or was killed because it hangs."""
+        beats, poll = self._beats, select.poll()
+        poll.register(beats, select.POLLIN)
+        try:
+            while poll.poll(HUNG_S * 1e3):
+                if not os.read(beats, 4096):
+                    return process.wait()  # the other end is closed: it has ended
+            _logger.warning("%s hangs: no sign of life for %g s; it is killed", self._view.name, HUNG_S)
+            process.kill()
+            return process.wait()
+        finally:
+            os.close(beats)
+
     def _start(self) -> subprocess.Popen[bytes] | None:
         with self._lock:
             if self._stop.is_set():
                 return None
             words = [sys.executable, "-m", "gateway.views.child", self._view.name, *self._view.arguments]
-            self._process = subprocess.Popen(words, stdin=subprocess.PIPE)
+            self._beats, theirs = os.pipe()
+            environment = os.environ | {BEAT_VARIABLE: str(theirs)}
+            try:
+                self._process = subprocess.Popen(words, stdin=subprocess.PIPE, pass_fds=(theirs,), env=environment)
+            finally:
+                os.close(theirs)
             return self._process

@@ -16,6 +16,9 @@ from protocol.bus import board51_pb2 as pb
 MIME = "application/protobuf"
 M = TypeVar("M", bound=Message)
 SCHEMA_ENCODING = MESSAGE_ENCODING = "protobuf"
+# Of a log, before compression: what a damaged spot costs.  0.3 s of one board; files compressed with zstd are 22 %
+# larger than with chunks of 1 MiB, with lz4 6 %.
+CHUNK_BYTES = 1 << 14
 
 
 def schema_name(message: type[Message]) -> str:

@@ -2,6 +2,11 @@
 
 The default needs no server: the gateway is the router (`listen`), everybody else a client that connects to it.
 Multicast scouting is off: two rigs in one lab must not find each other by accident.
+
+Rule: who does not read loses its own messages and nobody else's.  Publishers say BLOCK, so that what they hand to their
+      router waits where a bounded queue counts it.  Where a router hands it on (egress), each subscriber has a queue of
+      1 MiB and what does not fit is dropped at once: blocking there, or waiting a moment for each message, would stall
+      all subscribers behind the one (measured: gateway/README.md, "A subscriber that does not read").
 """
 
 from __future__ import annotations
@@ -17,6 +22,19 @@ from protocol.errors import ConfigError, ServiceError
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 _ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|unixsock-stream)/[^\s#?]+")
 Mode = Literal["router", "client"]
+BATCHES = 16  # of 64 KiB: the largest queue zenoh allows; 2 s of 8 boards at 500 Hz beyond what the system buffers
+ROUTER_QUEUE: dict[str, Any] = {
+    "size": {"data": BATCHES, "data_high": BATCHES},
+    "congestion_control": {"drop": {"wait_before_drop": 0}},
+}
+_DROP = {"congestion_control": "drop"}
+ROUTER_QOS: dict[str, Any] = {
+    "network": [
+        {"messages": ["put", "delete", "query"], "flows": ["egress"], "overwrite": _DROP},
+        # Replies go as their query came: not in the queue of the states, which may be full of what nobody reads.
+        {"messages": ["query"], "flows": ["ingress"], "overwrite": _DROP | {"priority": "data_high"}},
+    ]
+}
 
 
 def check_endpoint(endpoint: str, *, where: str) -> str:
@@ -56,23 +74,24 @@ def zenoh_config(
             "endpoints": list(connect),
             "timeout_ms": 5000 if wait_for_router else -1,
             "exit_on_failure": wait_for_router,
-            "retry": {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 1.5},
+            "retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5},
         },
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "timestamping": {"enabled": False},
     }
+    link: dict[str, Any] = {}
+    config["transport"] = {"link": link}
+    if listen:
+        link["tx"] = {"queue": ROUTER_QUEUE}
+        config["qos"] = ROUTER_QOS
     if identity is not None:
-        config["transport"] = {
-            "auth": {"usrpwd": {"user": identity.name, "password": identity.password}},
-            "link": {
-                "tls": {
-                    "root_ca_certificate": str(identity.ca),
-                    "connect_certificate": str(identity.certificate),
-                    "connect_private_key": str(identity.key),
-                    "enable_mtls": True,
-                    "verify_name_on_connect": True,
-                }
-            },
+        config["transport"]["auth"] = {"usrpwd": {"user": identity.name, "password": identity.password}}
+        link["tls"] = {
+            "root_ca_certificate": str(identity.ca),
+            "connect_certificate": str(identity.certificate),
+            "connect_private_key": str(identity.key),
+            "enable_mtls": True,
+            "verify_name_on_connect": True,
         }
     return json.dumps(config, indent=2)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import struct
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from gateway.record.recover import recover
 from gateway.record.summary import as_json, summarise
 from gateway.record.writer import Compression, LogError, LogWriter
 from protocol.bus import board51_pb2 as pb
+from protocol.bus.encoding import CHUNK_BYTES
 from protocol.errors import DataError
 
 START_NS = 1_700_000_000_000_000_000
@@ -115,6 +117,41 @@ def test_damaged_bytes_cost_their_chunk_and_never_give_wrong_data(
     assert all(message in remaining for message in saved[0])  # a subsequence: right data in the right order
     if written[0] in saved[0][:1]:  # else the description of the channels may have been hit with the first chunk
         assert len(saved[0]) >= len(written) - 80
+
+
+RECORDING = [state(tick) for tick in range(5000)]  # 10 s, as a campaign or an import writes it: nobody flushes
+
+
+@pytest.fixture(scope="module", params=["zstd, finished", "zstd, killed", "lz4, finished", "lz4, killed"])
+def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("recording") / "intact.mcap"
+    writer = LogWriter(path, compression="zstd" if "zstd" in request.param else "lz4")
+    for message in RECORDING:
+        writer.write("board51/a/state", message.SerializeToString(), message.host_time_ns)
+    if "killed" in request.param:
+        writer.flush()
+        writer.abandon()
+    else:
+        writer.close()
+    return path.read_bytes()
+
+
+def test_one_damaged_spot_costs_the_chunks_it_touches(recording: bytes, tmp_path: Path) -> None:
+    draw = random.Random(20240611)
+    # One place, of two chunks at most: a chunk has CHUNK_BYTES of messages, and takes more than 4 kB of the file.
+    in_chunk = CHUNK_BYTES // len(RECORDING[1].SerializeToString()) + 2
+    begins = [8, 80, 12_000, len(recording) - 4096, *(draw.randrange(8, len(recording) - 4096) for _ in range(16))]
+    for begin in begins:
+        size = draw.randint(1, 4096)
+
+        saved = save(recording[:begin] + draw.randbytes(size) + recording[begin + size :], tmp_path)
+
+        assert saved is not None, begin
+        kept = {row[1] for row in saved[0] if isinstance(row, tuple)}
+        lost = [m.tick for m in RECORDING if m.SerializeToString() not in kept]
+        assert len(kept) == len(saved[0])
+        assert len(lost) <= 2 * in_chunk, begin
+        assert not lost or lost[-1] - lost[0] == len(lost) - 1
 
 
 def test_every_kind_of_record_may_be_cut(tmp_path: Path) -> None:

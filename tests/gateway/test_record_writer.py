@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -239,6 +240,39 @@ def test_a_part_is_closed_by_age(tmp_path: Path) -> None:
     time.sleep(0.5)  # nothing comes: an empty part is not replaced by another
     assert log.stats().parts == 2
     log.close()
+
+
+@pytest.mark.parametrize("how", ["deleted", "moved", "replaced", "its directory deleted"])
+def test_a_part_that_goes_while_it_is_written_is_told_and_followed_by_another(tmp_path: Path, how: str) -> None:
+    directory, elsewhere, events = tmp_path / "logs", tmp_path / "moved.mcap", list[tuple[str, str]]()
+    directory.mkdir()
+    log = recorder(directory, on_event=lambda name, severity, _: events.append((name, severity)))
+    log.start()
+    first = directory / log.stats().file
+    put_states(log.put, range(10))
+    until(lambda: first.stat().st_size > 1000)
+
+    if how == "deleted":
+        first.unlink()
+    elif how == "moved":
+        first.rename(elsewhere)
+    elif how == "replaced":
+        elsewhere.touch()
+        elsewhere.replace(first)
+    else:
+        shutil.rmtree(directory)
+        until(lambda: log.stats().state.startswith("failed"))
+        directory.mkdir()
+    until(lambda: log.stats().state == "writing" and log.stats().file not in ("", first.name))
+    second = directory / log.stats().file
+    put_states(log.put, range(10, 20))
+    log.close()
+
+    assert ("log-removed", "fault") in events
+    assert ticks(read(second)) == list(range(10, 20))
+    if how == "moved":
+        assert ticks(read(elsewhere)) == list(range(10))
+        assert LogReader(elsewhere).scans[0].indexed
 
 
 def test_names_never_collide(tmp_path: Path) -> None:

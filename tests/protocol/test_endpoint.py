@@ -5,12 +5,14 @@ from __future__ import annotations
 import queue
 import socket
 import time
+from pathlib import Path
 
 import pytest
 import zenoh
 
 from protocol.bus.endpoint import check_endpoint, zenoh_config
 from protocol.errors import ConfigError
+from tests.protocol.stopped_subscriber import STALL_S, longest_round_s
 
 
 def _endpoint() -> str:
@@ -54,6 +56,27 @@ def test_daemons_that_started_before_their_router_hear_each_other_through_it() -
 def test_a_command_without_a_router_fails_instead_of_waiting_for_ever() -> None:
     with pytest.raises(zenoh.ZError):
         _open(zenoh_config("client", connect=[_endpoint()]))
+
+
+@pytest.mark.parametrize("apart", [False, True], ids=["the gateway is the router", "router apart"])
+def test_a_subscriber_that_does_not_read_stalls_nobody_else(apart: bool) -> None:
+    endpoint = _endpoint()
+    client = zenoh_config("client", connect=[endpoint])
+    with _open(zenoh_config("router", listen=[endpoint])) as router, _open(client) as healthy:
+        if not apart:
+            assert longest_round_s(router, healthy, client) < STALL_S
+            return
+        with _open(zenoh_config("client", connect=[endpoint], wait_for_router=False)) as gateway:
+            assert _reaches(gateway, healthy)
+            assert longest_round_s(gateway, healthy, client) < STALL_S
+
+
+def test_the_shipped_router_file_hands_on_as_ours_does() -> None:
+    shipped = zenoh.Config.from_file(str(Path(__file__).parents[2] / "gateway" / "router.json5"))
+    ours = zenoh.Config.from_json5(zenoh_config("router", listen=["tcp/127.0.0.1:7447"]))
+
+    for part in ("transport", "qos"):
+        assert shipped.get_json(part) == ours.get_json(part)
 
 
 @pytest.mark.parametrize("endpoint", ["", "7447", "tcp/", "tcp/a b:1", "http://x:1"])

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import threading
+
 import pytest
+import zenoh
 
 from protocol.bus import board51_pb2 as pb
+from protocol.bus.endpoint import zenoh_config
 from tests.twin.rig import Rig
-from tests.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait_for_count
+from tests.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait, wait_for_count
+from twin.mirror import service as service_module
 from twin.mirror.mirror import IN_STEP, Mirror
 from twin.mirror.service import TwinService
 from twin.model.nominal import nominal
@@ -111,3 +117,45 @@ def test_it_waits_for_a_router_and_survives_its_restart(endpoint: str) -> None:
         assert first.sync == "out-of-step"
         assert service.boards["rig"].mirror.sync == IN_STEP
         assert service.boards["rig"].mirror.counters["out_of_step:lost-samples"] == 1
+
+
+def test_a_twin_that_hears_status_and_no_samples_hears_through_a_new_session(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The fault is real: a rule of the router keeps the states from the one session."""
+    monkeypatch.setattr(service_module, "DEAF_S", 1.0)
+    endpoint = free_endpoint()
+    with TwinService(nominal(), site="lab", endpoints=(endpoint,)) as service:  # waits for its router
+        assert service._session is not None
+        config = json.loads(zenoh_config("router", listen=[endpoint]))
+        config["access_control"] = {
+            "enabled": True,
+            "default_permission": "allow",
+            "rules": [
+                {
+                    "id": "deaf", "permission": "deny", "messages": ["put"], "flows": ["egress"],
+                    "key_exprs": ["lab/rig/state"],
+                }
+            ],
+            "subjects": [{"id": "first", "zids": [str(service._session.zid())]}],
+            "policies": [{"rules": ["deaf"], "subjects": ["first"]}],
+        }  # fmt: skip
+        stop = threading.Event()
+        with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
+            gateway = threading.Thread(target=stream, args=(session, stop))
+            gateway.start()
+            try:
+                wait(lambda: "rig" in service.boards and service.boards["rig"].samples > 20, "samples", 40.0)
+            finally:
+                stop.set()
+                gateway.join()
+
+        assert service.renewed == 1
+
+
+def stream(session: zenoh.Session, stop: threading.Event) -> None:
+    """A board that streams, as a gateway publishes it."""
+    tick = 0
+    status = pb.Status(link="streaming", samples_per_s=500.0).SerializeToString()
+    while not stop.wait(0.02):
+        tick += 1
+        session.put("lab/rig/state", pb.State(sequence=tick, tick=tick, session=1).SerializeToString())
+        session.put("lab/rig/status", status)

@@ -9,6 +9,9 @@ Rule 3: publishing blocks rather than drops (a divergence that vanishes unseen i
 Rule 4: a model is handed over by a query, `<site>/<board>/twin/command`, which takes its place in the same queue: it
         falls between two samples, and every sample is answered by one model.  A model that is refused changes nothing.
         A command for `<site>/*` means every board, those to come too.
+Rule 5: a status that says that samples come, and no samples, means that the bus does not bring them here (seen once in
+        13 starts with a router of its own, until that was restarted; the cause is not known).  Then the twin hears
+        through a new session.
 """
 
 from __future__ import annotations
@@ -33,6 +36,7 @@ from twin.mirror.watched import Watched
 from twin.model.parameters import Model
 
 QUEUE_LENGTH = 5000  # ten seconds of one board
+DEAF_S = 5.0  # status comes every second: more than a moment's hold-up, and time for a new session to join
 POLL_S = 0.1  # of the look at the clock where nothing arrives
 _MAY_HAND_OVER = "engineer"  # the role that a guarded bus wants for it; the router has checked who has it
 _REPLY_ENCODING = encoding.zenoh_encoding(pb.CommandReply)
@@ -83,14 +87,17 @@ class TwinService:
         self._queue: queue.Queue[tuple[str, bytes] | zenoh.Query] = queue.Queue(maxsize=QUEUE_LENGTH)
         self._worker: threading.Thread | None = None
         self._session: zenoh.Session | None = None
+        self._hearing: zenoh.Session | None = None  # instead of the first one, once that was deaf
+        self._subscriber: zenoh.Subscriber[None] | None = None
+        self.renewed = 0
+        self._heard_s: dict[str, float] = {}  # by board: the latest sample, or when it began to be missed; monotonic
         self._stopping = threading.Event()
         self.failure: BaseException | None = None
 
     def start(self) -> None:
         """Open the session and begin.  Raises ServiceError where zenoh refuses the configuration."""
-        text = zenoh_config("client", connect=self._endpoints, wait_for_router=False, identity=self._identity)
         try:
-            self._session = zenoh.open(zenoh.Config.from_json5(text))
+            self._session = self._open()
         except zenoh.ZError as error:
             raise ServiceError(
                 f"zenoh cannot be opened with {', '.join(self._endpoints)} ({error})", remedy="Check --connect"
@@ -99,7 +106,7 @@ class TwinService:
         self._worker.start()
         # One subscriber for both topics: zenoh keeps the order within a subscriber, not between two, and a sample that
         # overtakes its board's parameters would be compared under the old ones.
-        self._session.declare_subscriber(f"{self._site}/{self._board or '*'}/*", self._receive)
+        self._subscriber = self._hear(self._session)
         served = f"{self._commands}/{topics.AS}/{_MAY_HAND_OVER}/*" if self._identity is not None else self._commands
         self._session.declare_queryable(served, self._asked)
 
@@ -108,9 +115,10 @@ class TwinService:
         self._stopping.set()
         if self._worker is not None:
             self._worker.join(timeout=2.0)
-        if self._session is not None:
-            self._session.close()  # type: ignore[no-untyped-call]  # the stub has no return type
-            self._session = None
+        for session in (self._hearing, self._session):
+            if session is not None:
+                session.close()  # type: ignore[no-untyped-call]  # the stub has no return type
+        self._hearing = self._session = None
 
     def __enter__(self) -> TwinService:
         self.start()
@@ -124,11 +132,18 @@ class TwinService:
         """False once the worker has ended, by `stop` or by a failure (then in `failure`)."""
         return self._worker is not None and self._worker.is_alive()
 
+    def _open(self) -> zenoh.Session:
+        text = zenoh_config("client", connect=self._endpoints, wait_for_router=False, identity=self._identity)
+        return zenoh.open(zenoh.Config.from_json5(text))
+
+    def _hear(self, session: zenoh.Session) -> zenoh.Subscriber[None]:
+        return session.declare_subscriber(f"{self._site}/{self._board or '*'}/*", self._receive)
+
     # ---- in zenoh's threads
 
     def _receive(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
-        if not key.endswith(("/state", "/parameters")):
+        if not key.endswith(("/state", "/parameters", "/status")):
             return
         try:
             self._queue.put_nowait((key, sample.payload.to_bytes()))
@@ -182,14 +197,44 @@ class TwinService:
             self._watched(site, board).mirror.parameters(parameters)
             self.parameters_heard += 1
             return
+        if topic == "status":
+            status = encoding.parse(pb.Status, data)
+            if status is not None:
+                self._judge_hearing(board, status, now)
+            return
         state = encoding.parse(pb.State, data)
         if state is None:
             self.malformed += 1
             return
+        self._heard_s[board] = now
         watched = self._watched(site, board)
         output = watched.take(state, now)
         if output is not None and self._on_output:
             self._on_output(watched, output)
+
+    def _judge_hearing(self, board: str, status: pb.Status, now: float) -> None:
+        comes = status.link == "streaming" and status.samples_per_s > 0.0
+        if not comes or now - self._heard_s.setdefault(board, now) < DEAF_S:
+            if not comes:
+                self._heard_s[board] = now
+            return
+        self.renewed += 1
+        self._heard_s.clear()
+        log.warning(
+            "board %s: its gateway sends %.0f samples/s and none came for %g s: hearing through a new session",
+            board, status.samples_per_s, DEAF_S,
+        )  # fmt: skip
+        before, deaf = self._subscriber, self._hearing
+        try:
+            self._hearing = self._open()
+        except zenoh.ZError as error:
+            log.warning("no new session: %s", error)
+            return
+        if before is not None:
+            before.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+        self._subscriber = self._hear(self._hearing)
+        if deaf is not None:
+            deaf.close()  # type: ignore[no-untyped-call]  # the same
 
     def _watched(self, site: str, board: str) -> Watched:
         watched = self.boards.get(board)

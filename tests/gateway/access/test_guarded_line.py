@@ -18,8 +18,10 @@ from gateway.access.folder import SecurityFolder
 from gateway.config import SecurityConfig, ZenohConfig
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
+from protocol.bus.endpoint import zenoh_config
 from tests.gateway.access.access_peers import Client, GuardedRig, fresh, join
 from tests.gateway.gateway_peers import ScriptedBoard, free_port, gateway_config, running, wait_for
+from tests.protocol.stopped_subscriber import STALL_S, longest_round_s
 from twin.mirror.service import TwinService
 from twin.model.nominal import nominal
 
@@ -52,6 +54,20 @@ def test_a_gateway_behind_a_guarded_router(keys: SecurityFolder, whole_folder: b
             assert ben.command(key="board51/rig/command", ping=pb.Ping()) is None
             alive = vic.session.liveliness().get("board51/*/alive", timeout=2.0)
             assert [str(token.ok.key_expr) for token in alive if token.ok is not None] == ["board51/rig/alive"]
+
+
+def test_a_viewer_that_does_not_read_stalls_nobody_else(keys: SecurityFolder) -> None:
+    def config(endpoint: str, name: str) -> str:
+        return zenoh_config("client", connect=[endpoint], identity=keys.identity(name))
+
+    with router(keys) as endpoint:
+        gateway, healthy, viewer = (config(endpoint, name) for name in ("gateway", "ben", "vic"))
+        with (
+            zenoh.open(zenoh.Config.from_json5(gateway)) as publishing,
+            zenoh.open(zenoh.Config.from_json5(healthy)) as reading,
+        ):
+            asks = topics.command_key("board51", "rig", role="viewer", who="vic")
+            assert longest_round_s(publishing, reading, viewer, asks) < STALL_S
 
 
 def ask_twin(client: Client, who: str, board: str = "rig") -> list[pb.CommandReply]:

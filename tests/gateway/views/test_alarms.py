@@ -109,6 +109,15 @@ def test_log_and_link_come_and_go() -> None:
     assert not any(a.active for a in book.listed())
 
 
+def test_a_log_that_was_deleted_is_an_alarm_until_somebody_has_seen_it() -> None:
+    book = AlarmBook("rig")
+
+    book.event(pb.Event(name="log-removed", severity="fault", text="deleted"), 1)
+    book.log("writing", 2)  # in a new part
+
+    assert names(book) == [(LOG, False, False)]
+
+
 def test_a_view_that_joins_late_learns_of_a_failing_log_from_the_status() -> None:
     book = AlarmBook("rig")
 

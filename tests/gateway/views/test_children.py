@@ -57,6 +57,22 @@ def test_a_view_that_dies_is_started_again_and_ends_with_the_gateway(monkeypatch
     assert not listening(port)()
 
 
+def test_a_view_that_hangs_is_killed_and_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(children, "FIRST_WAIT_S", 0.1)
+    monkeypatch.setattr(children, "HUNG_S", 5.0)
+    port = free_port()
+
+    with running([router(port)]):
+        wait_for(listening(port), "view", 20.0)
+        first = view_at(port)
+        os.kill(first, signal.SIGSTOP)
+        second = wait_for(lambda: (pid := view_at(port)) not in (0, first) and pid, "another process", 40.0)
+        wait_for(listening(port), "view again", 20.0)
+
+    assert second != first
+    assert not listening(port)()
+
+
 def test_a_view_of_a_gateway_in_real_time_runs_as_any_process_and_gives_way() -> None:
     port = free_port()
     words = ["-m", "gateway.views.child", "router", "--listen", f"tcp/127.0.0.1:{port}"]
