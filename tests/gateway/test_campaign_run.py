@@ -66,12 +66,13 @@ def test_a_recording_holds_what_is_needed_to_understand_it(tmp_path: Path, capsy
     assert "the ball lifts off at" in capsys.readouterr().err
 
 
-def test_an_interrupted_campaign_leaves_the_ball_parked_and_goes_on(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_an_interrupted_campaign_leaves_the_ball_parked_and_goes_on(number: signal.Signals, tmp_path: Path) -> None:
     folder = tmp_path / "c"
     with emulated_line(tmp_path) as line:
         process = line.start(folder, *STEPS)
         wait_for(lambda: line.bus.states()[-1].mode == pb.MODE_CLOSED_LOOP, "flight", timeout_s=40.0)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         out, err = process.communicate(timeout=20.0)
         line.assert_parked()
         table = json.loads(out)
