@@ -94,7 +94,8 @@ async def acts(client: Client) -> dict[str, int]:
     """Status of a read, a stop, a reference and gains."""
     peer = Peer(client, await client.get_namespace_index(NAMESPACE))
     await peer.await_status("rig/state/x_m", S.Good)
-    gains = [ua.Variant(0), ua.Variant([0.5, 1.0, 1.0, 1.0])] + [ua.Variant(v, DOUBLE) for v in (0.6, 2.8e-3, 2.1)]
+    law = ua.Variant(0, ua.VariantType.UInt32)
+    gains = [law, ua.Variant([0.5, 1.0, 1.0, 1.0])] + [ua.Variant(v, DOUBLE) for v in (0.6, 2.8e-3, 2.1)]
     return {
         "stop": (await peer.call("rig", "Stop")).StatusCode.value,
         "reference": await peer.write("rig/setpoint/x_ref_m", ua.Variant(3e-3, DOUBLE)),
