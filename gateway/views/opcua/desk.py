@@ -77,7 +77,7 @@ class Desk:
         """What became of it.
 
         A visitor without the right is refused here; on a guarded bus by the gateway, whose log then has the attempt.
-        STOP is the right of viewers who have logged in: whoever came in without a name, to look, is refused here always.
+        STOP is a right of viewers who have logged in: who came in without a name, to look, is refused here always.
         """
         if (visitor.name, visitor.role) == (NOBODY.name, NOBODY.role):
             text = "Whoever has not logged in only looks: log in, or let --anonymous say more."
