@@ -70,6 +70,7 @@ def send(
     timeout_s: float = 5.0,
     identity: Identity | None = None,
     role: str = "",
+    typed: bool = True,
 ) -> pb.CommandReply:
     """Send one command and return the gateway's answer; `refused_by` "link" where none came.
 
@@ -85,6 +86,7 @@ def send(
         timeout_s: for the answer; the command does not begin to act later.
         identity: whose command it is, on a guarded bus.
         role: instead of an identity: of `command.who`, whom the caller has checked; only the views' account may do so.
+        typed: whether the sender gave options of a command line, which may be wrong.
     """
     if not command.id:
         command.id = uuid.uuid4().hex
@@ -99,7 +101,7 @@ def send(
             command.issued_ns = time.time_ns()
         answer = _ask(session, key, command, timeout_s)
         if answer is None:
-            return _unanswered(command, f"{site}/{board}", guarded=identity is not None)
+            return _unanswered(command, f"{site}/{board}", guarded=identity is not None, typed=typed)
         if not is_new or answer.reason != "not-fresh" or time.monotonic() >= end_s:
             return answer
         time.sleep(0.1)
@@ -113,10 +115,10 @@ def _ask(session: zenoh.Session, key: str, command: pb.Command, timeout_s: float
     return next((answer for answer in answers if answer is not None), None)
 
 
-def _unanswered(command: pb.Command, board: str, *, guarded: bool) -> pb.CommandReply:
-    text = (
-        f"No gateway answered for {board}: is it running, and is that the board's name?"
-        + (" If it does not guard its bus, leave --identity out." if guarded else " A guarded one wants --identity.")
-        + " Had one received the command before it ended, it may have acted."
-    )
+def _unanswered(command: pb.Command, board: str, *, guarded: bool, typed: bool) -> pb.CommandReply:
+    text = f"No gateway answered for {board}: is it running, and is that the board's name?"
+    if typed:
+        options = " If it does not guard its bus, leave --identity out.", " A guarded one wants --identity."
+        text += options[0] if guarded else options[1]
+    text += " Had one received the command before it ended, it may have acted."
     return pb.CommandReply(id=command.id, refused_by="link", reason="not-delivered", text=text)

@@ -1,6 +1,7 @@
 """What may be commanded: the last look before the wire.  Pure: time comes in, refusals come out.
 
-The board checks again; this gate is nearer to the sender, may be tighter (configuration), and says why in SI units.
+The board checks again; this gate is nearer to the sender, may be tighter (configuration), and says why in the units of
+the page (lengths in mm).
 
 Rule 1: STOP passes always: no rate, no mode, no bound, no form but that it can be read as a STOP.
 Rule 2: every refusal has a stable kebab-case reason and a sentence.  Reasons: malformed, oversize, bad-id, bad-who,
@@ -20,7 +21,7 @@ from dataclasses import dataclass
 from google.protobuf.message import Message as ProtoMessage
 
 from gateway.config import LimitsConfig
-from gateway.samples import Refusal, WireCommand
+from gateway.samples import Refusal, Scaling, WireCommand, measured
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import parse
 from protocol.wire.messages import Flag, Message, Mode
@@ -42,6 +43,7 @@ class BoardView:
     x_ref_m: float | None  # in force, or commanded and not yet visible
     u_c_v: float | None  # in force
     parameters: Message | None  # PARAMETERS, counts
+    scaling: Scaling | None = None  # of them
 
 
 def read_command(payload: bytes) -> tuple[pb.Command, Refusal | None]:
@@ -147,7 +149,7 @@ class Gate:
         """None if the command may go to the board."""
         match command.WhichOneof("what"):
             case "set_reference":
-                return self._reference(command.set_reference.x_ref_m, wire, board, now_s)
+                return self.beyond(command) or self._reference(command.set_reference.x_ref_m, wire, board, now_s)
             case "set_gains":
                 return self._gains(command.set_gains)
             case "excite":
@@ -160,6 +162,13 @@ class Gate:
                 return self._host_loss(command.set_host_loss.timeout_s)
         return None
 
+    def beyond(self, command: pb.Command) -> Refusal | None:
+        """The configuration's bounds alone; asked before a value is counts, which end elsewhere."""
+        if command.WhichOneof("what") != "set_reference":
+            return None
+        limits = self._limits
+        return _within(command.set_reference.x_ref_m, limits.x_ref_min_m, limits.x_ref_max_m, "x_ref", "m")
+
     def passed(self, command: pb.Command, board: BoardView, now_s: float) -> None:
         """`command` goes to the board: use up what it uses up."""
         if command.WhichOneof("what") == "set_reference" and board.x_ref_m is not None:
@@ -167,16 +176,16 @@ class Gate:
 
     def _reference(self, x_ref_m: float, wire: WireCommand, board: BoardView, now_s: float) -> Refusal | None:
         limits = self._limits
-        refusal = _within(x_ref_m, limits.x_ref_min_m, limits.x_ref_max_m, "x_ref", "m")
-        refusal = refusal or _on_board(int(wire.values["x_ref"]), "x_ref_min", "x_ref_max", "x_ref", board)
+        refusal = _on_board(int(wire.values["x_ref"]), "x_ref_min", "x_ref_max", "x_ref", "m", board)
         if refusal is not None or board.x_ref_m is None:
             return refusal
         jump, allowed = abs(x_ref_m - board.x_ref_m), self._jumps.level(now_s)
         if jump > allowed:
             return Refusal(
                 "slew",
-                f"The jump of {jump:.3g} m from {board.x_ref_m:.4g} m is larger than the {allowed:.3g} m allowed now;"
-                f" the allowance refills at {limits.x_ref_slew_m_s:g} m/s up to {limits.x_ref_step_m:g} m.",
+                f"The jump of {jump * 1e3:.3g} mm from {board.x_ref_m * 1e3:.4g} mm is larger than the"
+                f" {allowed * 1e3:.3g} mm allowed now; the allowance refills at {limits.x_ref_slew_m_s * 1e3:g} mm/s"
+                f" up to {limits.x_ref_step_m * 1e3:g} mm.",
             )
         return None
 
@@ -197,11 +206,13 @@ class Gate:
             refusal = _within(low, limits.x_ref_min_m, limits.x_ref_max_m, "the lowest x_ref", "m")
             refusal = refusal or _within(high, limits.x_ref_min_m, limits.x_ref_max_m, "the highest x_ref", "m")
             bounds = ("x_ref_min", "x_ref_max")
+            unit = "m"
         else:
             refusal = _within(high, -math.inf, limits.u_max_v, "the highest u_c", "V")
             bounds = ("", "u_max")
+            unit = "V"
         for count in (offset - amplitude, offset + amplitude):
-            refusal = refusal or _on_board(count, *bounds, "offset -+ amplitude", board)
+            refusal = refusal or _on_board(count, *bounds, "offset -+ amplitude", unit, board)
         return refusal
 
     def _host_loss(self, timeout_s: float) -> Refusal | None:
@@ -218,7 +229,7 @@ class Gate:
     def _capture(self, capture: pb.Capture, wire: WireCommand, board: BoardView) -> Refusal | None:
         for name, value in (("u_from", capture.u_from_v), ("u_to", capture.u_to_v)):
             refusal = _within(value, -math.inf, self._limits.u_max_v, name, "V")
-            refusal = refusal or _on_board(int(wire.values[name]), "", "u_max", name, board)
+            refusal = refusal or _on_board(int(wire.values[name]), "", "u_max", name, "V", board)
             if refusal is not None:
                 return refusal
         return None
@@ -227,18 +238,27 @@ class Gate:
 def _within(value: float, low: float, high: float, what: str, unit: str) -> Refusal | None:
     if low <= value <= high:
         return None
-    bounds = f"{low:g} .. {high:g} {unit}" if math.isfinite(low) else f"at most {high:g} {unit}"
-    return Refusal("out-of-range", f"{what} = {value:g} {unit} is outside the gateway's limits, {bounds}.")
+    highest = measured(high, unit)
+    bounds = f"{measured(low, unit)} .. {highest}" if math.isfinite(low) else f"at most {highest}"
+    return Refusal("out-of-range", f"{what} = {measured(value, unit)} is outside the gateway's limits, {bounds}.")
 
 
-def _on_board(count: int, low: str, high: str, what: str, board: BoardView) -> Refusal | None:
+def _on_board(count: int, low: str, high: str, what: str, unit: str, board: BoardView) -> Refusal | None:
     """Against the bounds in PARAMETERS, in counts; an empty `low` means 0."""
     if board.parameters is None:
         return None  # the board will look itself
     lowest, highest = board.parameters.int(low) if low else 0, board.parameters.int(high)
     if lowest <= count <= highest:
         return None
-    return Refusal("out-of-range", f"{what} = {count} counts is outside the board's limits, {lowest} .. {highest}.")
+
+    def said(counts: int) -> str:
+        s = board.scaling
+        if s is None:
+            return f"{counts} counts"
+        return measured(s.x_m(counts) if unit == "m" else s.u_v(counts), unit)
+
+    bounds = f"{said(lowest)} .. {said(highest)}"
+    return Refusal("out-of-range", f"{what} = {said(count)} is outside the board's limits, {bounds}.")
 
 
 def _needs(board: BoardView, command: pb.Command) -> Refusal | None:

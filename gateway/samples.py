@@ -28,6 +28,12 @@ class Refusal:
     text: str
 
 
+def measured(value: float, unit: str) -> str:
+    """A value for people, in the units of the page: lengths in mm."""
+    scale, shown = (1e3, "mm") if unit == "m" else (1.0, unit)
+    return f"{value * scale:.6g} {shown}"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scaling:
     """What one count is worth, and the board's times; from IDENTITY."""
@@ -176,7 +182,8 @@ def _count(value: float, offset: float, lsb: float, what: str, unit: str) -> int
     if not 0 <= count <= COUNTS_MAX:
         ends = sorted((offset, offset + lsb * COUNTS_MAX))
         raise _OutOfFieldError(
-            f"{what} {value:g} {unit} is outside what the converter covers, {ends[0]:.6g} .. {ends[1]:.6g} {unit}"
+            f"{what} = {measured(value, unit)} is outside what the converter covers,"
+            f" {measured(ends[0], unit)} .. {measured(ends[1], unit)}"
         )
     return count
 
@@ -262,7 +269,9 @@ def _excite(command: pb.Command, s: Scaling) -> WireCommand:
         return WireCommand(name="EXCITE", values=values, note=f"{what} stays at {e.offset:.6g} {unit}.")
     amplitude = _nearest(e.amplitude / lsb)
     if abs(amplitude) > COUNTS_MAX:
-        raise _OutOfFieldError(f"amplitude {e.amplitude:g} {unit} is above {COUNTS_MAX * abs(lsb):g} {unit}")
+        raise _OutOfFieldError(
+            f"amplitude = {measured(e.amplitude, unit)} is above {measured(COUNTS_MAX * abs(lsb), unit)}"
+        )
     needs_period = shape in (Shape.RECTANGLE, Shape.SAWTOOTH, Shape.PRBS, Shape.MULTISINE, Shape.CHIRP)
     period = _whole(e.period_s, s.sample_time_s, "period", 1, _U16) if needs_period else 1
     period_end = _whole(e.period_end_s, s.sample_time_s, "period_end", 1, _U16) if shape == Shape.CHIRP else period

@@ -19,7 +19,7 @@ from gateway.views.listen import add_view_arguments, listener
 from protocol.bus.endpoint import check_endpoint, zenoh_config
 from protocol.errors import UsageError
 
-if TYPE_CHECKING:  # NiceGUI takes a second to import: --help answers at once
+if TYPE_CHECKING:  # the server takes its time to import: --help answers at once
     from gateway.access.folder import SecurityFolder
     from gateway.access.users import Users
 

@@ -223,7 +223,9 @@ class CommandDesk:
             return _down(link, reason)
         whole = bumpless(command, view)
         wire = whole if isinstance(whole, Refusal) else to_wire(whole, scaling)
-        refusal = wire if isinstance(wire, Refusal) else self._gate.check(command, wire, view, now_s)
+        refusal = self._gate.beyond(command)
+        if refusal is None:
+            refusal = wire if isinstance(wire, Refusal) else self._gate.check(command, wire, view, now_s)
         if refusal is not None or isinstance(wire, Refusal):
             return refusal
         token = self._session.submit(wire.name, now_s, left_s, **wire.values)
@@ -261,6 +263,7 @@ class CommandDesk:
             x_ref_m=x_ref_m,
             u_c_v=scaling.u_v(sample.state.u_c) if sample is not None and scaling is not None else None,
             parameters=parameters,
+            scaling=scaling,
         )
 
     def _settle(self, command: pb.Command, tick: int) -> None:

@@ -300,7 +300,7 @@ class Feed:
         command.CopyFrom(what)
         command.who = who
         as_role = role if self.guarded else ""
-        return send(self._session, self.site, board, command, timeout_s=timeout_s, role=as_role)
+        return send(self._session, self.site, board, command, timeout_s=timeout_s, role=as_role, typed=False)
 
     def now_ns(self) -> int:
         """Unix time of this host."""

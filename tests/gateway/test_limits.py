@@ -91,6 +91,30 @@ def test_the_reference_stays_within_configuration_and_board() -> None:
     assert verdict(gate, **reference(4.4e-3)) == ""
 
 
+@pytest.mark.parametrize(
+    ("limits", "x_ref_m", "said"),
+    [
+        ({}, 9e-3, "x_ref = 9 mm is outside the gateway's limits, 0.3 mm .. 5.2 mm."),
+        ({"x_ref_step_m": 0.1}, 4.6e-3, "x_ref = 4.6005 mm is outside the board's limits, 0.3 mm .. 4.5 mm."),
+        ({"x_ref_step_m": 1e-3}, 4e-3, "The jump of 1.5 mm from 2.5 mm is larger than the 1 mm allowed now;"),
+    ],
+)
+def test_a_refused_reference_is_told_in_mm_and_in_the_range_that_holds(
+    limits: dict[str, float], x_ref_m: float, said: str
+) -> None:
+    gate, view = Gate(LimitsConfig(**limits)), replace(VIEW, scaling=SCALING)
+    command = pb.Command(id="a", **reference(x_ref_m))
+    wire = to_wire(command, SCALING)
+
+    refusal = gate.beyond(command)  # before counts: the converter ends elsewhere
+    if refusal is None:
+        assert isinstance(wire, WireCommand)
+        refusal = gate.check(command, wire, view, 0.0)
+
+    assert refusal is not None
+    assert said in refusal.text
+
+
 def test_the_allowance_for_jumps_refills_with_time() -> None:
     gate = Gate(LimitsConfig(x_ref_step_m=1e-3, x_ref_slew_m_s=10e-3))
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
+
 from protocol.bus import board51_pb2 as pb
 from tests.twin.test_service_handover import alarms, ask, command, divergences, offset_rig, right_model
 from tests.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait_for_count
+from twin.commands import diagnose
 from twin.mirror.request import NAME, DiagnosisRequest
 from twin.mirror.service import TwinService
 from twin.mirror.settings import Settings
@@ -91,5 +94,9 @@ def test_on_the_bus_a_lasting_alarm_asks_and_the_right_model_takes_it_back() -> 
     assert wanted.active
     assert wanted.tick == first + 500, "one second of 2 ms after the first alarm"
     assert "board51 diagnose --live 2 --board rig --site lab" in wanted.text
+    parser = argparse.ArgumentParser()
+    diagnose.configure(parser)
+    typed = parser.parse_args(wanted.text.partition("board51 diagnose ")[2].split())
+    assert (typed.board, typed.site, typed.connect) == ("rig", "lab", [endpoint]), "it reaches this bus as it stands"
     assert [one.active for one in after] == [False]
     assert "another model" in after[0].text

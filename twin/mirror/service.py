@@ -26,7 +26,7 @@ import zenoh
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import encoding, topics
-from protocol.bus.endpoint import zenoh_config
+from protocol.bus.endpoint import DEFAULT_ENDPOINT, zenoh_config
 from protocol.bus.identity import Identity
 from protocol.errors import ServiceError
 from twin.mirror.handover import Answered, believe, read_command, read_model, refusal
@@ -240,10 +240,15 @@ class TwinService:
         watched = self.boards.get(board)
         if watched is None:
             assert self._session is not None
-            watched = Watched(self._session, site, board, self._belief, self._settings)
+            watched = Watched(self._session, site, board, self._belief, self._settings, reach=self._reach())
             self.boards[board] = watched
             log.info("board %s: twin of model %s", board, watched.belief.title)
         return watched
+
+    def _reach(self) -> str:
+        """What somebody must give to reach this bus, who reads advice elsewhere: on a page, in a log."""
+        at = "" if self._endpoints == (DEFAULT_ENDPOINT,) else "".join(f" --connect {e}" for e in self._endpoints)
+        return at + (" --identity FOLDER" if self._identity is not None else "")
 
     def _command(self, query: zenoh.Query) -> list[tuple[str, pb.CommandReply]]:
         """(key, reply) for each board that the query means; for none, one under the key that was asked."""

@@ -41,10 +41,18 @@ class Watched:
         board: second.
         belief: the model to begin with.
         settings: of the mirror.
+        reach: options with which another command reaches this bus, each after a space.
     """
 
     def __init__(
-        self, session: zenoh.Session, site: str, board: str, belief: Belief, settings: Settings | None
+        self,
+        session: zenoh.Session,
+        site: str,
+        board: str,
+        belief: Belief,
+        settings: Settings | None,
+        *,
+        reach: str = "",
     ) -> None:
         self.site, self.board = site, board
         self.belief = belief
@@ -64,6 +72,7 @@ class Watched:
             after_s=self.mirror.settings.diagnosis_after_s,
             command=f"board51 diagnose --live 2 --board {board}"
             + (f" --site {site}" if site != topics.DEFAULT_SITE else "")
+            + reach
             + " --out diagnosis",
         )
         self._newest: pb.State | None = None

@@ -19,8 +19,8 @@ from types import FrameType
 
 import uvicorn
 import zenoh
-from fastapi import FastAPI
-from starlette.routing import WebSocketRoute
+from starlette.applications import Starlette
+from starlette.routing import BaseRoute, Mount, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
@@ -32,6 +32,7 @@ from gateway.views.hmi.guard import MAX_BODY, Guard
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import STUCK_S, Live, Pictures
+from gateway.views.hmi.pages import REPLAY, Pages
 from gateway.views.hmi.requests import Requests
 from gateway.views.hmi.sessions import Session, Sessions
 from protocol.errors import ServiceError
@@ -101,11 +102,6 @@ def _nothing(number: int, frame: FrameType | None) -> None:
 
 def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGIApp:
     """The application, without a server around it."""
-    from nicegui import app as nicegui_app
-    from nicegui import ui
-
-    from gateway.views.hmi import pages
-
     users = settings.users
     sessions = Sessions(
         idle_s=settings.idle_s,
@@ -126,7 +122,7 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
     live, replay = Pictures(feed), Pictures(replayed)
 
     @asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
         pumps = [asyncio.create_task(pictures.pump()) for pictures in (live, replay)]
         yield
         for pump in pumps:
@@ -134,27 +130,15 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
             with contextlib.suppress(asyncio.CancelledError):
                 await pump
 
-    app = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
-    app.mount("/static", StaticFiles(directory=STATIC))
-    for prefix, pictures in (("/live", live), ("/live-replay", replay)):
-        readers = Live(pictures, sessions)
-        app.router.routes.append(WebSocketRoute(prefix, readers.overview))
-        app.router.routes.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
+    sockets: list[BaseRoute] = []
+    for prefix, pictures in (("/live", live), (REPLAY, replay)):
+        readers = Live(pictures, sessions, jobs)
+        sockets.append(WebSocketRoute(prefix, readers.overview))
+        sockets.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
     requests = Requests(console, users)
-    app.router.routes.extend(requests.routes())
-    pages.register(console)
-    ui.run_with(
-        app,
-        title="Board51",
-        tailwind=False,
-        binding_refresh_interval=None,
-        show_welcome_message=False,
-        favicon="\U0001f9f2",
-    )
-    nicegui_app.config.socket_io_js_transports = ["websocket"]
-
+    static = Mount("/static", StaticFiles(directory=STATIC))
     guard = Guard(
-        app,
+        Starlette(lifespan=lifespan, routes=[static, *sockets, *requests.routes(), *Pages(console).routes()]),
         sessions,
         newcomer=None if users is not None else lambda: _local(sessions),
         loopback=settings.loopback,

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from gateway.access.roles import Role, may, refusal_text
 from gateway.access.users import Users
 from gateway.views.account import ACCOUNT
 from gateway.views.feed import Feed
+from gateway.views.hmi.gains import parse_gains, rows
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.library import Entry, Library
 from gateway.views.hmi.sessions import Session, Sessions
@@ -30,6 +32,7 @@ from protocol.errors import Board51Error
 
 REPLAY_SITE = "replay"  # logs are replayed under this site, and on a bus of their own: never for live
 SUMMARY_S, SUMMARY_CHARACTERS = 120.0, 100_000
+SUMMARY_MAX_BYTES = 200_000_000  # a larger log takes minutes
 _EVERYTHING = tuple(
     word for topic in topics.TOPICS if topic.bus and topic.logged for word in ("--topic", topic.name)
 )  # a replay shows what was seen, the twin of then included
@@ -106,6 +109,13 @@ class Console:
             return refused
         return self._sent(session, board, lambda who, role: self.feed.command(board, what, who=who, role=role))
 
+    def stop(self, session: Session, board: str) -> dict[str, pb.CommandReply]:
+        """Coil off at once, of one board or ("*") of every board of the site; what became of each."""
+        boards = self.feed.boards() if board == "*" else (board,)
+        with ThreadPoolExecutor(max(1, len(boards))) as pool:  # a board that does not answer must not hold up the next
+            replies = pool.map(lambda name: self.command(session, name, pb.Command(stop=pb.Stop())), boards)
+            return dict(zip(boards, replies, strict=True))
+
     def _sent(self, session: Session, board: str, send: Callable[[str, str], pb.CommandReply]) -> pb.CommandReply:
         if self.feed.board(board) is None:
             return _refusal("no-board", f"Nothing has been heard of a board {board[:32]!r}.")
@@ -121,6 +131,17 @@ class Console:
         if refused is not None:
             return refused
         return self._sent(session, board, lambda who, role: self.feed.acknowledge(board, alarm, who=who, role=role))
+
+    def gains(self, board: str, data: bytes) -> tuple[pb.SetGains, list[dict[str, str]]]:
+        """What a file of gains would set on a board, and the table that shows it.
+
+        Raises:
+            DataError: of `parse_gains`.
+        """
+        known = self.feed.board(board)
+        parameters = None if known is None else known.latest(pb.Parameters)
+        gains = parse_gains(data, parameters)
+        return gains, rows(gains, parameters)
 
     def start_recording(self, session: Session, board: str, title: str) -> pb.CommandReply:
         """Log this board's bus into files of their own, beside the gateway's log."""
@@ -146,18 +167,16 @@ class Console:
 
     def summary(self, entry: Entry) -> str:
         """What a log holds, as `board51 info` says it."""
+        if entry.bytes > SUMMARY_MAX_BYTES:
+            return f"{entry.bytes / 1e6:.0f} MB take long to read: use `board51 info {entry.path}`."
         try:
             done = subprocess.run(
                 [sys.executable, "-m", "board51", "info", str(entry.path)],
                 capture_output=True, text=True, errors="replace", timeout=SUMMARY_S, stdin=subprocess.DEVNULL,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
-            return "It takes too long to read: use `board51 info`."
+            return f"It takes too long to read: use `board51 info {entry.path}`."
         return (done.stdout or done.stderr).replace(str(entry.path), entry.name)[:SUMMARY_CHARACTERS]
-
-    def mark(self, session: Session, board: str, text: str) -> pb.CommandReply:
-        """A remark at this moment, into every log of the board."""
-        return self.command(session, board, pb.Command(mark=pb.Mark(text=text)))
 
     def stop_job(self, session: Session, kind: str, board: str) -> pb.CommandReply:
         """Interrupt a job; a campaign parks the ball."""

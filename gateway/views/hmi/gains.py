@@ -97,7 +97,7 @@ def _check_board(table: dict[str, Any], x_0_m: float, parameters: pb.Parameters)
     if not _is_number(sample_time_s) or abs(sample_time_s - parameters.sample_time_s) > 1e-6 * parameters.sample_time_s:
         raise DataError(
             f"The gains are for T_s = {str(sample_time_s)[:20]} s, the board runs at {parameters.sample_time_s:g} s",
-            remedy=f"Design with --sample-time {parameters.sample_time_s:g}",
+            remedy=f"Use `board51 design --sample-time {parameters.sample_time_s:g}`",
         )
     if table.get("stable") is False:
         raise DataError("The loop is unstable on its own model", remedy="Choose other weights in board51 design")

@@ -4,8 +4,7 @@ Rule 1: no session, no page: a browser is sent to /login, anything else gets 401
 Rule 2: what changes something (any method but GET and HEAD) and every WebSocket must come from our own origin; without
         an Origin header it is not from a browser's page and is refused as well.
 Rule 3: what changes something bears the session's token in TOKEN_HEADER, a WebSocket bears it as subprotocol.  The
-        login form has no session yet: its origin is checked.  NiceGUI's own socket is known by the page's id, which
-        only the page it was made for has seen.
+        login form has no session yet: its origin is checked.
 Rule 4: on loopback the Host must be a name of loopback: a page elsewhere whose name leads to 127.0.0.1 is no guest.
 Rule 5: a WebSocket ends with its session, also in the middle.
 Rule 6: bodies are bounded.
@@ -19,7 +18,7 @@ import hmac
 import time
 from collections.abc import Callable
 from http.cookies import CookieError, SimpleCookie
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import quote, urlsplit
 
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, RedirectResponse, Response
@@ -31,8 +30,7 @@ COOKIE = "board51_session"  # with the port: see `cookie_name`
 TOKEN_HEADER = "x-board51-token"
 PROTOCOL = "board51"  # of our own WebSockets; the token follows it
 MAX_BODY = 1_000_000  # bytes
-PUBLIC = ("/login", "/static/", "/favicon.ico")
-NICEGUI_SOCKET = "/_nicegui_ws/"
+PUBLIC = ("/login", "/static/")
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 SESSION_OVER = 4401  # WebSocket close code: log in again
 
@@ -40,13 +38,10 @@ _HEADERS = (
     (b"x-frame-options", b"DENY"),
     (b"x-content-type-options", b"nosniff"),
     (b"referrer-policy", b"same-origin"),
-    # NiceGUI's pages are inline scripts that compile templates; what matters here is that nothing leaves this origin.
-    (
-        b"content-security-policy",
-        b"default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline';"
-        b" img-src 'self' data:; font-src 'self' data:; connect-src 'self'; frame-ancestors 'none'; form-action 'self';"
-        b" base-uri 'self'",
-    ),
+    (b"content-security-policy", b"default-src 'self'; frame-ancestors 'none'; form-action 'self'; base-uri 'none'"),
+    (b"cache-control", b"no-cache"),  # a page and its scripts are of one version
+    # A connection that a browser keeps for its next request may have died in silence: STOP would go into it.
+    (b"connection", b"close"),
 )
 _HTTPS_HEADERS = ((b"strict-transport-security", b"max-age=31536000"),)
 
@@ -92,15 +87,13 @@ class Guard:
             answer = refusal(421, "host", "This server is for this machine alone: use http://127.0.0.1.")
         elif not reads and not self._same_origin(headers):
             answer = refusal(403, "origin", "The request comes from a page of another origin.")
-        elif path.startswith(NICEGUI_SOCKET):
-            answer = refusal(403, "polling", "Use a WebSocket.")
         elif session is None and not public:
             a_page = reads and "text/html" in headers.get("accept", "")
             if self._newcomer is not None and a_page:
                 session = opened = self._newcomer()
             elif a_page:
                 over = cookie_name(headers.get("host", "")) in headers.get("cookie", "")
-                answer = RedirectResponse("/login?over" if over else "/login", status_code=303)
+                answer = RedirectResponse(login_for(path, over=over), status_code=303)
             else:
                 answer = refusal(401, "session", "Log in: there is no session, or it is over.")
         elif (
@@ -126,10 +119,7 @@ class Guard:
         self, scope: Scope, receive: Receive, send: Send, headers: dict[str, str], session: Session | None
     ) -> None:
         good = session is not None and self._host_is_ours(headers) and self._same_origin(headers)
-        if good and scope["path"].startswith(NICEGUI_SOCKET):
-            page = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("client_id", [""])[0]
-            good = session is not None and page in session.pages
-        elif good:
+        if good:
             offered = scope.get("subprotocols", [])
             good = len(offered) == 2 and offered[0] == PROTOCOL and _bears_token(offered[1], session)
         if not good or session is None:
@@ -173,6 +163,22 @@ class Guard:
         secure = "; Secure" if self._https else ""
         value, age_s = (session.token, round(self._sessions.lifetime_s)) if session is not None else ("", 0)
         return f"{cookie_name(host)}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={age_s}{secure}"
+
+
+def login_for(path: str, *, over: bool) -> str:
+    """The login form that leads back to a page."""
+    words = ["over"] * over + [f"next={quote(path, safe='/')}"] * (path != "/")
+    return "/login" + ("?" + "&".join(words) if words else "")
+
+
+def own_page(asked: str) -> str:
+    """`asked` where it is a path on this server, else "/".
+
+    A browser takes two slashes, one of them turned or not, for another server, and drops control characters before it
+    looks.
+    """
+    ours = asked.startswith("/") and not asked.startswith(("//", "/login"))
+    return asked if ours and asked.isprintable() and "\\" not in asked else "/"
 
 
 def refusal(status: int, reason: str, text: str) -> JSONResponse:

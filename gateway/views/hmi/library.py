@@ -42,6 +42,11 @@ class Library:
         self._roots = {name: path.resolve() for name, path in roots.items()}
         self._patterns = tuple(patterns)
 
+    @property
+    def folders(self) -> list[Path]:
+        """Where it looks."""
+        return list(self._roots.values())
+
     def entries(self) -> list[Entry]:
         """The newest first."""
         found = {entry.name: entry for entry in self._scan()}

@@ -4,6 +4,7 @@ Rule 1: the newest frame wins: a frame is made when the last one has gone out, s
         holds one.  Rows that it missed come with the next frame, as far as the ring of `traces.py` reaches.
 Rule 2: a browser that takes nothing for STUCK_S is cut off.
 Rule 3: a frame goes out only while the session is open.
+Rule 4: a frame says when it was made, by this server's clock: with it a page dates what it sends, see requests.py.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from gateway.views.feed import BoardFeed, Feed
 from gateway.views.hmi import picture
 from gateway.views.hmi.guard import PROTOCOL, SESSION_OVER
+from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.sessions import Session, Sessions
 from gateway.views.hmi.traces import Traces
 from protocol.bus import board51_pb2 as pb
@@ -88,20 +90,22 @@ class Live:
     Args:
         pictures: what to show.
         sessions: who may look.
+        jobs: what is said of them.
     """
 
-    def __init__(self, pictures: Pictures, sessions: Sessions) -> None:
-        self._pictures, self._sessions = pictures, sessions
+    def __init__(self, pictures: Pictures, sessions: Sessions, jobs: Jobs) -> None:
+        self._pictures, self._sessions, self._jobs = pictures, sessions, jobs
         self._readers = 0
 
     async def board(self, socket: WebSocket) -> None:
         """Frames of one board, named in the path."""
         name = socket.path_params["board"]
         board: BoardFeed | None = None
-        cursor, rest_sent, looked_s = 0, "", -math.inf
+        cursor, looked_s = 0, -math.inf
+        sent: dict[str, str] = {}
 
         def frame(now_s: float) -> dict[str, Any]:
-            nonlocal board, cursor, rest_sent, looked_s
+            nonlocal board, cursor, looked_s
             board = board or self._pictures.feed.board(name)
             if board is None:
                 return {}
@@ -109,10 +113,11 @@ class Live:
             made: dict[str, Any] = {"now": picture.now(board), "rows": rows}
             if now_s - looked_s >= REST_S:
                 looked_s = now_s
-                rest = self._pictures.rest(board)
-                text = json.dumps(rest)
-                if text != rest_sent:
-                    rest_sent, made["rest"] = text, rest
+                jobs = {job.kind: picture.job(job) for job in self._jobs.of(name)}
+                for part, content in (("rest", self._pictures.rest(board)), ("jobs", jobs)):
+                    text = json.dumps(content)
+                    if text != sent.get(part):
+                        sent[part], made[part] = text, content
             return made
 
         await self._serve(socket, frame, FRAME_S)
@@ -143,6 +148,7 @@ class Live:
                     await asyncio.wait_for(socket.close(SESSION_OVER), STUCK_S)
                     return
                 made = frame(begun_s)
+                made["at_s"] = round(begun_s, 3)
                 made["left_s"] = round(self._sessions.left_s(session, begun_s))
                 await asyncio.wait_for(socket.send_text(json.dumps(made, allow_nan=False)), STUCK_S)
                 due_s = max(due_s + period_s, time.monotonic())  # a late frame does not make the next one late

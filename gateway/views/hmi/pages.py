@@ -1,74 +1,165 @@
-"""The pages: overview, rig, replay, logs.  What moves is drawn by static/hmi.js; here stand frames, words and controls.
+"""The pages: overview, rig, replay, logs, report.  What moves is drawn by static/hmi.js; here stand frames and words.
 
 Rule 1: a control that the session may not use is not on its page; `console.py` refuses it as well.
-Rule 2: handlers hand the work to a thread: one slow answer of a board must not stop the frames of the others.
+Rule 2: a page holds no state in the server: what it sends is a request of its own, so it works after any gap.
+Rule 3: every page has STOP and the key Esc: for its rig, or, where it belongs to none, for all rigs of the site.
+Rule 4: what comes and goes has its place: nothing may push a button away from under a finger.
 """
 
 from __future__ import annotations
 
 import asyncio
-import html
-from collections.abc import Awaitable, Callable
+import time
 
-from nicegui import ui
 from starlette.requests import Request
+from starlette.responses import HTMLResponse, Response
+from starlette.routing import Route
 
+from gateway.access.roles import LEAST_ROLE
 from gateway.views.hmi import controls
 from gateway.views.hmi.console import Console
-from gateway.views.hmi.controls import Place, tell
+from gateway.views.hmi.guard import refusal
 from gateway.views.hmi.library import Entry
+from gateway.views.hmi.markup import Markup, join, tag
 from gateway.views.hmi.sessions import Session
-from protocol.bus import board51_pb2 as pb
 
 REPLAY = "/live-replay"  # where the frames of replays come from
-SUMMARY_MAX_BYTES = 200_000_000  # a larger log takes minutes to read: `board51 info` does it
+REPORTS_SHOWN = 20
+_CHIPS = ("link", "to-board", "mode", "twin", "log", "alarm-count")
+_NUMBERS = (
+    ("x", "position", "mm", True), ("x_ref", "reference", "mm", False), ("twin_x", "twin", "mm", False),
+    ("i_c", "current", "A", False), ("u_c", "input", "V", False),
+    ("error_x", "x \u2212 twin", "\u00b5m", False), ("error_i", "i \u2212 twin", "mA", False),
+)  # fmt: skip
+_ICON = Markup('<svg viewBox="0 0 24 24" aria-hidden="true"><path d="M8 1h8l7 7v8l-7 7H8l-7-7V8z"/></svg>')
 
 
-def register(console: Console) -> None:
-    """Declare the pages to NiceGUI."""
+class Pages:
+    """The pages of one console."""
 
-    @ui.page("/", title="Board51")
-    def overview(request: Request) -> None:
-        session = _begin(request, live="/live", prefix="/rig")
-        _bar(console, session, "All rigs")
-        _lost()
-        _part("overview", "boards")
+    def __init__(self, console: Console) -> None:
+        self._console = console
 
-    @ui.page("/rig/{board}", title="Board51 rig")
-    async def rig(request: Request, board: str) -> None:
-        reports = await asyncio.to_thread(console.reports.entries)
-        place = Place(console=console, session=_begin(request, live=f"/live/{board}", board=board,
-                      stop=console.may(_session(request), "stop")), board=board)  # fmt: skip
-        _bar(console, place.session, board, live=True, stop=console.may(place.session, "stop"))
-        _lost()
-        _rig(place, reports[0] if reports else None)
+    def routes(self) -> list[Route]:
+        """Where they are."""
+        pages = {
+            "/": self.overview,
+            "/rig/{board}": self.rig,
+            "/replay/": self.replays,
+            "/replay/{board}": self.replay,
+            "/logs": self.logs,
+            "/report/{name:path}": self.report,
+        }
+        return [Route(path, endpoint, methods=["GET"]) for path, endpoint in pages.items()]
 
-    @ui.page("/replay/", title="Board51 replay")
-    def replays(request: Request) -> None:
-        session = _begin(request, live=REPLAY, prefix="/replay")
-        _bar(console, session, "Replay")
-        _replay_banner(console, session)
-        _lost()
-        _part("overview", "boards")
+    async def overview(self, request: Request) -> Response:
+        """All rigs."""
+        return self._page(request, "All rigs", _boards(), live="/live", prefix="/rig")
 
-    @ui.page("/replay/{board}", title="REPLAY, not live")
-    def replay(request: Request, board: str) -> None:
-        session = _begin(request, live=f"{REPLAY}/{board}", board=board)
-        _bar(console, session, f"{board}, replayed", live=True)
-        _replay_banner(console, session)
-        _lost()
-        with ui.element("main").classes("rig replayed"):
-            _measured()
-            with ui.element("div").classes("side"):
-                _list("Alarms", "alarms")
-                _list("Events", "events")
-                _list("Commands", "commands")
+    async def rig(self, request: Request) -> Response:
+        """One rig, with what this session may do."""
+        board, session = request.path_params["board"], _session(request)
+        reports = await asyncio.to_thread(self._console.reports.entries)
+        cards = controls.cards(lambda act: self._console.may(session, act))
+        body = join(
+            tag("main", _measured(), tag("div", _list("Alarms", "alarms"), *cards, _last(reports), class_="side"),
+                class_="rig"),
+            tag("div", _list("Events", "events"), _list("Commands: who did what", "commands"),
+                _list("Link, log, board", "health"), class_="below"),
+        )  # fmt: skip
+        return self._page(request, board, body, live=f"/live/{board}", board=board, chips=True)
 
-    @ui.page("/logs", title="Board51 logs")
-    async def logs(request: Request) -> None:
-        session = _begin(request, live="/live", prefix="/rig")
-        _bar(console, session, "Logs and reports")
-        await _logs(console, session)
+    async def replays(self, request: Request) -> Response:
+        """What is replayed."""
+        return self._page(request, "Replay", self._replay_banner(), _boards(), live=REPLAY, prefix="/replay")
+
+    async def replay(self, request: Request) -> Response:
+        """One rig of a recording."""
+        board = request.path_params["board"]
+        lists = (_list("Alarms", "alarms"), _list("Events", "events"), _list("Commands", "commands"))
+        body = tag("main", _measured(), tag("div", *lists, class_="side"), class_="rig replayed")
+        title = f"{board}, replayed"
+        return self._page(
+            request, title, self._replay_banner(), body, live=f"{REPLAY}/{board}", board=board, chips=True
+        )
+
+    async def logs(self, request: Request) -> Response:
+        """Files."""
+        logs = await asyncio.to_thread(self._console.logs.entries)
+        reports = await asyncio.to_thread(self._console.reports.entries)
+        body = tag(
+            "main",
+            _card("Diagnosis reports", *map(_report_row, reports[:REPORTS_SHOWN]), empty=self._how_to_report()),
+            _card("Logs", *map(_log_row, logs), empty="There are no logs in this folder yet."),
+            tag("dialog", tag("div", class_="file-name"), tag("pre", class_="summary-text"),
+                tag("button", "Close", type="button", data_act="close"), class_="summary card"),
+            class_="library",
+        )  # fmt: skip
+        return self._page(request, "Logs and reports", body, live="/live")
+
+    async def report(self, request: Request) -> Response:
+        """A report within a page of ours, which has STOP; the report itself runs no script."""
+        entry = await asyncio.to_thread(self._console.reports.find, request.path_params["name"])
+        if entry is None:
+            return refusal(404, "no-report", "There is no such report.")
+        frame = tag("iframe", src=f"/report-file/{entry.name}", title="Report", sandbox="allow-same-origin")
+        return self._page(request, f"Report of {entry.changed}", tag("main", frame, class_="report"), live="/live")
+
+    def _how_to_report(self) -> str:
+        folder = self._console.reports.folders[0]
+        return f"None yet. `board51 diagnose CAMPAIGN --model MODEL --out {folder}/NAME` writes one."
+
+    def _replay_banner(self) -> Markup:
+        job = self._console.jobs.get("replay", "*")
+        what = job.title if job is not None else "nothing was replayed yet: choose a log under Logs"
+        end = controls.job("End replay", "replay", "stop") if job is not None and job.running else ""
+        return tag("div", tag("span", f"\u25b6 REPLAY of a recording, NOT LIVE: {what}"), end, class_="replay-banner")
+
+    def _page(
+        self,
+        request: Request,
+        title: str,
+        *body: Markup,
+        live: str,
+        board: str = "",
+        prefix: str = "",
+        chips: bool = False,
+    ) -> Response:
+        session, replayed = _session(request), live.startswith(REPLAY)
+        role = self._console.role(session)
+        stops = board if board and not replayed else "*"
+        head = join(
+            tag("meta", charset="utf-8"),
+            tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+            tag("title", f"{title}, Board51" if not replayed else "REPLAY, not live"),
+            tag("link", rel="icon", href="/static/icon.svg"),
+            tag("link", rel="stylesheet", href="/static/hmi.css"),
+            tag("meta", name="board51", data_board=board, data_token=session.csrf, data_live=live, data_prefix=prefix,
+                data_replay="yes" if replayed else "", data_stops=stops, data_now=f"{time.monotonic():.3f}",
+                data_may=" ".join(act for act in LEAST_ROLE if self._console.may(session, act))),
+            tag("script", type="module", src="/static/hmi.js"),
+        )  # fmt: skip
+        links = [tag("a", text, href=to) for text, to in (("Rigs", "/"), ("Logs", "/logs"), ("Replay", "/replay/"))]
+        row = tag(
+            "div",
+            tag("a", "Board51", href="/", class_="home"),
+            tag("h1", title, class_="title"),
+            tag("nav", *links),
+            tag("span", f"{session.name}, {role.word}", class_="who"),
+            tag("button", "Log out", type="button", data_act="log-out", class_="plain") if self._console.users else "",
+            class_="bar-row",
+        )
+        shown = tag("div", *(_live(name, class_="chip") for name in _CHIPS), class_="chips") if chips else ""
+        said = [_live(name, "div", class_="said", role="alert") for name in ("stop-said", "lost", "session")]
+        content = join(
+            tag("header", tag("div", row, shown, class_="bar-rows"), _stop(stops, replayed), class_="bar"),
+            tag("div", tag("span", _what_stops(stops, replayed), class_="hint"), tag("div", *said, class_="stack"),
+                class_="messages"),
+            *body,
+            tag("div", class_="toasts", role="status"),
+        )  # fmt: skip
+        text = f"<!doctype html>{tag('html', tag('head', head), tag('body', content), lang='en')}"
+        return HTMLResponse(text, headers={"cache-control": "no-store"})
 
 
 def _session(request: Request) -> Session:
@@ -76,172 +167,76 @@ def _session(request: Request) -> Session:
     return session
 
 
-def _begin(request: Request, *, live: str, board: str = "", stop: bool = False, prefix: str = "") -> Session:
-    """What every page needs: its session, and its script with what it must know."""
-    session = _session(request)
-    ui.colors(primary="#0b57a4", positive="#1f6b3a", negative="#b3261e")
-    session.pages.add(ui.context.client.id)
-    ui.context.client.on_delete(lambda client=ui.context.client: session.pages.discard(client.id))
-    facts = {"board": board, "token": session.csrf, "live": live, "stop": "yes" if stop else "", "prefix": prefix,
-             "replay": "yes" if live.startswith(REPLAY) else ""}  # fmt: skip
-    data = " ".join(f'data-{name}="{html.escape(value, quote=True)}"' for name, value in facts.items())
-    ui.add_head_html(
-        f'<meta name="board51" {data}><link rel="stylesheet" href="/static/hmi.css">'
-        '<script type="module" src="/static/hmi.js"></script>'
-    )
-    return session
+def _stop(stops: str, replayed: bool) -> Markup:
+    words = tag("span", "STOP", class_="stop-word"), tag("span", _coils(stops, replayed), class_="stop-key")
+    return tag(
+        "button", _ICON, *words,
+        type="button", class_="stop", data_act="stop", data_board=stops, aria_keyshortcuts="Escape",
+    )  # fmt: skip
 
 
-def _live(name: str, tag: str = "span", classes: str = "") -> ui.element:
+def _coils(stops: str, replayed: bool) -> str:
+    return stops if stops != "*" else "all live rigs" if replayed else "all rigs"
+
+
+def _what_stops(stops: str, replayed: bool) -> str:
+    if stops != "*":
+        return f"STOP or Esc: the coil of {stops} off, at once."
+    return f"STOP or Esc: the coils of {_coils(stops, replayed)} off, at once, for this page belongs to no single one."
+
+
+def _live(name: str, element: str = "span", **attributes: str) -> Markup:
     """An element that hmi.js fills."""
-    return ui.element(tag).classes(classes).props(f'data-live="{name}"')
+    return tag(element, data_live=name, **attributes)
 
 
-def _bar(console: Console, session: Session, title: str, *, live: bool = False, stop: bool = False) -> None:
-    with ui.element("header").classes("bar"):
-        with ui.element("div").classes("bar-row"):
-            with ui.element("a").props('href="/"').classes("home"):
-                ui.label("Board51")
-            ui.label(title).classes("title")
-            if live:
-                for name in ("link", "to-board", "mode", "twin", "log", "alarm-count"):
-                    _live(name, classes="chip")
-            ui.element("div").classes("space")
-            with ui.element("nav"):
-                for text, target in (("Rigs", "/"), ("Logs", "/logs"), ("Replay", "/replay/")):
-                    ui.link(text, target)
-            ui.label(f"{session.name}, {console.role(session).word}").classes("who")
-            if console.users is not None:
-                ui.button("Log out", on_click=lambda: _log_out(console, session)).props(
-                    "flat dense no-caps color=white"
-                )
-        if stop:
-            with ui.element("button").classes("stop").props('data-act="stop" type="button" aria-keyshortcuts="Escape"'):
-                ui.html('<svg viewBox="0 0 24 24" aria-hidden="true"><path d="M8 1h8l7 7v8l-7 7H8l-7-7V8z"/></svg>',
-                        sanitize=False)  # fmt: skip
-                ui.label("STOP").classes("stop-word")
-                ui.label("key: Esc").classes("stop-key")
-    _live("stop-said", "div", "said").props('role="alert"')
-    _live("session", "div", "said")
+def _card(title: str, *inside: Markup, empty: str) -> Markup:
+    rows = inside or (tag("div", empty, class_="empty"),)
+    return tag("section", tag("h2", title, class_="card-title"), *rows, class_="card")
 
 
-def _log_out(console: Console, session: Session) -> None:
-    console.sessions.close(session)
-    ui.navigate.to("/login")
+def _boards() -> Markup:
+    return tag("main", _live("boards", "div", class_="boards"), class_="overview")
 
 
-def _lost() -> None:
-    _live("lost", "div", "lost").props('role="status"')
+def _measured() -> Markup:
+    numbers = [
+        tag("div", tag("div", title, class_="number-title"),
+            tag("div", _live(name), tag("span", unit, class_="unit"), class_="number-value"),
+            class_="number big" if big else "number")
+        for name, title, unit, big in _NUMBERS
+    ]  # fmt: skip
+    ball = (_live("ball", "div", class_="ball-drawing"), tag("div", *numbers, class_="numbers"))
+    plots = [_live(name, "canvas", class_=name) for name in ("plot-x", "plot-i", "plot-d")]
+    return join(
+        tag("div", *ball, _live("flags", "div", class_="flags"), class_="ball-card card"),
+        tag("div", *plots, class_="plots card"),
+    )
 
 
-def _part(classes: str, live: str) -> None:
-    with ui.element("main").classes(classes):
-        _live(live, "div", "boards")
+def _list(title: str, name: str) -> Markup:
+    entries = _live(name, "div", class_="entries", tabindex="0", aria_label=title)
+    return tag("section", tag("h2", title, class_="card-title"), entries, class_=f"card list {name}")
 
 
-def _rig(place: Place, report: Entry | None) -> None:
-    with ui.element("main").classes("rig"):
-        _measured()
-        with ui.element("div").classes("side"):
-            _list("Alarms", "alarms")
-            controls.steering(place)
-            controls.recording(place)
-            controls.campaign(place)
-            controls.gains(place)
-            if report is not None:
-                with ui.element("section").classes("card"):
-                    ui.label("Diagnosis").classes("card-title")
-                    ui.link(f"Last report, {report.changed}", f"/report/{report.name}", new_tab=True)
-    with ui.element("div").classes("below"):
-        _list("Events", "events")
-        _list("Commands: who did what", "commands")
-        _list("Link, log, board", "health")
+def _last(reports: list[Entry]) -> Markup:
+    if not reports:
+        return Markup()
+    link = tag("a", f"Last report, {reports[0].changed}", href=f"/report/{reports[0].name}", target="_blank")
+    return tag("section", tag("h2", "Diagnosis", class_="card-title"), link, class_="card")
 
 
-def _measured() -> None:
-    with ui.element("div").classes("ball-card card"):
-        _live("ball", "div", "ball-drawing")
-        with ui.element("div").classes("numbers"):
-            for name, title, unit, big in (
-                ("x", "position", "mm", True), ("x_ref", "reference", "mm", False), ("twin_x", "twin", "mm", False),
-                ("i_c", "current", "A", False), ("u_c", "input", "V", False),
-                ("error_x", "x \u2212 twin", "\u00b5m", False), ("error_i", "i \u2212 twin", "mA", False),
-            ):  # fmt: skip
-                with ui.element("div").classes("number big" if big else "number"):
-                    ui.label(title).classes("number-title")
-                    with ui.element("div").classes("number-value"):
-                        _live(name)
-                        ui.label(unit).classes("unit")
-        _live("flags", "div", "flags")
-    with ui.element("div").classes("plots card"):
-        for name in ("plot-x", "plot-i", "plot-d"):
-            _live(name, "canvas", name)
+def _report_row(entry: Entry) -> Markup:
+    link = tag("a", f"{entry.path.parent.name}/{entry.path.name}", href=f"/report/{entry.name}", target="_blank")
+    return tag("div", link, tag("span", entry.changed, class_="at"), class_="file")
 
 
-def _list(title: str, name: str) -> None:
-    with ui.element("section").classes(f"card list {name}"):
-        ui.label(title).classes("card-title")
-        _live(name, "div", "entries")
-
-
-def _replay_banner(console: Console, session: Session) -> None:
-    job = console.jobs.get("replay", "*")
-    what = f"{job.title} ({job.standing})" if job is not None else "nothing was replayed yet: choose a log under Logs"
-    with ui.element("div").classes("replay-banner"):
-        ui.label(f"\u25b6 REPLAY of a recording, NOT LIVE: {what}")
-        if job is not None and job.running:
-            controls.act("End replay", lambda: console.stop_job(session, "replay", "*"))
-
-
-async def _logs(console: Console, session: Session) -> None:
-    entries = await asyncio.to_thread(console.logs.entries)
-    reports = await asyncio.to_thread(console.reports.entries)
-    with ui.element("main").classes("library"):
-        with ui.element("section").classes("card"):
-            ui.label("Diagnosis reports").classes("card-title")
-            for entry in reports[:20]:
-                with ui.element("div").classes("file"):
-                    ui.link(f"{entry.path.parent.name}/{entry.path.name}", f"/report/{entry.name}", new_tab=True)
-                    ui.label(entry.changed).classes("at")
-            if not reports:
-                ui.label("None yet. `board51 diagnose ... --out DIR` writes one; give DIR with --reports.").classes(
-                    "empty"
-                )
-        with ui.element("section").classes("card"):
-            ui.label("Logs").classes("card-title")
-            if not entries:
-                ui.label("There are no logs in this folder yet.").classes("empty")
-            for entry in entries:
-                with ui.element("div").classes("file"):
-                    ui.label(entry.name).classes("file-name")
-                    ui.label(f"{entry.changed}, {entry.bytes / 1e6:.1f} MB").classes("at")
-                    with ui.element("div").classes("file-acts"):
-                        ui.button("Summary", on_click=_summary(console, entry.name)).props("outline dense no-caps")
-                        controls.act("Replay", _replay(console, session, entry.name), then="/replay/")
-                        ui.link("Download", f"/log/{entry.name}")
-
-
-def _replay(console: Console, session: Session, name: str) -> Callable[[], pb.CommandReply]:
-    return lambda: console.start_replay(session, name, 1.0)
-
-
-def _summary(console: Console, name: str) -> Callable[[], Awaitable[None]]:
-    async def show() -> None:
-        """Reading a log is work for seconds: a process of its own, so that no frame waits for it."""
-        entry = await asyncio.to_thread(console.logs.find, name)
-        if entry is None:
-            tell(pb.CommandReply(text="There is no such log any longer."))
-            return
-        if entry.bytes > SUMMARY_MAX_BYTES:
-            tell(pb.CommandReply(text=f"{entry.bytes / 1e6:.0f} MB take long to read: use `board51 info`."))
-            return
-        with ui.dialog() as dialog, ui.card().classes("summary"):
-            ui.label(name).classes("file-name")
-            text = ui.label("reading \u2026").classes("summary-text")
-            ui.button("Close", on_click=dialog.close).props("flat no-caps")
-        dialog.open()
-        said = await asyncio.to_thread(console.summary, entry)
-        if not dialog.is_deleted:
-            text.text = said
-
-    return show
+def _log_row(entry: Entry) -> Markup:
+    acts = (
+        tag("button", "Summary", type="button", class_="plain", data_act="summary", data_log=entry.name),
+        controls.job("Replay", "replay", "start", log=entry.name, then="/replay/"),
+        tag("a", "Download", href=f"/log/{entry.name}"),
+    )
+    size = f"{entry.changed}, {entry.bytes / 1e6:.1f} MB"
+    return tag("div", tag("span", entry.name, class_="file-name"), tag("span", size, class_="at"),
+               tag("div", *acts, class_="file-acts"), class_="file")  # fmt: skip

@@ -6,12 +6,15 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from typing import Any
 
 from gateway.views.feed import BoardFeed
+from gateway.views.hmi.jobs import Job
 from gateway.views.hmi.traces import number
 from protocol.bus import board51_pb2 as pb
+from protocol.wire.decoder import CAUSES
 from protocol.wire.messages import Flag
 
 MODES = {pb.MODE_IDLE: "idle", pb.MODE_OPEN_LOOP: "open loop", pb.MODE_CLOSED_LOOP: "closed loop"}
@@ -24,6 +27,8 @@ _FLAGS = {
     Flag.OVERRUN: "overrun",
 }
 EVENTS_SHOWN = 30
+LINES_SHOWN = 12
+_GAPS = re.compile(r"\s{2,}")
 TWIN_STALE_S = 1.0
 
 
@@ -38,6 +43,7 @@ def now(board: BoardFeed) -> dict[str, Any]:
     if state is not None:
         picture |= {
             "session": state.session,
+            "at": _clock(state.host_time_ns),
             "tick": state.tick,
             "t_s": round(state.t_s, 3),
             "x_m": _if(state, "x_m"),
@@ -94,6 +100,12 @@ def rest(board: BoardFeed) -> dict[str, Any]:
     }
 
 
+def job(running: Job) -> dict[str, Any]:
+    """What a page says of a job; a table's columns do not fit into a card: dots separate what stood in them."""
+    lines = [_GAPS.sub(" \u00b7 ", line.strip()) for line in list(running.lines)[-LINES_SHOWN:]]
+    return {"title": running.title, "running": running.running, "standing": running.standing, "lines": lines}
+
+
 def summary(board: BoardFeed) -> dict[str, Any]:
     """For the list of all boards."""
     alarms = board.alarms()
@@ -118,7 +130,8 @@ def _status(board: BoardFeed) -> dict[str, Any] | None:
         "to_board": status.to_board,
         "samples_per_s": round(status.samples_per_s),
         "lost": status.samples_lost,
-        "bad_frames": sum(status.bad_frames.values()),
+        "bad_frames": sum(count for cause, count in status.bad_frames.items() if cause in CAUSES),
+        "odd": {cause: count for cause, count in status.bad_frames.items() if cause not in CAUSES and count},
         "latency_p99_ms": number(status.latency_p99_ms, 2),
         "line_load": round(100 * status.line_load),
         "dropped": status.publish_dropped,
@@ -180,7 +193,9 @@ def describe(command: pb.Command) -> str:
         case "excite":
             e = command.excite
             shape = pb.Shape.Name(e.shape).removeprefix("SHAPE_").lower() if e.shape in pb.Shape.values() else e.shape
-            return f"excitation {shape} {e.duration_s:g} s"
+            if e.shape == pb.SHAPE_NONE:
+                return "end of the excitation"
+            return f"excitation {shape} " + (f"{e.duration_s:g} s" if e.duration_s else "until ended")
         case None:
             return "nothing"
         case what:

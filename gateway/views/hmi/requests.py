@@ -1,11 +1,18 @@
 """What the page's own script and other programs may ask by HTTP; answers are JSON in the form of a CommandReply.
 
-POST /api/<board>/stop              no body
+POST /api/<board>/stop              no body; of <board> "*": every board; {"boards": {"rig": answer}} then
 POST /api/<board>/command           a Command as protobuf's JSON: {"set_reference": {"x_ref_m": 0.003}}
 POST /api/<board>/acknowledge       {"name": "divergence-x"}
+POST /api/<board>/gains             a file; the command and the table that it makes, nothing is sent to the board
+POST /api/<board>/job               {"kind": "record" | "campaign" | "replay", "act": "start" | "stop", ...}
 GET  /api/session                   who am I
-GET  /log/<name>, /report/<name>    a file that the lists name
+GET  /api/summary/<name>            what a log holds
+GET  /log/<name>, /report-file/<name>    a file that the lists name
 POST /login (form), POST /logout
+
+Rule 1: a request may say when it was made, in SEEN_HEADER, by this server's clock as the page knows it from its frames.
+        One that a network held up is refused: its sender was told long ago that it was not answered.  STOP always acts.
+Rule 2: STOP has threads of its own: commands that wait for their boards must not make it wait.
 """
 
 from __future__ import annotations
@@ -13,11 +20,14 @@ from __future__ import annotations
 import asyncio
 import html
 import json
+import math
 import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from urllib.parse import parse_qs
 
-from google.protobuf.json_format import ParseDict, ParseError
+from google.protobuf.json_format import MessageToDict, ParseDict, ParseError
 from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
@@ -25,14 +35,21 @@ from starlette.routing import Route
 from gateway.access.logins import Logins, TooMany
 from gateway.access.users import Users
 from gateway.views.hmi.console import Console
-from gateway.views.hmi.guard import Guard, cookie_name, refusal
+from gateway.views.hmi.guard import Guard, cookie_name, own_page, refusal
 from gateway.views.hmi.sessions import Session
 from protocol.bus import board51_pb2 as pb
+from protocol.errors import DataError
 
 _LOGIN = Path(__file__).parent / "static" / "login.html"
 _STATUS = {"not-allowed": 403, "session-over": 401, "no-board": 404, "not-delivered": 503}
 # A report was made from recordings: it may draw itself, and reach nothing.
-_REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; font-src data:"
+_REPORT_POLICY = (
+    "sandbox allow-same-origin; default-src 'none'; style-src 'unsafe-inline'; img-src data:; font-src data:;"
+    " frame-ancestors 'self'"
+)
+SEEN_HEADER = "x-board51-seen"  # s, of this server's monotonic clock
+FRESH_S = 3.0  # with what `gateway.client.send` may take (7 s) no more than static/server.js waits
+STOPS = 64  # that wait for their answers at once
 
 
 class Requests:
@@ -46,22 +63,26 @@ class Requests:
     def __init__(self, console: Console, users: Users | None) -> None:
         self._console = console
         self._logins = Logins(users) if users is not None else None
+        self._stops = ThreadPoolExecutor(STOPS, thread_name_prefix="stop")
         self.guard: Guard | None = None  # makes the cookies; set once it stands
 
     def routes(self) -> list[Route]:
-        """What is served, before NiceGUI's pages."""
+        """What is served, before the pages."""
         changes = {
             "/login": self.login,
             "/logout": self.logout,
             "/api/{board}/stop": self.stop,
             "/api/{board}/command": self.command,
             "/api/{board}/acknowledge": self.acknowledge,
+            "/api/{board}/gains": self.gains,
+            "/api/{board}/job": self.job,
         }
         reads = {
             "/login": self.login_form,
             "/api/session": self.session,
             "/log/{name:path}": self.log,
-            "/report/{name:path}": self.report,
+            "/report-file/{name:path}": self.report,
+            "/api/summary/{name:path}": self.summary,
         }
         return [Route(path, endpoint, methods=["POST"]) for path, endpoint in changes.items()] + [
             Route(path, endpoint, methods=["GET"]) for path, endpoint in reads.items()
@@ -69,7 +90,13 @@ class Requests:
 
     async def stop(self, request: Request) -> Response:
         """Coil off at once."""
-        return await self._command(request, pb.Command(stop=pb.Stop()))
+        board, session = request.path_params["board"], _session(request)
+        loop = asyncio.get_running_loop()
+        replies = await loop.run_in_executor(self._stops, self._console.stop, session, board)
+        if board != "*":
+            return _answer(replies[board])
+        boards = {name: _body(reply) for name, reply in replies.items()}
+        return JSONResponse({"boards": boards}, status_code=200 if all(r.accepted for r in replies.values()) else 409)
 
     async def command(self, request: Request) -> Response:
         """Any command of the bus."""
@@ -84,7 +111,39 @@ class Requests:
             return refusal(400, "malformed", f"The body is not a command: {str(error)[:200]}.")
         if command.WhichOneof("what") is None:
             return refusal(400, "empty-command", "The command says not what to do.")
-        return await self._command(request, command)
+        board = request.path_params["board"]
+        return await self._act(request, lambda session: self._console.command(session, board, command))
+
+    async def gains(self, request: Request) -> Response:
+        """What a file would set."""
+        board, data = request.path_params["board"], await request.body()
+        try:
+            command, rows = await asyncio.to_thread(self._console.gains, board, data)
+        except DataError as error:
+            return refusal(409, "bad-file", str(error))
+        sent = MessageToDict(command, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
+        law = "PID" if command.law == pb.LAW_PID else "LQI"
+        return JSONResponse({"accepted": True, "law": law, "rows": rows, "command": {"set_gains": sent}})
+
+    async def job(self, request: Request) -> Response:
+        """Start or stop a recording, a campaign or a replay."""
+        table = await _json(request) or {}
+        kind, act, board, console = table.get("kind"), table.get("act"), request.path_params["board"], self._console
+        if kind not in ("record", "campaign", "replay") or act not in ("start", "stop"):
+            return refusal(
+                400, "malformed", 'Give {"kind": "record" | "campaign" | "replay", "act": "start" | "stop"}.'
+            )
+
+        def do(session: Session) -> pb.CommandReply:
+            if act == "stop":
+                return console.stop_job(session, str(kind), "*" if kind == "replay" else board)
+            if kind == "record":
+                return console.start_recording(session, board, str(table.get("title") or ""))
+            if kind == "campaign":
+                return console.start_campaign(session, board, quick=table.get("quick") is True)
+            return console.start_replay(session, str(table.get("log") or ""), 1.0)
+
+        return await self._act(request, do)
 
     async def acknowledge(self, request: Request) -> Response:
         """An alarm was seen."""
@@ -93,7 +152,7 @@ class Requests:
         if not isinstance(name, str):
             return refusal(400, "malformed", 'Give {"name": "..."}.')
         board = request.path_params["board"]
-        return _answer(await asyncio.to_thread(self._console.acknowledge, _session(request), board, name))
+        return await self._act(request, lambda session: self._console.acknowledge(session, board, name))
 
     async def session(self, request: Request) -> Response:
         """Who asks, and for how long still."""
@@ -116,30 +175,41 @@ class Requests:
         entry = await asyncio.to_thread(self._console.reports.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-report", "There is no such report.")
-        return FileResponse(entry.path, media_type="text/html", headers={"content-security-policy": _REPORT_POLICY})
+        own = {"content-security-policy": _REPORT_POLICY, "x-frame-options": "SAMEORIGIN"}
+        return FileResponse(entry.path, media_type="text/html", headers=own)
+
+    async def summary(self, request: Request) -> Response:
+        """What a log holds, in words."""
+        entry = await asyncio.to_thread(self._console.logs.find, request.path_params["name"])
+        if entry is None:
+            return refusal(404, "no-log", "There is no such log.")
+        return JSONResponse({"accepted": True, "text": await asyncio.to_thread(self._console.summary, entry)})
 
     async def login_form(self, request: Request) -> Response:
         """The form."""
         if self._logins is None:
             return RedirectResponse("/", status_code=303)
-        return _form("Your session is over: log in again." if "over" in request.query_params else "")
+        asked = request.query_params
+        return _form("Your session is over: log in again." if "over" in asked else "", own_page(asked.get("next", "/")))
 
     async def login(self, request: Request) -> Response:
         """Name and password in, a session out."""
         if self._logins is None or self.guard is None:
             return RedirectResponse("/", status_code=303)
         fields = parse_qs((await request.body())[:4096].decode("utf-8", errors="replace"))
-        name, password = (fields.get(field, [""])[0] for field in ("name", "password"))
+        name, password, asked = (fields.get(field, [""])[0] for field in ("name", "password", "next"))
+        then = own_page(asked)
         host = request.client.host if request.client is not None else ""
         browser = self._console.sessions.held(request.cookies.get(cookie_name(_host(request)), ""), name)
         user = await self._logins.login(name, password, host, browser=browser)
         if isinstance(user, TooMany):
-            return _form(f"Too many passwords from your address. Try again in {user.wait_s:.0f} s.", status=429)
+            said = f"Too many passwords from your address. Try again in {user.wait_s:.0f} s."
+            return _form(said, then, status=429)
         if user is None:
-            return _form("The name or the password is wrong.", status=401)
+            return _form("The name or the password is wrong.", then, status=401)
         session = self._console.sessions.open(user.name, user.role, time.monotonic())
         return RedirectResponse(
-            "/", status_code=303, headers={"set-cookie": self.guard.cookie(session, _host(request))}
+            then, status_code=303, headers={"set-cookie": self.guard.cookie(session, _host(request))}
         )
 
     async def logout(self, request: Request) -> Response:
@@ -148,9 +218,9 @@ class Requests:
         self._console.sessions.close(_session(request))
         return JSONResponse({"accepted": True}, headers={"set-cookie": self.guard.cookie(None, _host(request))})
 
-    async def _command(self, request: Request, command: pb.Command) -> Response:
-        reply = await asyncio.to_thread(self._console.command, _session(request), request.path_params["board"], command)
-        return _answer(reply)
+    async def _act(self, request: Request, do: Callable[[Session], pb.CommandReply]) -> Response:
+        late = _late(request)
+        return late if late is not None else _answer(await asyncio.to_thread(do, _session(request)))
 
 
 _WHAT = [field.name for field in pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields]
@@ -165,15 +235,32 @@ def _host(request: Request) -> str:
     return str(request.headers.get("host", ""))
 
 
-def _answer(reply: pb.CommandReply) -> JSONResponse:
-    body = {
+def _late(request: Request) -> Response | None:
+    said = request.headers.get(SEEN_HEADER)
+    if said is None:  # a program that waits for its answer as long as it likes
+        return None
+    try:
+        age_s = time.monotonic() - float(said)
+    except ValueError:
+        age_s = math.nan
+    if abs(age_s) <= FRESH_S:
+        return None
+    text = f"The network held it up for {age_s:.1f} s; nothing was done. Do it again if you still want it."
+    return refusal(409, "not-fresh", text)
+
+
+def _body(reply: pb.CommandReply) -> dict[str, object]:
+    return {
         "accepted": reply.accepted,
         "refused_by": reply.refused_by,
         "reason": reply.reason,
         "text": reply.text,
         "tick": reply.tick,
     }
-    return JSONResponse(body, status_code=200 if reply.accepted else _STATUS.get(reply.reason, 409))
+
+
+def _answer(reply: pb.CommandReply) -> JSONResponse:
+    return JSONResponse(_body(reply), status_code=200 if reply.accepted else _STATUS.get(reply.reason, 409))
 
 
 async def _json(request: Request) -> dict[str, object] | None:
@@ -184,6 +271,8 @@ async def _json(request: Request) -> dict[str, object] | None:
     return table if isinstance(table, dict) else None
 
 
-def _form(said: str, *, status: int = 200) -> HTMLResponse:
-    text = _LOGIN.read_text(encoding="utf-8").replace("{said}", html.escape(said))
+def _form(said: str, then: str, *, status: int = 200) -> HTMLResponse:
+    text = _LOGIN.read_text(encoding="utf-8")
+    for place, words in (("{said}", said), ("{next}", then)):
+        text = text.replace(place, html.escape(words, quote=True))
     return HTMLResponse(text, status_code=status, headers={"cache-control": "no-store"})

@@ -30,7 +30,6 @@ class Session:
     acted_s: float
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32))
     csrf: str = field(default_factory=lambda: secrets.token_urlsafe(32))
-    pages: set[str] = field(default_factory=set)  # ids of the pages that were made for it
 
 
 class Sessions:

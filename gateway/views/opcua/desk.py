@@ -57,6 +57,9 @@ class Visitor:
     role: Role
 
 
+NOBODY = Visitor(name="anonymous", role=Role.VIEWER)
+
+
 def code_of(reply: pb.CommandReply) -> int:
     """The status code of a reply; a reason that is not in the table is still a refusal."""
     if reply.accepted:
@@ -74,7 +77,11 @@ class Desk:
         """What became of it.
 
         A visitor without the right is refused here; on a guarded bus by the gateway, whose log then has the attempt.
+        STOP is a right of viewers who have logged in: who came in without a name, to look, is refused here always.
         """
+        if (visitor.name, visitor.role) == (NOBODY.name, NOBODY.role):
+            text = "Whoever has not logged in only looks: log in, or let --anonymous say more."
+            return pb.CommandReply(id=command.id, refused_by="gateway", reason="not-allowed", text=text)
         if not self._feed.guarded and not may(visitor.role, act):
             text = refusal_text(visitor.name, visitor.role, act)
             return pb.CommandReply(id=command.id, refused_by="gateway", reason="not-allowed", text=text)

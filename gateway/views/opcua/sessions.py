@@ -22,9 +22,9 @@ from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
 
-from gateway.access.roles import Role, may
+from gateway.access.roles import may
 from gateway.views.opcua import timestamps
-from gateway.views.opcua.desk import SETPOINTS, Desk, Visitor, called, code_of, is_of, written
+from gateway.views.opcua.desk import NOBODY, SETPOINTS, Desk, Visitor, called, code_of, is_of, written
 from gateway.views.opcua.model import methods
 from gateway.views.opcua.subscriptions import BoundedSubscriptions
 from protocol.bus import board51_pb2 as pb
@@ -172,7 +172,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
     def visitor(self) -> Visitor:
         """Who this is."""
         found = self.user.visitor if isinstance(self.user, Guest) else None
-        return found if found is not None else Visitor(name="anonymous", role=Role.VIEWER)
+        return found if found is not None else NOBODY
 
     async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
         """With the timestamps that are asked for."""

@@ -187,7 +187,6 @@ def test_the_name_in_the_message_counts_for_nothing(ben: Client) -> None:
 @pytest.mark.parametrize(
     ("name", "what", "needs"),
     [
-        ("vic", {"stop": pb.Stop()}, "operator"),
         ("vic", {"set_mode": CLOSED}, "operator"),
         ("vic", {"acknowledge": pb.Acknowledge(alarm="divergence-x")}, "operator"),
         ("vic", {"set_reference": pb.SetReference(x_ref_m=0.003)}, "operator"),
@@ -213,10 +212,23 @@ def test_a_command_without_the_right_is_refused_and_logged(
     assert sent_to(rig.board, wire_name) == before
 
 
+def test_everybody_who_is_let_in_may_stop(rig: GuardedRig) -> None:
+    before = sent_to(rig.board, "STOP")
+    with rig.join("vic") as viewer:
+        command = fresh(stop=pb.Stop())
+
+        (reply,) = viewer.ask(command.SerializeToString())
+
+        assert reply.accepted, reply.text
+        record = viewer.record_of(command.id)
+    assert (record.command.who, record.command.role) == ("vic", "viewer")
+    assert sent_to(rig.board, "STOP") == before + 1
+
+
 def test_the_views_send_for_whom_they_have_checked(rig: GuardedRig) -> None:
     with rig.join("views") as views:
         operator = views.command(key="board51/rig/command/as/operator/eva", ping=pb.Ping())
-        viewer = views.command(key="board51/rig/command/as/viewer/eva", stop=pb.Stop())
+        viewer = views.command(key="board51/rig/command/as/viewer/eva", set_mode=CLOSED)
         nobody = views.command(key="board51/rig/command/as/admin/eva", stop=pb.Stop())
 
     assert operator is not None
@@ -376,7 +388,7 @@ def test_random_bytes_in_every_key_change_nothing(rig: GuardedRig, ana: Client) 
 
 def test_the_log_says_who_did_what(keys: SecurityFolder, tmp_path: Path) -> None:
     with guarded_rig(keys, tmp_path) as rig, rig.join("ana") as ana, rig.join("vic") as vic:
-        done, tried = fresh(set_mode=CLOSED, who="somebody"), fresh(stop=pb.Stop(), who="somebody")
+        done, tried = fresh(set_mode=CLOSED, who="somebody"), fresh(set_mode=CLOSED, who="somebody")
         ana.ask(done.SerializeToString())
         vic.ask(tried.SerializeToString())
         ana.record_of(tried.id)

@@ -120,11 +120,12 @@ def typed(rig: GuardedRig, name: str, *words: str) -> int:
 
 def test_send_says_who_may_not(rig: GuardedRig, capsys: pytest.CaptureFixture[str]) -> None:
     assert typed(rig, "ben", "send", "rig", "mode", "closed-loop", "--who", "ana") == 0
-    assert typed(rig, "vic", "send", "rig", "stop") == 1
+    assert typed(rig, "vic", "send", "rig", "mode", "closed-loop") == 1
+    assert typed(rig, "vic", "send", "rig", "stop") == 0
 
     out = capsys.readouterr().out
     assert "accepted" in out
-    assert "vic (viewer) may not stop: it needs the role operator." in out
+    assert "vic (viewer) may not set mode: it needs the role operator." in out
 
 
 def test_watch_and_record_read_with_an_identity(

@@ -21,11 +21,17 @@ def test_every_kind_of_command_has_a_least_role() -> None:
     assert [kind for kind in kinds if kind not in LEAST_ROLE] == []
 
 
-@pytest.mark.parametrize("act", ["stop", "set_mode", "set_reference", "excite", "capture"])
+@pytest.mark.parametrize("act", ["set_mode", "set_reference", "excite", "capture"])
 def test_an_operator_moves_the_ball_and_a_viewer_does_not(act: str) -> None:
     assert may(Role.OPERATOR, act)
     assert may(Role.ENGINEER, act)
     assert not may(Role.VIEWER, act)
+
+
+def test_everybody_who_is_let_in_may_stop_and_a_viewer_sends_nothing_else() -> None:
+    commands = {field.name for field in pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields}
+
+    assert {act for act in commands if may(Role.VIEWER, act)} == {"stop", "ping"}
 
 
 @pytest.mark.parametrize("act", ["set_gains", "set_stream", "set_host_loss", "use_model"])

@@ -19,7 +19,7 @@ from tests.gateway.gateway_peers import free_port, wait_for
 
 JUNK = b"\xff\xff"  # no message of any kind
 HEARD = ("state", "status", "event", "alarms", "parameters", "command/record", "twin/state")  # one of each subscriber
-CommandHandler = Callable[[str, pb.Command], pb.CommandReply]
+CommandHandler = Callable[[str, pb.Command], pb.CommandReply | None]  # None: no answer yet
 
 
 class PlayedGateway:
@@ -29,6 +29,7 @@ class PlayedGateway:
         self.session, self.endpoint = session, endpoint
         self.commands: list[tuple[str, pb.Command]] = []
         self.answer: CommandHandler = lambda _, command: pb.CommandReply(id=command.id, accepted=True, tick=7)
+        self.unanswered: list[zenoh.Query] = []
         self.tick = 0
         self.last = pb.State()
         self._queryable = session.declare_queryable("board51/*/command/**", self._on_query)
@@ -73,8 +74,17 @@ class PlayedGateway:
         key = str(query.key_expr)
         command = pb.Command.FromString(query.payload.to_bytes() if query.payload is not None else b"")
         self.commands.append((key, command))
+        answer = self.answer(key, command)
+        if answer is None:
+            self.unanswered.append(query)
+            return
         with query:
-            query.reply(key, self.answer(key, command).SerializeToString())
+            query.reply(key, answer.SerializeToString())
+
+    def give_up(self) -> None:
+        """End what is not answered without an answer."""
+        while self.unanswered:
+            self.unanswered.pop().drop()  # type: ignore[no-untyped-call]  # the stub has no return type
 
 
 @contextmanager

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import unquote
 
 import httpx
 import pytest
@@ -17,7 +20,7 @@ from gateway.access.users import User, remove_user, set_user
 from protocol.bus import board51_pb2 as pb
 from tests.gateway.gateway_peers import wait_for
 from tests.gateway.views.bus_peers import PlayedGateway, played_gateway
-from tests.gateway.views.hmi_peers import Page, drain, frame, hmi, users_file
+from tests.gateway.views.hmi_peers import PASSWORDS, Page, drain, frame, hmi, users_file
 
 pytestmark = pytest.mark.xdist_group("hmi-access")
 STOP = "/api/rig/stop"
@@ -70,10 +73,15 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
 def test_without_a_session_there_is_the_login_and_nothing_else(server: Server) -> None:
     page = server.page()
 
-    for path in ("/", "/rig/rig", "/logs", "/replay/"):
+    for path, login in (
+        ("/", "/login"),
+        ("/rig/rig", "/login?next=/rig/rig"),
+        ("/logs", "/login?next=/logs"),
+        ("/report/0/a b/report.html", "/login?next=/report/0/a%20b/report.html"),
+    ):
         answer = page.http.get(path, headers={"accept": "text/html"})
-        assert (answer.status_code, answer.headers["location"]) == (303, "/login")
-    for path in ("/api/session", "/log/logs/a.mcap", "/report/0/report.html", "/_nicegui/x"):
+        assert (answer.status_code, answer.headers["location"]) == (303, login)
+    for path in ("/api/session", "/log/logs/a.mcap", "/report-file/0/report.html", "/api/summary/logs/a.mcap"):
         assert page.http.get(path).status_code == 401
     assert page.post(STOP).status_code == 401
     assert page.http.get("/login").status_code == 200
@@ -164,7 +172,8 @@ def test_the_token_of_another_session_is_none(server: Server) -> None:
 @pytest.mark.parametrize(
     ("name", "body", "status"),
     [
-        ("vic", {"stop": {}}, 403),
+        ("vic", {"stop": {}}, 200),
+        ("vic", {"set_mode": {"mode": "MODE_IDLE"}}, 403),
         ("vic", {"set_reference": {"x_ref_m": 0.003}}, 403),
         ("ben", {"set_reference": {"x_ref_m": 0.003}}, 200),
         ("ben", {"set_mode": {"mode": "MODE_IDLE"}}, 200),
@@ -201,7 +210,7 @@ def test_a_role_or_a_person_taken_away_counts_at_once(server: Server) -> None:
     assert page.post(STOP).status_code == 200
 
     set_user(users, User(name="zoe", role=Role.VIEWER), "zoe-password")
-    as_viewer = page.post(STOP)
+    as_viewer = page.post("/api/rig/command", {"set_mode": {"mode": "MODE_IDLE"}})
     with page.live("/live/rig") as live:
         frame(live)
         remove_user(users, "zoe")
@@ -235,17 +244,23 @@ def test_the_last_report_opens_and_can_reach_nothing(server: Server) -> None:
     page = server.page("vic")
 
     text = page.open("/rig/rig")
-    address = "/report/" + text.partition("/report/")[2].partition('"')[0].rstrip("\\")
-    report = page.http.get(address)
+    address = "/report/" + text.partition("/report/")[2].partition('"')[0]
+    around = page.http.get(address, headers={"accept": "text/html"})
+    report = page.http.get(address.replace("/report/", "/report-file/"))
 
+    assert 'sandbox="allow-same-origin"' in around.text
+    assert "air-gap-offset" not in around.text
     assert "air-gap-offset" in report.text
-    assert report.headers["content-security-policy"].startswith("sandbox; default-src 'none'")
+    policy = report.headers["content-security-policy"]
+    assert policy.startswith("sandbox allow-same-origin; default-src 'none'")
+    assert "script" not in policy
 
 
 def test_controls_are_on_the_pages_of_those_who_may_use_them(server: Server) -> None:
     viewer, operator = (server.page(name).open("/rig/rig") for name in ("vic", "ben"))
 
-    for control in ("STOP", "Closed loop", "Start excitation", "Mark now"):
+    assert "STOP" in viewer, "whoever sees that something goes wrong may stop it"
+    for control in ("Closed loop", "Start excitation", "Mark now"):
         assert control in operator
         assert control not in viewer
     assert "Gains from a file" not in operator, "an engineer's"
@@ -271,7 +286,8 @@ def test_a_board_that_nobody_knows_gets_no_command(server: Server) -> None:
     answer = server.page("ben").post("/api/../*/stop".replace("../", "%2e%2e%2f"))
 
     assert answer.status_code in (404, 405)
-    assert server.page("ben").post("/api/*/stop").json()["reason"] == "no-board"
+    assert server.page("ben").post("/api/nobody/stop").json()["reason"] == "no-board"
+    assert server.page("ben").post("/api/*/command", {"ping": {}}).json()["reason"] == "no-board"
 
 
 @pytest.mark.parametrize(
@@ -282,7 +298,7 @@ def test_a_board_that_nobody_knows_gets_no_command(server: Server) -> None:
         "logs/a.mcap/../../secret.mcap", "recordings/a.mcap",
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("route", ["log", "report"])
+@pytest.mark.parametrize("route", ["log", "report", "report-file", "api/summary"])
 def test_path_tricks_find_nothing(server: Server, route: str, name: str) -> None:
     page = server.page("vic")
     # httpx tidies paths; a raw one must reach the server as an attacker would send it.
@@ -323,23 +339,6 @@ def test_frames_go_to_a_page_of_ours_only(server: Server) -> None:
         assert refused.value.response.status_code == 403
 
 
-def test_nicegui_s_socket_knows_only_the_page_of_this_session(server: Server) -> None:
-    page, other = server.page("vic"), server.page("ben")
-    text = other.open("/rig/rig")
-    client_id = text.partition("client_id")[2].partition(":")[2].partition(",")[0].strip(" \"'&quot;")
-    assert len(client_id) > 20
-
-    path = f"/_nicegui_ws/socket.io/?client_id={client_id}&EIO=4&transport=websocket"
-
-    with pytest.raises(InvalidStatus) as refused, page.live(path):
-        pass
-    assert refused.value.response.status_code == 403
-    with other.live(path):
-        pass
-    polling = other.http.get("/_nicegui_ws/socket.io/?EIO=4&transport=polling")
-    assert polling.status_code == 403
-
-
 def test_logging_out_ends_the_session_and_its_frames(server: Server) -> None:
     page = server.page("vic")
 
@@ -359,6 +358,7 @@ def test_a_page_cannot_be_framed_or_sniffed(server: Server) -> None:
     assert headers["x-frame-options"] == "DENY"
     assert "strict-transport-security" not in headers, "plain http cannot promise TLS"
     assert "frame-ancestors 'none'" in headers["content-security-policy"]
+    assert "unsafe" not in headers["content-security-policy"]
     assert headers["x-content-type-options"] == "nosniff"
 
 
@@ -393,3 +393,89 @@ def test_a_stale_session_can_do_nothing(server: Server, tmp_path: Path) -> None:
 
     assert answer.status_code == 401
     assert len(server.gateway.commands) == before
+
+
+@pytest.mark.parametrize("asked", ["/rig/rig", "/logs", "/replay/rig", "/report/0/a b/report.html"])
+def test_a_login_leads_to_the_page_that_was_asked_for(server: Server, asked: str) -> None:
+    page = server.page()
+    form = page.http.get(asked, headers={"accept": "text/html"}).headers["location"]
+    shown = html.unescape(page.http.get(form).text.partition('name="next" value="')[2].partition('"')[0])
+
+    wrong = page.http.post(
+        "/login", data={"name": "vic", "password": "x", "next": shown}, headers={"origin": page.base}
+    )
+    right = page.http.post(
+        "/login", data={"name": "vic", "password": PASSWORDS["vic"], "next": shown}, headers={"origin": page.base}
+    )
+
+    assert f'value="{asked}"' in wrong.text, "a typo does not lose it"
+    assert (right.status_code, unquote(right.headers["location"])) == (303, asked)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    ["//evil.example", "https://evil.example", "/\\evil.example", "\\\\evil.example", "/\t/evil.example",
+     "evil.example", "javascript:alert(1)", "", "/\n/evil.example", " //evil.example", "/login"],
+)  # fmt: skip
+def test_a_login_leads_to_no_other_server(server: Server, asked: str) -> None:
+    page = server.page()
+    assert 'name="next" value="/"' in page.http.get("/login", params={"next": asked}).text
+
+    answer = page.http.post(
+        "/login", data={"name": "vic", "password": PASSWORDS["vic"], "next": asked}, headers={"origin": page.base}
+    )
+
+    assert (answer.status_code, answer.headers["location"]) == (303, "/")
+
+
+@pytest.mark.parametrize(("held_up_s", "done"), [(0.1, True), (30.0, False), (-30.0, False), (float("nan"), False)])
+def test_what_the_network_held_up_is_not_done_and_stop_is(server: Server, held_up_s: float, done: bool) -> None:
+    page, before = server.page("ben"), len(server.gateway.commands)
+    seen = {"x-board51-seen": f"{time.monotonic() - held_up_s:.3f}"}
+
+    mark = page.post("/api/rig/command", {"mark": {"text": "here"}}, **seen)
+    stop = page.post(STOP, **seen)
+
+    assert (mark.status_code == 200) is done
+    assert done or mark.json()["reason"] == "not-fresh"
+    assert stop.status_code == 200
+    assert len(server.gateway.commands) - before == 1 + done
+
+
+def test_one_stop_stops_every_board_and_says_what_became_of_each(server: Server) -> None:
+    usual = server.gateway.answer
+    server.gateway.state("other")
+    page = server.page("vic")
+    with page.live("/live") as live:
+        wait_for(lambda: {b["name"] for b in frame(live)["boards"]} >= {"rig", "other"}, "both boards")
+
+    def answer(key: str, command: pb.Command) -> pb.CommandReply | None:
+        return usual(key, command) if "/rig/" in key else pb.CommandReply(refused_by="link", reason="timed-out")
+
+    server.gateway.answer = answer
+    before = len(server.gateway.commands)
+    stopped = page.post("/api/*/stop")
+    server.gateway.answer = usual
+
+    assert stopped.status_code == 409, "not all of them"
+    boards = stopped.json()["boards"]
+    assert {name: boards[name]["accepted"] for name in ("rig", "other")} == {"rig": True, "other": False}
+    assert {key.split("/")[1] for key, _ in server.gateway.commands[before:]} >= {"rig", "other"}
+
+
+def test_a_stop_does_not_wait_for_commands_that_are_not_answered(server: Server) -> None:
+    """More of them than the server has threads for."""
+    usual = server.gateway.answer
+    server.gateway.answer = lambda key, command: usual(key, command) if command.HasField("stop") else None
+    pages = [server.page("ben") for _ in range(8)]
+
+    with ThreadPoolExecutor(40) as pool:
+        held = [pool.submit(page.post, "/api/rig/command", {"mark": {"text": "x"}}) for page in pages * 5]
+        wait_for(lambda: len(server.gateway.unanswered) >= 5, "commands that wait")
+        stopped = pages[0].post(STOP)
+        waiting = [one for one in held if not one.done()]
+        server.gateway.answer = usual
+        server.gateway.give_up()
+
+    assert stopped.status_code == 200
+    assert len(waiting) > 20, "it was answered before them"

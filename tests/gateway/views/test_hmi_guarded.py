@@ -69,8 +69,7 @@ def logged_in(browser: Browser, plant: Plant, name: str) -> Iterator[Tab]:
     tab = context.new_page()
     tab.goto(f"https://127.0.0.1:{plant.port}/rig/rig")
     log_in(tab, name)
-    tab.wait_for_url(f"https://127.0.0.1:{plant.port}/")
-    tab.goto(f"https://127.0.0.1:{plant.port}/rig/rig")
+    tab.wait_for_url(f"https://127.0.0.1:{plant.port}/rig/rig")
     tab.wait_for_selector("body[data-live=yes]", timeout=UP_MS)
     yield tab
     context.close()
@@ -90,7 +89,8 @@ def test_a_page_whose_server_restarted_asks_to_log_in_again(browser: Browser, pl
 
         expect(tab.get_by_text("Your session is over: log in again.")).to_be_visible(timeout=UP_MS)
         log_in(tab, "ben")
-        expect(tab.locator(".board-card", has_text="rig")).to_be_visible(timeout=UP_MS)
+        tab.wait_for_url(f"https://127.0.0.1:{plant.port}/rig/rig", timeout=UP_MS)
+        tab.wait_for_selector("body[data-live=yes]", timeout=UP_MS)
 
 
 @in_a_browser

@@ -15,7 +15,8 @@ from gateway.views.hmi.gains import parse_gains, rows
 from gateway.views.hmi.jobs import LINES, WIDTH, Jobs
 from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import travel_of
-from gateway.views.hmi.picture import describe
+from gateway.views.hmi.markup import tag
+from gateway.views.hmi.picture import describe, rest
 from gateway.views.hmi.sessions import MAX_SESSIONS, Sessions
 from gateway.views.hmi.traces import MAX_ROWS, Traces
 from protocol.bus import board51_pb2 as pb
@@ -196,6 +197,8 @@ def test_a_job_is_on_the_bus_as_the_person_who_started_it(tmp_path: Path) -> Non
         (pb.Command(set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP)), "mode closed loop"),
         (pb.Command(mark=pb.Mark(text="here")), "mark here"),
         (pb.Command(excite=pb.Excite(shape=pb.SHAPE_CHIRP, duration_s=3.0)), "excitation chirp 3 s"),
+        (pb.Command(excite=pb.Excite(shape=pb.SHAPE_STEP)), "excitation step until ended"),
+        (pb.Command(excite=pb.Excite(shape=pb.SHAPE_NONE)), "end of the excitation"),
         (pb.Command(), "nothing"),
     ],
 )
@@ -208,6 +211,25 @@ def test_a_command_is_told_in_words(command: pb.Command, words: str) -> None:
 )
 def test_a_model_without_a_travel_tells_none(text: str) -> None:
     assert math.isnan(travel_of(text))
+
+
+def test_bad_frames_are_frames_and_what_else_is_odd_has_its_own_name() -> None:
+    """An answer that came after its time is no fault of the line."""
+    with played_gateway() as gateway, feed_of(gateway) as feed:
+        status = pb.Status(link="streaming", bad_frames={"crc": 2, "length": 1, "stray-answer": 7, "duplicate": 0})
+        gateway.send("status", status)
+        board = wait_for(lambda: feed.board("rig"), "the board")
+        shown = rest(board)["status"]
+
+    assert shown["bad_frames"] == 3
+    assert shown["odd"] == {"stray-answer": 7}
+
+
+def test_text_in_a_page_is_no_html() -> None:
+    made = tag("p", "<b>", tag("i", "&"), class_="a", data_x='"><script>', hidden=False, required=True)
+
+    assert made == '<p class="a" data-x="&quot;&gt;&lt;script&gt;" required>&lt;b&gt;<i>&amp;</i></p>'
+    assert tag("input", name="n") == '<input name="n">'
 
 
 def test_a_title_becomes_a_part_of_a_file_name() -> None:

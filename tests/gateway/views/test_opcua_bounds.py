@@ -128,8 +128,8 @@ def test_nodes_cannot_be_added_and_servers_not_registered(server: Served) -> Non
     asyncio.run(ask())
 
 
-def test_a_viewer_reads_and_nothing_else(server: Served) -> None:
-    """Anonymous clients are viewers unless somebody says otherwise."""
+def test_who_has_not_logged_in_reads_and_nothing_else(server: Served) -> None:
+    """Anonymous clients are viewers unless somebody says otherwise; STOP is for viewers who have logged in."""
 
     async def ask() -> None:
         async with peer(server.port) as client:

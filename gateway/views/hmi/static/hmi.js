@@ -1,133 +1,44 @@
-// The live part of a page: frames in by WebSocket, values, plots and lists out, STOP by button and by key.
+// The live part of a page: frames in (line.js), values, plots and lists out.  STOP is stop.js, controls are acts.js.
 //
-// Rule 1: what is shown is fresh or says that it is not: the page judges the age of the frames by its own clock.
-// Rule 2: STOP needs nothing but this script and the server: no framework, no confirmation, no focus.
-// Rule 3: a lost connection is tried again for ever; where the session is over, the server sends the page to the login.
+// Rule: what is shown is fresh or says that it is not: the page judges the age of the frames by its own clock, and what
+// was last known is marked as such wherever it stands.
 
+import { follow, limits, showJobs } from "./acts.js";
 import { Ball } from "./ball.js";
+import { $, $$, cell, put } from "./dom.js";
+import { Line } from "./line.js";
 import { Plot, SPAN_S } from "./plot.js";
+import { may, page } from "./server.js";
+import { Stop } from "./stop.js";
 
-const page = document.querySelector("meta[name=board51]").dataset;
 const FRAME_LIMIT_S = 0.7; // without a frame for so long, the server or the line to it is gone
 const ACTED_EVERY_S = 20;
 const IDLE_DRAW_MS = 100; // between drawings while no frames come: the age of what is shown counts up
-
-// NiceGUI mounts the page after this script runs, and may replace what it mounted: elements are looked up when needed.
-const $ = (name) => document.querySelector(`[data-live="${name}"]`);
-const $$ = (name) => document.querySelectorAll(`[data-live="${name}"]`);
-
-function put(name, text, state) {
-  for (const element of $$(name)) {
-    if (element.textContent !== text) element.textContent = text;
-    if (state !== undefined && element.dataset.state !== state) element.dataset.state = state;
-  }
-}
+const STATUS_LIMIT_S = 3.5; // it comes once a second
 
 // Noise around zero must not flicker between 0.000 and -0.000.
 const shown = (value, scale, digits) =>
   value === null || value === undefined ? "\u2013" : (value * scale).toFixed(digits).replace(/^-(0\.?0*)$/, "$1");
 
-export async function post(path, body) {
-  const response = await fetch(path, {
-    method: "POST",
-    keepalive: true,
-    headers: { "content-type": "application/json", "x-board51-token": page.token },
-    body: JSON.stringify(body ?? {}),
-  });
-  if (response.status === 401) location.reload();
-  return response.json();
-}
-
-// --- STOP ---------------------------------------------------------------------------------------------------------
-
-let stopping = false;
-
-async function stop() {
-  if (stopping || !page.stop) return;
-  stopping = true;
-  say("stop-said", "STOP sent \u2026", "busy");
-  const begun = performance.now();
-  try {
-    const reply = await Promise.race([
-      post(`/api/${page.board}/stop`),
-      new Promise((_, fail) => setTimeout(() => fail(new Error("no answer for 3 s")), 3000)),
-    ]);
-    const took = `${Math.round(performance.now() - begun)} ms`;
-    if (reply.accepted) say("stop-said", `STOP accepted after ${took}: coil off`, "good");
-    else say("stop-said", `STOP REFUSED: ${reply.text} Switch the rig off by hand.`, "bad");
-  } catch (error) {
-    say("stop-said", `STOP NOT DELIVERED (${error.message}). Switch the rig off by hand.`, "bad");
-  } finally {
-    stopping = false;
-  }
-}
-
-let saidTimer = 0;
-
-function say(name, text, state) {
-  put(name, text, state);
-  clearTimeout(saidTimer);
-  if (state !== "bad") saidTimer = setTimeout(() => put(name, "", "none"), 6000);
-}
-
-// Capture phase on window: an open dialog or a focused field must not swallow it.
-window.addEventListener(
-  "keydown",
-  (event) => {
-    if (event.key === "Escape" && !event.repeat) stop();
-  },
-  { capture: true },
-);
-window.addEventListener(
-  "click",
-  (event) => {
-    const target = event.target.closest?.("[data-act]");
-    if (!target) return;
-    if (target.dataset.act === "stop") stop();
-    if (target.dataset.act === "acknowledge")
-      post(`/api/${page.board}/acknowledge`, { name: target.dataset.name }).then((reply) => {
-        if (reply.text) say("stop-said", reply.text, "bad");  // refused, or seen in this view alone
-      });
-  },
-  { capture: true },
-);
-
 // --- frames in ----------------------------------------------------------------------------------------------------
 
-let socket = null, lastFrame = performance.now(), now = null, rest = null, boards = null, actedAt = 0, everLive = false;
+let now = null, rest = null, boards = null, actedAt = 0;
 const rows = { s: [], t: [], d: [] };
-
-function connect() {
-  const scheme = location.protocol === "https:" ? "wss" : "ws";
-  socket = new WebSocket(`${scheme}://${location.host}${page.live}`, ["board51", page.token]);
-  let opened = false;
-  socket.onopen = () => (opened = true);
-  socket.onmessage = (message) => take(JSON.parse(message.data));
-  socket.onclose = async (event) => {
-    if (event.code === 4401) return location.reload();
-    // Refused before it opened: the server is away, or it is another one that does not know this session.
-    if (!opened && (await knowsNobody())) return location.reload();
-    setTimeout(connect, 300);
-  };
-}
-
-async function knowsNobody() {
-  try {
-    return (await fetch("/api/session", { headers: { accept: "application/json", "x-board51-token": page.token } })).status === 401;
-  } catch {
-    return false;
-  }
-}
+const line = new Line(page.live, take);
+// A page of a recording has frames of its own; what STOP is told by are those of the live rigs.
+let liveRigs = null;
+const liveLine = page.replay ? new Line("/live", (frame) => (liveRigs = frame.boards)) : line;
 
 function take(frame) {
-  lastFrame = performance.now();
   drawSoon();
   if (frame.boards) boards = frame.boards;
   if (frame.now) now = frame.now;
   if (frame.rest) {
     rest = frame.rest;
     lists();
+    limits(rest);
   }
+  if (frame.jobs) showJobs(frame.jobs);
   if (frame.left_s !== undefined) sessionLeft(frame.left_s);
   for (const row of frame.rows ?? []) {
     const list = rows[row[0]], last = list[list.length - 1];
@@ -148,9 +59,7 @@ function sessionLeft(left) {
 
 for (const kind of ["pointerdown", "keydown"]) {
   window.addEventListener(kind, () => {
-    if (performance.now() - actedAt < ACTED_EVERY_S * 1000 || socket?.readyState !== WebSocket.OPEN) return;
-    actedAt = performance.now();
-    socket.send("acted");
+    if (performance.now() - actedAt > ACTED_EVERY_S * 1000 && line.acted()) actedAt = performance.now();
   });
 }
 
@@ -161,7 +70,7 @@ const LINK_WORDS = { live: page.replay ? "\u25b6 REPLAYING" : "\u25cf LIVE", sil
 
 // "" where what is shown is true now; else why not, in words.
 function lost() {
-  const gap = (performance.now() - lastFrame) / 1000;
+  const gap = line.gap();
   if (gap > FRAME_LIMIT_S) return `NO DATA for ${gap.toFixed(0)} s \u2013 this page has lost its server`;
   if (!now) return "waiting for data";
   if (now.link === "live") return "";
@@ -173,10 +82,9 @@ function values() {
   const missing = lost(), gone = missing !== "";
   const live = gone ? "no" : "yes";
   if (document.body.dataset.live !== live) document.body.dataset.live = live;
-  if (!gone) everLive = true;
-  put("lost", gone && (everLive || now) ? missing : gone ? "waiting for data \u2026" : "", gone ? "bad" : "none");
+  put("lost", missing, gone && now ? "bad" : "none");
   if (!now) return;
-  const serverGone = performance.now() - lastFrame > FRAME_LIMIT_S * 1000;
+  const serverGone = line.gap() > FRAME_LIMIT_S;
   put("link", serverGone ? "\u2715 NO SERVER" : LINK_WORDS[now.link] ?? `\u25b2 ${now.link.toUpperCase()}`, gone ? "bad" : "good");
   put("x", shown(now.x_m, 1e3, 3));
   put("x_ref", shown(now.x_ref_m, 1e3, 3));
@@ -184,31 +92,48 @@ function values() {
   put("u_c", shown(now.u_c_v, 1, 3));
   put("twin_x", shown(now.twin_x_m, 1e3, 3));
   const coil = now.mode === "idle" ? "coil off" : "coil on";
-  put("mode", now.mode ? `${now.mode} \u00b7 ${coil}` : "\u2013", now.mode === "idle" ? "idle" : "on");
+  chip("mode", now.mode ? `${now.mode} \u00b7 ${coil}` : "\u2013", now.mode === "idle" ? "idle" : "on", gone);
   const flags = now.flags ?? [];
   put("flags", flags.length ? `\u25b2 ${flags.join(", ")}` : "no flags", flags.includes("FAULT") ? "bad" : flags.length ? "warn" : "none");
   const above = now.nis_mean !== null && now.nis_on && now.nis_mean > now.nis_on;
   if (plots.length) plots[2].line = now.nis_on ?? null;
-  if (now.twin === "in-step" && above) put("twin", "\u25b2 twin diverges", "warn");
-  else put("twin", { none: "\u25cb no twin", stale: "\u25b2 twin silent", "in-step": "\u25cf twin in step", settling: "\u25d4 twin settling",
-                "out-of-step": "\u2715 twin out of step" }[now.twin] ?? now.twin, now.twin === "in-step" ? "good" : now.twin === "out-of-step" ? "bad" : "warn");
+  if (now.twin === "in-step" && above) chip("twin", "\u25b2 twin diverges", "warn", gone);
+  else chip("twin", { none: "\u25cb no twin", stale: "\u25b2 twin silent", "in-step": "\u25cf twin in step", settling: "\u25d4 twin settling",
+                "out-of-step": "\u2715 twin out of step" }[now.twin] ?? now.twin, now.twin === "in-step" ? "good" : now.twin === "out-of-step" ? "bad" : "warn", gone);
+  told(gone, serverGone);
   put("error_x", shown(now.error_x_m, 1e6, 0));
   put("error_i", shown(now.error_i_a, 1e3, 0));
   put("nis", shown(now.nis_mean, 1, 2));
   for (const button of document.querySelectorAll("[data-mode]")) {
-    const pressed = String(button.dataset.mode === now.mode);
+    const its = button.dataset.mode === now.mode, pressed = String(its && !gone), last = its && gone ? "yes" : "no";
     if (button.getAttribute("aria-pressed") !== pressed) button.setAttribute("aria-pressed", pressed);
+    if (button.dataset.last !== last) button.dataset.last = last;
   }
+  if (!gone) follow(now);
 }
 
-function cell(tag, text, className) {
-  const element = document.createElement(tag);
-  element.textContent = text;
-  if (className) element.className = className;
-  return element;
+// Words in the bar; what no data bear out now is marked as the last known.
+function chip(name, text, state, old) {
+  put(name, old && text !== "\u2013" ? `last known: ${text}` : text, old ? "old" : state);
 }
 
+// What the gateway's status says, which goes on while the board is away.
+function told(gone, serverGone) {
+  const status = rest?.status;
+  if (!status) return;
+  const old = serverGone || status.age_s > STATUS_LIMIT_S, writing = status.log_state === "writing";
+  if (writing && gone && !old) chip("log", "\u25cb log open, no samples", "warn", false);
+  else chip("log", writing ? "\u25cf log writing" : status.log_state === "off" ? "\u25cb log off" : `\u2715 log ${status.log_state}`,
+            writing ? "good" : status.log_state === "off" ? "warn" : "bad", old);
+  if (status.to_board === "unanswered") chip("to-board", "\u2715 BOARD DOES NOT ANSWER \u2013 STOP may not reach it", "bad", old);
+  else put("to-board", "", "none");
+  if (counted) chip("alarm-count", ...counted, serverGone);
+}
+
+const ODD = { "stray-answer": "answers after their time", implausible: "implausible ticks", duplicate: "repeated samples",
+              "events-lost": "lost events", "write-overflow": "not sent in time" };
 const filled = {};
+let counted = null; // of the alarms: words, state
 
 // Only what changed is made anew: a button that is replaced between press and release is never clicked.
 function fill(name, data, row, empty) {
@@ -221,14 +146,10 @@ function fill(name, data, row, empty) {
 function lists() {
   const status = rest.status;
   if (status) {
-    const writing = status.log_state === "writing";
-    put("log", writing ? "\u25cf log writing" : status.log_state === "off" ? "\u25cb log off" : `\u2715 log ${status.log_state}`,
-        writing ? "good" : status.log_state === "off" ? "warn" : "bad");
-    const unanswered = status.to_board === "unanswered";
-    put("to-board", unanswered ? "\u2715 BOARD DOES NOT ANSWER \u2013 STOP may not reach it" : "", unanswered ? "bad" : "none");
-    put("rate", `${status.samples_per_s} samples/s, ${status.lost} lost`);
     fill("health", [
-      ["port", status.port], ["commands to the board", status.to_board || "\u2013"], ["samples", `${status.samples_per_s} /s`], ["lost samples", status.lost], ["bad frames", status.bad_frames],
+      ["port", status.port], ["commands to the board", status.to_board || "\u2013"], ["samples", `${status.samples_per_s} /s`],
+      ["lost samples", status.lost], ["bad frames", status.bad_frames],
+      ...Object.entries(status.odd).map(([cause, count]) => [ODD[cause] ?? cause, count]),
       ["latency p99", `${status.latency_p99_ms} ms`], ["line load", `${status.line_load} %`], ["not published", status.dropped],
       ["board resets", status.resets], ["reconnections", status.reconnects],
       ["log file", status.log_file || "\u2013"], ["log", `${status.log_state}, ${status.log_mb} MB`], ["not logged", status.log_dropped],
@@ -247,7 +168,7 @@ function lists() {
     row.append(cell("span", standing, "standing"), cell("span", alarm.name, "name"),
                cell("span", `${alarm.since}${alarm.times > 1 ? `, ${alarm.times} times` : ""}`, "at"));
     if (alarm.acknowledged) row.append(cell("span", `\u2713 seen by ${alarm.by}`, "seen"));
-    else if (page.stop) {
+    else if (may.has("acknowledge")) {
       const button = cell("button", "Acknowledge", "ack");
       button.dataset.act = "acknowledge";
       button.dataset.name = alarm.name;
@@ -258,8 +179,8 @@ function lists() {
   }, "\u2713 no alarms");
   const waiting = rest.alarms.filter((a) => a.active || !a.acknowledged);
   const faults = waiting.filter((a) => a.active && a.severity === "fault").length;
-  put("alarm-count", waiting.length ? `${faults ? "\u2716" : "\u25b2"} ${waiting.length} alarm${waiting.length > 1 ? "s" : ""}` : "\u2713 no alarms",
-      faults ? "bad" : waiting.length ? "warn" : "good");
+  counted = [waiting.length ? `${faults ? "\u2716" : "\u25b2"} ${waiting.length} alarm${waiting.length > 1 ? "s" : ""}` : "\u2713 no alarms",
+             faults ? "bad" : waiting.length ? "warn" : "good"];
   fill("events", rest.events, (event) => {
     const row = cell("div", "", "entry");
     row.dataset.state = event.severity;
@@ -280,13 +201,20 @@ function lists() {
 const cards = new Map();
 
 function card(name) {
-  const link = cell("a", "", "board-card");
+  const box = cell("div", "", "board-card"), link = cell("a", "", "board-link-all");
   link.href = `${page.prefix}/${name}`;
   const head = cell("div", "", "board-head");
   const parts = { link: cell("span", "", "board-link"), x: cell("div", "", "board-x"), text: cell("div", "", "board-text"), alarms: cell("div", "", "board-alarms") };
   head.append(cell("span", name, "board-name"), parts.link);
   link.append(head, parts.x, parts.text, parts.alarms);
-  return { link, parts };
+  box.append(link);
+  if (!page.replay) {
+    const stop = cell("button", `STOP ${name}`, "stop-one");
+    Object.assign(stop.dataset, { act: "stop", board: name });
+    stop.type = "button";
+    box.append(stop);
+  }
+  return { box, parts };
 }
 
 const NOBODY = page.replay
@@ -295,9 +223,10 @@ const NOBODY = page.replay
 
 function overview() {
   const place = $("boards");
-  if (!place) return;
-  const gap = (performance.now() - lastFrame) / 1000, gone = gap > FRAME_LIMIT_S;
+  if (page.board) return;
+  const gap = line.gap(), gone = gap > FRAME_LIMIT_S;
   put("lost", gone ? `NO DATA for ${gap.toFixed(0)} s \u2013 this page has lost its server` : "", gone ? "bad" : "none");
+  if (!place) return;
   if (!boards?.length) {
     if (!place.childElementCount) place.append(cell("div", NOBODY, "empty"));
     return;
@@ -305,12 +234,12 @@ function overview() {
   if (!cards.size) place.replaceChildren();
   for (const board of boards) {
     if (!cards.has(board.name)) cards.set(board.name, card(board.name));
-    const { link, parts } = cards.get(board.name), live = board.link === "live" && !gone;
-    if (link.parentElement !== place) place.append(link);
-    link.dataset.state = !live || board.fault ? "bad" : board.alarms ? "warn" : "good";
+    const { box, parts } = cards.get(board.name), live = board.link === "live" && !gone;
+    if (box.parentElement !== place) place.append(box);
+    box.dataset.state = !live || board.fault ? "bad" : board.alarms ? "warn" : "good";
     parts.link.textContent = gone ? "\u2715 NO SERVER" : LINK_WORDS[board.link] ?? board.link;
     parts.x.textContent = live ? `${shown(board.x_m, 1e3, 3)} mm` : `no data${board.age_s === null ? "" : ` for ${Math.round(board.age_s)} s`}`;
-    parts.text.textContent = live ? `reference ${shown(board.x_ref_m, 1e3, 3)} mm \u00b7 ${board.mode}` : board.reason;
+    parts.text.textContent = live ? `reference ${shown(board.x_ref_m, 1e3, 3)} mm \u00b7 ${board.mode} \u00b7 ${board.mode === "idle" ? "coil off" : "coil on"}` : board.reason;
     parts.alarms.textContent = board.alarms ? `${board.fault ? "\u2716" : "\u25b2"} ${board.alarms} alarm${board.alarms > 1 ? "s" : ""}` : "\u2713 no alarms";
   }
 }
@@ -364,14 +293,29 @@ function draw() {
   setUp();
   overview();
   if (page.board) values();
+  stopping.show();
   if (!plots.length) return;
   const missing = lost(), at = missing && rows.s.length ? rows.s[rows.s.length - 1][2] : boardNow();
-  for (const plot of plots) plot.draw(rows, at, missing && everLive ? missing : "");
+  for (const plot of plots) plot.draw(rows, at, missing, now?.at ?? "");
   if (missing) ball.show(null, null, null);
   else ball.show(now.x_m, now.twin_x_m, now.x_ref_m);
 }
 
-connect();
+// What samples say now of each rig that STOP here is for.
+function rigs() {
+  const gone = liveLine.gap() > FRAME_LIMIT_S;
+  const rig = (b, fresh) => ({ fresh, idle: b.mode === "idle", mode: b.mode, tick: b.tick, session: b.session });
+  if (page.stops !== "*") return now ? { [page.stops]: rig(now, lost() === "") } : {};
+  const known = (page.replay ? liveRigs : boards) ?? [];
+  return Object.fromEntries(known.map((b) => [b.name, rig(b, b.link === "live" && !gone)]));
+}
+
+const stopping = new Stop(rigs, (text, state) => put("stop-said", text, state));
 setInterval(drawSoon, IDLE_DRAW_MS);
 // A hidden tab gets no animation frames, but what it says must still be true when somebody looks.
-setInterval(() => page.board && values(), 250);
+setInterval(() => (page.board ? values() : overview()) ?? stopping.show(), 250);
+// A report is as long as it is: the page scrolls, not the frame, which must not have the focus.
+const report = document.querySelector("iframe");
+const fit = () => (report.style.height = `${report.contentDocument.documentElement.scrollHeight + 20}px`);
+report?.addEventListener("load", fit);
+if (report?.contentDocument?.readyState === "complete") fit();

@@ -21,11 +21,11 @@ export class Plot {
     this.range = null;
     this.line = null;
     canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", `${options.title}, last ${SPAN_S} seconds`);
   }
 
-  // rows: {kind: [row, ...]} in order of time; now: board time at the right edge; lost: words for missing data or "".
-  draw(rows, now, lost) {
+  // rows: {kind: [row, ...]} in order of time; now: board time at the right edge; lost: words for missing data or "";
+  // at: clock time of the newest sample, which is the right edge where data are missing.
+  draw(rows, now, lost, at) {
     const ratio = window.devicePixelRatio || 1, box = this.canvas.getBoundingClientRect();
     if (box.width < 20 || box.height < 20) return;
     const width = Math.round(box.width * ratio), height = Math.round(box.height * ratio);
@@ -33,6 +33,8 @@ export class Plot {
       this.canvas.width = width;
       this.canvas.height = height;
     }
+    const edge = lost ? at || "no sample" : "now", about = `${this.options.title}, ${SPAN_S} seconds up to ${edge}`;
+    if (this.canvas.ariaLabel !== about) this.canvas.ariaLabel = about;
     const g = this.canvas.getContext("2d");
     g.setTransform(ratio, 0, 0, ratio, 0, 0);
     g.clearRect(0, 0, box.width, box.height);
@@ -44,7 +46,7 @@ export class Plot {
       ? (v) => Math.log(Math.max(v, low) / low) / Math.log(high / low)
       : (v) => (v - low) / (high - low);
     const y = (v) => area.bottom - share(v) * (area.bottom - area.top);
-    this.axes(g, area, low, high, x, y, now);
+    this.axes(g, area, low, high, x, y, now, edge);
     g.save();
     g.beginPath();
     g.rect(area.left, area.top, area.right - area.left, area.bottom - area.top);
@@ -97,7 +99,7 @@ export class Plot {
     return values;
   }
 
-  axes(g, area, low, high, x, y, now) {
+  axes(g, area, low, high, x, y, now, edge) {
     g.font = "12px system-ui, sans-serif";
     g.lineWidth = 1;
     g.strokeStyle = GRID;
@@ -120,7 +122,7 @@ export class Plot {
       g.lineTo(at, area.bottom);
       g.stroke();
       g.textAlign = s === 0 ? "right" : s === SPAN_S ? "left" : "center";
-      g.fillText(s === 0 ? "now" : `\u2212${s} s`, at, area.bottom + 5);
+      g.fillText(s === 0 ? edge : `\u2212${s} s`, at, area.bottom + 5);
     }
     g.strokeStyle = MUTED;
     g.strokeRect(area.left + 0.5, area.top + 0.5, area.right - area.left, area.bottom - area.top);

@@ -1,0 +1,42 @@
+"""HTML made of elements.  Pure.
+
+Rule: text is escaped unless `tag` made it, so nothing from the bus, a file's name or a log becomes HTML.
+"""
+
+from __future__ import annotations
+
+import html
+
+_VOID = frozenset({"input", "link", "meta"})  # elements without an inside
+
+
+class Markup(str):
+    """HTML, escaped where it had to be."""
+
+    __slots__ = ()
+
+
+def tag(name: str, /, *inside: str, **attributes: str | float | None) -> Markup:
+    """One element.
+
+    Args:
+        name: of the element.
+        inside: markup as it is, other text escaped.
+        attributes: `class_` is class, `data_act` is data-act; True stands alone, None and False are left out.
+    """
+    words = "".join(_attribute(key, value) for key, value in attributes.items())
+    if name in _VOID:
+        return Markup(f"<{name}{words}>")
+    return Markup(f"<{name}{words}>{join(*inside)}</{name}>")
+
+
+def join(*parts: str) -> Markup:
+    """One after the other."""
+    return Markup("".join(part if isinstance(part, Markup) else html.escape(part) for part in parts))
+
+
+def _attribute(key: str, value: str | float | None) -> str:
+    if value is None or value is False:
+        return ""
+    name = key.rstrip("_").replace("_", "-")
+    return f" {name}" if value is True else f' {name}="{html.escape(str(value), quote=True)}"'

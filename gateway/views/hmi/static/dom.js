@@ -1,0 +1,19 @@
+// The elements of a page by their data-live names.
+
+export const $ = (name) => document.querySelector(`[data-live="${name}"]`);
+export const $$ = (name) => document.querySelectorAll(`[data-live="${name}"]`);
+
+export function put(name, text, state) {
+  for (const element of $$(name)) {
+    if (element.textContent !== text) element.textContent = text;
+    if (state !== undefined && element.dataset.state !== state) element.dataset.state = state;
+  }
+}
+
+// A new element with text in it: nothing from the bus is ever put into a page as HTML.
+export function cell(tag, text, className) {
+  const element = document.createElement(tag);
+  element.textContent = text;
+  if (className) element.className = className;
+  return element;
+}

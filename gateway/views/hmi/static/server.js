@@ -1,0 +1,117 @@
+// What a page asks of its server: one plain request each, answered or not, and nothing else to keep in step.
+//
+// Rule 1: a request says when it was made, by the server's clock: one that the network held up is refused there, so
+//         what was told as not answered does not happen later.  STOP has no such date.
+// Rule 2: the browser has six connections for a server: STOP's three and the question for the session are kept free.
+
+export const page = document.querySelector("meta[name=board51]").dataset;
+export const may = new Set(page.may.split(" "));
+
+const ANSWER_S = 10, MAX_ACTS = 2, SAID = "board51-said";
+
+class NotSent extends Error {}
+
+class Server {
+  constructor() {
+    this.ahead = -Infinity; // of performance.now(), s
+    this.says(Number(page.now));
+    this.acts = 0;
+  }
+
+  // A date by the server's clock has come; what travelled longest dates from too early, and counts least.
+  says(at_s) {
+    this.ahead = Math.max(this.ahead, at_s - performance.now() / 1000);
+  }
+
+  // The answer to an act.  Raises an Error where there is none.
+  async ask(path, body, { limit = ANSWER_S, method = "POST" } = {}) {
+    if (this.acts >= MAX_ACTS) throw new NotSent("two others wait for their answers still");
+    this.acts += 1;
+    try {
+      const seen = (this.ahead + performance.now() / 1000).toFixed(3);
+      return await this.post(path, body, { signal: AbortSignal.timeout(limit * 1000), headers: { "x-board51-seen": seen }, method });
+    } catch (error) {
+      if (error.name === "TimeoutError") throw new Error(`no answer for ${limit} s`);
+      throw error;
+    } finally {
+      this.acts -= 1;
+    }
+  }
+
+  async post(path, body, { signal, headers = {}, method = "POST" }) {
+    const raw = body instanceof Blob;
+    const response = await fetch(path, {
+      method,
+      signal,
+      keepalive: !raw,
+      headers: { ...headers, "content-type": raw ? "application/octet-stream" : "application/json", "x-board51-token": page.token },
+      body: method === "GET" ? undefined : raw ? body : JSON.stringify(body ?? {}),
+    });
+    const answer = await response.json();
+    if (response.status === 401 || answer.reason === "token") renew("NOT SENT: this page was of a session that is over. Do it again.");
+    return answer;
+  }
+
+  async knowsNobody() {
+    try {
+      const headers = { accept: "application/json", "x-board51-token": page.token };
+      return (await fetch("/api/session", { headers, signal: AbortSignal.timeout(3000) })).status === 401;
+    } catch {
+      return false;
+    }
+  }
+}
+
+// Load the page anew, or the login in its place; `said` is shown afterwards.
+export function renew(said) {
+  if (said) sessionStorage.setItem(SAID, said);
+  location.reload();
+}
+
+export const server = new Server();
+
+// --- what became of an act ------------------------------------------------------------------------------------------
+
+const KEPT_MS = 4000, MAX_TOASTS = 6;
+
+// Words at the edge of the page, to be changed until the act is over; what is bad stays until it is closed.
+export function toast(text, state = "busy") {
+  const place = document.querySelector(".toasts"), element = document.createElement("div"), words = document.createElement("span");
+  element.className = "toast";
+  element.append(words);
+  place.append(element);
+  while (place.childElementCount > MAX_TOASTS) place.firstElementChild.remove();
+  const say = (text, state) => {
+    words.textContent = text;
+    element.dataset.state = state;
+    if (state === "good" || state === "note") setTimeout(() => element.remove(), KEPT_MS);
+    if (state !== "bad" || element.childElementCount > 1) return;
+    const close = document.createElement("button");
+    close.type = "button";
+    close.textContent = "Close";
+    close.onclick = () => element.remove();
+    element.append(close);
+  };
+  say(text, state);
+  return say;
+}
+
+// Ask, and say what became of it under `name`.  Returns the answer, null where there was none.
+export async function act(name, path, body, options) {
+  const say = toast(`\u2026 ${name}`);
+  try {
+    const answer = await server.ask(path, body, options);
+    const by = answer.refused_by ? `Refused by ${answer.refused_by} (${answer.reason}): ` : "";
+    if (answer.accepted) say(`\u2713 ${name}: ${answer.text || "accepted"}`, "good");
+    else say(`\u2715 ${name}: ${by}${answer.text}`, "bad");
+    return answer;
+  } catch (error) {
+    if (error instanceof NotSent) say(`\u2715 ${name}: NOT SENT, ${error.message}.`, "bad");
+    else say(`\u2715 ${name}: NOT ANSWERED (${error.message}). Whether it acted is not known: see mode and values.`, "bad");
+    return null;
+  }
+}
+
+const said = sessionStorage.getItem(SAID);
+if (said) toast(said, "bad");
+sessionStorage.removeItem(SAID);

@@ -1,0 +1,297 @@
+"""What a person sees and can reach on every page, in a real browser; the gateway behind it is played."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from protocol.bus import board51_pb2 as pb
+from tests.gateway.gateway_peers import wait_for
+from tests.gateway.views.bus_peers import PlayedGateway, played_gateway, ticking
+from tests.gateway.views.chromium import ABSENT, CHROMIUM, chromium
+from tests.gateway.views.hmi_peers import hmi
+
+pytestmark = [
+    pytest.mark.xdist_group("hmi-seen"),
+    pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
+]
+expect.set_options(timeout=30_000)
+SAID = '[data-live="stop-said"]'
+REPORT = "<!doctype html><body style='margin:0'><h1>air-gap-offset</h1><p style='height:2000px'>long</p>"
+STRONG_COLOURS = """() => {
+    // Of the plots below their legends: pixels in the full colour of a trace.
+    let count = 0;
+    for (const canvas of document.querySelectorAll('.plots canvas')) {
+        const top = Math.ceil(30 * devicePixelRatio);
+        const {data} = canvas.getContext('2d').getImageData(0, top, canvas.width, canvas.height - top);
+        for (let n = 0; n < data.length; n += 4)
+            if (data[n] === 0x0b && data[n + 1] === 0x57 && data[n + 2] === 0xa4 && data[n + 3] === 255) count += 1;
+    }
+    return count;
+}"""
+CONTRASTS = """() => {
+    // [ratio, text, colours] of everything that has text of its own, as WCAG 2 reckons it.
+    const parse = (text) => { const n = text.match(/[\\d.]+/g).map(Number); return n.length === 3 ? [...n, 1] : n; };
+    const over = (top, under) => [0, 1, 2].map((k) => top[k] * top[3] + under[k] * (1 - top[3])).concat(1);
+    const linear = (v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+    const light = (c) => [0, 1, 2].map((k) => linear(c[k] / 255))
+        .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
+    const ground = (element) => {
+        const layers = [];
+        for (let e = element; e; e = e.parentElement) layers.unshift(parse(getComputedStyle(e).backgroundColor));
+        return layers.reduce((under, top) => over(top, under), [255, 255, 255, 1]);
+    };
+    const found = [];
+    for (const element of document.body.querySelectorAll('*')) {
+        const own = [...element.childNodes].filter((n) => n.nodeType === 3).map((n) => n.textContent.trim()).join('');
+        const value = element.tagName === 'INPUT' && !['radio', 'range'].includes(element.type) ? element.value : '';
+        if (!(own || value) || !element.checkVisibility({ opacityProperty: true }) || element.closest('svg')) continue;
+        let ink = parse(getComputedStyle(element).color);
+        for (let e = element; e; e = e.parentElement) ink[3] *= Number(getComputedStyle(e).opacity);
+        const under = ground(element), a = light(over(ink, under)), b = light(under);
+        found.push([(Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05), own || value, element.className]);
+    }
+    return found;
+}"""
+PLACES = """() => [...document.querySelectorAll('[data-mode], [data-number], button.stop, .filled')].map((e) => {
+    const box = e.getBoundingClientRect();
+    return [box.x, box.y + scrollY, box.width, box.height].map(Math.round);
+})"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as browser:
+        yield browser
+
+
+class Site:
+    """A played gateway with two boards, and the page's server."""
+
+    def __init__(self, gateway: PlayedGateway, port: int) -> None:
+        self.gateway, self.url = gateway, f"http://127.0.0.1:{port}"
+        self.mode: dict[str, int] = {"mode": pb.MODE_CLOSED_LOOP}
+
+    @contextmanager
+    def live(self) -> Iterator[None]:
+        with ticking(self.gateway, "rig", "two", values=lambda _: self.mode):
+            yield
+
+    def stopped(self) -> list[str]:
+        """The boards that got a STOP."""
+        return [key.split("/")[1] for key, command in self.gateway.commands if command.HasField("stop")]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    folder = tmp_path_factory.mktemp("seen")
+    report = folder / "diagnosis" / "one"
+    report.mkdir(parents=True)
+    (report / "report.html").write_text(REPORT)
+    (folder / "logs").mkdir()
+    (folder / "logs" / "a.mcap").write_bytes(b"not a log")
+    with (
+        played_gateway() as gateway,
+        hmi(folder, gateway.endpoint, "--reports", str(folder / "diagnosis")) as (port, _),
+    ):
+        yield Site(gateway, port)
+
+
+@pytest.fixture
+def page(browser: Browser, site: Site) -> Iterator[Page]:
+    """A tab; no script in it may fail, and no policy be broken."""
+    site.gateway.commands.clear()
+    site.mode = {"mode": pb.MODE_CLOSED_LOOP}
+    context = browser.new_context(viewport={"width": 1400, "height": 900})
+    page = context.new_page()
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on("console", lambda said: errors.append(said.text) if "Content Security" in said.text else None)
+    yield page
+    context.close()
+    assert errors == []
+
+
+def stop_turns_the_coil_off(site: Site) -> None:
+    """As a board does it: samples say so."""
+
+    def answer(_: str, command: pb.Command) -> pb.CommandReply:
+        if command.HasField("stop"):
+            site.mode = {"mode": pb.MODE_IDLE}
+        return pb.CommandReply(id=command.id, accepted=True, tick=site.gateway.tick + 1)
+
+    site.gateway.answer = answer
+
+
+def raise_alarms(site: Site, count: int) -> None:
+    for n in range(count):
+        site.gateway.send(
+            "twin/alarm", pb.Alarm(name=f"alarm-{n}", active=True, text="What is wrong, at some length. " * 3)
+        )
+
+
+@pytest.mark.parametrize("path", ["/", "/logs", "/replay/", "/replay/rig", "/report/0/one/report.html", "/rig/rig"])
+@pytest.mark.parametrize("how", ["button", "key"])
+def test_every_page_has_stop_for_its_rig_or_for_all(page: Page, site: Site, path: str, how: str) -> None:
+    stop_turns_the_coil_off(site)
+    wanted = {"rig"} if path == "/rig/rig" else {"rig", "two"}
+    with site.live():
+        page.goto(f"{site.url}{path}")
+        wait_for(lambda: page.evaluate("document.querySelector('button.stop') !== null"), "STOP")
+        if "report" in path:
+            page.frame_locator("iframe").get_by_text("long").click()  # the focus is in the report, which has no script
+            wait_for(
+                lambda: page.evaluate("document.activeElement.tagName !== 'IFRAME'"), "the page has the focus again"
+            )
+
+        if how == "key":
+            page.keyboard.press("Escape")
+        else:
+            page.click("button.stop")
+
+        wait_for(lambda: set(site.stopped()) == wanted, f"STOP of {wanted}, not {site.stopped()}")
+        expect(page.locator(SAID)).to_contain_text("STOP accepted")
+        expect(page.locator(SAID)).to_contain_text("coil off, says the sample of tick")
+
+
+def test_a_page_says_what_its_stop_stops(page: Page, site: Site) -> None:
+    for path, what in (("/", "all rigs"), ("/rig/rig", "rig"), ("/replay/rig", "all live rigs")):
+        page.goto(f"{site.url}{path}")
+        assert " ".join(page.locator("button.stop").inner_text().split()) == f"STOP {what}"
+        assert "STOP or Esc: the coil" in page.locator(".messages .hint").inner_text()
+
+
+def test_one_rig_is_stopped_from_the_overview_by_its_own_button(page: Page, site: Site) -> None:
+    with site.live():
+        page.goto(site.url)
+        page.get_by_role("button", name="STOP two").click()
+
+        wait_for(site.stopped, "STOP")
+
+    assert site.stopped() == ["two"]
+
+
+def test_esc_closes_an_open_panel_first_says_so_and_stops_then(page: Page, site: Site) -> None:
+    with site.live():
+        page.goto(f"{site.url}/logs")
+        page.get_by_role("button", name="Summary").click()
+        expect(page.locator("dialog.summary")).to_be_visible()
+
+        page.keyboard.press("Escape")
+
+        expect(page.locator("dialog.summary")).to_be_hidden()
+        expect(page.locator(".toast")).to_contain_text("nothing was stopped. Esc again is STOP")
+        assert site.stopped() == []
+        page.get_by_role("button", name="Summary").click()
+        page.click("button.stop")  # within reach while it is open
+        wait_for(lambda: set(site.stopped()) == {"rig", "two"}, "STOP")
+        site.gateway.commands.clear()
+        page.keyboard.press("Escape")
+        page.keyboard.press("Escape")
+        wait_for(lambda: set(site.stopped()) == {"rig", "two"}, "STOP by the second Esc")
+
+
+def test_the_banner_waits_for_a_sample_and_believes_no_answer(page: Page, site: Site) -> None:
+    """Accepted, and the coil stays on."""
+    site.gateway.answer = lambda _, command: pb.CommandReply(id=command.id, accepted=True, tick=10**9)
+    with site.live():
+        page.goto(f"{site.url}/rig/rig")
+        page.wait_for_selector("body[data-live=yes]")
+        page.keyboard.press("Escape")
+        expect(page.locator(SAID)).to_contain_text("accepted at tick 1000000000, waiting for its sample")
+
+        site.gateway.answer = lambda _, command: pb.CommandReply(id=command.id, accepted=True, tick=1)
+        page.keyboard.press("Escape")
+
+        expect(page.locator(SAID)).to_contain_text("COIL ON, say the samples: closed loop")
+        expect(page.locator(SAID)).to_have_attribute("data-state", "bad")
+    expect(page.locator(SAID)).to_contain_text("whether the coil is off is not known")
+
+
+@pytest.mark.parametrize("when", ["opened while nothing comes", "the samples end"])
+def test_in_a_lost_state_everything_is_marked_as_last_known(page: Page, site: Site, when: str) -> None:
+    with site.live():
+        page.goto(f"{site.url}/rig/rig")
+        page.wait_for_selector("body[data-live=yes]")
+        wait_for(lambda: page.evaluate(STRONG_COLOURS) > 50, "traces in full colour")
+    if when.startswith("opened"):
+        page.reload()
+    page.wait_for_selector("body[data-live=no]")
+
+    expect(page.locator('[data-live="lost"]')).to_contain_text("NO DATA for")
+    expect(page.locator('[data-live="mode"]')).to_have_text("last known: closed loop \u00b7 coil on")
+    expect(page.locator('[data-live="twin"]')).to_contain_text("last known: ")
+    expect(page.locator('[data-live="log"]')).not_to_have_text("\u25cf log writing")
+    button = page.locator('[data-mode="closed loop"]')
+    expect(button).to_have_attribute("aria-pressed", "false")
+    expect(button).to_have_attribute("data-last", "yes")
+    expect(page.locator("canvas.plot-x")).to_have_attribute("aria-label", re.compile(r"up to \d\d:\d\d:\d\d$"))
+    assert page.evaluate(STRONG_COLOURS) == 0, "what is old is veiled"
+    expect(page.locator('[data-live="log"]')).to_contain_text("last known: ")  # no status for seconds either
+
+
+def test_nothing_that_comes_moves_the_controls(page: Page, site: Site) -> None:
+    """Alarms, flags, words across the page, marked chips, refusals."""
+    site.gateway.answer = lambda _, command: pb.CommandReply(refused_by="gateway", reason="slew", text="Too far. " * 20)
+    with site.live():
+        page.goto(f"{site.url}/rig/rig")
+        page.wait_for_selector("body[data-live=yes]")
+        expect(page.locator('[data-live="reference-range"]')).to_contain_text("mm")
+        before = page.evaluate(PLACES)
+        assert len(before) >= 6
+
+        raise_alarms(site, 5)
+        site.mode = {"mode": pb.MODE_OPEN_LOOP, "flags": 0xFC}
+        wait_for(lambda: page.locator(".alarm").count() > 5, "alarms, the board's fault among them")
+        page.click('[data-mode="idle"]')
+        expect(page.locator(".toast[data-state=bad]")).to_be_visible()
+        page.keyboard.press("Escape")
+        expect(page.locator(SAID)).to_contain_text("REFUSED")
+        assert page.evaluate(PLACES) == before
+    page.wait_for_selector("body[data-live=no]")
+    expect(page.locator('[data-live="log"]')).to_contain_text("last known: ")
+
+    assert page.evaluate(PLACES) == before
+
+
+def test_every_text_can_be_read(page: Page, site: Site) -> None:
+    """4.5 : 1, WCAG 2 AA."""
+    site.gateway.answer = lambda _, command: pb.CommandReply(refused_by="gateway", reason="slew", text="Too far.")
+    low: list[object] = []
+
+    def look(where: str) -> None:
+        found = page.evaluate(CONTRASTS)
+        assert len(found) > 5, where
+        low.extend([where, *one] for one in found if one[0] < 4.5)
+
+    with site.live():
+        raise_alarms(site, 2)
+        page.goto(f"{site.url}/rig/rig")
+        page.wait_for_selector("body[data-live=yes]")
+        expect(page.locator(".alarm").first).to_be_visible()
+        page.click('[data-mode="idle"]')
+        expect(page.locator(".toast[data-state=bad] button")).to_be_visible()
+        page.keyboard.press("Escape")
+        expect(page.locator(SAID)).to_contain_text("REFUSED")
+        look("refused")
+        stop_turns_the_coil_off(site)
+        page.keyboard.press("Escape")
+        page.click('[data-mode="idle"]')
+        expect(page.locator(".toast[data-state=good]")).to_be_visible()
+        expect(page.locator(SAID)).to_have_attribute("data-state", "good")
+        look("accepted")
+        for path in ("/", "/logs", "/replay/", "/replay/rig"):
+            page.goto(f"{site.url}{path}")
+            expect(page.locator(".messages .hint")).to_be_visible()
+            if path == "/":
+                expect(page.locator(".board-card").first).to_be_visible()
+            look(path)
+    page.goto(f"{site.url}/rig/rig")
+    expect(page.locator('[data-live="log"]')).to_contain_text("last known: ")
+    look("lost")
+
+    assert low == []
