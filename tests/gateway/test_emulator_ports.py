@@ -24,8 +24,7 @@ from protocol.errors import ServiceError, UsageError
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
 from protocol.wire.messages import EventCode, Message
 from tests.gateway.board_host import frame
-
-DEADLINE_S = 10.0
+from tests.patience import HANG_S
 
 
 class Wire:
@@ -35,7 +34,7 @@ class Wire:
         self._socket: socket.socket | None = None
         if url.startswith("socket://"):
             host, _, port = url.removeprefix("socket://").rpartition(":")
-            self._socket = socket.create_connection((host, int(port)), timeout=DEADLINE_S)
+            self._socket = socket.create_connection((host, int(port)), timeout=HANG_S)
             self._file = self._socket.fileno()
         else:
             self._file = os.open(url, os.O_RDWR | os.O_NOCTTY)
@@ -58,7 +57,7 @@ class Wire:
 
     def until(self, wanted: Callable[[Event], bool]) -> Event:
         """Read until an event is what is wanted."""
-        end = time.monotonic() + DEADLINE_S
+        end = time.monotonic() + HANG_S
         while time.monotonic() < end:
             for event in self.read():
                 if wanted(event):
@@ -67,7 +66,7 @@ class Wire:
 
     def until_hung_up(self) -> None:
         """Read until the other end has gone: an end of file, or an error of the port."""
-        end = time.monotonic() + DEADLINE_S
+        end = time.monotonic() + HANG_S
         with contextlib.suppress(EOFError, OSError):
             while time.monotonic() < end:
                 self.read()
@@ -109,7 +108,7 @@ def is_event(code: EventCode) -> Callable[[Event], bool]:
 
 
 def until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + DEADLINE_S
+    end = time.monotonic() + HANG_S
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.002)
@@ -281,7 +280,7 @@ def test_the_command_serves_until_a_signal_and_cleans_up(number: signal.Signals,
         wire.until(is_state)
 
     process.send_signal(number)
-    _, errors = process.communicate(timeout=DEADLINE_S)
+    _, errors = process.communicate(timeout=HANG_S)
 
     assert [line.split() for line in lines] == [
         ["board", "1:", f"{tmp_path}/rig-1"],

@@ -23,13 +23,14 @@ from gateway.record.replay import SESSIONS_PER_PASS, pace
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
+from tests.patience import HANG_S
 
 REPO = Path(__file__).parents[2]
 START_NS = 1_700_000_000_000_000_000
 Arrived = tuple[str, str, bytes]  # key, encoding, payload
 
 
-def until(condition: Callable[[], bool], *, seconds: float = 10.0) -> None:
+def until(condition: Callable[[], bool], *, seconds: float = HANG_S) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"

@@ -32,8 +32,6 @@ WRITES = {
     "int": "BadTypeMismatch", "mode": "Good", "measured": "BadNotWritable",
 }  # fmt: skip
 
-pytestmark = pytest.mark.timeout(300)  # the packages of npm, five processes, a minute
-
 
 @dataclass(frozen=True, kw_only=True)
 class Plant:
