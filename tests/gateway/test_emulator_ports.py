@@ -204,21 +204,27 @@ def test_a_host_that_does_not_read_costs_bytes_and_not_the_board() -> None:
 def test_real_time_is_kept() -> None:
     with Emulator() as emulator, Wire(emulator.urls[0]) as wire:
         wire.until(is_state)
-        start, first = time.monotonic(), emulator.counts().time_s
-        until(lambda: time.monotonic() - start > 1.5)
-        board_s, wall_s = emulator.counts().time_s - first, time.monotonic() - start
+        before_s = time.monotonic()
+        first_s = emulator.counts().time_s
+        start_s = time.monotonic()
 
-    # Deadlines are absolute, so however busy the machine is, the difference is that of the two readings: a few ticks.
-    assert abs(board_s - wall_s) < 0.1
+        def ran_s() -> float:
+            return emulator.counts().time_s - first_s
+
+        until(lambda: time.monotonic() - start_s > 1.5)
+        # Read in this order, whatever comes between two readings, only a board that is fast looks fast.
+        most_s, wall_s = ran_s(), time.monotonic() - before_s
+        # Deadlines are absolute: what a busy machine held up is caught up.
+        until(lambda: time.monotonic() - start_s - ran_s() < 0.1)
+
+    assert most_s < wall_s + 0.01
 
 
 def test_speed_runs_the_board_faster() -> None:
     with Emulator(speed=20.0) as emulator:
         start, first = time.monotonic(), emulator.counts().time_s
-        until(lambda: time.monotonic() - start > 0.5)
-        board_s, wall_s = emulator.counts().time_s - first, time.monotonic() - start
-
-    assert board_s > 5 * wall_s  # 20 on an idle machine
+        # 20 on an idle machine; on a busy one at times.
+        until(lambda: emulator.counts().time_s - first > 5 * (time.monotonic() - start) + 2.0)
 
 
 def test_as_fast_as_possible_waits_for_a_host_and_loses_nothing() -> None:
@@ -294,7 +300,7 @@ def test_the_command_serves_until_a_signal_and_cleans_up(number: signal.Signals,
 def test_the_command_seals_its_secret_and_prints_json(tmp_path: Path) -> None:
     secret = ("--secret", "7", "--sealed", str(tmp_path / "sealed.json"))
     process = command("--tcp", "127.0.0.1:0", "--json", "--duration", "0.1", *secret)
-    output, errors = process.communicate(timeout=60)
+    output, errors = process.communicate(timeout=HANG_S)
 
     told = [json.loads(line) for line in output.splitlines()]
     assert process.returncode == 0, errors

@@ -10,7 +10,7 @@ from gateway.config import BoardConfig
 from gateway.link.upkeep import Upkeep
 from protocol.wire.events import Answer
 from protocol.wire.messages import Value
-from protocol.wire.session import Session
+from protocol.wire.session import WAIT_S, Session
 
 
 class Noted(Session):
@@ -20,8 +20,8 @@ class Noted(Session):
         super().__init__(choose_session=lambda: 0x1234)
         self.submitted: list[tuple[str, float, int]] = []  # name, when, token
 
-    def submit(self, name: str, now_s: float, /, **values: Value) -> int:
-        token = super().submit(name, now_s, **values)
+    def submit(self, name: str, now_s: float, wait_s: float = WAIT_S, /, **values: Value) -> int:
+        token = super().submit(name, now_s, wait_s, **values)
         self.submitted.append((name, now_s, token))
         return token
 

