@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -31,14 +31,16 @@ class Line:
     endpoint: str
     bus: Bus
     plant: Path
+    started: list[subprocess.Popen[str]] = field(default_factory=list)
 
     def run(self, folder: Path, *more: str) -> int:
         """In this process; the exit code."""
         return board51.main(words(self.endpoint, folder, "--plant", str(self.plant), *more))
 
     def start(self, folder: Path, *more: str) -> subprocess.Popen[str]:
-        """In a process of its own."""
-        return start(self.endpoint, folder, "--plant", str(self.plant), *more)
+        """In a process of its own, which ends with the line at the latest."""
+        self.started.append(start(self.endpoint, folder, "--plant", str(self.plant), *more))
+        return self.started[-1]
 
     def assert_parked(self, x_ref_m: float = 2.85e-3) -> None:
         """Coil off, ball down, and the reference where it was before."""
@@ -81,7 +83,13 @@ def emulated_line(
         config = gateway_config(emulator.urls[0], **{"host_loss_timeout_s": 6.0, "stale_s": 1.0, **board})
         with running(config), client(config.zenoh.listen[0]) as bus:
             wait_for(bus.states, "first sample")
-            yield Line(emulator=emulator, endpoint=config.zenoh.listen[0], bus=bus, plant=plant)
+            line = Line(emulator=emulator, endpoint=config.zenoh.listen[0], bus=bus, plant=plant)
+            try:
+                yield line
+            finally:
+                for process in line.started:
+                    process.kill()
+                    process.communicate()
 
 
 def summary(captured: pytest.CaptureFixture[str]) -> dict[str, Any]:

@@ -27,11 +27,12 @@ from protocol.bus.endpoint import zenoh_config
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import BY_NAME, Message, encode_body
+from tests.patience import HANG_S
 
 T = TypeVar("T")
 
 
-def wait_for(look: Callable[[], T | None], what: str, timeout_s: float = 30.0) -> T:
+def wait_for(look: Callable[[], T | None], what: str, timeout_s: float = HANG_S) -> T:
     """The first truthy value of `look`, polled; fails with `what` at the deadline."""
     deadline_s = time.monotonic() + timeout_s
     while time.monotonic() < deadline_s:
@@ -183,16 +184,16 @@ class Bus:
     def event(self, name: str, board: str = "rig") -> pb.Event | None:
         return next((e for e in self.messages[f"{board}/event"] if e.name == name), None)
 
-    def await_event(self, name: str, board: str = "rig", timeout_s: float = 30.0) -> pb.Event:
+    def await_event(self, name: str, board: str = "rig", timeout_s: float = HANG_S) -> pb.Event:
         return wait_for(lambda: self.event(name, board), f"event {name}", timeout_s)
 
-    def await_states(self, count: int, board: str = "rig", timeout_s: float = 30.0) -> list[pb.State]:
+    def await_states(self, count: int, board: str = "rig", timeout_s: float = HANG_S) -> list[pb.State]:
         """`count` states more than there are now."""
         start = len(self.states(board))
         wait_for(lambda: len(self.states(board)) >= start + count, f"{count} states", timeout_s)
         return self.states(board)[start:]
 
-    def ask(self, payload: bytes, board: str = "rig", timeout_s: float = 30.0) -> pb.CommandReply:
+    def ask(self, payload: bytes, board: str = "rig", timeout_s: float = HANG_S) -> pb.CommandReply:
         """The one reply to a query on the board's command key."""
         replies = list(self.session.get(f"board51/{board}/command", payload=payload, timeout=timeout_s))
         assert len(replies) == 1, "every command is answered, once"

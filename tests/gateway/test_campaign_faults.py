@@ -13,6 +13,7 @@ from gateway.emulator.serve import Emulator
 from protocol.bus import board51_pb2 as pb
 from tests.gateway.campaign_line import PLANT, emulated_line, standings, start, summary
 from tests.gateway.gateway_peers import client, gateway_config, running, wait_for
+from tests.patience import HANG_S
 
 LIFT_OFF = ("--quick", "--experiment", "lift-off", "--json")
 
@@ -21,9 +22,9 @@ def test_a_recording_with_lost_samples_is_made_again(tmp_path: Path) -> None:
     folder = tmp_path / "c"
     with emulated_line(tmp_path) as line:
         process = line.start(folder, *LIFT_OFF)
-        wait_for(lambda: (line.bus.states()[-1].u_c_v or 0.0) > 1.0, "ramp", timeout_s=30.0)
+        wait_for(lambda: (line.bus.states()[-1].u_c_v or 0.0) > 1.0, "ramp")
         line.emulator.inject("lost=0.5@0+0.5:tx")
-        out, err = process.communicate(timeout=40.0)
+        out, err = process.communicate(timeout=HANG_S)
         line.assert_parked()
 
     table = json.loads(out)
@@ -84,9 +85,9 @@ def test_a_stuck_ball_ends_what_depends_on_it(tmp_path: Path, capsys: pytest.Cap
 def test_a_reset_in_flight_costs_one_attempt(tmp_path: Path) -> None:
     with emulated_line(tmp_path) as line:
         process = line.start(tmp_path / "c", "--quick", "--experiment", "steps", "--json")
-        wait_for(lambda: line.bus.states()[-1].x_ref_m > 3.1e-3, "step", timeout_s=30.0)
+        wait_for(lambda: line.bus.states()[-1].x_ref_m > 3.1e-3, "step")
         line.emulator.inject("watchdog")
-        out, err = process.communicate(timeout=40.0)
+        out, err = process.communicate(timeout=HANG_S)
         line.assert_parked()
 
     (row,) = json.loads(out)["experiments"]
@@ -100,9 +101,9 @@ def test_a_reset_in_flight_costs_one_attempt(tmp_path: Path) -> None:
 def test_somebody_elses_command_spoils_a_recording(tmp_path: Path) -> None:
     with emulated_line(tmp_path) as line:
         process = line.start(tmp_path / "c", "--quick", "--experiment", "steps", "--json")
-        wait_for(lambda: line.bus.states()[-1].x_ref_m > 3.1e-3, "step", timeout_s=30.0)
+        wait_for(lambda: line.bus.states()[-1].x_ref_m > 3.1e-3, "step")
         line.bus.command("mine", set_reference=pb.SetReference(x_ref_m=3.2e-3))
-        out, err = process.communicate(timeout=40.0)
+        out, err = process.communicate(timeout=HANG_S)
 
     (row,) = json.loads(out)["experiments"]
     assert process.returncode == 0, err
@@ -113,9 +114,9 @@ def test_somebody_elses_command_spoils_a_recording(tmp_path: Path) -> None:
 def test_somebody_elses_stop_ends_the_campaign(tmp_path: Path) -> None:
     with emulated_line(tmp_path) as line:
         process = line.start(tmp_path / "c", "--quick", "--experiment", "steps")
-        wait_for(lambda: line.bus.states()[-1].mode == pb.MODE_CLOSED_LOOP, "flight", timeout_s=30.0)
+        wait_for(lambda: line.bus.states()[-1].mode == pb.MODE_CLOSED_LOOP, "flight")
         line.bus.command("emergency", stop=pb.Stop())
-        _, err = process.communicate(timeout=20.0)
+        _, err = process.communicate(timeout=HANG_S)
         later = line.bus.await_states(50)
         line.assert_parked()
 
@@ -134,8 +135,8 @@ def test_without_its_gateway_a_campaign_ends_and_says_that_the_coil_may_be_on(tm
         with running(config), client(config.zenoh.listen[0]) as bus:
             wait_for(bus.states, "first sample")
             process = start(config.zenoh.listen[0], tmp_path / "c", *words)
-            wait_for(lambda: bus.states()[-1].mode == pb.MODE_CLOSED_LOOP, "flight", timeout_s=30.0)
-        _, err = process.communicate(timeout=40.0)
+            wait_for(lambda: bus.states()[-1].mode == pb.MODE_CLOSED_LOOP, "flight")
+        _, err = process.communicate(timeout=HANG_S)
         assert process.returncode == 1
         assert "gateway, link or board is gone" in err
         assert "THE COIL MAY BE ON" in err
@@ -146,7 +147,7 @@ def test_without_its_gateway_a_campaign_ends_and_says_that_the_coil_may_be_on(tm
             # The board's own host-loss policy has switched the coil off meanwhile.
             wait_for(lambda: bus.states()[-1].mode == pb.MODE_IDLE, "idle")
             resumed = start(config.zenoh.listen[0], tmp_path / "c", *words)
-            _, err = resumed.communicate(timeout=40.0)
+            _, err = resumed.communicate(timeout=HANG_S)
     assert resumed.returncode == 0, err
 
 
@@ -154,9 +155,9 @@ def test_without_its_gateway_a_campaign_ends_and_says_that_the_coil_may_be_on(tm
 def test_sigterm_ends_like_ctrl_c(tmp_path: Path) -> None:
     with emulated_line(tmp_path) as line:
         process = line.start(tmp_path / "c", "--quick", "--experiment", "lift-off")
-        wait_for(lambda: (line.bus.states()[-1].u_c_v or 0.0) > 1.0, "ramp", timeout_s=30.0)
+        wait_for(lambda: (line.bus.states()[-1].u_c_v or 0.0) > 1.0, "ramp")
         process.send_signal(signal.SIGTERM)
-        _, err = process.communicate(timeout=20.0)
+        _, err = process.communicate(timeout=HANG_S)
         line.assert_parked()
 
     assert process.returncode == 1

@@ -14,6 +14,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.campaign import load
 from tests.gateway.campaign_line import emulated_line, standings, summary
 from tests.gateway.gateway_peers import wait_for
+from tests.patience import HANG_S
 
 STEPS = ("--quick", "--experiment", "steps", "--json")
 SHORT = ("--quick", "--experiment", "rest", "--experiment", "amplifier-steps", "--experiment", "steps", "--json")
@@ -71,9 +72,9 @@ def test_an_interrupted_campaign_leaves_the_ball_parked_and_goes_on(number: sign
     folder = tmp_path / "c"
     with emulated_line(tmp_path) as line:
         process = line.start(folder, *STEPS)
-        wait_for(lambda: line.bus.states()[-1].mode == pb.MODE_CLOSED_LOOP, "flight", timeout_s=40.0)
+        wait_for(lambda: line.bus.states()[-1].mode == pb.MODE_CLOSED_LOOP, "flight")
         process.send_signal(number)
-        out, err = process.communicate(timeout=20.0)
+        out, err = process.communicate(timeout=HANG_S)
         line.assert_parked()
         table = json.loads(out)
 

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -36,6 +35,7 @@ from tests.gateway.gateway_peers import (
     wait_for,
     with_log,
 )
+from tests.patience import HANG_S
 
 
 def gapless(states: list[pb.State]) -> bool:
@@ -290,7 +290,7 @@ def test_a_router_may_go_and_come_back() -> None:
             with zenoh.open(zenoh.Config.from_json5(router)), client(endpoint) as bus:
                 before = bus.await_states(50)[-1]
             with zenoh.open(zenoh.Config.from_json5(router)), client(endpoint) as bus:
-                after = bus.await_states(50, timeout_s=15.0)[-1]
+                after = bus.await_states(50)[-1]
                 assert bus.command("p", ping=pb.Ping()).accepted
 
     assert after.session == before.session
@@ -354,14 +354,11 @@ def test_what_the_twin_says_is_in_the_log(tmp_path: Path) -> None:
     assert logged_messages(next(tmp_path.glob("*.mcap")), "twin/alarm") == [alarm]
 
 
-def test_a_taken_endpoint_is_an_error_at_once() -> None:
+def test_a_taken_endpoint_is_an_error() -> None:
     config = gateway_config("/dev/null")
     with open_bus(config):
-        start_s = time.monotonic()
         with pytest.raises(ServiceError, match="Cannot listen"), open_bus(config):
             pass
-
-    assert time.monotonic() - start_s < 1.0
 
 
 # -- as a user starts it
@@ -371,7 +368,7 @@ def board51(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("BOARD51_")}
     return subprocess.run(
         [sys.executable, "-m", "board51", "gateway", *arguments],
-        capture_output=True, text=True, timeout=30, check=False, env=environment, **options,
+        capture_output=True, text=True, timeout=HANG_S, check=False, env=environment, **options,
     )  # fmt: skip
 
 
@@ -474,7 +471,7 @@ def test_a_signal_ends_it_cleanly_and_moves_nothing(number: signal.Signals, tmp_
             closed_loop_when_up(bus)
             bus.await_states(100)
             gateway.send_signal(number)
-            _, lines = gateway.communicate(timeout=15)
+            _, lines = gateway.communicate(timeout=HANG_S)
         second = gateway_config(*emulator.urls)
         with gateway_and_client(second) as bus:
             mode = bus.states()[0].mode

@@ -8,6 +8,7 @@ import time
 from gateway.publish import Channel, Publisher
 from gateway.status import percentile
 from tests.gateway.gateway_peers import wait_for
+from tests.patience import HANG_S
 
 
 class Gated:
@@ -20,7 +21,7 @@ class Gated:
 
     def put(self, payload: bytes, /) -> None:
         self.entered.set()
-        self.gate.wait(20.0)
+        self.gate.wait(HANG_S)
         self.taken.append(payload)
 
 
@@ -33,17 +34,15 @@ def test_a_stalled_bus_costs_the_oldest_and_the_caller_nothing() -> None:
     channel = Channel(target)
     publisher.start()
     publisher.put(channel, payloads(0, 1))
-    assert target.entered.wait(5.0)
+    assert target.entered.wait(HANG_S)
 
-    start_s = time.monotonic()
     for n in range(0, 10_000, 10):
         publisher.put(channel, payloads(n, n + 10))
-    took_s = time.monotonic() - start_s
-    waiting, dropped = channel.waiting, channel.dropped
+    waiting, dropped, meanwhile = channel.waiting, channel.dropped, list(target.taken)
     target.gate.set()
     wait_for(lambda: len(target.taken) == 101, "rest of the queue")
 
-    assert took_s < 2.0  # 1000 calls against a bus that takes nothing
+    assert meanwhile == []  # 1000 calls came back from a bus that took nothing
     assert (waiting, dropped) == (100, 9900)
     assert target.taken == [*payloads(0, 1), *payloads(9900, 10_000)]
     publisher.stop()
@@ -80,10 +79,10 @@ def test_a_stalled_bus_does_not_hold_up_the_end() -> None:
     publisher.start()
     publisher.put(Channel(target), payloads(0, 5))
 
-    start_s = time.monotonic()
+    assert target.entered.wait(HANG_S)
     publisher.stop(patience_s=0.2)
 
-    assert time.monotonic() - start_s < 2.0
+    assert target.taken == []  # it is still stalled
     target.gate.set()
 
 

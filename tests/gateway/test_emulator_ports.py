@@ -24,8 +24,7 @@ from protocol.errors import ServiceError, UsageError
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
 from protocol.wire.messages import EventCode, Message
 from tests.gateway.board_host import frame
-
-DEADLINE_S = 10.0
+from tests.patience import HANG_S
 
 
 class Wire:
@@ -35,7 +34,7 @@ class Wire:
         self._socket: socket.socket | None = None
         if url.startswith("socket://"):
             host, _, port = url.removeprefix("socket://").rpartition(":")
-            self._socket = socket.create_connection((host, int(port)), timeout=DEADLINE_S)
+            self._socket = socket.create_connection((host, int(port)), timeout=HANG_S)
             self._file = self._socket.fileno()
         else:
             self._file = os.open(url, os.O_RDWR | os.O_NOCTTY)
@@ -58,7 +57,7 @@ class Wire:
 
     def until(self, wanted: Callable[[Event], bool]) -> Event:
         """Read until an event is what is wanted."""
-        end = time.monotonic() + DEADLINE_S
+        end = time.monotonic() + HANG_S
         while time.monotonic() < end:
             for event in self.read():
                 if wanted(event):
@@ -67,7 +66,7 @@ class Wire:
 
     def until_hung_up(self) -> None:
         """Read until the other end has gone: an end of file, or an error of the port."""
-        end = time.monotonic() + DEADLINE_S
+        end = time.monotonic() + HANG_S
         with contextlib.suppress(EOFError, OSError):
             while time.monotonic() < end:
                 self.read()
@@ -109,7 +108,7 @@ def is_event(code: EventCode) -> Callable[[Event], bool]:
 
 
 def until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + DEADLINE_S
+    end = time.monotonic() + HANG_S
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.002)
@@ -205,21 +204,27 @@ def test_a_host_that_does_not_read_costs_bytes_and_not_the_board() -> None:
 def test_real_time_is_kept() -> None:
     with Emulator() as emulator, Wire(emulator.urls[0]) as wire:
         wire.until(is_state)
-        start, first = time.monotonic(), emulator.counts().time_s
-        until(lambda: time.monotonic() - start > 1.5)
-        board_s, wall_s = emulator.counts().time_s - first, time.monotonic() - start
+        before_s = time.monotonic()
+        first_s = emulator.counts().time_s
+        start_s = time.monotonic()
 
-    # Deadlines are absolute, so however busy the machine is, the difference is that of the two readings: a few ticks.
-    assert abs(board_s - wall_s) < 0.1
+        def ran_s() -> float:
+            return emulator.counts().time_s - first_s
+
+        until(lambda: time.monotonic() - start_s > 1.5)
+        # Read in this order, whatever comes between two readings, only a board that is fast looks fast.
+        most_s, wall_s = ran_s(), time.monotonic() - before_s
+        # Deadlines are absolute: what a busy machine held up is caught up.
+        until(lambda: time.monotonic() - start_s - ran_s() < 0.1)
+
+    assert most_s < wall_s + 0.01
 
 
 def test_speed_runs_the_board_faster() -> None:
     with Emulator(speed=20.0) as emulator:
         start, first = time.monotonic(), emulator.counts().time_s
-        until(lambda: time.monotonic() - start > 0.5)
-        board_s, wall_s = emulator.counts().time_s - first, time.monotonic() - start
-
-    assert board_s > 5 * wall_s  # 20 on an idle machine
+        # 20 on an idle machine; on a busy one at times.
+        until(lambda: emulator.counts().time_s - first > 5 * (time.monotonic() - start) + 2.0)
 
 
 def test_as_fast_as_possible_waits_for_a_host_and_loses_nothing() -> None:
@@ -281,7 +286,7 @@ def test_the_command_serves_until_a_signal_and_cleans_up(number: signal.Signals,
         wire.until(is_state)
 
     process.send_signal(number)
-    _, errors = process.communicate(timeout=DEADLINE_S)
+    _, errors = process.communicate(timeout=HANG_S)
 
     assert [line.split() for line in lines] == [
         ["board", "1:", f"{tmp_path}/rig-1"],
@@ -295,7 +300,7 @@ def test_the_command_serves_until_a_signal_and_cleans_up(number: signal.Signals,
 def test_the_command_seals_its_secret_and_prints_json(tmp_path: Path) -> None:
     secret = ("--secret", "7", "--sealed", str(tmp_path / "sealed.json"))
     process = command("--tcp", "127.0.0.1:0", "--json", "--duration", "0.1", *secret)
-    output, errors = process.communicate(timeout=60)
+    output, errors = process.communicate(timeout=HANG_S)
 
     told = [json.loads(line) for line in output.splitlines()]
     assert process.returncode == 0, errors

@@ -16,6 +16,7 @@ from gateway.link.loop import LinkThread
 from gateway.link.port import Port, PortProblem, open_port
 from protocol.bus import board51_pb2 as pb
 from tests.gateway.gateway_peers import Collector, anybody, wait_for
+from tests.patience import HANG_S
 
 
 def test_a_command_after_the_end_is_told_that_the_link_is_down() -> None:
@@ -37,7 +38,7 @@ def test_a_port_that_opens_after_the_end_is_closed_again(monkeypatch: pytest.Mon
     go_on, opened = threading.Event(), list[Port | PortProblem]()
 
     def late(url: str, baud: int) -> Port | PortProblem:
-        go_on.wait(30.0)
+        go_on.wait(HANG_S)
         opened.append(open_port(url, baud))
         return opened[0]
 

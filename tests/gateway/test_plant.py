@@ -17,6 +17,7 @@ import pytest
 from gateway.emulator.plant import STEP_S, Plant
 from gateway.emulator.rig import CE152, MEASURED_EQUILIBRIA, Rig
 from protocol.errors import ConfigError, UsageError
+from tests.patience import HANG_S
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("BOARD51_DATA", REPOSITORY.parent / "shared" / "data"))
@@ -297,7 +298,7 @@ def test_without_a_compiler_the_same_numbers_come_out() -> None:
         "print(repr((plant.i_c_a, plant.x_m, plant.v_m_s)))\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=HANG_S, check=True
     )
     plant = Plant(effects={"coulomb-friction": 0.002, "eddy-current-lag": 0.001}, seed=1)
     plant.advance(5.0, 0.03)

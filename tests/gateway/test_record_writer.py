@@ -22,6 +22,7 @@ from gateway.record.recover import recover
 from gateway.record.writer import Compression, LogError, LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import encoding
+from tests.patience import HANG_S
 
 STATE, PARAMETERS = "board51/rig/state", "board51/rig/parameters"
 START_NS = 1_700_000_000_000_000_000
@@ -47,7 +48,7 @@ def put_states(put: Callable[[str, bytes, int], None], ticks: range) -> None:
         put(STATE, message.SerializeToString(), message.host_time_ns)
 
 
-def until(condition: Callable[[], bool], *, seconds: float = 10.0) -> None:
+def until(condition: Callable[[], bool], *, seconds: float = HANG_S) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"

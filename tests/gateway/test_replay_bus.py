@@ -23,13 +23,14 @@ from gateway.record.replay import SESSIONS_PER_PASS, pace
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
+from tests.patience import HANG_S
 
 REPO = Path(__file__).parents[2]
 START_NS = 1_700_000_000_000_000_000
 Arrived = tuple[str, str, bytes]  # key, encoding, payload
 
 
-def until(condition: Callable[[], bool], *, seconds: float = 10.0) -> None:
+def until(condition: Callable[[], bool], *, seconds: float = HANG_S) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
@@ -134,9 +135,9 @@ def test_each_pass_of_a_loop_has_its_own_session(log: Path, endpoint: str) -> No
             [sys.executable, "board51.py", "replay", str(log), "--speed", "0", "--loop", "--connect", endpoint],
             cwd=REPO, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
-        until(lambda: len(found) > 2500, seconds=20)
+        until(lambda: len(found) > 2500)
         process.send_signal(signal.SIGTERM)
-        output, _ = process.communicate(timeout=10)
+        output, _ = process.communicate(timeout=HANG_S)
 
     assert process.returncode == 0
     assert "messages" in output
@@ -190,7 +191,7 @@ def test_record_logs_what_a_replay_sends(log: Path, endpoint: str, tmp_path: Pat
         until(lambda: any(_size(file) > 3000 for file in logs.iterdir()))
         until(_quiet(logs))
         process.send_signal(signal.SIGTERM)
-        output, _ = process.communicate(timeout=10)
+        output, _ = process.communicate(timeout=HANG_S)
 
     assert process.returncode == 0
     assert "2001 messages in 1 part(s), 0 dropped" in output

@@ -23,6 +23,7 @@ from protocol.errors import DataError
 from protocol.wire.decoder import Event, State, StreamDecoder
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import BY_NAME, EventCode, Message, Reason, Value, encode_body
+from tests.patience import HANG_S
 
 REPO = Path(__file__).parents[2]
 IDENTITY: dict[str, Value] = {
@@ -174,7 +175,7 @@ def test_a_log_that_cannot_be_a_board_is_told(pieces: list[bytes], says: str) ->
 
 
 def read_until(
-    read: Callable[[], bytes], enough: Callable[[list[Event]], bool], *, seconds: float = 10.0
+    read: Callable[[], bytes], enough: Callable[[list[Event]], bool], *, seconds: float = HANG_S
 ) -> list[Event]:
     decoder, events = StreamDecoder(), list[Event]()
     deadline = time.monotonic() + seconds
@@ -231,7 +232,7 @@ def test_the_command_serves_a_log_on_tcp(tmp_path: Path) -> None:
     with _connect(port) as host:
         host.sendall(encode_frame(encode_body("HELLO", **hello())))
         events = read_until(lambda: host.recv(4096), lambda found: len(states(found)) == 300)
-    output, _ = process.communicate(timeout=10)
+    output, _ = process.communicate(timeout=HANG_S)
 
     assert states(events) == [tick & 0xFFFF for tick in range(70_001, 70_301)]
     assert "pieces 300, of 300, answers_removed 1, refused 0" in output
@@ -239,10 +240,10 @@ def test_the_command_serves_a_log_on_tcp(tmp_path: Path) -> None:
 
 
 def _connect(port: int) -> socket.socket:
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + HANG_S
     while True:
         try:
-            return socket.create_connection(("127.0.0.1", port), timeout=10.0)
+            return socket.create_connection(("127.0.0.1", port), timeout=HANG_S)
         except ConnectionRefusedError:
             assert time.monotonic() < deadline
             time.sleep(0.02)

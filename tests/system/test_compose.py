@@ -95,7 +95,6 @@ def stack(compose: list[str], tmp_path: Path, request: pytest.FixtureRequest) ->
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 @pytest.mark.xdist_group("containers")  # one image, built once
 def test_the_whole_line_runs_in_containers_and_leaves_a_closed_log(stack: Stack) -> None:
     stack.call("build")
@@ -119,7 +118,6 @@ def test_the_whole_line_runs_in_containers_and_leaves_a_closed_log(stack: Stack)
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 @pytest.mark.xdist_group("containers")
 @pytest.mark.skipif(os.geteuid() != 0, reason="the keys are given to the containers' user, which only root can do")
 @pytest.mark.parametrize(

@@ -57,7 +57,7 @@ def test_a_late_view_lists_the_alarms_of_the_twin_until_they_end() -> None:
             listed = wait_for(lambda: active(late), "alarms in a view that came late")
             with Served(gateway, ServerSettings(port=0)) as server:
                 shown = asyncio.run(shown_by(server.port, lambda lines: RAISED <= names(lines)))
-                wait_for(lambda: len(early.messages["rig/twin/alarms"]) >= 3, "repeats", timeout_s=20.0)
+                wait_for(lambda: len(early.messages["rig/twin/alarms"]) >= 3, "repeats")
                 board = late.board(BOARD)
                 assert board is not None
                 times = {a.times for a in board.alarms() if a.of_twin}

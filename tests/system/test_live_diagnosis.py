@@ -97,7 +97,6 @@ def line(tmp_path: Path) -> Iterator[Line]:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 def test_a_lasting_alarm_leads_to_a_diagnosis_of_the_flight_and_to_a_quiet_twin(line: Line) -> None:
     code, said = call(["diagnose", "--live", "1", *line.bus(), "--quick", "--out", "early"], line.folder)
     assert code == 2, "nothing was flown yet"

@@ -13,6 +13,7 @@ import pytest
 
 import board51
 from protocol.bus import board51_pb2 as pb
+from tests.patience import HANG_S
 from tests.twin.rig import G, M, Rig
 from twin.model.nominal import nominal
 from twin.model.parameters import model_to_dict
@@ -211,7 +212,7 @@ def test_the_live_command_ends_cleanly_on_sigterm() -> None:
     assert "twin of model ce152" in process.stderr.readline()  # it waits for a router that is not there
 
     process.send_signal(signal.SIGTERM)
-    _, rest = process.communicate(timeout=15)
+    _, rest = process.communicate(timeout=HANG_S)
 
     assert process.returncode == 0
     assert "stopped" in rest

@@ -13,6 +13,7 @@ import zenoh
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.endpoint import zenoh_config
+from tests.patience import HANG_S
 from tests.twin.rig import Rig
 from twin.mirror.service import TwinService
 
@@ -29,14 +30,14 @@ def router(endpoint: str) -> Iterator[zenoh.Session]:
         yield session
 
 
-def wait(condition: Callable[[], bool], what: str, seconds: float = 15.0) -> None:
+def wait(condition: Callable[[], bool], what: str, seconds: float = HANG_S) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, f"no {what} within {seconds} s"
         time.sleep(0.01)
 
 
-def wait_for_count(found: Callable[[], int], count: int, what: str, seconds: float = 15.0) -> None:
+def wait_for_count(found: Callable[[], int], count: int, what: str, seconds: float = HANG_S) -> None:
     deadline = time.monotonic() + seconds
     while (now := found()) != count:
         assert time.monotonic() < deadline, f"{now} instead of {count} {what} within {seconds} s"

@@ -25,7 +25,7 @@ from twin.diagnose.selection import Selection
 from twin.diagnose.words import WHERE_JUDGED
 from twin.prediction_floor import TOLERANCE
 
-Verdict = Literal["causes-found", "partly-explained", "model-adequate", "unknown-cause"]
+Verdict = Literal["causes-found", "partly-explained", "model-adequate", "unknown-cause", "unfinished"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,14 +78,17 @@ def beyond_floor(gain: Gain | None) -> bool:
     return gain is not None and gain.ci95_floor[0] > TOLERANCE
 
 
-def verdict_of(*, named: bool, fine: bool, gain: Gain | None) -> Verdict:
+def verdict_of(*, named: bool, fine: bool, gain: Gain | None, finished: bool = True) -> Verdict:
     """The verdict.
 
     Args:
         named: whether anything is named.
         fine: whether what is left of the recordings for fitting is noise.
         gain: on the judge recordings, 20 ms ahead.
+        finished: whether the search examined all that it was asked for.
     """
+    if not finished:
+        return "unfinished"
     if fine and not beyond_floor(gain):
         return "causes-found" if named else "model-adequate"
     # Names that leave more than noise where they were chosen may only stand in for what nobody knows.

@@ -6,12 +6,13 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 
 from protocol.campaign import Campaign, Plant
 from twin.diagnose.account import Account, Verdict, account_of, beyond_floor, beyond_sentence, verdict_of
 from twin.diagnose.adequacy import where_left
+from twin.diagnose.budget import Budget, Spent
 from twin.diagnose.change import Change, late_finding
 from twin.diagnose.confidence import confidence_of
 from twin.diagnose.consistency import beginnings, contradictions
@@ -26,6 +27,8 @@ from twin.diagnose.lost import Lost, lost_samples
 from twin.diagnose.measure import HORIZONS_S, Gain, gain
 from twin.diagnose.models import model_of
 from twin.diagnose.not_named import missing_channels, not_testable, ruled_out, trifles_of
+from twin.diagnose.pace import pace_of
+from twin.diagnose.payoff import HORIZON_S
 from twin.diagnose.result import (
     Diagnosis,
     Finding,
@@ -69,6 +72,7 @@ class Asked:
     share: float
     seed: int
     workers: int
+    budget: Budget
     say: Say
 
 
@@ -102,6 +106,8 @@ def told(
 ) -> Diagnosis:
     """The diagnosis of a finished search; `warnings` and `stages` grow on the way."""
     criterion, found, floor, model = done.criterion, done.found, done.floor, asked.model
+    finished = not asked.budget.unanswered  # what cannot be paid from here on leaves the verdict as it is
+    asked.budget.reopen()
     with timed(stages, "what is left"):
         under = floor.under(criterion, found.fit.theta)
         account = account_of(found, under.excess(found.fit.loglik), done.fine)
@@ -114,7 +120,7 @@ def told(
             for late in beginnings(criterion, found.fit, always)
         ]
     with timed(stages, "next experiments"):
-        proposals = {} if asked.quick else _proposals(criterion, found, campaign, asked.say)
+        proposals = {} if asked.quick else _proposals(criterion, found, campaign, asked)
     with timed(stages, "gain"):
         before = done.base.theta if model is None else theta_of(model, done.base.theta)
         after, tick_s = found.fit.theta, criterion.tick_s
@@ -126,7 +132,7 @@ def told(
             off = off_sentence(model, done.base.theta, at_20_ms, anew)
             warnings += [off] if off else []
     lost = lost_samples([*records, *judges])
-    verdict = verdict_of(named=bool(found.causes) or lost is not None, fine=done.fine, gain=at_20_ms)
+    verdict = verdict_of(named=bool(found.causes) or lost is not None, fine=done.fine, finished=finished, gain=at_20_ms)
     findings = _findings(found, account, spread, proposals, verdict, asked.quick, lost)
     if done.change is not None:
         findings = [late_finding(one, done.change) for one in findings]
@@ -142,7 +148,7 @@ def told(
         causes=tuple(findings),
         not_testable=tuple(not_testable(found, records)),
         trifles=trifles,
-        ruled_out=tuple(ruled_out(found, {*_names(findings), *(one.name for one in trifles)})),
+        ruled_out=tuple(ruled_out(found, {*_names(findings), *(one.name for one in trifles)})) if finished else (),
         account=account,
         unexplained_where=where,
         gains=tuple(gains),
@@ -161,6 +167,7 @@ def told(
         before=before,
         after=after,
         tick_s=tick_s,
+        budget=asked.budget,
     )
     sentence = summary_sentence(diagnosis)
     if not any(record.has("x") for record in records):
@@ -186,9 +193,22 @@ def _gains(
 
     # The longest first: it takes the most.
     horizons = sorted({max(round(horizon / tick_s), 1) for horizon in HORIZONS_S}, reverse=True)
+    horizons = _affordable(horizons, judge, (before, after), tick_s, asked.budget)
     with ThreadPoolExecutor(max_workers=asked.workers) as pool:
         found = [one for one in pool.map(at, horizons) if one is not None]
     return found[::-1]
+
+
+def _affordable(
+    horizons: Sequence[int], judge: Evidence, thetas: Sequence[Theta], tick_s: float, budget: Budget
+) -> list[int]:
+    """The horizons that the budget pays for, that of the answer first."""
+    pace, paid = pace_of(judge.series), set()
+    for samples in sorted(horizons, key=lambda samples: abs(samples * tick_s - HORIZON_S)):
+        with suppress(Spent), budget.question(f"the error of x {1e3 * samples * tick_s:.0f} ms ahead"):
+            budget.take(sum(pace.steps_ahead(theta.vector(), samples) for theta in thetas))
+            paid.add(samples)
+    return [samples for samples in horizons if samples in paid]
 
 
 def _findings(
@@ -239,15 +259,18 @@ def _names(findings: Sequence[Finding]) -> set[str]:
     }
 
 
-def _proposals(criterion: Criterion, found: Selection, campaign: Campaign, say: Say) -> dict[str, Proposal]:
+def _proposals(criterion: Criterion, found: Selection, campaign: Campaign, asked: Asked) -> dict[str, Proposal]:
     """For each cause with a class, the experiment that splits it best, or why none can."""
     result = {}
     for cause in found.causes:
         near = found.classes.get(cause, ())
         if not near:
             continue
-        say(f"which experiment tells {cause} from {', '.join(trial.cause for trial in near)}?")
-        ranked = propose(criterion, found.fit, cause, near, campaign.controller)
+        question = f"which experiment tells {cause} from {', '.join(trial.cause for trial in near)}"
+        asked.say(f"{question}?")
+        ranked = []
+        with suppress(Spent), asked.budget.question(question):
+            ranked = propose(criterion, found.fit, cause, near, campaign.controller, asked.budget)
         if not ranked:
             continue
         best = ranked[0]

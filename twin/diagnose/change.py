@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.diagnose.adequacy import adequate
+from twin.diagnose.budget import Spent
 from twin.diagnose.estimate import PASSES, climb, inverse
 from twin.diagnose.filter import OUT_COLUMNS
 from twin.diagnose.floor import Floor
@@ -84,17 +85,17 @@ class Switched(Criterion):
     """
 
     def __init__(self, of: Criterion, holds: Sequence[bool], *, workers: int = 2) -> None:
-        super().__init__(of.evidence, of.plant, of.tick_s, workers=workers)
+        super().__init__(of.evidence, of.plant, of.tick_s, workers=workers, budget=of.budget)
         held = np.asarray(holds, np.bool_)[of.evidence.series.recording]
         cuts = [0, *(np.flatnonzero(np.diff(held)) + 1).tolist(), len(held)]
         self._pieces = [(slice(a, b), bool(held[a])) for a, b in itertools.pairwise(cuts) if b > a]
 
-    def outputs(
+    def _outputs(
         self, theta: Theta, state: NDArray[np.float64] = _NO_STATE, shift_s: FloatArray | None = None
     ) -> FloatArray:
-        """As `Criterion.outputs`; the filter begins anew at each recording, so the pieces do not touch."""
+        """As `Criterion._outputs`; the filter begins anew at each recording, so the pieces do not touch."""
         if not theta.causes:
-            return super().outputs(theta, state, shift_s)
+            return super()._outputs(theta, state, shift_s)
         out, absent = np.empty((len(self.evidence.series), OUT_COLUMNS)), replace(theta, causes=())
         for piece, holds in self._pieces:
             self._fill(theta if holds else absent, piece, out, state, shift_s)
@@ -127,6 +128,9 @@ def find_change(
         few: candidates that are fitted in a round.
         workers: threads.
         say: takes lines of progress.
+
+    Raises:
+        Spent: the budget ended before the answer.
     """
     records = criterion.evidence.records
     # A point of rest does not know its recording: what is (8)'s before is not after.
@@ -143,6 +147,8 @@ def find_change(
         chosen = select(
             switched, found.base, floor, candidates=candidates, few=few, share=_SHARE, classes=False, say=say
         )
+        if criterion.budget.closed:
+            raise Spent
         if chosen.causes and adequate(switched, chosen.fit, floor.under(switched, chosen.fit.theta))[0]:
             stand_ins(switched, chosen, candidates=candidates, few=few, quick=True, say=say)
             always = climb(criterion, chosen.fit.theta, chosen.fit.free, passes=PASSES)

@@ -16,7 +16,12 @@ _HALF_LEAD = 6.0  # of log-likelihood
 _UNCALIBRATED = 0.8
 # At most, by verdict.  Of the names that stood beside `unknown-cause` in two draws of the whole matrix 6 of 21 were
 # right; none was counted yet beside `partly-explained`.
-MOST: dict[Verdict, float] = {"causes-found": 0.98, "partly-explained": 0.98 * _UNCALIBRATED, "unknown-cause": 0.294}
+MOST: dict[Verdict, float] = {
+    "causes-found": 0.98,
+    "partly-explained": 0.98 * _UNCALIBRATED,
+    "unknown-cause": 0.294,
+    "unfinished": 0.294,
+}
 
 
 def confidence_of(found: Selection, cause: str, verdict: Verdict, quick: bool) -> float:

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protocol.campaign import Controller
+from twin.diagnose.budget import Budget
 from twin.diagnose.estimate import Fit, inverse
 from twin.diagnose.evidence import Evidence, gather
 from twin.diagnose.filter import RESTS_HIGH, RESTS_LOW
@@ -72,7 +73,12 @@ class Proposal:
 
 
 def propose(
-    criterion: Criterion, fit: Fit, own: str, rivals: Sequence[Trial], controller: Controller | None
+    criterion: Criterion,
+    fit: Fit,
+    own: str,
+    rivals: Sequence[Trial],
+    controller: Controller | None,
+    budget: Budget | None = None,
 ) -> list[Proposal]:
     """The menu's experiments, best first; empty where there is no rival.
 
@@ -82,10 +88,14 @@ def propose(
         own: its name.
         rivals: those that the recordings cannot tell from it, fitted.
         controller: of the board; None: LQI designed for the rig.
+        budget: what the runs along the experiments are paid from; without one they are free.
+
+    Raises:
+        Spent: they are not affordable.
     """
     if not rivals:
         return []
-    ranked = rank(criterion, fit, controller, [trial.fit for trial in rivals])
+    ranked = rank(criterion, fit, controller, [trial.fit for trial in rivals], budget)
     now = [math.sqrt(2.0 * max(fit.loglik - trial.fit.loglik, 0.0)) for trial in rivals]
     best = [max((zs[k] for _, zs in ranked), default=0.0) for k in range(len(rivals))]
     can = [z >= ENOUGH_Z for z in best]
@@ -119,7 +129,11 @@ def propose(
 
 
 def rank(
-    criterion: Criterion, fit: Fit, controller: Controller | None, members: Sequence[Fit]
+    criterion: Criterion,
+    fit: Fit,
+    controller: Controller | None,
+    members: Sequence[Fit],
+    budget: Budget | None = None,
 ) -> list[tuple[Item, tuple[float, ...]]]:
     """Each experiment that can be made, with the separation z from every member once it is added.
 
@@ -128,6 +142,7 @@ def rank(
         fit: of the rig, as it is taken to be.
         controller: of the board.
         members: the rivals, fitted to the same recordings.
+        budget: as `propose` takes it.
     """
     plant = criterion.plant
     lift_off_v = lift_off_input(fit.theta, plant)
@@ -157,7 +172,7 @@ def rank(
         if item.closed_loop and not _floats(records[0], criterion):
             continue
         seen = _gathered(records, criterion, item)
-        trial = Criterion(seen, plant, criterion.tick_s)
+        trial = Criterion(seen, plant, criterion.tick_s, budget=budget)
         try:
             zs = _separations(trial, fit, members, held, times)
         finally:

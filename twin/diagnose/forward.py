@@ -64,11 +64,12 @@ def forward(
         least: share of what is left that a cause must explain.
         say: takes lines of progress.
     """
-    scores = screen(criterion, at.theta, at.free, candidates)
-    if any(cause.name == periodic.CAUSE.name for cause in candidates):
-        scores = _with_line(criterion, at, scores)
-    scores = _with_dead_time(criterion, at, scores)
-    floor = floor.under(criterion, at.theta)
+    with criterion.budget.question("what else of the catalogue explains what is left"):
+        scores = screen(criterion, at.theta, at.free, candidates)
+        if any(cause.name == periodic.CAUSE.name for cause in candidates):
+            scores = _with_line(criterion, at, scores)
+        scores = _with_dead_time(criterion, at, scores)
+        floor = floor.under(criterion, at.theta)
     excess, material = floor.excess(at.loglik), floor.material(at.loglik)
     # What cannot become a fair share is not fitted.
     wanted = (min(TRIFLE, least) if material else BESIDE_NOISE) * gained
@@ -81,13 +82,15 @@ def forward(
         if score.testable and score.gain - score.chance > max(gain_least, wanted / rises(score.cause))
     ][:few]
     say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
-    trials = fitted(criterion, at, worth, least * excess if material else 0.0, _pays(least))
-    before = criterion.shift_s
-    if trials and any(name == periodic.AMPLITUDE for name, _ in at.theta.causes):
-        # What shifts the response shifts the phase of what shakes the ball: with the old one it gains too little.
-        fit = periodic.rephased(criterion, trials[0].fit, PASSES)
-        trials[0] = replace(trials[0], fit=fit, gain=trials[0].gain + fit.loglik - trials[0].fit.loglik)
-    step = decided(criterion, at, floor, scores, trials, gained, least)
+    names = ", ".join(score.cause for score in worth)
+    with criterion.budget.question(f"the fit of {len(worth)} candidates ({names})"):
+        trials = fitted(criterion, at, worth, least * excess if material else 0.0, _pays(least))
+        before = criterion.shift_s
+        if trials and any(name == periodic.AMPLITUDE for name, _ in at.theta.causes):
+            # What shifts the response shifts the phase of what shakes the ball: with the old one it gains too little.
+            fit = periodic.rephased(criterion, trials[0].fit, PASSES)
+            trials[0] = replace(trials[0], fit=fit, gain=trials[0].gain + fit.loglik - trials[0].fit.loglik)
+        step = decided(criterion, at, floor, scores, trials, gained, least)
     if not trials or step.taken != trials[0].cause:
         criterion.shift_s = before
     return step

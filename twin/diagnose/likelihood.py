@@ -2,14 +2,17 @@
 
 Rule 1: sums over samples do not depend on the number of workers: each worker computes whole derivatives.
 Rule 2: what is no series speaks too: priors of the stops, lift-off points, equilibria.
+Rule 3: a run is paid from the budget before it begins, by who asks for it.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
@@ -18,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.campaign import Plant
+from twin.diagnose.budget import Budget, Spent
 from twin.diagnose.dead_time import dead_time
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.filter import (
@@ -31,6 +35,7 @@ from twin.diagnose.filter import (
     run_along,
     states_in,
 )
+from twin.diagnose.pace import pace_of
 from twin.diagnose.theta import NOISES, STOP_UNIT_M, STOPS, Theta, derivative_step, moved
 from twin.identify.innovations import FLIES, information, whiten
 from twin.identify.liftoff import LiftOff
@@ -66,9 +71,12 @@ class Criterion:
         plant: mass, travel, x_max, gravity.
         tick_s: the interval that process noise refers to.
         workers: threads; the kernels run outside the interpreter's lock.
+        budget: what the runs of the filter are paid from; without one they are free.
     """
 
-    def __init__(self, evidence: Evidence, plant: Plant, tick_s: float, *, workers: int = 2) -> None:
+    def __init__(
+        self, evidence: Evidence, plant: Plant, tick_s: float, *, workers: int = 2, budget: Budget | None = None
+    ) -> None:
         self.evidence, self.plant, self.tick_s = evidence, plant, tick_s
         self.shift_s: FloatArray = np.zeros(len(evidence.series))  # phases of a periodic cause, `periodic.py`
         # Recordings do not touch: where one begins in the middle, two workers share a run.
@@ -78,7 +86,33 @@ class Criterion:
         self._halves = [piece for piece in (slice(0, middle), slice(middle, n)) if piece.stop > piece.start]
         self._pool = ThreadPoolExecutor(max_workers=workers)
         self._climbers = ThreadPoolExecutor(max_workers=workers) if workers > 1 else None
+        self.whole = budget or Budget()
+        self._own = threading.local()
+        self.pace = pace_of(evidence.series)
         self.evaluations = 0
+
+    @property
+    def budget(self) -> Budget:
+        """What this thread pays from: inside `each` a share."""
+        return getattr(self._own, "budget", self.whole)
+
+    @contextmanager
+    def free(self) -> Iterator[None]:
+        """Runs here cost nothing: a fixed number of passes, whatever the recordings hold."""
+        before, self.whole = self.whole, Budget()
+        try:
+            yield
+        finally:
+            self.whole = before
+
+    def pay(self, *thetas: Theta, modes: Sequence[int] = ()) -> None:
+        """For a run of each; `modes` as `beside` takes them.
+
+        Raises:
+            Spent: they are not affordable.
+        """
+        each = zip(thetas, modes or [ALONE] * len(thetas), strict=True)
+        self.budget.take(sum(self.pace.steps(theta.vector(), mode) for theta, mode in each))
 
     def close(self) -> None:
         """End the workers."""
@@ -90,8 +124,27 @@ class Criterion:
         """`work` on each, several at once: such as a climb, which leaves a core idle between its derivatives.
 
         `work` may ask this criterion, but not for `each`.
+
+        Raises:
+            Spent: the share of one of them was too small.
         """
-        return [work(item) for item in items] if self._climbers is None else list(self._climbers.map(work, items))
+        shares = self.budget.shares(len(items))
+
+        def paid(item: T, share: Budget) -> R | Spent:
+            self._own.budget = share
+            try:
+                return work(item)
+            except Spent as spent:
+                return spent  # the others end all the same: what is spent must not depend on who is first
+            finally:
+                del self._own.budget
+
+        results = list((map if self._climbers is None else self._climbers.map)(paid, items, shares))
+        self.budget.settle(shares)
+        done = [result for result in results if not isinstance(result, Spent)]
+        if len(done) < len(results):
+            raise Spent
+        return done
 
     @cached_property
     def late(self) -> tuple[float, float] | None:
@@ -102,6 +155,11 @@ class Criterion:
         self, theta: Theta, state: NDArray[np.float64] = _NO_STATE, shift_s: FloatArray | None = None
     ) -> FloatArray:
         """Innovations and their covariance, shape (n, 5); `shift_s` as `self.shift_s`, for once."""
+        self.pay(theta)
+        return self._outputs(theta, state, shift_s)
+
+    def _outputs(self, theta: Theta, state: FloatArray = _NO_STATE, shift_s: FloatArray | None = None) -> FloatArray:
+        """Paid for."""
         out = np.empty((len(self.evidence.series), OUT_COLUMNS))
         self._fill(theta, slice(0, len(out)), out, state, shift_s)
         self.evaluations += 1
@@ -142,6 +200,7 @@ class Criterion:
 
     def run(self, theta: Theta) -> Run:
         """`outputs` with what `derivatives` take over from it."""
+        self.pay(theta)
         n, m = len(self.evidence.series), states_in(theta.vector())
         done = Run(
             out=np.empty((n, OUT_COLUMNS)),
@@ -161,11 +220,16 @@ class Criterion:
             at: the run.
             modes: ALONE for a whole filter, ALONG with the slopes of the steps, NOISE_ALONG with the steps, too.
         """
+        states = at.slopes.shape[1]
+        modes = [
+            mode if states_in(theta.vector()) == states else ALONE for theta, mode in zip(thetas, modes, strict=True)
+        ]
+        self.pay(*thetas, modes=modes)
         return list(self._pool.map(self._beside, thetas, modes, itertools.repeat(at)))
 
     def _beside(self, theta: Theta, mode: int, at: Run) -> FloatArray:
-        if mode == ALONE or states_in(theta.vector()) != at.slopes.shape[1]:
-            return self.outputs(theta)
+        if mode == ALONE:
+            return self._outputs(theta)
         out = np.empty_like(at.out)
         self._fill(theta, slice(0, len(out)), out, mode=mode, at=at)
         self.evaluations += 1
@@ -173,11 +237,16 @@ class Criterion:
 
     def several(self, thetas: Sequence[Theta]) -> list[FloatArray]:
         """`outputs` of each."""
-        return list(self._pool.map(self.outputs, thetas))
+        self.pay(*thetas)
+        return list(self._pool.map(self._outputs, thetas))
 
     def value(self, theta: Theta) -> float:
         """Log-likelihood with the priors; -inf for impossible parameters."""
-        return self.loglik(self.outputs(theta)) + self.outside(theta)
+        self.pay(theta)
+        return self._value(theta)
+
+    def _value(self, theta: Theta) -> float:
+        return self.loglik(self._outputs(theta)) + self.outside(theta)
 
     @staticmethod
     def loglik(out: FloatArray) -> float:
@@ -194,7 +263,8 @@ class Criterion:
 
     def values(self, thetas: Sequence[Theta]) -> list[float]:
         """`value` of each, -inf for those that are not finite."""
-        return [value if math.isfinite(value) else -math.inf for value in self._pool.map(self.value, thetas)]
+        self.pay(*thetas)
+        return [value if math.isfinite(value) else -math.inf for value in self._pool.map(self._value, thetas)]
 
     def white(self, theta: Theta, shift_s: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """(log-likelihood of each sample, shape (n,); whitened innovations, shape (n, 2)); `shift_s`: `outputs`."""

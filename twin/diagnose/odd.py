@@ -85,8 +85,9 @@ def odd_one(criterion: Criterion, base: Fit, floor: Floor) -> Odd | None:
         start = no_better(start_theta([record], plant), evidence)
     except DataError:
         return None  # alone it says too little
-    alone = Criterion(gather([record], plant, stops), plant, criterion.tick_s)
-    others = Criterion(gather(rest, plant, stops), plant, criterion.tick_s)
+    budget = criterion.budget
+    alone = Criterion(gather([record], plant, stops), plant, criterion.tick_s, budget=budget)
+    others = Criterion(gather(rest, plant, stops), plant, criterion.tick_s, budget=budget)
     try:
         # Another rig has its coil at another height, too.
         fit = climb(alone, start.having(GAP, 0.0), (*BASE, GAP), passes=2 * PASSES)

@@ -32,8 +32,10 @@ def removed(criterion: Criterion, before: Theta, after: Theta) -> float:
 
 def _square_errors(criterion: Criterion, theta: Theta) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     s, tick_s, stops = criterion.evidence.series, criterion.tick_s, (theta.stop_low_m, theta.stop_high_m)
+    ahead = max(round(HORIZON_S / tick_s), 1)
+    criterion.budget.take(criterion.pace.steps_ahead(theta.vector(), ahead))
     noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, tick_s)
-    base, ahead = tuple(theta.base(criterion.plant)), max(round(HORIZON_S / tick_s), 1)
+    base = tuple(theta.base(criterion.plant))
     x_hat = predict_ahead(
         base, theta.vector(), noise, stops, criterion.evidence.t, s.step, s.u, s.i, s.x, s.flags, tick_s, ahead
     )

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from protocol.errors import DataError
 from twin.diagnose.adequacy import adequate
 from twin.diagnose.answer import Asked, Say, Searched, testable_causes, timed, told
 from twin.diagnose.begin import no_better, start_theta
+from twin.diagnose.budget import FULL, KEPT, QUICK, Budget, Spent, millions
 from twin.diagnose.change import find_change
 from twin.diagnose.estimate import climb
 from twin.diagnose.evidence import Evidence, gather
@@ -55,6 +56,7 @@ def diagnose(
     share: float = SHARE,
     seed: int = 0,
     workers: int = 2,
+    budget: float | None = None,
     say: Say = lambda line: None,
 ) -> Diagnosis:
     """Diagnose a campaign.
@@ -68,11 +70,12 @@ def diagnose(
         share: least part of what is left that a cause must explain; with a smaller one confidence is not calibrated.
         seed: of the bootstrap.
         workers: threads.
-        say: takes lines of progress.
+        budget: filter steps, `budget.py`; default QUICK or FULL.
+        say: takes lines of progress, each with the share of the budget that is used.
 
     Raises:
         DataError: no recording for fitting, too little data, a recording that is not what it says it is, a model of
-            another plant.
+            another plant; a budget that does not fit the paper's model to the recordings.
     """
     records = read_campaign(campaign, data=data)
     judges = read_campaign(campaign, use="judge", data=data)
@@ -82,7 +85,16 @@ def diagnose(
             remedy='Give at least one [[recording]] with use = "fit"; choosing on judge recordings would spoil them',
         )
     return diagnose_records(
-        campaign, records, judges, model=model, quick=quick, share=share, seed=seed, workers=workers, say=say
+        campaign,
+        records,
+        judges,
+        model=model,
+        quick=quick,
+        share=share,
+        seed=seed,
+        workers=workers,
+        budget=Budget(budget or (QUICK if quick else FULL), KEPT),
+        say=say,
     )
 
 
@@ -96,12 +108,17 @@ def diagnose_records(
     share: float = SHARE,
     seed: int = 0,
     workers: int = 2,
+    budget: Budget | None = None,
     look_for_odd: bool = True,
     say: Say = lambda line: None,
 ) -> Diagnosis:
     """As `diagnose`, on recordings in memory; one that contradicts all others is left out, where asked for."""
     plant = campaign.plant
-    asked = Asked(model=model, quick=quick, share=share, seed=seed, workers=workers, say=say)
+    budget = budget or Budget()
+    asked = Asked(
+        model=model, quick=quick, share=share, seed=seed, workers=workers, budget=budget, say=_with_share(say, budget)
+    )
+    say = asked.say
     if model is not None:
         check_plant(model, plant)
     everything = records
@@ -117,14 +134,16 @@ def diagnose_records(
         warnings.append("no recording has x: only the amplifier was judged; K_c and b of the model files are guesses")
     start = no_better(start_theta(records, plant), evidence)
     enough(evidence)
-    criterion = Criterion(evidence, plant, tick_of(records), workers=workers)
+    criterion = Criterion(evidence, plant, tick_of(records), workers=workers, budget=budget)
     with ExitStack() as closing:
         closing.callback(criterion.close)
         done = _search(criterion, start, records, asked, stages)
         if not done.fine and quick:
             warnings.append(UNASKED)
-        if not done.fine and look_for_odd and (odd := odd_one(criterion, done.base, done.floor)) is not None:
+        odd = _odd_one(criterion, done) if look_for_odd and not done.fine else None
+        if odd is not None:
             say(f"{odd.name} contradicts the others: once more without it")
+            (left,) = budget.shares(1)
             rest = diagnose_records(
                 campaign,
                 [record for place, record in enumerate(everything) if place != odd.recording],
@@ -134,11 +153,15 @@ def diagnose_records(
                 share=share,
                 seed=seed,
                 workers=workers,
+                budget=left,
                 look_for_odd=False,
                 say=say,
             )
-            if rest.verdict != "unknown-cause":
-                return without_odd(rest, odd)
+            budget.settle([left])
+            if rest.verdict == "unfinished":
+                budget.unanswered.append(f"whether the others agree without {odd.name}")
+            elif rest.verdict != "unknown-cause":
+                return without_odd(replace(rest, budget=budget), odd)
         if (change := done.change) is not None:
             closing.callback(done.criterion.close)
             warnings.append(change.sentence)
@@ -146,7 +169,18 @@ def diagnose_records(
             evidence = gather([one for one in records if one.name in change.recordings], plant, stops)
             if judge is not None and (later := change.of(judges)):
                 judge = gather(later, plant, stops)
-        return told(campaign, done, records, judges, evidence, judge, warnings, asked, stages)
+        with criterion.free(), done.criterion.free():
+            return told(campaign, done, records, judges, evidence, judge, warnings, asked, stages)
+
+
+def _with_share(say: Say, budget: Budget) -> Say:
+    return lambda line: say(f"{100.0 * budget.used:3.0f} %  {line}")
+
+
+def _odd_one(criterion: Criterion, done: Searched) -> Odd | None:
+    with suppress(Spent), criterion.budget.question("whether one recording contradicts all others"):
+        return odd_one(criterion, done.base, done.floor)
+    return None
 
 
 def _prepared(campaign: Campaign, records: Sequence[Record], quick: bool) -> tuple[list[Record], list[str]]:
@@ -173,8 +207,15 @@ def _search(
     say, few = asked.say, 3 if asked.quick else 6
     with timed(stages, "base fit"):
         say(f"{len(records)} recordings, {len(criterion.evidence.series)} samples; the paper's model first")
-        base = climb(criterion, start, (*BASE, *STOPS))
-        floor = floor_of(criterion, base.theta)
+        try:
+            base = climb(criterion, start, (*BASE, *STOPS))
+            floor = floor_of(criterion, base.theta)
+        except Spent:
+            raise DataError(
+                f"the budget of {millions(asked.budget.limit)} does not fit even the paper's model to "
+                f"{len(criterion.evidence.series)} samples",
+                remedy="Give fewer or shorter recordings, or more with --budget",
+            ) from None
         say(f"lacks {max(floor.excess(base.loglik), 0.0):.0f} of log-likelihood against sensor noise alone")
     candidates = testable_causes(records)
     with timed(stages, "search"):
@@ -182,10 +223,12 @@ def _search(
             criterion, base, floor, candidates=candidates, few=few, quick=asked.quick, share=asked.share, say=say
         )
     with timed(stages, "what is left"):
-        fine, why_not = adequate(criterion, found.fit, floor.under(criterion, found.fit.theta))
+        with criterion.free():
+            fine, why_not = adequate(criterion, found.fit, floor.under(criterion, found.fit.theta))
     change = None
     if not fine and not asked.quick:
-        with timed(stages, "change"):
+        unasked = "whether an effect begins or ends in the middle of the campaign"
+        with timed(stages, "change"), suppress(Spent), asked.budget.question(unasked):
             change = find_change(
                 criterion, found, floor, candidates=candidates, few=few, workers=asked.workers, say=say
             )

@@ -1,4 +1,7 @@
-"""`--quick`: the beginning of each long flight, so that the search passes over less than half of the samples."""
+"""`--quick`: the beginning of each long flight, so that the search passes over less than half of the samples.
+
+Of very many flights it is less of each: the budget of `--quick` pays for a search over `ALL_SAMPLES`, not over more.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,18 @@ from dataclasses import replace
 from twin.identify.record import Record
 
 FLIGHT_SAMPLES = 2000  # of a closed-loop or open-loop recording: four seconds at 500 Hz
+ALL_SAMPLES = 40_000  # of all flights together
 _LONG = ("closed-loop", "prbs", "free")
 
 
 def shortened(records: Sequence[Record]) -> tuple[list[Record], str]:
     """(the recordings, long ones cut; the sentence that says so, empty where nothing was cut)."""
     result, cut = [], 0
+    flights = [min(len(record.t), FLIGHT_SAMPLES) for record in records if record.kind in _LONG]
+    most = FLIGHT_SAMPLES if sum(flights) <= ALL_SAMPLES else ALL_SAMPLES // len(flights)
     for record in records:
-        if record.kind in _LONG and len(record.t) > FLIGHT_SAMPLES:
-            kept = slice(0, FLIGHT_SAMPLES)
+        if record.kind in _LONG and len(record.t) > most:
+            kept = slice(0, most)
             cut += 1
             record = replace(
                 record,
@@ -27,5 +33,5 @@ def shortened(records: Sequence[Record]) -> tuple[list[Record], str]:
                 x_ref=record.x_ref[kept],
             )
         result.append(record)
-    said = f"--quick: only the first {FLIGHT_SAMPLES} samples of {cut} recordings were used for choosing" if cut else ""
+    said = f"--quick: only the first {most} samples of {cut} recordings were used for choosing" if cut else ""
     return result, said

@@ -14,6 +14,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from twin.diagnose.budget import millions
 from twin.diagnose.figures import (
     ahead_figure,
     error_figure,
@@ -30,7 +31,13 @@ from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Parameter
 from twin.page import bullets, drawing, figures, paragraph, table, untested, whole
 
-_COLOUR = {"causes-found": "found", "partly-explained": "warn", "model-adequate": "pass", "unknown-cause": "fail"}
+_COLOUR = {
+    "causes-found": "found",
+    "partly-explained": "warn",
+    "model-adequate": "pass",
+    "unknown-cause": "fail",
+    "unfinished": "fail",
+}
 
 
 def to_html(found: Diagnosis, show: Show, *, campaign: Path, out: Path) -> str:
@@ -78,6 +85,9 @@ def _banners(found: Diagnosis, show: Show) -> list[str]:
         lines.append(
             "Made with --quick: the confidence figures are not calibrated, and stand-ins were not searched for."
         )
+    if found.budget.unanswered:
+        rest = "; ".join(found.budget.unanswered)
+        lines.append(f"The budget of {millions(found.budget.limit)} ended first. Not examined: {rest}.")
     if not show.judged:
         lines.append(
             "No recording was left to judge by. Errors below are of the recordings that were fitted: they flatter."

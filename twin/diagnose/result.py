@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from twin.diagnose.account import Account, Verdict
+from twin.diagnose.budget import Budget
 from twin.diagnose.estimate import Fit
 from twin.diagnose.evidence import Evidence
 from twin.diagnose.floor import Floor
@@ -103,6 +104,7 @@ class Diagnosis:
     before: Theta
     after: Theta
     tick_s: float
+    budget: Budget = field(default_factory=Budget)
     extra: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -159,6 +161,11 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "gain": _gain(found.gain),
         "gains": [_gain(gain) for gain in found.gains],
         "warnings": list(found.warnings),
+        "budget": {
+            "filter_steps": _number(found.budget.limit),
+            "spent": found.budget.spent,
+            "unanswered": list(found.budget.unanswered),
+        },
         "stages_s": {name: round(seconds, 2) for name, seconds in found.stages_s.items()},
     }
 

@@ -7,6 +7,7 @@ Rule 1: a cause earns its place by log-likelihood over THRESHOLD, by a strength 
         model lacks more than noise, by a fair share of what it lacks.  A significant trifle beside a large unexplained
         rest is how a false name looks.
 Rule 2: the judge recordings are never looked at here.
+Rule 3: a step is made whole or not at all: the first that the budget does not pay to its end is undone, and ends it.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from twin.diagnose import periodic
+from twin.diagnose.budget import Spent
 from twin.diagnose.estimate import PASSES, Fit
 from twin.diagnose.floor import Floor
 from twin.diagnose.forward import SHARE, Round, Say, decided, forward
 from twin.diagnose.likelihood import Criterion
 from twin.diagnose.rivals import stand_ins
-from twin.diagnose.selection import FEW, MOST_TOGETHER, Selection, material, superfluous, without
+from twin.diagnose.selection import FEW, MOST_TOGETHER, Selection, material, superfluous, whole, without
 from twin.diagnose.trials import MARGIN, climbed, inside, worth_the_whole
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
@@ -60,6 +62,31 @@ def select(
         say: takes lines of progress.
     """
     found = Selection(base=base, fit=base)
+    unanswered = criterion.budget.unanswered
+    try:
+        _search(criterion, found, floor, candidates, few, quick, share, classes, say)
+    except Spent:
+        rest = [cause for cause in found.causes if cause not in found.classes]
+        if classes and rest and _who_stands_in(rest) not in unanswered:
+            unanswered.append(_who_stands_in(rest))
+    return found
+
+
+def _who_stands_in(causes: Sequence[str]) -> str:
+    return f"whether others could stand in for {' or '.join(causes)}"
+
+
+def _search(
+    criterion: Criterion,
+    found: Selection,
+    floor: Floor,
+    candidates: Sequence[Cause],
+    few: int,
+    quick: bool,
+    share: float,
+    classes: bool,
+    say: Say,
+) -> None:
     most = MOST_CAUSES if share >= SHARE else len(candidates)
     thorough = share == SHARE and not quick
     for _ in range(_TURNS if thorough and classes else 1):
@@ -69,23 +96,25 @@ def select(
             pass
         # With the most causes there is no refused round, whose trials `_together` takes up.
         if thorough and len(found.causes) < most and material(criterion, found, floor):
-            found = _together(criterion, found, floor, candidates, few, say)
+            found.become(_together(criterion, found, floor, candidates, few, say))
         if not classes:
             break
         before = set(found.causes)
         _settle(criterion, found, thorough)
-        stand_ins(criterion, found, floor if thorough else None, candidates=candidates, few=few, quick=quick, say=say)
+        with whole(criterion, found), criterion.budget.question(_who_stands_in(found.causes)):
+            doubt = floor if thorough else None
+            stand_ins(criterion, found, doubt, candidates=candidates, few=few, quick=quick, say=say)
         _settle(criterion, found, thorough)
         # What was refused beside a false name may be what is missing beside the right one.
         if set(found.causes) == before or not material(criterion, found, floor):
             break
-    return found
 
 
 def _settle(criterion: Criterion, found: Selection, thorough: bool) -> None:
     """The phases of a periodic force as they are beside all others."""
     if thorough and periodic.CAUSE.name in found.causes:
-        found.fit = periodic.settled(criterion, found.fit, PASSES)
+        with whole(criterion, found), criterion.budget.question("how the periodic force stands beside the others"):
+            found.fit = periodic.settled(criterion, found.fit, PASSES)
 
 
 def _add(
@@ -100,7 +129,8 @@ def _add(
 ) -> bool:
     """One step forward, and out with what it makes superfluous (`passes` tell); False where nothing earns its place."""
     gained = found.fit.loglik - found.base.loglik
-    step = forward(criterion, found.fit, floor, candidates, few, gained, least, say)
+    with whole(criterion, found):
+        step = forward(criterion, found.fit, floor, candidates, few, gained, least, say)
     return _taken(criterion, found, floor, step, say, passes)
 
 
@@ -114,11 +144,13 @@ def _taken(criterion: Criterion, found: Selection, floor: Floor, step: Round, sa
     found.fit = step.trials[0].fit
     found.gains[step.taken] = step.trials[0].gain
     if periodic.CAUSE.name in found.causes:
-        found.fit = periodic.rephased(criterion, found.fit, PASSES)
+        with whole(criterion, found), criterion.budget.question("how the periodic force stands beside the others"):
+            found.fit = periodic.rephased(criterion, found.fit, PASSES)
     found.remember(found.fit, criterion)
     say(f"taken: {step.taken} ({step.why})")
     if len(found.causes) > 1:
-        _backward(criterion, found, floor, say, passes)
+        with whole(criterion, found), criterion.budget.question("whether each cause is needed beside the later ones"):
+            _backward(criterion, found, floor, say, passes)
     return True
 
 
@@ -134,17 +166,18 @@ def _together(
     if not refused.trials or refused.trials[0].gain < SHARE_TOGETHER * excess:
         return found
     say("too little alone; does it, with others, leave nothing but noise?")
-    again = _asked_again(criterion, found, floor, refused)
-    for first in _firsts(again):
-        shift_s = criterion.shift_s
-        more = replace(found, causes=[*found.causes], gains={**found.gains}, rounds=found.rounds[:-1])
-        goes_on = _taken(criterion, more, floor, first, say, PASSES)
-        while goes_on and len(more.causes) < MOST_TOGETHER and material(criterion, more, floor):
-            least = SHARE_TOGETHER if len(more.causes) < MOST_TOGETHER - 1 else SHARE_LAST
-            goes_on = _add(criterion, more, floor, candidates, few, least, say)
-        if not material(criterion, more, floor):
-            return more
-        criterion.shift_s = shift_s
+    with whole(criterion, found), criterion.budget.question("whether several causes explain together what none does"):
+        again = _asked_again(criterion, found, floor, refused)
+        for first in _firsts(again):
+            shift_s = criterion.shift_s
+            more = replace(found, causes=[*found.causes], gains={**found.gains}, rounds=found.rounds[:-1])
+            goes_on = _taken(criterion, more, floor, first, say, PASSES)
+            while goes_on and len(more.causes) < MOST_TOGETHER and material(criterion, more, floor):
+                least = SHARE_TOGETHER if len(more.causes) < MOST_TOGETHER - 1 else SHARE_LAST
+                goes_on = _add(criterion, more, floor, candidates, few, least, say)
+            if not material(criterion, more, floor):
+                return more
+            criterion.shift_s = shift_s
     return found
 
 

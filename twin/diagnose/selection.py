@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields, replace
 
 from twin.diagnose import periodic
+from twin.diagnose.budget import Spent
 from twin.diagnose.estimate import PASSES, Fit, climb
 from twin.diagnose.floor import Floor
 from twin.diagnose.forward import BESIDE_NOISE, THRESHOLD, Round
@@ -32,6 +34,11 @@ class Selection:
     # Models of fewer causes by what is free in them, each with the phases of periodic forces that it was fitted with.
     smaller: dict[frozenset[str], tuple[Fit, FloatArray]] = field(default_factory=dict)
 
+    def become(self, other: Selection) -> None:
+        """What `other` is, from here on."""
+        for one in fields(self):
+            setattr(self, one.name, getattr(other, one.name))
+
     def remember(self, fit: Fit, criterion: Criterion) -> None:
         """Keep a fit for `recall`."""
         self.smaller[frozenset(fit.free)] = fit, criterion.shift_s
@@ -40,6 +47,19 @@ class Selection:
         """The fit of these numbers, where one is known and its phases are those of today."""
         fit, shift_s = self.smaller.get(frozenset(free), (None, criterion.shift_s))
         return fit if shift_s is criterion.shift_s or periodic.AMPLITUDE not in free else None
+
+
+@contextmanager
+def whole(criterion: Criterion, found: Selection) -> Iterator[None]:
+    """A step of the search, undone where the budget does not pay it to its end."""
+    shift_s, before = criterion.shift_s, replace(found, causes=[*found.causes], gains={**found.gains})
+    before.rounds = [*found.rounds]
+    try:
+        yield
+    except Spent:
+        found.become(before)
+        criterion.shift_s = shift_s
+        raise
 
 
 def material(criterion: Criterion, found: Selection, floor: Floor) -> bool:

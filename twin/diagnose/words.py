@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from twin.diagnose.budget import millions
 from twin.diagnose.screen import Score
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause, CauseParameter
@@ -117,6 +118,8 @@ def summary_sentence(found: Diagnosis) -> str:
     if found.verdict == "model-adequate":
         return "The model is adequate: what it gets wrong is sensor noise." + _unlike(found.gain)
     worth = _worth(found)
+    if found.verdict == "unfinished":
+        return _unfinished(found) + worth
     if found.verdict == "causes-found":
         return _named(found.causes, whole=True) + _apart(found.causes) + worth
     if found.verdict == "partly-explained":
@@ -133,6 +136,15 @@ def summary_sentence(found: Diagnosis) -> str:
     return (
         "The model is wrong, and the known causes do not explain all of it. What comes nearest may only stand in for "
         f"what nobody knows: {nearest}{_apart(found.causes)}{rest}{worth}"
+    )
+
+
+def _unfinished(found: Diagnosis) -> str:
+    budget = found.budget
+    so_far = _named(found.causes, whole=False) if found.causes else "no cause was named."
+    return (
+        f"No answer yet: the search ended by its budget of {millions(budget.limit)}. Not examined: "
+        f"{'; '.join(budget.unanswered)}. Up to there: {so_far}"
     )
 
 

@@ -21,6 +21,7 @@ from websockets.typing import Origin, Subprotocol
 from gateway.access.roles import Role
 from gateway.access.users import User, set_user
 from tests.gateway.gateway_peers import free_port, wait_for
+from tests.patience import HANG_S
 
 PASSWORDS = {"vic": "viewer-pass", "ben": "operator-pass", "ana": "engineer-pass"}
 ROLES = {"vic": Role.VIEWER, "ben": Role.OPERATOR, "ana": Role.ENGINEER}
@@ -50,12 +51,12 @@ class Process:
         """SIGTERM; its exit code."""
         if self._process.poll() is None:
             self._process.terminate()
-        return self._process.wait(20.0)
+        return self._process.wait(HANG_S)
 
     def kill(self) -> None:
         """kill -9."""
         self._process.kill()
-        self._process.wait(10.0)
+        self._process.wait(HANG_S)
 
     def signal(self, number: int) -> None:
         self._process.send_signal(number)
@@ -66,7 +67,7 @@ class Process:
             assert self._process.poll() is None, text
             return words in text
 
-        wait_for(look, f"{words!r} in {self.said}", timeout_s=90.0)
+        wait_for(look, f"{words!r} in {self.said}")
 
 
 class Page:
@@ -77,7 +78,7 @@ class Page:
         self.base = f"{'http' if ca is None else 'https'}://127.0.0.1:{port}"
         trust = ssl.create_default_context(cafile=ca) if ca is not None else False  # plain http: nothing to load
         no_leftovers = httpx.Limits(max_keepalive_connections=0)
-        self.http = httpx.Client(base_url=self.base, timeout=20.0, verify=trust, limits=no_leftovers)
+        self.http = httpx.Client(base_url=self.base, timeout=HANG_S, verify=trust, limits=no_leftovers)
         self.token = ""
 
     def log_in(self, name: str, password: str | None = None) -> httpx.Response:
@@ -123,18 +124,18 @@ class Page:
             origin=Origin(origin or self.base),
             subprotocols=[Subprotocol("board51"), Subprotocol(self.token if token is None else token)],
             additional_headers={"cookie": f"{self.cookie_name}={shown}"},
-            open_timeout=10.0,
+            open_timeout=HANG_S,
             close_timeout=1.0,
         ) as live:
             yield live
 
 
 def frame(live: ClientConnection) -> dict[str, Any]:
-    made: dict[str, Any] = json.loads(live.recv(timeout=10.0))
+    made: dict[str, Any] = json.loads(live.recv(timeout=HANG_S))
     return made
 
 
-def drain(live: ClientConnection, limit_s: float = 10.0) -> None:
+def drain(live: ClientConnection, limit_s: float = HANG_S) -> None:
     """Read until the server ends it."""
     end_s = time.monotonic() + limit_s
     while time.monotonic() < end_s:
@@ -163,5 +164,5 @@ def hmi(folder: Path, endpoint: str, *options: str, port: int = 0) -> Iterator[t
             except (OSError, httpx.TransportError):
                 return False
 
-        wait_for(answers, "the page", timeout_s=90.0)
+        wait_for(answers, "the page")
         yield port, process

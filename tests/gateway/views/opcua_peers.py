@@ -15,6 +15,7 @@ from gateway.views.feed import Feed
 from gateway.views.opcua.server import Settings, serve
 from tests.gateway.gateway_peers import wait_for
 from tests.gateway.views.bus_peers import PlayedGateway, feed_of
+from tests.patience import HANG_S
 
 T = TypeVar("T")
 NAMESPACE = "urn:board51:board51"
@@ -34,7 +35,7 @@ class Served:
     def __enter__(self) -> Served:
         self._thread.start()
         try:
-            wait_for(lambda: self.port or self._failures, "OPC UA server", timeout_s=60.0)
+            wait_for(lambda: self.port or self._failures, "OPC UA server")
         except AssertionError:
             self.__exit__()
             raise
@@ -78,7 +79,7 @@ class Peer:
         """Value and status, whatever the status is."""
         return await self.node(path).read_data_value(raise_on_bad_status=False)
 
-    async def await_status(self, path: str, code: int, timeout_s: float = 30.0) -> ua.DataValue:
+    async def await_status(self, path: str, code: int, timeout_s: float = HANG_S) -> ua.DataValue:
         return await until(lambda: self._with(path, code), f"status {code:#x} of {path}", timeout_s)
 
     async def _with(self, path: str, code: int) -> ua.DataValue | None:
@@ -103,7 +104,7 @@ class Peer:
 
 @asynccontextmanager
 async def peer(port: int, **options: Any) -> AsyncIterator[Peer]:
-    client = Client(f"opc.tcp://127.0.0.1:{port}/board51/", timeout=10)
+    client = Client(f"opc.tcp://127.0.0.1:{port}/board51/", timeout=HANG_S)
     if "user" in options:
         client.set_user(options["user"])
         client.set_password(options["password"])
@@ -114,7 +115,7 @@ async def peer(port: int, **options: Any) -> AsyncIterator[Peer]:
         yield Peer(client, await client.get_namespace_index(NAMESPACE))
 
 
-async def until(look: Callable[[], Coroutine[Any, Any, T | None]], what: str, timeout_s: float = 30.0) -> T:
+async def until(look: Callable[[], Coroutine[Any, Any, T | None]], what: str, timeout_s: float = HANG_S) -> T:
     """The first value of `look` that is not None; fails at the deadline."""
     deadline_s = asyncio.get_running_loop().time() + timeout_s
     while asyncio.get_running_loop().time() < deadline_s:

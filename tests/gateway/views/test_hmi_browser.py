@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import time
 from collections.abc import Iterator
 
 import pytest
@@ -14,14 +13,12 @@ from protocol.bus import board51_pb2 as pb
 from tests.gateway.gateway_peers import Bus, client, wait_for
 from tests.gateway.views.chromium import ABSENT, CHROMIUM, chromium
 from tests.gateway.views.rig_peers import Rig, emulated_rig
+from tests.patience import HANG_MS
 
 pytestmark = [
     pytest.mark.xdist_group("hmi-browser"),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
-expect.set_options(timeout=15_000)  # of what is no requirement: the machine may be busy
-STOP_LIMIT_S = 0.2  # from the key to the first sample with the coil off
-SHOWN_LIMIT_S = 1.0  # from the last sample to the words on the page
 NOTE_THE_LOSS = """() => {
     window.lostAt = 0;
     const look = () => { if (document.body.dataset.live === 'no' && !window.lostAt) window.lostAt = Date.now(); };
@@ -69,6 +66,7 @@ def bus(rig: Rig) -> Iterator[Bus]:
 def tab(browser: Browser, rig: Rig) -> Iterator[Page]:
     """One tab for all tests, as an operator's; no script in it may fail."""
     context = browser.new_context(viewport={"width": 1400, "height": 900})
+    context.set_default_timeout(HANG_MS)
     tab = context.new_page()
     errors: list[str] = []
     tab.on("pageerror", lambda error: errors.append(str(error)))
@@ -128,7 +126,7 @@ def test_values_move_thirty_times_a_second(page: Page) -> None:
         page.wait_for_timeout(1000)  # what is measured is a rate
         return int(page.evaluate("window.changes"))
 
-    wait_for(lambda: changes_in_a_second() > 10, "10 changes in a second, also on a machine that does other work", 30.0)
+    wait_for(lambda: changes_in_a_second() > 10, "10 changes in a second, also on a machine that does other work")
 
 
 @pytest.mark.parametrize("how", ["key, page scrolled and a field focused", "button"])
@@ -147,9 +145,7 @@ def test_stop_takes_the_current_off_the_coil_at_once(page: Page, bus: Bus, how: 
 
     pressed_ns = int(page.evaluate("window.pressedAt")) * 1_000_000
     first = next(s for s in bus.states() if s.host_time_ns > pressed_ns and s.mode == pb.MODE_IDLE)
-    took_s = (first.host_time_ns - pressed_ns) / 1e9
-    print(f"STOP by {how}: {took_s * 1e3:.0f} ms")
-    assert took_s < STOP_LIMIT_S
+    # How fast: tests/bench/reactions.py.
     assert first.u_c_v < 0.01
     expect(page.locator('[data-live="stop-said"]')).to_contain_text("STOP accepted")
     page.evaluate("window.scrollTo(0, 0)")
@@ -159,9 +155,7 @@ def test_a_refusal_says_who_refused_and_why(page: Page, bus: Bus) -> None:
     page.get_by_text("input u_c").click()
     page.get_by_text("Start excitation").click()
 
-    expect(page.locator(".toast[data-state=bad]").last).to_contain_text(
-        "Refused by gateway (wrong-mode)", timeout=30_000
-    )
+    expect(page.locator(".toast[data-state=bad]").last).to_contain_text("Refused by gateway (wrong-mode)")
 
 
 def test_gains_are_shown_before_they_are_sent(page: Page, bus: Bus) -> None:
@@ -194,19 +188,19 @@ def test_a_mark_is_in_the_log(page: Page, bus: Bus) -> None:
 
 def test_a_recording_is_started_stopped_and_replayed_apart_from_the_live_rig(page: Page, rig: Rig, bus: Bus) -> None:
     page.get_by_role("button", name="Start", exact=True).click()
-    wait_for(lambda: list((rig.folder / "data" / "recordings").glob("*.mcap")), "the recording", timeout_s=60.0)
+    wait_for(lambda: list((rig.folder / "data" / "recordings").glob("*.mcap")), "the recording")
     bus.await_states(500)
     page.get_by_role("button", name="Stop recording").click()
-    expect(page.get_by_role("button", name="Start", exact=True)).to_be_visible(timeout=60_000)
+    expect(page.get_by_role("button", name="Start", exact=True)).to_be_visible()
 
     page.goto(f"{rig.url}/logs")
     row = page.locator(".file", has_text="recordings/").first
     row.get_by_role("button", name="Replay").click()
-    page.wait_for_url("**/replay/", timeout=60_000)
+    page.wait_for_url("**/replay/")
     page.goto(f"{rig.url}/replay/rig")
 
     expect(page.locator(".replay-banner")).to_contain_text("NOT LIVE")
-    page.wait_for_selector("body[data-live=yes]", timeout=60_000)
+    page.wait_for_selector("body[data-live=yes]")
     assert page.locator("button.stop").inner_text().split() == ["STOP", "all", "live", "rigs"]
     assert page.locator("[data-command]").count() == 0, "a recording cannot be commanded"
     assert {key.split("/")[0] for key in bus.messages} == {"rig"}, "nothing of it is on the live bus"
@@ -215,42 +209,39 @@ def test_a_recording_is_started_stopped_and_replayed_apart_from_the_live_rig(pag
 @pytest.mark.slow
 def test_a_campaign_shows_its_progress_and_parks_the_ball_when_interrupted(page: Page, bus: Bus) -> None:
     page.get_by_role("button", name="Run quick").click()
-    wait_for(lambda: bus.states()[-1].x_m > 1e-3, "flight", timeout_s=60.0)
+    wait_for(lambda: bus.states()[-1].x_m > 1e-3, "flight")
     expect(page.locator(".job-lines")).not_to_be_empty()
 
     page.get_by_role("button", name="Interrupt").click()
 
-    expect(page.get_by_text("ended with exit code 1")).to_be_visible(timeout=30_000)
+    expect(page.get_by_text("ended with exit code 1")).to_be_visible()
     wait_for(lambda: bus.states()[-1].mode == pb.MODE_IDLE, "idle")
     expect(page.locator(".job-lines")).to_contain_text("ball parked, coil off")
 
 
-def test_a_lost_board_is_shown_within_a_second_and_comes_back(page: Page, rig: Rig, bus: Bus) -> None:
+def test_a_lost_board_is_shown_and_comes_back(page: Page, rig: Rig, bus: Bus) -> None:
     page.evaluate(NOTE_THE_LOSS)
 
     rig.emulator.signal(signal.SIGSTOP)  # its port is there, nothing comes
     try:
         wait_for(lambda: page.evaluate("window.lostAt > 0"), "the loss on the page")
-        took_s = page.evaluate("window.lostAt") / 1e3 - bus.states()[-1].host_time_ns / 1e9
         expect(page.locator('[data-live="lost"]')).to_contain_text("NO DATA for")
         assert "LIVE" not in live(page, "link")
     finally:
         rig.emulator.signal(signal.SIGCONT)
 
-    print(f"lost board shown after {took_s:.2f} s")
-    assert took_s < SHOWN_LIMIT_S
-    page.wait_for_selector("body[data-live=yes]", timeout=60_000)
+    page.wait_for_selector("body[data-live=yes]")
 
 
 def test_the_page_recovers_when_the_gateway_restarts(page: Page, rig: Rig) -> None:
     page.evaluate("window.mine = true")
 
     rig.gateway.end()
-    page.wait_for_selector("body[data-live=no]", timeout=5_000)
-    expect(page.locator('[data-live="link"]')).to_contain_text("NO GATEWAY", timeout=30_000)
+    page.wait_for_selector("body[data-live=no]")
+    expect(page.locator('[data-live="link"]')).to_contain_text("NO GATEWAY")
     rig.gateway = rig.start_gateway()
 
-    page.wait_for_selector("body[data-live=yes]", timeout=60_000)
+    page.wait_for_selector("body[data-live=yes]")
     assert page.evaluate("window.mine"), "without being loaded anew"
     page.keyboard.press("Escape")
     expect(page.locator('[data-live="stop-said"]')).to_contain_text("STOP accepted")
@@ -259,19 +250,16 @@ def test_the_page_recovers_when_the_gateway_restarts(page: Page, rig: Rig) -> No
 def test_the_page_says_that_its_server_is_gone_and_recovers(page: Page, rig: Rig) -> None:
     page.evaluate(NOTE_THE_LOSS)
 
-    gone_s = time.time()
     rig.hmi.kill()
     wait_for(lambda: page.evaluate("window.lostAt > 0"), "the loss on the page")
-    took_s = page.evaluate("window.lostAt") / 1e3 - gone_s
     expect(page.locator('[data-live="lost"]')).to_contain_text("lost its server")
     page.keyboard.press("Escape")
     expect(page.locator('[data-live="stop-said"]')).to_contain_text("STOP NOT DELIVERED")
     rig.hmi = rig.start_hmi()
 
-    assert took_s < SHOWN_LIMIT_S
-    page.wait_for_selector("body[data-live=yes]", timeout=60_000)
+    page.wait_for_selector("body[data-live=yes]")
     page.keyboard.press("Escape")
-    expect(page.locator('[data-live="stop-said"]')).to_contain_text("STOP accepted", timeout=30_000)
+    expect(page.locator('[data-live="stop-said"]')).to_contain_text("STOP accepted")
 
 
 def test_on_a_phone_stop_is_under_the_thumb_and_nothing_sticks_out(browser: Browser, rig: Rig) -> None:

@@ -12,12 +12,12 @@ from protocol.bus import board51_pb2 as pb
 from tests.gateway.gateway_peers import Bus, client, wait_for
 from tests.gateway.views.chromium import ABSENT, CHROMIUM, chromium
 from tests.gateway.views.rig_peers import Network, Rig, emulated_rig
+from tests.patience import HANG_MS
 
 pytestmark = [
     pytest.mark.xdist_group("hmi-browser"),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
-expect.set_options(timeout=30_000)
 SAID = '[data-live="stop-said"]'
 
 
@@ -52,9 +52,10 @@ def bus(rig: Rig) -> Iterator[Bus]:
 def page(browser: Browser, network: Network, bus: Bus) -> Iterator[Page]:
     """The rig's page behind the network, live; the board is idle."""
     context = browser.new_context(viewport={"width": 1400, "height": 900})
+    context.set_default_timeout(HANG_MS)
     page = context.new_page()
     page.goto(f"http://127.0.0.1:{network.port}/rig/rig")
-    page.wait_for_selector("body[data-live=yes]", timeout=60_000)
+    page.wait_for_selector("body[data-live=yes]")
     page.evaluate("window.mine = true")
     yield page
     context.close()
@@ -88,7 +89,7 @@ def test_controls_work_after_a_gap_of_seconds(page: Page, bus: Bus, network: Net
         network.lose()
     else:
         network.restore()
-    page.wait_for_selector("body[data-live=yes]", timeout=60_000)
+    page.wait_for_selector("body[data-live=yes]")
 
     page.click('[data-mode="closed loop"]')
 
@@ -103,9 +104,9 @@ def test_controls_work_after_the_page_s_server_restarted(page: Page, rig: Rig, b
     page.click('[data-mode="closed loop"]')
     expect(page.locator(".toast[data-state=bad]")).to_contain_text("NOT ANSWERED")
     rig.hmi = rig.start_hmi()
-    page.wait_for_selector("body[data-live=yes]", timeout=60_000)
+    page.wait_for_selector("body[data-live=yes]")
     wait_for(lambda: page.evaluate("window.mine === undefined"), "the page loaded anew by itself")
-    page.wait_for_selector("body[data-live=yes]", timeout=60_000)
+    page.wait_for_selector("body[data-live=yes]")
 
     page.click('[data-mode="closed loop"]')
 
@@ -122,7 +123,7 @@ def test_a_press_during_a_gap_is_answered_in_words_and_not_done_later(page: Page
     expect(page.locator(".toast", has_text="NOT SENT")).to_have_count(1)
     expect(page.locator(".toast", has_text="NOT ANSWERED")).to_have_count(3)
     network.restore()  # the server gets what the network held up
-    page.wait_for_selector("body[data-live=yes]", timeout=60_000)
+    page.wait_for_selector("body[data-live=yes]")
     page.get_by_label("remark").fill("after the gap")
     page.get_by_text("Mark now").click()
     wait_for(lambda: done(bus, "mark") == 1, "what was pressed after the gap")

@@ -127,7 +127,7 @@ def test_a_person_s_command_reaches_the_board_under_that_person_s_name_and_role(
         def known() -> bool:
             return page.post("/api/rig/command", {"ping": {}}).json()["accepted"] is True
 
-        wait_for(known, "the board behind the page", timeout_s=15.0)
+        wait_for(known, "the board behind the page")
         stopped = page.post("/api/rig/stop")
         wait_for(lambda: any(r.command.HasField("stop") for r in bus.records), "the record")
         forbidden = page.post("/api/rig/command", {"set_stream": {"divider": 2}})

@@ -171,7 +171,7 @@ def test_jobs_run_once_say_a_bounded_amount_and_end_with_us(tmp_path: Path) -> N
     job = jobs.start("record", "rig", words, title="t", who="ben")
     with pytest.raises(UsageError, match="runs already, begun by ben"):
         jobs.start("record", "rig", words, title="t", who="ana")
-    wait_for(lambda: job.lines, "its first line", timeout_s=90.0)
+    wait_for(lambda: job.lines, "its first line")
     jobs.close()
 
     assert not job.running

@@ -19,7 +19,6 @@ pytestmark = [
     pytest.mark.xdist_group("hmi-seen"),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
-expect.set_options(timeout=30_000)
 SAID = '[data-live="stop-said"]'
 REPORT = "<!doctype html><body style='margin:0'><h1>air-gap-offset</h1><p style='height:2000px'>long</p>"
 STRONG_COLOURS = """() => {

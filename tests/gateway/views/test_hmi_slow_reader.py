@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import os
 import socket
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -63,12 +62,8 @@ def test_others_get_their_frames_while_some_do_not_read(tmp_path: Path) -> None:
 
         with page.live("/live/rig") as reader:
             wait_for(lambda: "now" in frame(reader), "the board")
-            begun_s = time.monotonic()
-            for _ in range(30):
-                frame(reader)
-            took_s = time.monotonic() - begun_s
-
-    assert took_s < 2.0, "30 frames are a second's; twice that on a busy machine"
+            for _ in range(30):  # how fast: tests/bench/reactions.py
+                assert "now" in frame(reader)
 
 
 @pytest.mark.slow
@@ -86,7 +81,7 @@ def test_who_never_reads_is_cut_off_and_costs_no_memory(tmp_path: Path) -> None:
         for _ in range(8):
             stack.enter_context(never_reading(page))
         wait_for(lambda: sockets(process.pid) >= before + 8, "the eight")
-        wait_for(lambda: sockets(process.pid) <= before, "the end of the eight", timeout_s=90.0)
+        wait_for(lambda: sockets(process.pid) <= before, "the end of the eight")
 
         print(f"resident: {before_mb:.1f} MB before, {resident_mb(process.pid):.1f} MB after")
         assert resident_mb(process.pid) < before_mb + 20.0

@@ -18,6 +18,7 @@ from gateway.access.roles import Role, may
 from gateway.access.users import User
 from tests.gateway.gateway_peers import free_port, wait_for
 from tests.gateway.npm import installed
+from tests.patience import HANG_S
 
 HERE = Path(__file__).parent / "node_opcua"
 ROOT = Path(__file__).parents[3]
@@ -31,8 +32,6 @@ WRITES = {
     "within": "Good", "outside": "BadOutOfRange", "wrong type": "BadTypeMismatch", "float": "BadTypeMismatch",
     "int": "BadTypeMismatch", "mode": "Good", "measured": "BadNotWritable",
 }  # fmt: skip
-
-pytestmark = pytest.mark.timeout(300)  # the packages of npm, five processes, a minute
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +115,7 @@ def judge(plant: Plant, tmp_path: Path, name: str, *, seconds: float = 1.0, **op
         capture_output=True,
         text=True,
         check=False,
-        timeout=seconds + 120,
+        timeout=seconds + 5 * HANG_S,
     )
     print(done.stderr)
     assert done.returncode == 0, done.stderr

@@ -64,7 +64,6 @@ def test_the_derivative_by_the_place_of_a_stop_is_the_difference(campaign: Campa
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_half_a_sine_is_found_as_a_bow_of_that_height_and_nothing_else(campaign: Campaign) -> None:
     found = diagnose(campaign)
 

@@ -32,7 +32,6 @@ TRIED = tuple(BY_NAME[name] for name in (*HIDDEN, "constant-force"))
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_causes_that_hide_each_other_are_taken_together_or_not_at_all(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -79,7 +78,6 @@ def test_who_gains_nearly_as_much_as_the_leader_is_tried_as_the_first_of_several
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_one_cause_takes_the_place_of_two_that_stand_in_for_it(tmp_path: Path) -> None:
     three = ("position-sensor-nonlinearity", "force-exponent", "quadratic-drag")
     make_campaign(tmp_path / "both", effects=HIDDEN, seed=310, plant="independent", quick=True)
@@ -119,7 +117,6 @@ def test_a_dead_zone_begins_with_the_size_of_the_offset_that_it_may_stand_for() 
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_what_was_refused_beside_a_stand_in_is_asked_again_beside_the_right_cause(tmp_path: Path) -> None:
     """A lag of the sensor stands for one of the force, and beside it a drag explains a hundredth of what is left."""
     hidden = {"eddy-current-lag": 3.7e-3, "quadratic-drag": 1.0, "periodic-disturbance": 5e-3}

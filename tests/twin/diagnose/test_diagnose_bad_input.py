@@ -179,7 +179,6 @@ def test_a_model_of_another_plant_is_refused_by_its_field(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)  # two searches in vain, then one without it
 def test_a_recording_of_another_rig_is_named_and_left_out(
     copy: Callable[[str], Path], campaigns: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -194,7 +193,6 @@ def test_a_recording_of_another_rig_is_named_and_left_out(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
 def test_an_effect_that_begins_in_the_middle_is_named_with_its_place(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -276,7 +274,7 @@ def test_an_empty_file_is_named(
 
 @pytest.mark.parametrize(
     "damage",
-    ["two samples", pytest.param("constant x", marks=[pytest.mark.slow, pytest.mark.timeout(600)]), "x not numbers"],
+    ["two samples", pytest.param("constant x", marks=pytest.mark.slow), "x not numbers"],
 )
 def test_one_useless_recording_gives_no_false_name(
     copy: Callable[[str], Path], capsys: pytest.CaptureFixture[str], damage: str

@@ -20,7 +20,6 @@ CAUSES = 26
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.timeout(900),
     pytest.mark.xdist_group("diagnosis"),  # two trials at a time are enough for two cores
     pytest.mark.skipif(
         not (ROOT / "twin" / "commands" / "diagnose.py").is_file(), reason="board51 diagnose is not there"

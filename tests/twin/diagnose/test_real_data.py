@@ -161,7 +161,6 @@ def test_the_coil_sits_higher_than_its_face() -> None:
 
 @needs_inteco
 @pytest.mark.slow
-@pytest.mark.timeout(1200)
 def test_the_whole_rig_is_not_explained_and_said_so(tmp_path: Path) -> None:
     code = main(
         ["diagnose", str(CAMPAIGNS / "inteco-diagnosis.toml"), "--data", str(DATA), "--out", str(tmp_path), "--quick"]

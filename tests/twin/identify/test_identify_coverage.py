@@ -12,7 +12,6 @@ CAMPAIGNS = 60
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1200)
 def test_intervals_contain_the_truth_in_90_to_99_percent_and_bias_is_below_the_spread() -> None:
     inside: dict[str, list[bool]] = {name: [] for name in TRUTHS}
     z: dict[str, list[float]] = {name: [] for name in TRUTHS}

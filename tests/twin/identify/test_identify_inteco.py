@@ -16,7 +16,6 @@ DATA = Path(os.environ.get("BOARD51_DATA", ROOT.parent / "shared" / "data"))
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
 @pytest.mark.skipif(not (DATA / "inteco-mls2em").is_dir(), reason="recordings not found; set BOARD51_DATA")
 def test_one_model_of_the_inteco_rig_and_what_is_wrong_with_it() -> None:
     campaign = load(ROOT / "twin" / "campaigns" / "inteco.toml")
