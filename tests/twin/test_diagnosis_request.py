@@ -20,8 +20,11 @@ def alarm(name: str, *, active: bool) -> pb.Alarm:
     return pb.Alarm(name=name, active=active, text="back to what noise explains")
 
 
-def asked(request: DiagnosisRequest, from_s: float, to_s: float) -> list[pb.Alarm]:
-    said = [request.sample(pb.State(t_s=0.5 * k, tick=k)) for k in range(round(2 * from_s), round(2 * to_s))]
+def asked(request: DiagnosisRequest, from_s: float, to_s: float, *, judged: bool = True) -> list[pb.Alarm]:
+    said = [
+        request.sample(pb.State(t_s=0.5 * k, tick=k), lambda _: judged)
+        for k in range(round(2 * from_s), round(2 * to_s))
+    ]
     return [one for one in said if one is not None]
 
 
@@ -65,6 +68,15 @@ def test_time_begins_anew_with_a_board_that_was_reset() -> None:
 
     assert asked(request, 1000, 1020) == []
     assert [one.tick for one in asked(request, 0, 100)] == [60]
+
+
+def test_time_without_evidence_does_not_count() -> None:
+    request = DiagnosisRequest(after_s=30.0, command="")
+    request.heard(alarm("divergence-x", active=True))
+
+    assert asked(request, 10, 30) == []
+    assert asked(request, 30, 130, judged=False) == []
+    assert [one.tick for one in asked(request, 130, 200)] == [2 * 140]  # 19.5 s and 10.5 s
 
 
 def test_zero_means_never() -> None:

@@ -231,7 +231,7 @@ def test_rolling_figures_are_those_of_the_window_and_do_not_drift() -> None:
     e = 1e-6 * rng.normal(size=n)
     e[:50] = 1e3  # leaves nothing behind
     windows = Comparison()
-    windows.start(window)
+    windows.start(window, window)
     arrays = (windows.ring, windows.sums, windows.counts, windows.totals)
 
     for k in range(n):
@@ -245,13 +245,13 @@ def test_rolling_figures_are_those_of_the_window_and_do_not_drift() -> None:
 
 def test_a_mean_window_forgets_completely() -> None:
     windows = Comparison()
-    windows.start(4)
+    windows.start(4, 4)
     means = [
         rolling_mean(windows.ring, windows.sums, windows.counts, NIS, value) for value in (1.0, 2.0, 3.0, 4.0, 5.0)
     ]
 
     assert means == pytest.approx([1.0, 1.5, 2.0, 2.5, 3.5])
-    windows.start(4)
+    windows.start(4, 4)
     assert rolling_mean(windows.ring, windows.sums, windows.counts, NIS, 7.0) == 7.0
 
 

@@ -19,7 +19,7 @@ from twin.diagnose.result import Diagnosis
 from twin.diagnose.show import Show
 from twin.diagnose.words import LACKED, WHERE_JUDGED, capital, percent
 from twin.page import bullets, drawing, figures, paragraph, table, untested
-from twin.validate.steps import FIGURES
+from twin.validate.steps import FIGURES, definition
 
 _QUICK_REGIMES = ("position", "speed")
 _STEP_FIGURES = ("rise_s", "settling_s", "overshoot")
@@ -78,7 +78,8 @@ def _steps(steps: Steps, alone: bool) -> str:
     for first, second in steps.figures:
         if first.name not in _STEP_FIGURES or not first.count:
             continue
-        title, unit, factor = FIGURES[first.name]
+        _, unit, factor = FIGURES[first.name]
+        title = definition(first.name, first.bands)
         cells = [f"{title} [{unit}]", f"{first.rig * factor:.4g}", f"{first.simulation * factor:.4g}"]
         for one in (first,) if alone else (first, second):
             ends = one.ci95 or (math.nan, math.nan)

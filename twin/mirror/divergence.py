@@ -4,6 +4,8 @@ Rule 1: windows hold samples of one uninterrupted time in step; whatever interru
 Rule 2: sums are kept incrementally and recomputed from the stored values once per window, so rounding never accumulates
         over more than one window: after a week the figures are those of a fresh start.
 Rule 3: a figure that does not exist is NaN, never 0.
+Rule 4: an alarm lives on evidence.  One that no sample has judged for so long (the innovation: a window; the errors,
+        which a settling twin does not judge: a window and the longest settling) ends without a decision.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from twin.mirror.alarms import PLACES, UNCHANGED, clear_window, decide, end, mes
 Figures: TypeAlias = tuple[float, float, float, float, bool]  # error, normalised, rolling RMSE, fit %, window full
 
 X, I_C, U_C, NIS = 0, 1, 2, 3  # rows of the windows: errors of three signals, and the NIS
-UNSEEN = 4  # in `counts`: ticks without a valid innovation, in a row
+UNSEEN, HOLD = 4, 7  # in `counts`: samples in a row that did not judge an alarm, one for each; how many end an error's
 ORIGIN = 3  # in `sums`: the signal's first value in the window (squares of values near 0 keep their digits)
 ALARMS = ("innovation", "divergence-x", "divergence-i_c")
 
@@ -102,10 +104,27 @@ def figures(
 
 
 @kernel
-def judge_error(alarm: NDArray[np.float64], window: int, normalised: float, on: float, off: float) -> int:
-    """What this error does to its alarm."""
-    if not math.isfinite(normalised):
-        return UNCHANGED
+def unseen(alarm: NDArray[np.float64], counts: NDArray[np.int64], row: int, limit: int) -> int:
+    """What a sample that says nothing about it does to an alarm, row `row` of ALARMS."""
+    counts[UNSEEN + row] += 1
+    return end(alarm) if counts[UNSEEN + row] > limit else UNCHANGED
+
+
+@kernel
+def judge_error(
+    alarm: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    row: int,
+    window: int,
+    normalised: float,
+    on: float,
+    off: float,
+    judged: bool,
+) -> int:
+    """What this error does to its alarm, row `row` of ALARMS; `judged`: the sample is in step and in closed loop."""
+    if not (judged and math.isfinite(normalised)):
+        return unseen(alarm, counts, row, counts[HOLD])
+    counts[UNSEEN + row] = 0
     return decide(alarm, window, normalised * normalised, on, off)
 
 
@@ -129,8 +148,7 @@ def judge_innovation(
         sums[NIS] = 0.0
         counts[NIS] = 0
         clear_window(alarm)
-        counts[UNSEEN] += 1
-        return math.nan, end(alarm) if counts[UNSEEN] > window else UNCHANGED
+        return math.nan, unseen(alarm, counts, 0, window)
     counts[UNSEEN] = 0
     totals[NIS, 0] += 1.0
     totals[NIS, 1] += n_x * n_x
@@ -143,7 +161,7 @@ class Comparison:
     """Windows, totals and alarms of one board, as the kernels take them.
 
     ring, shape (4, window, 3), of (square, y, y^2) by X, I_C, U_C, NIS; sums, shape (4, 4): over the window, and
-    ORIGIN; counts, shape (5,): samples taken since the window was emptied, and UNSEEN; alarms, shape (3, PLACES).
+    ORIGIN; counts, shape (8,): samples taken since the window was emptied, UNSEEN and HOLD; alarms, shape (3, PLACES).
     totals, shape (4, 4), over all time: of a signal samples in step, sum of errors, sum of their squares; of the
     innovations samples, sums of the squares of x and of i_c, sum of the NIS.
     """
@@ -151,14 +169,15 @@ class Comparison:
     def __init__(self) -> None:
         self.totals = np.zeros((4, 4))
         self.alarms = np.zeros((3, PLACES))
-        self.counts = np.zeros(5, dtype=np.int64)
-        self.start(2)
+        self.counts = np.zeros(8, dtype=np.int64)
+        self.start(2, 2)
 
-    def start(self, window: int) -> None:
-        """Empty windows of `window` ticks."""
+    def start(self, window: int, hold: int) -> None:
+        """Empty windows of `window` ticks; alarms on errors are held for `hold` samples that do not judge them."""
         self.ring = np.zeros((4, window, 3))
         self.sums = np.zeros((4, 4))
         self.counts[:UNSEEN] = 0
+        self.counts[HOLD] = hold
         for alarm in self.alarms:
             clear_window(alarm)
 
@@ -173,11 +192,22 @@ class Comparison:
         """The mode has changed: what the free twin did in the mode before is over."""
         return self.messages((UNCHANGED, *(end(alarm) for alarm in self.alarms[1:])))
 
+    def drop_alarms(self, why: str) -> list[pb.Alarm]:
+        """What was compared is over."""
+        return self.messages(tuple(end(alarm) for alarm in self.alarms), why_ended=why)
+
+    def skip(self) -> list[pb.Alarm]:
+        """A sample with which nothing can be compared."""
+        limits = (self.ring.shape[1], self.counts[HOLD], self.counts[HOLD])
+        return self.messages(
+            tuple(unseen(alarm, self.counts, row, limits[row]) for row, alarm in enumerate(self.alarms))
+        )
+
     def forget(self, why: str) -> list[pb.Alarm]:
         """What was compared was another twin's: alarms end, totals begin at zero; the windows are `start`'s."""
         self.totals[:] = 0.0
-        self.counts[:] = 0
-        return self.messages(tuple(end(alarm) for alarm in self.alarms), why_ended=why)
+        self.counts[:HOLD] = 0
+        return self.drop_alarms(why)
 
     def messages(self, changes: tuple[int, ...], *, why_ended: str = "") -> list[pb.Alarm]:
         """What is said about changes."""

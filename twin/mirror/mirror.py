@@ -11,6 +11,9 @@ Rule 3: a change of mode between two consecutive samples is no loss: the twin st
         protocol/README.md) and settles, without an alarm.
 Rule 4: without the board's parameters there is no law, hence no free twin; the observer runs all the same.
 Rule 5: another model is another twin: it starts from the next sample and settles, the alarms of the one before end.
+Rule 6: an alarm on the comparison is about one flight.  A new session and a silence of more than SILENT_S end it at
+        once, a change of mode ends those on errors; what else interrupts the evidence, ends it after a while (rule 4 of
+        divergence.py).  Fresh evidence raises it again.
 """
 
 from __future__ import annotations
@@ -25,6 +28,9 @@ from twin.control import integral_behind
 from twin.mirror.divergence import Comparison
 from twin.mirror.loop import advance
 from twin.mirror.observer import Observer
+from twin.mirror.output import IN_STEP as IN_STEP
+from twin.mirror.output import OUT_OF_STEP as OUT_OF_STEP
+from twin.mirror.output import SETTLING as SETTLING
 from twin.mirror.output import Output
 from twin.mirror.regime import KnownParameters, Regime
 from twin.mirror.sample import Sample, read
@@ -34,8 +40,8 @@ from twin.model.extended import WARMTH
 from twin.model.parameters import Model
 from twin.simulate import INTEGRAL, X_BEFORE, X_READ, places, rig_at
 
-IN_STEP, SETTLING, OUT_OF_STEP = "in-step", "settling", "out-of-step"
 SAMPLE_TIME_RANGE_S = (1e-4, 2e-2)  # T_s for which the steps of the kernels were checked
+SILENT_S = 1.0  # without a sample
 _SAMPLES_IN = {sync: f"samples_{sync}" for sync in (IN_STEP, SETTLING, OUT_OF_STEP)}
 _LOSS_TEXTS = {
     "board-reset": "the board was reset or reconnected",
@@ -120,6 +126,8 @@ class Mirror:
                 self.counters["innovations"] += 1
             if answer[5]:
                 alarms += self.comparison.messages(answer[6])
+        else:
+            alarms += self.comparison.skip()
         for alarm in alarms:
             alarm.host_time_ns, alarm.tick, alarm.session = state.host_time_ns, state.tick, state.session
         nis_on = regime.nis_on if regime is not None else 0.0
@@ -147,16 +155,17 @@ class Mirror:
                 alarm.tick, alarm.session = self._last.tick, self._last.session
         return alarms
 
-    def silence(self, text: str) -> pb.Alarm | None:
-        """The caller, who has a clock, misses the board.  Raises the alarm only: the twin's numbers know no clock."""
+    def silence(self, text: str) -> list[pb.Alarm]:
+        """The caller, who has a clock, misses the board.  Alarms only: the twin's numbers know no clock."""
         self.counters["silences"] += 1
-        if self._alarm_active:
-            return None
-        self._alarm_active = True
-        alarm = pb.Alarm(name=OUT_OF_STEP, active=True, value=self._losses(), text=text)
+        alarms = self.comparison.drop_alarms(text)
+        if not self._alarm_active:
+            self._alarm_active = True
+            alarms.append(pb.Alarm(name=OUT_OF_STEP, active=True, value=self._losses(), text=text))
         if self._last is not None:
-            alarm.tick, alarm.session = self._last.tick, self._last.session
-        return alarm
+            for alarm in alarms:
+                alarm.tick, alarm.session = self._last.tick, self._last.session
+        return alarms
 
     # ---- what kind of sample is this
 
@@ -167,11 +176,14 @@ class Mirror:
         bridged = 0
         if not loss and last is not None:
             loss = self._interruption(now, last)
+        if last is not None and (now.session != last.session or now.t_s - last.t_s > SILENT_S):
+            alarms += self.comparison.drop_alarms("")
+        elif last is not None and last.mode != now.mode:
+            alarms += self.comparison.drop_error_alarms()
         if loss:
             self._lose_step(loss, alarms)
         elif last is not None and last.mode != now.mode:
             self.counters["mode_changes"] += 1
-            alarms += self.comparison.drop_error_alarms()
             self._stop()
         elif last is not None and self._flying:
             bridged = self._bridge(last, now.tick - last.tick - 1)
@@ -213,7 +225,7 @@ class Mirror:
         """Empty everything and have at hand what stays as long as the regime."""
         observer = Observer(regime.plant, self.model.noise, i_lsb_a=regime.i_lsb_a, x_lsb_m=regime.x_lsb_m)
         windows = self.comparison
-        windows.start(regime.window)
+        windows.start(regime.window, regime.hold)
         self._twin = np.full(places(regime.plant), math.nan)
         return (
             regime.packed_plant,

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 
 from protocol.bus import board51_pb2 as pb
-from twin.mirror.divergence import Figures
+from twin.mirror.divergence import ALARMS, Figures
 from twin.mirror.sample import Sample
 from twin.mirror.step import Answer
+
+IN_STEP, SETTLING, OUT_OF_STEP = "in-step", "settling", "out-of-step"
 
 
 class Output:
@@ -82,6 +84,16 @@ class Output:
         if self._divergence is None:
             self._divergence = self._compared()
         return self._divergence
+
+    def judges(self, alarm: str) -> bool:
+        """Whether this sample is evidence for or against an alarm, one of ALARMS."""
+        answer, row = self._answer, ALARMS.index(alarm)
+        if answer is None:
+            return False
+        if row == 0:  # the innovation
+            return answer[0][4]
+        of_signal = answer[2] if row == 1 else answer[3]
+        return self.sync == IN_STEP and self._sample.closed_loop and math.isfinite(of_signal[1])
 
     def _compared(self) -> pb.Divergence:
         sample, answer = self._sample, self._answer

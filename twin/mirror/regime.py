@@ -76,6 +76,7 @@ class Regime:
         self.plant = plant_numbers(model, sample_time_s)
         self.law = law_numbers(parameters) if parameters else None
         self.window = max(2, round(settings.window_s / sample_time_s))
+        self.hold = self.window + round(SETTLE_MAX_S / sample_time_s)  # an alarm without evidence: see divergence.py
         self.i_lsb_a = parameters.i_lsb_a if parameters else 0.0
         self.x_lsb_m = parameters.x_lsb_m if parameters else 0.0
         probability = probability_per_window(settings.false_alarms_per_day, self.window * sample_time_s)

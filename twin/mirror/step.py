@@ -74,7 +74,7 @@ def step(
         work: its scratch, shape (3 m + 3, 6).
         ring: windows, shape (4, window, 3), see `Comparison`.
         sums: over them, shape (4, 4).
-        counts: of samples in them, shape (5,).
+        counts: of samples in them, and without evidence, shape (8,).
         totals: over all time, shape (4, 4).
         alarms: shape (3, PLACES).
         twin: memory of the free twin, a simulated rig, see `advance`.
@@ -99,15 +99,14 @@ def step(
     )
     flight = (math.nan, math.nan, math.nan, math.nan)
     of_x = of_i = of_u = (math.nan, math.nan, math.nan, math.nan, False)
-    change_x = change_i = UNCHANGED
     if flying:
         flight = advance(plant, law, twin, closed_loop, x_ref, u)
         of_x = figures(ring, sums, counts, totals, X, x, flight[1], yardstick[0], in_step)
         of_i = figures(ring, sums, counts, totals, I_C, i, flight[0], yardstick[1], in_step)
         of_u = figures(ring, sums, counts, totals, U_C, u, flight[3], yardstick[2], in_step)
-        if closed_loop and in_step:
-            change_x = judge_error(alarms[1], ring.shape[1], of_x[1], yardstick[3], yardstick[5])
-            change_i = judge_error(alarms[2], ring.shape[1], of_i[1], yardstick[4], yardstick[6])
+    judged = flying and closed_loop and in_step
+    change_x = judge_error(alarms[1], counts, 1, ring.shape[1], of_x[1], yardstick[3], yardstick[5], judged)
+    change_i = judge_error(alarms[2], counts, 2, ring.shape[1], of_i[1], yardstick[4], yardstick[6], judged)
     changed = of_innovation != UNCHANGED or change_x != UNCHANGED or change_i != UNCHANGED
     innovation = (n_i, n_x, nis, nis_mean, valid)
     return innovation, flight, of_x, of_i, of_u, changed, (of_innovation, change_x, change_i)

@@ -15,12 +15,11 @@ from google.protobuf.message import Message
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import encoding, topics
 from twin.mirror.handover import Belief, refusal
-from twin.mirror.mirror import Mirror
+from twin.mirror.mirror import SILENT_S, Mirror
 from twin.mirror.output import Output
 from twin.mirror.request import DiagnosisRequest
 from twin.mirror.settings import Settings
 
-SILENT_S = 1.0
 REPEAT_S = 5.0  # as the gateway's parameters: a log part or a late subscriber need not wait longer
 _MESSAGES: dict[str, type[Message]] = {
     "twin/state": pb.TwinState,
@@ -95,7 +94,7 @@ class Watched:
         self._publish("twin/divergence", output.divergence)
         for alarm in output.alarms:
             self._alarm(alarm)
-        if (wanted := self._request.sample(state)) is not None:
+        if (wanted := self._request.sample(state, output.judges)) is not None:
             self._alarm(wanted)
         return output
 
@@ -127,8 +126,7 @@ class Watched:
         """Notice silence; repeat what late subscribers need."""
         if self.samples and not self.silent and now_s - self._heard_s > SILENT_S:
             self.silent = True
-            alarm = self.mirror.silence(f"no sample for {SILENT_S:g} s")
-            if alarm is not None:
+            for alarm in self.mirror.silence(f"no sample for {SILENT_S:g} s"):
                 self._alarm(alarm)
         if self._since is not None and now_s - self._told_s > REPEAT_S:
             self._repeat(now_s)

@@ -12,7 +12,7 @@ from twin.identify.record import FloatArray, intervals, runs
 from twin.model.parameters import Model
 from twin.validate.extended import current
 from twin.validate.source import Source, chosen
-from twin.validate.steps import FIGURES, SMALLEST_SIGMAS, Compared, Step, compared, measure
+from twin.validate.steps import FIGURES, SMALLEST_SIGMAS, Compared, Step, compared, measure, settling_band
 
 FEWEST = 20  # samples of a level
 REALISATIONS = 8  # of the sensor's noise on (1)
@@ -20,7 +20,7 @@ FLAT_SHARE = 2e-3  # of the range of u_c: smaller changes are the same level
 # name: (title, unit, factor from SI)
 CURRENT_FIGURES: dict[str, tuple[str, str, float]] = {
     "rise_s": ("rise time 10-90 %", "ms", 1e3),
-    "settling_s": ("settling time 5 %", "ms", 1e3),
+    "settling_s": ("settling time", "ms", 1e3),
     "overshoot": ("overshoot", "%", 100.0),
     "iae_m_s": ("IAE to the final level", "mA s", 1e3),
 }
@@ -90,6 +90,7 @@ def _steps(traces: Sequence[AmplifierTrace], noise_a: float) -> tuple[Compared, 
     rng = np.random.default_rng(1)
     measured: list[list[float]] = []
     simulated: list[list[float]] = []
+    bands: list[float] = []
     for trace in traces:
         T_s = float(np.median(np.diff(trace.t_s)))
         still = np.concatenate(([True], np.abs(np.diff(trace.u_c_v)) <= FLAT_SHARE * max(np.ptp(trace.u_c_v), 1e-12)))
@@ -106,12 +107,13 @@ def _steps(traces: Sequence[AmplifierTrace], noise_a: float) -> tuple[Compared, 
                 if abs(high - low) > SMALLEST_SIGMAS * noise_a:
                     several.append(measure(i, trace.u_c_v, np.full(len(i), high), step, T_s, noise_a, smooth_s=T_s))
             if len(several) > REALISATIONS:
+                bands.append(settling_band(step.to_m - step.from_m, noise_a))
                 measured.append(several[0])
                 simulated.append(np.mean(several[1:], axis=0).tolist())
     if not measured:
         return ()
     return tuple(
-        compared(name, np.array(measured)[:, n], np.array(simulated)[:, n])
+        compared(name, np.array(measured)[:, n], np.array(simulated)[:, n], bands if name == "settling_s" else ())
         for n, name in enumerate(FIGURES)
         if name in CURRENT_FIGURES
     )

@@ -16,11 +16,11 @@ from twin.identify.fit import FLOORS, physics
 from twin.identify.horizon import HORIZONS_S, predict
 from twin.identify.innovations import FLIES, FOLLOWS
 from twin.identify.record import BoolArray, FloatArray, runs
-from twin.identify.transition import Physics, moments, transit
+from twin.model.extended import SENSOR
 from twin.model.extension import base
 from twin.model.parameters import Model
 from twin.prediction_floor import TOLERANCE, floor_rmse
-from twin.simulate import plant_numbers
+from twin.simulate import over, plant_numbers, rig_at
 from twin.validate.extended import predictions, window
 from twin.validate.source import Filtered, plant_of
 
@@ -41,6 +41,7 @@ class Ahead:
     still_m: float  # the same for "x stays where it is"
     count: int
     at_floor: bool
+    beats_still: bool  # no worse than "x stays where it is", as far as so many errors tell
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,6 +98,7 @@ def multi_step(runs_: Sequence[Filtered], model: Model) -> tuple[Ahead, ...]:
         ratio = float(np.sqrt(mean2 / floor2))
         low = ratio / np.sqrt(1.0 + 1.96 * spread)
         high = ratio / np.sqrt(max(1.0 - 1.96 * spread, 0.05))
+        unmoved = float(np.sqrt(np.mean(np.concatenate(stills) ** 2)))
         rows.append(
             Ahead(
                 horizon_s=actual_s,
@@ -104,9 +106,10 @@ def multi_step(runs_: Sequence[Filtered], model: Model) -> tuple[Ahead, ...]:
                 floor_m=float(np.sqrt(floor2)),
                 ratio=ratio,
                 ratio_ci95=(float(low), float(high)),
-                still_m=float(np.sqrt(np.mean(np.concatenate(stills) ** 2))),
+                still_m=unmoved,
                 count=count,
                 at_floor=bool(low <= TOLERANCE),
+                beats_still=bool(np.sqrt(mean2 / (1.0 + 1.96 * spread)) <= unmoved),
             )
         )
     return tuple(rows)
@@ -178,17 +181,15 @@ def _chains(run: Filtered) -> list[slice]:
 
 
 def _window(run: Filtered, model: Model, begin: int, length: int) -> FloatArray:
+    """By u_c alone, with the twin's physics: its stops hold the ball."""
     if run.full is not None:
         return window(run.series, run.full, model, begin, length)
-    p = Physics(*physics(run.point, plant_of(model)))
-    out, m, at = np.full(length, np.nan), np.empty(9), -1.0
     i, x, v = (float(value) for value in run.state[begin])
+    plant = plant_numbers(model, run.source.record.interval_s)
+    out = np.full(length, np.nan)
+    y = rig_at(plant, i=i, x=x, v=v, u=float(run.series.u[begin]))
     out[0] = x
     for k in range(1, length - 1):  # the last stays NaN: the next window starts there
-        T_s = float(run.series.step[begin + k])
-        if T_s != at:
-            moments(T_s, p.T_A, m)
-            at = T_s
-        i, x, v = transit(p, m, T_s, i, x, v, float(run.series.u[begin + k - 1]))
-        out[k] = x
+        over(tuple(plant), y, float(run.series.u[begin + k - 1]), float(run.series.step[begin + k]), True)
+        out[k] = y[SENSOR]
     return out

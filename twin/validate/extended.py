@@ -13,7 +13,19 @@ from twin.diagnose.horizon import roll
 from twin.identify.fit import Point
 from twin.identify.innovations import FOLLOWS, Series, whiten
 from twin.identify.record import FloatArray
-from twin.model.extended import FIELD, I_C, SENSOR, STATES, WARMTH, V, X, current_of_reading, current_reading
+from twin.model.extended import (
+    FIELD,
+    I_C,
+    SENSOR,
+    STATES,
+    WARMTH,
+    Base,
+    V,
+    X,
+    current_of_reading,
+    current_reading,
+    position_reading,
+)
 from twin.model.extension import base
 from twin.model.parameters import Model
 from twin.simulate import plant_numbers
@@ -41,7 +53,10 @@ def as_shown(state: FloatArray, model: Model) -> FloatArray:
 
 
 def predictions(series: Series, state: FloatArray, model: Model, ahead: int, settle: int) -> FloatArray:
-    """Reading of x predicted for each sample `ahead` samples earlier, m, shape (n,); NaN where there is none."""
+    """Reading of x predicted for each sample `ahead` samples earlier, m, shape (n,); NaN where there is none.
+
+    Within the stops, as the rig's ball is: what the sensor shows there without a current.
+    """
     x_hat = np.empty(len(series))
     t = np.cumsum(series.step)
     c = plant_numbers(model, 1e-3).c
@@ -58,7 +73,9 @@ def predictions(series: Series, state: FloatArray, model: Model, ahead: int, set
         np.ones(len(t), np.bool_),
         x_hat,
     )
-    return x_hat
+    p = Base(*base(model))
+    stops = [position_reading(p, c, position, 0.0) for position in (0.0, p.travel_m)]
+    return np.clip(x_hat, min(stops), max(stops))
 
 
 def window(series: Series, state: FloatArray, model: Model, begin: int, length: int) -> FloatArray:
@@ -69,7 +86,7 @@ def window(series: Series, state: FloatArray, model: Model, begin: int, length: 
     first = int(breaks[-1]) if len(breaks) else 0
     out[0] = y[SENSOR]
     for k in range(1, length - 1):
-        drive_over(tuple(base(model)), c, y, series.u, begin + k, first, 0.0, float(series.step[begin + k]), False)
+        drive_over(tuple(base(model)), c, y, series.u, begin + k, first, 0.0, float(series.step[begin + k]), True)
         out[k] = y[SENSOR]
     return out
 

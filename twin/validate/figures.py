@@ -40,13 +40,14 @@ def amplifier_figure(result: Amplifier, time_constant_s: float) -> bytes:
     return _png(figure)
 
 
-def ball_figure(result: Windows) -> bytes:
+def ball_figure(result: Windows, travel_m: float) -> bytes:
     """Figure 8, in windows."""
     figure, axes = _grid(2, 1, height=5.0, ratios=[2.4, 1.0])
     top, bottom = axes[0][0], axes[1][0]
     top.plot(result.t_s, result.measured_m * 1e3, color=MEASURED, lw=2.6, alpha=0.55, label="measured")
     top.plot(result.t_s, result.simulated_m * 1e3, color=TWIN, lw=1.2, label="(6), each window from a fresh estimate")
     top.set_ylabel("position x [mm]")
+    _within_travel(top, travel_m)
     top.legend(loc="best", fontsize=9)
     error = (result.measured_m - result.simulated_m) * 1e6
     bottom.plot(result.t_s, error, color=TWIN, lw=0.9)
@@ -58,6 +59,11 @@ def ball_figure(result: Windows) -> bytes:
 
 def ahead_figure(rows: Sequence[Ahead]) -> bytes:
     """Errors over the horizon."""
+    return _png(ahead_axes(rows))
+
+
+def ahead_axes(rows: Sequence[Ahead]) -> Figure:
+    """The same, not yet as bytes."""
     figure, axes = _grid(1, 1, height=3.6, width=6.4)
     ax = axes[0][0]
     h = np.array([row.horizon_s for row in rows]) * 1e3
@@ -66,13 +72,11 @@ def ahead_figure(rows: Sequence[Ahead]) -> bytes:
     ax.loglog(h, [row.floor_m * 1e6 for row in rows], color="black", ls="--", marker="_", label="noise floor")
     ax.set_xticks(h, [f"{value:g}" for value in h])
     ax.minorticks_off()
-    low, high = (float(value) for value in ax.get_ylim())
-    ticks = [m * 10.0**k for k in range(-2, 6) for m in (1, 2, 5) if low <= m * 10.0**k <= high]
-    ax.set_yticks(ticks, [f"{value:g}" for value in ticks])
+    _ticks_125(ax)
     ax.set_xlabel("prediction horizon [ms]")
     ax.set_ylabel("rms error of x [µm]")
     ax.legend(fontsize=9)
-    return _png(figure)
+    return figure
 
 
 def residual_figure(channels: Sequence[Channel]) -> bytes:
@@ -98,7 +102,7 @@ def residual_figure(channels: Sequence[Channel]) -> bytes:
     return _png(figure)
 
 
-def loop_figure(run: LoopRun) -> bytes:
+def loop_figure(run: LoopRun, travel_m: float) -> bytes:
     """Figures 11 and 12 over one another."""
     part = _busiest(run)
     t = run.t_s[part]
@@ -110,6 +114,7 @@ def loop_figure(run: LoopRun) -> bytes:
     x.plot(t, run.x_m[part] * 1e3, color=MEASURED, lw=1.2, label="measured")
     x.plot(t, run.x_ref_m[part] * 1e3, color=REFERENCE, lw=1.0, ls="--", label="reference")
     x.set_ylabel("position x [mm]")
+    _within_travel(x, travel_m)
     x.legend(fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
     against, label = (run.quiet_x_m, "measured - noise-free simulation") if simulated else (run.x_ref_m, "x - x_ref")
     error.plot(t, (run.x_m - against)[part] * 1e6, color=MEASURED, lw=0.7, label=label)
@@ -154,6 +159,24 @@ def step_figure(responses: Sequence[Response]) -> bytes:
     bottom.set_xlabel("time from the change of the reference [ms]")
     bottom.legend(fontsize=8, loc="best")
     return _png(figure)
+
+
+def _within_travel(ax: Axes, travel_m: float) -> None:
+    """No more of the position axis than the ball can reach, and a little."""
+    low, high = ax.get_ylim()
+    room = 0.05 * travel_m * 1e3
+    ax.set_ylim(max(low, -room), min(high, travel_m * 1e3 + room))
+
+
+def _ticks_125(ax: Axes) -> None:
+    """Ticks 1, 2, 5, 10 ... of a logarithmic y axis, from one below the values to one above: two at the least."""
+    steps = [m * 10.0**k for k in range(-4, 8) for m in (1, 2, 5)]
+    low, high = ax.dataLim.intervaly
+    below = max((s for s in steps if s < low), default=steps[0])
+    above = min((s for s in steps if s > high), default=steps[-1])
+    ticks = [s for s in steps if below <= s <= above]
+    ax.set_ylim(0.9 * below, 1.1 * above)
+    ax.set_yticks(ticks, [f"{value:g}" for value in ticks])
 
 
 def _busiest(run: LoopRun) -> slice:

@@ -21,7 +21,7 @@ from twin.validate.figures import (
     step_figure,
 )
 from twin.validate.residuals import Channel
-from twin.validate.steps import FIGURES, Compared
+from twin.validate.steps import FIGURES, Compared, definition
 from twin.validate.verdict import ClosedLoop, Validation
 
 MOST_LOOPS = 3
@@ -116,11 +116,11 @@ def _ball(result: Validation) -> str:
     w = result.windows
     if isinstance(w, str):
         return untested(w)
-    return image(ball_figure(w), "measured position and short predictions") + paragraph(
+    return image(ball_figure(w, result.model.plant.travel_m), "measured position and short predictions") + paragraph(
         f"{w.name}, the liveliest stretch. Fit {w.fit_percent:.2f} %, RMSE {w.rmse_m * 1e6:.3g} µm over {w.count} "
         "windows of 40 ms. The ball is unstable: an error of the start grows by e every few samples, so a longer free "
         "run shows the instability and not the model. Each window starts from the filter's estimate and is driven by "
-        "the recorded u_c alone."
+        "the recorded u_c alone; a ball that reaches a stop stands there."
     )
 
 
@@ -136,7 +136,7 @@ def _ahead(result: Validation) -> str:
             f"{row.ratio_ci95[0]:.3f} .. {row.ratio_ci95[1]:.3f}",
             f"{row.still_m * 1e6:.4g}",
             f"{row.count}",
-            mark(row.at_floor),
+            mark(row.at_floor) if row.beats_still or not row.at_floor else "worse than x stays",
         ]
         for row in result.ahead
     ]
@@ -154,7 +154,10 @@ def _ahead(result: Validation) -> str:
         image(ahead_figure(result.ahead), "error over the horizon")
         + table(head, rows)
         + paragraph(
-            "The floor is what sensor noise alone leaves of a right model. At the floor: the interval reaches 1.05."
+            "The floor is what sensor noise alone leaves of a right model. At the floor: the interval reaches 1.05, "
+            "and the error is no larger than that of x that stays where it is. Where a loop holds the ball and the "
+            "noise is large, even a right model is worse than that at the longer horizons: they tell nothing then. A "
+            "model that is worse at all of them predicts nothing, and fails."
         )
     )
 
@@ -206,7 +209,10 @@ def _loop(result: Validation) -> str:
     loop = result.loop
     if isinstance(loop, str):
         return untested(loop) + _measured(result)
-    images = "".join(image(loop_figure(run), f"closed loop of {run.name}") for run in loop.runs[:MOST_LOOPS])
+    images = "".join(
+        image(loop_figure(run, result.model.plant.travel_m), f"closed loop of {run.name}")
+        for run in loop.runs[:MOST_LOOPS]
+    )
     expected = (
         f"{loop.expected_m * 1e6:.3g} µm"
         if math.isfinite(loop.expected_m)
@@ -225,7 +231,9 @@ def _measured(result: Validation) -> str:
     shown: dict[str, str] = {}
     for run in result.measured:
         if run.name not in shown and len(shown) < MOST_LOOPS:
-            shown[run.name] = image(loop_figure(run), f"measured closed loop of {run.name}")
+            shown[run.name] = image(
+                loop_figure(run, result.model.plant.travel_m), f"measured closed loop of {run.name}"
+            )
     if not shown:
         return ""
     text = paragraph(f"The rig alone, {len(shown)} of {len({run.name for run in result.measured})} recordings.")
@@ -233,7 +241,8 @@ def _measured(result: Validation) -> str:
         return text + "".join(shown.values())
     rows = []
     for row in result.alone:
-        title, unit, factor = FIGURES[row.name]
+        _, unit, factor = FIGURES[row.name]
+        title = definition(row.name, row.bands)
         ends = f"{row.ends[0] * factor:.4g} .. {row.ends[1] * factor:.4g}" if row.count else "-"
         value = f"{row.rig * factor:.4g}" if row.count else "-"
         rows.append([f"{title} [{unit}]", value, ends, f"{row.count} of {row.steps}"])
@@ -256,14 +265,18 @@ def _steps(loop: ClosedLoop, pace: str) -> str:
         + table(head, rows)
         + paragraph(
             "Means over the steps; the simulation over 8 realisations of its noise. Interval: Student's t over steps, "
-            "paired. Times count from the first change of the reference; control effort is the integral of "
-            "(u_c - its final level)^2."
+            "paired. Rise time: from 10 % to 90 % of the step. Settling time: from the first change of the reference "
+            "until x, averaged over 10 ms, stays within the band around the new reference; the band is 5 % of the step "
+            "or 4 standard deviations of the noise, whichever is wider, and a step that would need more than 10 % has "
+            "no settling time. Overshoot: of x averaged over 10 ms, as a share of the step. IAE: integral of "
+            "|x_ref - x|. Control effort: integral of (u_c - its final level)^2."
         )
     )
 
 
 def _step_row(row: Compared, figures: Mapping[str, tuple[str, str, float]]) -> list[str]:
-    title, unit, factor = figures[row.name]
+    _, unit, factor = figures[row.name]
+    title = definition(row.name, row.bands, figures)
     if not row.count:
         return [
             f"{title} [{unit}]",
@@ -278,7 +291,7 @@ def _step_row(row: Compared, figures: Mapping[str, tuple[str, str, float]]) -> l
     if row.ci95 is not None:
         low, high = row.ci95[0] * factor, row.ci95[1] * factor
         interval = f"{low:+.3g} .. {high:+.3g}"
-        verdict = "no difference" if low <= 0.0 <= high else "<span class=no>different</span>"
+        verdict = "<span class=no>different</span>" if row.significant else "no difference"
     numbers = [f"{value * factor:.4g}" for value in (row.rig, row.simulation)]
     return [
         f"{title} [{unit}]",

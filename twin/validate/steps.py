@@ -4,12 +4,14 @@ Rule 1: rig and simulation are measured by the same code; the simulation's figur
 Rule 2: the difference is rig - simulation, paired step by step; its interval is Student's over the steps.  One step has
         no interval.
 Rule 3: x is averaged over 10 ms before thresholds are applied, and the band is at least 4 standard deviations of what
-        noise does to it: noise alone must not undo a settling.
+        noise does to it: noise alone must not undo a settling.  The band that was used is part of the figure.
+Rule 4: a band wider than 10 % has no settling time: the response would be inside before it has risen to 90 %, and
+        settled before it has risen.  So a settling time is never shorter than the rise time beside it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -21,13 +23,13 @@ from twin.validate.loop import LoopRun
 
 DWELL_S = 0.15  # a reference that stands still for so long after a change is a step
 SMALLEST_SIGMAS = 20.0
-BAND = 0.05
+BAND, WIDEST_BAND = 0.05, 0.10
 SMOOTH_S = 0.01
 
 # name: (title, unit, factor from SI)
 FIGURES: dict[str, tuple[str, str, float]] = {
     "rise_s": ("rise time 10-90 %", "ms", 1e3),
-    "settling_s": ("settling time 5 %", "ms", 1e3),
+    "settling_s": ("settling time", "ms", 1e3),
     "overshoot": ("overshoot", "%", 100.0),
     "iae_m_s": ("IAE", "µm s", 1e6),
     "effort_v2_s": ("control effort", "V² s", 1.0),
@@ -47,6 +49,13 @@ class Compared:
     steps: int  # all steps
     rig_count: int  # steps in which the rig has it
     simulation_count: int  # steps in which every realisation has it
+    bands: tuple[float, float] | None = None  # of a settling time: narrowest and widest, shares of the step
+    too_small: int = 0  # steps in which noise leaves no settling time
+
+    @property
+    def significant(self) -> bool:
+        """Whether the 95 % interval leaves out 0."""
+        return self.ci95 is not None and not self.ci95[0] <= 0.0 <= self.ci95[1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +67,7 @@ class Alone:
     ends: tuple[float, float]  # smallest and largest: steps of other sizes at other heights, no interval of one mean
     count: int
     steps: int
+    bands: tuple[float, float] | None = None  # as in Compared
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,11 +119,13 @@ def compare_steps(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Compared,
     """All figures over all steps of all runs; empty without a step."""
     rig: list[list[float]] = []
     simulation: list[list[float]] = []
+    bands: list[float] = []
     for run in loops:
         T_s = float(np.median(np.diff(run.t_s)))
         noise = run.expected_std_m if np.isfinite(run.expected_std_m) else sigma_x_m
         for step in find_steps(run, sigma_x_m):
             rig.append(measure(run.x_m, run.u_c_v, run.x_ref_m, step, T_s, noise))
+            bands.append(settling_band(step.to_m - step.from_m, noise))
             several = [
                 measure(x, u, run.x_ref_m, step, T_s, noise)
                 for x, u in zip(run.simulated_x_m, run.simulated_u_c_v, strict=True)
@@ -123,20 +135,34 @@ def compare_steps(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Compared,
             simulation.append(list(np.where(known, np.where(known, table, 0.0).mean(axis=0), np.nan)))
     if not rig:
         return ()
-    return tuple(compared(name, np.array(rig)[:, n], np.array(simulation)[:, n]) for n, name in enumerate(FIGURES))
+    return tuple(
+        compared(name, np.array(rig)[:, n], np.array(simulation)[:, n], bands if name == "settling_s" else ())
+        for n, name in enumerate(FIGURES)
+    )
+
+
+def _widths(bands: Sequence[float]) -> tuple[float, float] | None:
+    """Narrowest and widest of those that a settling time was taken with."""
+    usable = [band for band in bands if band <= WIDEST_BAND]
+    return (min(usable), max(usable)) if usable else None
 
 
 def rig_alone(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Alone, ...]:
     """The figures of the rig; empty without a step."""
-    rows = []
+    rows, bands = [], []
     for run in loops:
         T_s = float(np.median(np.diff(run.t_s)))
         for step in find_steps(run, sigma_x_m):
             rows.append(measure(run.x_m, run.u_c_v, run.x_ref_m, step, T_s, sigma_x_m))
-    return tuple(_alone(name, np.array(rows)[:, n]) for n, name in enumerate(FIGURES)) if rows else ()
+            bands.append(settling_band(step.to_m - step.from_m, sigma_x_m))
+    used = _widths(bands)
+    return tuple(
+        _alone(name, np.array(rows)[:, n], used if name == "settling_s" else None)
+        for n, name in enumerate(FIGURES if rows else ())
+    )
 
 
-def _alone(name: str, values: FloatArray) -> Alone:
+def _alone(name: str, values: FloatArray, bands: tuple[float, float] | None) -> Alone:
     known = values[np.isfinite(values)]
     n = len(known)
     none = float("nan")
@@ -146,6 +172,7 @@ def _alone(name: str, values: FloatArray) -> Alone:
         ends=(float(known.min()), float(known.max())) if n else (none, none),
         count=n,
         steps=len(values),
+        bands=bands,
     )
 
 
@@ -161,8 +188,9 @@ def measure(
 ) -> list[float]:
     """The figures of one step in the order of FIGURES; NaN for what did not happen within the dwell.
 
-    Rise and settling time count from the first change of the reference; overshoot is a share of the step; the effort is
-    the integral of (u_c - its final level)^2.
+    The rise time is from 10 % to 90 % of the step; the settling time counts from the first change of the reference
+    until x stays within the band; overshoot is a share of the step; the effort is the integral of
+    (u_c - its final level)^2.
     """
     part = slice(step.begin, step.end)
     size = step.to_m - step.from_m
@@ -172,12 +200,13 @@ def measure(
     own = np.interp(np.arange(len(own)), np.flatnonzero(seen), own[seen])
     padded = np.concatenate((np.full(width // 2, own[0]), own, np.full(width - 1 - width // 2, own[-1])))
     y = (np.convolve(padded, np.full(width, 1.0 / width), mode="valid") - step.from_m) / size
-    band = max(BAND, 4.0 * noise_m / abs(size))
+    band = settling_band(size, noise_m)
     inside = np.abs(y - 1.0) <= band
     outside = np.flatnonzero(~inside)
     last = int(outside[-1]) + 1 if len(outside) else 0
     # The last quarter of the dwell must be inside, or nobody saw it settle.
-    settling = last * T_s if last < 0.75 * len(y) else float("nan")
+    settled = band <= WIDEST_BAND and last < 0.75 * len(y)
+    settling = last * T_s if settled else float("nan")
     level = float(np.nanmean(u[part][-max(len(y) // 5, 1) :]))
     return [
         (_crossing(y, 0.9) - _crossing(y, 0.1)) * T_s,
@@ -186,6 +215,24 @@ def measure(
         float(np.nansum(np.abs(x_ref[part] - x[part]))) * T_s,
         float(np.nansum((u[part] - level) ** 2)) * T_s,
     ]
+
+
+def settling_band(size_m: float, noise_m: float) -> float:
+    """Half its width, a share of the step."""
+    return max(BAND, 4.0 * noise_m / abs(size_m))
+
+
+def definition(
+    name: str, bands: tuple[float, float] | None, figures: Mapping[str, tuple[str, str, float]] = FIGURES
+) -> str:
+    """What a figure means, in words for a table; `bands` of a settling time."""
+    title = figures[name][0]
+    if name != "settling_s":
+        return title
+    if bands is None:
+        return f"{title} within ±{100 * BAND:.0f} %"
+    low, high = (f"{100 * band:.2g}" for band in bands)
+    return f"{title} within ±{low} %" if low == high else f"{title} within ±{low} to ±{high} %"
 
 
 def _crossing(y: FloatArray, level: float) -> float:
@@ -198,8 +245,8 @@ def _crossing(y: FloatArray, level: float) -> float:
     return k - 1 + float((level - y[k - 1]) / (y[k] - y[k - 1]))
 
 
-def compared(name: str, rig: FloatArray, simulation: FloatArray) -> Compared:
-    """One figure of both over the same steps, paired."""
+def compared(name: str, rig: FloatArray, simulation: FloatArray, bands: Sequence[float] = ()) -> Compared:
+    """One figure of both over the same steps, paired; `bands`: of a settling time in each."""
     both = np.isfinite(rig) & np.isfinite(simulation)
     n = int(both.sum())
     difference = rig[both] - simulation[both]
@@ -218,4 +265,6 @@ def compared(name: str, rig: FloatArray, simulation: FloatArray) -> Compared:
         steps=len(rig),
         rig_count=int(np.isfinite(rig).sum()),
         simulation_count=int(np.isfinite(simulation).sum()),
+        bands=_widths(bands),
+        too_small=sum(band > WIDEST_BAND for band in bands),
     )

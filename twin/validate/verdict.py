@@ -20,7 +20,16 @@ from twin.validate.ball import Ahead, Windows, multi_step, windows
 from twin.validate.loop import LoopRun, closed_loops, measured_only
 from twin.validate.residuals import Channel, residuals
 from twin.validate.source import FLYING, Filtered, Source, chosen, filtered, sources_of
-from twin.validate.steps import Alone, Compared, Response, compare_steps, responses, rig_alone
+from twin.validate.steps import (
+    FIGURES,
+    Alone,
+    Compared,
+    Response,
+    compare_steps,
+    definition,
+    responses,
+    rig_alone,
+)
 
 RMSE_TOLERANCE = 1.5  # of a simulation's error over what noise alone leaves: below it, nobody sees it in the figure
 
@@ -69,6 +78,12 @@ class Validation:
                 f"its error {row.horizon_s * 1e3:.0f} ms ahead is {row.rmse_m * 1e6:.3g} µm, "
                 f"{row.ratio:.3g} times what noise alone leaves"
             )
+        if self.ahead and not any(row.beats_still for row in self.ahead):
+            row = self.ahead[0]
+            said.append(
+                f"it predicts nothing: {row.horizon_s * 1e3:.0f} ms ahead its error is {row.rmse_m * 1e6:.3g} µm, more "
+                f"than the {row.still_m * 1e6:.3g} µm of x that stays where it is"
+            )
         if not isinstance(self.channels, str):
             for channel in self.channels:
                 faults = [
@@ -97,13 +112,13 @@ class Validation:
         return said
 
     def answer(self) -> str:
-        """One sentence, and one more on how long the rig takes."""
+        """One sentence, and one more on how the steps differ."""
         if self.passed is None:
             first = "The model of the ball could not be tested on this campaign."
         elif self.passed:
             parts = []
             if self.ahead:
-                row = self.ahead[-1]
+                row = max((row for row in self.ahead if row.beats_still), key=lambda r: r.horizon_s)
                 parts.append(f"{row.horizon_s * 1e3:.0f} ms ahead its error is {row.ratio:.2f} times the noise floor")
             if not isinstance(self.channels, str):
                 parts.append("its residuals are noise")
@@ -120,32 +135,58 @@ class Validation:
         return " ".join(part for part in (first, self.pace(), untested) if part)
 
     def pace(self) -> str:
-        """The paper's remark 'the rig takes longer to reach the reference' as a number; '' where nothing steps."""
-        if isinstance(self.loop, str):
+        """How the steps of rig and simulation differ, the largest difference first; '' where nothing steps.
+
+        It makes the paper's remark "the rig takes longer to reach the reference" a number.
+        """
+        if isinstance(self.loop, str) or not self.loop.steps:
             return ""
-        row = next((row for row in self.loop.steps if row.name == "settling_s"), None)
-        if row is None:
-            return ""
-        reached = ""
-        if min(row.rig_count, row.simulation_count) < row.steps:
-            reached = (
-                f" Within its dwell the rig settled in {row.rig_count} of {row.steps} steps, the simulation in "
-                f"{row.simulation_count}."
+        rows = self.loop.steps
+        said = [_difference(row) for row in sorted(rows, key=_weight, reverse=True) if row.significant]
+        count = max(row.count for row in rows)
+        if said:
+            more = f"; {len(said) - MOST_SAID} more below" if len(said) > MOST_SAID else ""
+            text = f"The steps of rig and simulation differ, over {count} steps: {'; '.join(said[:MOST_SAID])}{more}."
+        elif all(row.ci95 is None for row in rows):
+            shown = [_difference(row) for row in rows if row.count and row.name in _PACE]
+            text = f"In the one step {'; '.join(shown)} (no interval)."
+        else:
+            shown = [_difference(row) for row in rows if row.ci95 is not None and row.name in _PACE]
+            text = f"The steps of rig and simulation do not differ measurably, over {count} steps"
+            text += f": {'; '.join(shown)}." if shown else "."
+        settling = next(row for row in rows if row.name == "settling_s")
+        tried = settling.steps - settling.too_small
+        if min(settling.rig_count, settling.simulation_count) < tried:
+            text += (
+                f" Within its dwell the rig settled in {settling.rig_count} of {tried} steps, the simulation in "
+                f"{settling.simulation_count}."
             )
-        if not row.count:
-            return f"Settling times cannot be compared.{reached}"
-        ms = 1e3
-        if row.ci95 is None:
-            text = (
-                f"In the one step the rig settles {row.difference * ms:+.1f} ms against the simulation (no interval)."
-            )
-            return text + reached
-        low, high = row.ci95[0] * ms, row.ci95[1] * ms
-        size = f"{abs(row.difference) * ms:.1f} ms"
-        interval = f"(rig - simulation, 95 % interval {low:+.1f} to {high:+.1f} ms, {row.count} steps)"
-        if low <= 0.0 <= high:
-            return f"The rig does not settle measurably later or sooner than the simulation {interval}.{reached}"
-        return f"The rig settles {size} {'later' if low > 0 else 'sooner'} than the simulation {interval}.{reached}"
+        return text
+
+
+MOST_SAID = 3
+_PACE = ("rise_s", "settling_s")
+
+
+def _weight(row: Compared) -> float:
+    """How large a difference is: overshoot as a share of the step, all else as a share of the larger of the two."""
+    if row.name == "overshoot":
+        return abs(row.difference)
+    larger = max(abs(row.rig), abs(row.simulation))
+    return abs(row.difference) / larger if larger > 0.0 else 0.0
+
+
+def _difference(row: Compared) -> str:
+    """One figure of both, with its definition and the interval of the difference."""
+    _, unit, factor = FIGURES[row.name]
+    text = (
+        f"{definition(row.name, row.bands)} {row.rig * factor:.4g} {unit} for the rig, {row.simulation * factor:.4g} "
+        f"{unit} simulated"
+    )
+    if row.ci95 is None:
+        return text
+    low, high = (end * factor for end in row.ci95)
+    return f"{text} (difference {low:+.3g} to {high:+.3g} {unit})"
 
 
 def validate(
