@@ -232,7 +232,7 @@ def _findings(
                 confidence=confidence_of(found, cause, verdict, quick),
                 indistinguishable_from=tuple(_member(trial) for trial in near),
                 share_of_excess_explained=account.by_cause[cause],
-                loglik_gain=found.gains[cause],
+                loglik_gain=account.gains[cause],
                 next_experiment=proposals.get(cause),
             )
         )

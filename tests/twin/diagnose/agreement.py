@@ -21,7 +21,7 @@ _ROUNDING = 1e-6
 
 def disagreements(data: Mapping[str, Any]) -> list[str]:
     """What contradicts what; empty where all agrees."""
-    return [*_shares(data), *_verdict(data), *_confidence(data), *_judged(data), *_sentence(data)]
+    return [*_shares(data), *_verdict(data), *_confidence(data), *_gains(data), *_judged(data), *_sentence(data)]
 
 
 def _shares(data: Mapping[str, Any]) -> Iterator[str]:
@@ -66,6 +66,12 @@ def _confidence(data: Mapping[str, Any]) -> Iterator[str]:
         most = 1.0 if cause["name"] == COUNTED else MOST.get(data["verdict"], 0.0)
         if not 0.0 <= cause["confidence"] <= most + _ROUNDING:
             yield f"{cause['name']} is sure to {cause['confidence']} beside {data['verdict']}"
+
+
+def _gains(data: Mapping[str, Any]) -> Iterator[str]:
+    for cause in data["causes"] if "excess" in data else ():
+        if cause["log_likelihood_gain"] > data["excess"]["explained"] * (1.0 + _ROUNDING):
+            yield f"{cause['name']} gains {cause['log_likelihood_gain']}, all together {data['excess']['explained']}"
 
 
 def _judged(data: Mapping[str, Any]) -> Iterator[str]:

@@ -96,7 +96,7 @@ def diagnosis(
     found = Diagnosis(
         verdict="causes-found" if extended else "unknown-cause",
         sentence="",
-        causes=(_finding(cause, after_fit, spread, account.by_cause[cause]),) if extended else (),
+        causes=(_finding(cause, after_fit, spread, account.by_cause[cause], account.gains[cause]),) if extended else (),
         not_testable=(NotTestable(name="current-sensor-gain", why="absorbed by K_A and K_c"),),
         trifles=(),
         ruled_out=(RuledOut(name="coulomb-friction", why="F_f is at most 3 µN (95 %)"),),
@@ -122,7 +122,7 @@ def diagnosis(
     return replace(found, sentence=summary_sentence(found))
 
 
-def _finding(cause: str, fit: Fit, spread: dict[str, float], share: float) -> Finding:
+def _finding(cause: str, fit: Fit, spread: dict[str, float], share: float, gain: float) -> Finding:
     parameters = fit_parameters(fit, cause, spread)
     rival = "position-sensor-gain"
     other = fit_parameters(fit_of(strong(rival, 1.04, QUIET), 0.0), rival, {f"{rival}.gain": 0.001})
@@ -133,7 +133,7 @@ def _finding(cause: str, fit: Fit, spread: dict[str, float], share: float) -> Fi
         confidence=0.97,
         indistinguishable_from=(Member(name=rival, parameters=other),),
         share_of_excess_explained=share,
-        loglik_gain=900.0,
+        loglik_gain=gain,
         next_experiment=Proposal(
             what="raise u_c slowly until the ball leaves its rest",
             separation_z=30.0,

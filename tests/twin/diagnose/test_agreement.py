@@ -36,13 +36,13 @@ def searched(explained: float, **gains: float) -> Selection:
     )
 
 
-def judged(low: float, high: float) -> Gain:
+def judged(low: float, high: float, *, baseline_m: float = 1e-4) -> Gain:
     """Errors between so many times the floor."""
     ratio = 0.5 * (low + high)
     return Gain(
         samples=10,
         horizon_s=0.02,
-        baseline_rmse_m=1e-4,
+        baseline_rmse_m=baseline_m,
         extended_rmse_m=ratio * 1e-5,
         floor_m=1e-5,
         ci95_ratio=(0.1 * low, 0.1 * high),
@@ -87,6 +87,7 @@ def test_a_part_that_two_causes_take_jointly_is_neither_s() -> None:
     [
         (True, True, 0.98, "causes-found"),
         (True, True, 1.15, "partly-explained"),
+        (True, True, 2.2, "unknown-cause"),  # more is left than noise makes
         (True, False, 0.98, "unknown-cause"),
         (True, False, 1.15, "unknown-cause"),
         (False, True, 0.98, "model-adequate"),
@@ -98,6 +99,19 @@ def test_a_part_that_two_causes_take_jointly_is_neither_s() -> None:
 def test_the_verdict_is_what_both_kinds_of_recordings_say(named: bool, fine: bool, low: float, verdict: str) -> None:
     assert verdict_of(named=named, fine=fine, gain=judged(low, low + 0.1)) == verdict
     assert verdict_of(named=named, fine=fine, gain=None) in ("causes-found", "model-adequate", "unknown-cause")
+
+
+def test_names_that_take_less_than_half_on_the_judge_recordings_may_only_stand_in() -> None:
+    assert verdict_of(named=True, fine=True, gain=judged(1.15, 1.25, baseline_m=1.6e-5)) == "partly-explained"
+    assert verdict_of(named=True, fine=True, gain=judged(1.15, 1.25, baseline_m=1.3e-5)) == "unknown-cause"
+
+
+def test_a_cause_takes_no_more_than_all_of_them_gain() -> None:
+    """A model without it that was not fitted to its end is worse than the paper's, which it holds."""
+    account = account_of(searched(1500.0, a=16e6, b=500.0), 0.0, True)
+
+    assert account.gains == {"a": 1500.0, "b": 500.0}
+    assert account.by_cause == pytest.approx({"a": 0.75, "b": 0.25})
 
 
 @cache
