@@ -38,8 +38,16 @@ def _row(*inside: Markup) -> Markup:
     return tag("div", *inside, class_="row-of")
 
 
-def _number(label: str, name: str, value: float, **attributes: str) -> Markup:
-    field = tag("input", type="number", name=name, value=f"{value:g}", step="any", required=True, **attributes)
+def _number(label: str, name: str, value: float | None, **attributes: str) -> Markup:
+    field = tag(
+        "input",
+        type="number",
+        name=name,
+        value=None if value is None else f"{value:g}",
+        step="any",
+        required=True,
+        **attributes,
+    )
     return tag("label", tag("span", label, data_label=name), field, class_="field")
 
 
@@ -68,7 +76,7 @@ def _mode() -> Markup:
 def _reference() -> Markup:
     slider = tag("input", type="range", name="slide", min="0", max="6", step="0.01", value="0", data_slider="reference",
                  aria_label="Reference in mm")  # fmt: skip
-    fields = _row(_number("mm", "mm", 0.0, data_number="reference"), tag("button", "Set", class_="filled"))
+    fields = _row(_number("mm", "mm", None, data_number="reference"), tag("button", "Set", class_="filled"))
     words = [tag("div", data_live=name, class_="hint") for name in ("reference-now", "reference-range")]
     return _card("Reference", tag("form", slider, fields, *words, data_form="reference", class_="reference"))
 

@@ -233,6 +233,17 @@ def test_in_a_lost_state_everything_is_marked_as_last_known(page: Page, site: Si
     expect(page.locator('[data-live="log"]')).to_contain_text("last known: ")  # no status for seconds either
 
 
+def test_a_board_that_does_not_answer_is_told_in_the_bar(page: Page, site: Site) -> None:
+    page.goto(f"{site.url}/rig/rig")
+    site.gateway.send("status", pb.Status(link="streaming", to_board="unanswered", log_state="writing"))
+
+    expect(page.locator('[data-live="to-board"]')).to_contain_text("BOARD DOES NOT ANSWER")
+
+    assert page.evaluate("document.querySelector('.chips').scrollHeight") <= page.evaluate(
+        "document.querySelector('.chips').clientHeight"
+    ), "no chip is cut off"
+
+
 def test_nothing_that_comes_moves_the_controls(page: Page, site: Site) -> None:
     """Alarms, flags, words across the page, marked chips, refusals."""
     site.gateway.answer = lambda _, command: pb.CommandReply(refused_by="gateway", reason="slew", text="Too far. " * 20)

@@ -29,7 +29,7 @@ async function submit(form) {
   form.dataset.refused = answer?.accepted ? "" : "yes";
   if (form.dataset.form !== "reference") return;
   form.dataset.unsent = "";
-  if (!answer?.accepted) follow(latest, true);
+  if (!answer?.accepted) follow(latest, old, true);
 }
 
 const ACTS = {
@@ -91,15 +91,16 @@ for (const form of document.querySelectorAll("[data-form=excitation]")) units(fo
 
 // --- the reference in force -------------------------------------------------------------------------------------------
 
-let latest = null, followed = NaN;
+let latest = null, old = false, followed = NaN;
 
-// Show the reference that samples say is in force; what was typed and is not sent yet is left alone unless `force`.
-export function follow(now, force = false) {
-  latest = now;
+// Show the reference that samples say is in force, or said last where `gone`; what was typed and is not sent yet is left
+// alone unless `force`.
+export function follow(now, gone, force = false) {
+  [latest, old] = [now, gone];
   const form = document.querySelector("[data-form=reference]"), x_ref = now?.x_ref_m;
   if (!form || x_ref === null || x_ref === undefined) return;
   const unsent = form.dataset.unsent === "yes", words = unsent ? " \u00b7 the field is not sent yet" : "";
-  put("reference-now", `in force: ${(x_ref * 1e3).toFixed(3)} mm${words}`);
+  put("reference-now", `${gone ? "last known" : "in force"}: ${(x_ref * 1e3).toFixed(3)} mm${words}`);
   if (!force && (unsent || Math.abs(x_ref - followed) < COUNT_M)) return;
   followed = x_ref;
   form.mm.value = form.slide.value = (x_ref * 1e3).toFixed(3);

@@ -109,7 +109,7 @@ function values() {
     if (button.getAttribute("aria-pressed") !== pressed) button.setAttribute("aria-pressed", pressed);
     if (button.dataset.last !== last) button.dataset.last = last;
   }
-  if (!gone) follow(now);
+  follow(now, gone);
 }
 
 // Words in the bar; what no data bear out now is marked as the last known.
@@ -131,7 +131,7 @@ function told(gone, serverGone) {
 }
 
 const ODD = { "stray-answer": "answers after their time", implausible: "implausible ticks", duplicate: "repeated samples",
-              "events-lost": "lost events", "write-overflow": "not sent in time" };
+              "events-lost": "lost events" };
 const filled = {};
 let counted = null; // of the alarms: words, state
 

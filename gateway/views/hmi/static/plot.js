@@ -121,6 +121,7 @@ export class Plot {
       g.moveTo(at, area.top);
       g.lineTo(at, area.bottom);
       g.stroke();
+      if (s > 0 && area.right - at < g.measureText(edge).width + 30) continue; // the label at the edge takes its place
       g.textAlign = s === 0 ? "right" : s === SPAN_S ? "left" : "center";
       g.fillText(s === 0 ? edge : `\u2212${s} s`, at, area.bottom + 5);
     }
@@ -204,6 +205,8 @@ export class Plot {
     g.font = "600 15px system-ui, sans-serif";
     g.textAlign = "center";
     g.textBaseline = "middle";
-    g.fillText(text, (area.left + area.right) / 2, (area.top + area.bottom) / 2);
+    const wide = g.measureText(text).width > area.right - area.left, lines = wide ? text.split(" \u2013 ") : [text];
+    const middle = (area.top + area.bottom) / 2 - 10 * (lines.length - 1);
+    lines.forEach((line, n) => g.fillText(line, (area.left + area.right) / 2, middle + 20 * n));
   }
 }
