@@ -213,7 +213,8 @@ class TwinService:
             self._on_output(watched, output)
 
     def _judge_hearing(self, board: str, status: pb.Status, now: float) -> None:
-        comes = status.link == "streaming" and status.samples_per_s > 0.0
+        # A stream that is thinned out may pause for longer than that.
+        comes = status.link == "streaming" and status.samples_per_s * DEAF_S >= 2.0
         if not comes or now - self._heard_s.setdefault(board, now) < DEAF_S:
             if not comes:
                 self._heard_s[board] = now
