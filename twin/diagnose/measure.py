@@ -39,8 +39,7 @@ class Gain:
     extended_rmse_m: float
     floor_m: float
     ci95_ratio: tuple[float, float]  # of extended over baseline
-    # Of extended over the floor; NaN with too few blocks to tell, or with a phase that the floor takes for known.
-    ci95_floor: tuple[float, float]
+    ci95_floor: tuple[float, float]  # of extended over the floor; NaN with too few blocks to tell
     count: int
     # x_hat - x of every sample, baseline and extended, shape (2, n); NaN where one of them predicts nothing
     errors_m: FloatArray = field(default_factory=lambda: np.empty((2, 0)), repr=False, compare=False)
@@ -77,7 +76,7 @@ def gain(
     block = max(round(BLOCK_S / tick_s), 1)
     floor_m = _floor_m(evidence, after, floor, plant, tick_s, samples, both)
     over = (math.nan, math.nan)
-    if math.isfinite(floor_m) and len(second) >= FEWEST_BLOCKS * block and not has_phase(after.vector()):
+    if math.isfinite(floor_m) and len(second) >= FEWEST_BLOCKS * block:
         over = bootstrap(np.full_like(second, floor_m**2), second, block, seed)
     return Gain(
         samples=samples,

@@ -1,8 +1,10 @@
 """Predictions under a periodic force whose phase nobody told: the model knows its size and frequency, not its clock.
 
-Rule 1: a filter runs for each of PHASES phases; the prediction of sample k is that of the filter which has explained
-        the readings up to k - N best.  Nothing later is looked at.
-Rule 2: what lies longer back than MEMORY_S counts less: the frequency of the model is not exactly that of the table.
+Rule 1: a filter runs for each of PHASES phases.  The phase of sample k is the one that explains the readings up to
+        k - N best, between those by a parabola through the best and its neighbours.  Nothing later is looked at.
+Rule 2: what is predicted goes with the phase as a sine does, so that three phases tell all others.  The nearest of 48
+        alone left 3 % of the force: under 8 mN at 7 Hz 2.7 times the error that noise makes 20 ms ahead.
+Rule 3: what lies longer back than MEMORY_S counts less: the frequency of the model is not exactly that of the table.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from twin.identify.innovations import whiten
 from twin.model.causes import periodic_disturbance
 from twin.model.extended import STATES
 
-PHASES = 48  # the nearest is at most 4 degrees away: 7 % of the force is left, 3 % on average
+PHASES = 24  # of 16 the parabola left 8 % more error under 8 mN at 1.5 Hz
 MEMORY_S = 2.0
 
 
@@ -46,30 +48,40 @@ def predict_in_phase(
 ) -> NDArray[np.float64]:
     """`horizon.predict_ahead` for causes with a phase; the arguments and x_hat are the same."""
     n = len(u)
-    best, x_hat = np.full(n, -np.inf), np.full(n, np.nan)
-    forget = math.exp(-tick_s / MEMORY_S)
+    explains, x_hat = np.full((PHASES, n), np.nan), np.empty((PHASES, n))
+    forget, everywhere = math.exp(-tick_s / MEMORY_S), np.ones(n, np.bool_)
     state, out = np.empty((n, STATES)), np.empty((n, OUT_COLUMNS))
     for phase in range(PHASES):
         shifted = t + phase / PHASES / c[periodic_disturbance.FREQUENCY]
         run_extended(base, c, noise, stops_m, shifted, step, u, y_i, y_x, flags, out, state)
         loglik = np.zeros(n)
         whiten(out, loglik, np.empty((n, 2)))
-        better = explains_better(loglik, forget, ahead, best)
-        roll(base, c, shifted, step, u, flags, state, ahead, max(round(settle_s / tick_s), 2), better, x_hat)
-    return x_hat
+        remembered(loglik, forget, ahead, explains[phase])
+        settle = max(round(settle_s / tick_s), 2)
+        roll(base, c, shifted, step, u, flags, state, ahead, settle, everywhere, x_hat[phase])
+    return _at_the_best(explains, x_hat)
+
+
+def _at_the_best(explains: NDArray[np.float64], x_hat: NDArray[np.float64]) -> NDArray[np.float64]:
+    """x_hat at the phase that explains most, shape (n,), from both at each phase, shapes (PHASES, n)."""
+    best = np.argmax(np.where(np.isfinite(explains), explains, -np.inf), axis=0)
+    beside = [(best + by) % PHASES for by in (-1, 0, 1)]
+    low, top, high = (np.take_along_axis(explains, row[None, :], 0)[0] for row in beside)
+    before, here, after = (np.take_along_axis(x_hat, row[None, :], 0)[0] for row in beside)
+    bend = low - 2.0 * top + high
+    with np.errstate(invalid="ignore", divide="ignore"):
+        off = np.where(bend < 0.0, 0.5 * (low - high) / bend, 0.0)
+    angle, step = 2.0 * np.pi / PHASES * np.clip(off, -0.5, 0.5), 2.0 * np.pi / PHASES
+    # x_hat = mean + a sin + b (cos - 1) of the angle from the best phase: through three values.
+    a = (after - before) / (2.0 * math.sin(step))
+    b = (after + before - 2.0 * here) / (2.0 * (math.cos(step) - 1.0))
+    return np.asarray(here + a * np.sin(angle) + b * (np.cos(angle) - 1.0))
 
 
 @kernel
-def explains_better(
-    loglik: NDArray[np.float64], forget: float, ahead: int, best: NDArray[np.float64]
-) -> NDArray[np.bool_]:
-    """Where this phase has explained the readings `ahead` samples earlier better than `best`, which is updated."""
-    remembered = np.empty(len(loglik))
-    better = np.zeros(len(loglik), np.bool_)
-    total = 0.0
-    for n in range(len(loglik)):
-        total = forget * total + loglik[n]
-        remembered[n] = total
-        if n >= ahead and remembered[n - ahead] > best[n]:
-            best[n], better[n] = remembered[n - ahead], True
-    return better
+def remembered(loglik: NDArray[np.float64], forget: float, ahead: int, total: NDArray[np.float64]) -> None:
+    """Fill total, shape (n,), with the log-likelihood of the readings up to `ahead` samples earlier; NaN before."""
+    known = 0.0
+    for n in range(ahead, len(loglik)):
+        known = forget * known + loglik[n - ahead]
+        total[n] = known
