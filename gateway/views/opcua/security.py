@@ -8,6 +8,8 @@ certificate of their identity, whose common name is theirs; the role is that of 
 from __future__ import annotations
 
 import logging
+import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -33,11 +35,16 @@ _logger = logging.getLogger("gateway.opcua")
 
 
 class Security:
-    """Raises ConfigError where a file is absent, expired or open to others; the text says which."""
+    """Raises ConfigError where a file is absent, expired or open to others; the text says which.
+
+    Args:
+        path: folder of the keys.
+        clock: monotonic seconds, for the pace of logins.
+    """
 
     application_uri = OPCUA_URI
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, clock: Callable[[], float] = time.monotonic) -> None:
         folder = SecurityFolder(path)
         certificate, key = folder.server("opcua")
         days = check_certificate(certificate, what="The certificate of OPC UA")
@@ -55,7 +62,7 @@ class Security:
         check_certificate(folder.ca, what="The authority's certificate")
         self._authority = _load(folder.ca)
         self._users = Users.load(folder.users)
-        self._logins = Logins(self._users)
+        self._logins = Logins(self._users, clock=clock)
         self._trusted = path / "opcua" / "trusted"
 
     def identify(self, name: str | None, password: str | None, certificate: bytes | None, host: str) -> Visitor | None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
 from collections.abc import AsyncIterator, Callable, Coroutine
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any, TypeVar
 
 from asyncua import Client, ua
@@ -111,8 +112,22 @@ async def peer(port: int, **options: Any) -> AsyncIterator[Peer]:
     if "security" in options:
         await client.set_security_string(options["security"])
         client.application_uri = options.get("uri", client.application_uri)
-    async with client:
+    await _connect(client)
+    async with AsyncExitStack() as stack:
+        stack.push_async_callback(client.disconnect)
         yield Peer(client, await client.get_namespace_index(NAMESPACE))
+
+
+async def _connect(client: Client) -> None:
+    """As a client that goes on until it is in: the server closes a connection that says nothing for 10 s."""
+    deadline_s = time.monotonic() + HANG_S
+    while True:
+        try:
+            await client.connect()
+            return
+        except (ConnectionError, TimeoutError):
+            if time.monotonic() > deadline_s:
+                raise
 
 
 async def until(look: Callable[[], Coroutine[Any, Any, T | None]], what: str, timeout_s: float = HANG_S) -> T:

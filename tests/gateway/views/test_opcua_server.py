@@ -107,13 +107,14 @@ def test_a_subscriber_at_50_hz_gets_every_interval_in_order(server: Served) -> N
         async with peer(server.port) as client:
             await client.await_status("fast/state/x_m", S.Good)
             await subscribe(client, kept, *paths)
-            await received(kept, paths[-1], 30)
+            await received(kept, paths[-1], 40)
 
     with ticking(server.gateway, "fast", values=lambda n: {"i_c_a": n * 1e-6, "x_m": n * 1e-6, "u_c_v": n * 1e-6}):
         asyncio.run(ask())
 
     for path in paths:
-        values = [v.Value.Value for v in kept.values[path]]
+        # A feed that a busy machine holds up is silent for a moment, and called so.
+        values = [v.Value.Value for v in kept.values[path] if v.StatusCode.is_good()]
         ticks = [round(v * 1e6) for v in values]
         assert len(values) > 20  # ticks of 2 ms come every 4 ms here: 25 intervals of 10 ticks per second
         assert all(b - a == 10 for a, b in pairwise(ticks[1:])), ticks
