@@ -52,8 +52,7 @@ class Pace:
 
     def steps_ahead(self, c: NDArray[np.float64], samples: int) -> float:
         """Filter steps of `measure.predictions`, so many samples ahead; a force with a phase runs for each phase."""
-        phases, rolls = (PHASES, 5) if has_phase(c) else (1, 1)  # the best phase changes 1 + 1/2 + ... + 1/PHASES times
-        return phases * self.steps(c, ALONE) + rolls * samples * self.flown
+        return (PHASES if has_phase(c) else 1) * (self.steps(c, ALONE) + samples * self.flown)
 
 
 def pace_of(series: Series) -> Pace:
