@@ -37,7 +37,12 @@ class ReplayReport:
 
 
 def pace(
-    records: Iterable[RawRecord], *, speed: float, stop: threading.Event, send: Callable[[RawRecord], None]
+    records: Iterable[RawRecord],
+    *,
+    speed: float,
+    stop: threading.Event,
+    send: Callable[[RawRecord], None],
+    now_s: Callable[[], float] = time.monotonic,
 ) -> tuple[int, float]:
     """Send each record when its time has come.
 
@@ -46,11 +51,12 @@ def pace(
         speed: Log seconds per second; 0 sends at once.
         stop: Set it to end early.
         send: Called for each record.
+        now_s: The clock that `stop.wait` runs by.
 
     Returns:
         Records sent, and the log time they span in seconds.
     """
-    begin_s = time.monotonic()
+    begin_s = now_s()
     first_ns: int | None = None
     newest_ns = 0
     count = 0
@@ -59,7 +65,7 @@ def pace(
             first_ns = newest_ns = record.time_ns
         newest_ns = max(newest_ns, record.time_ns)
         if speed > 0:
-            wait_s = begin_s + (newest_ns - first_ns) / 1e9 / speed - time.monotonic()
+            wait_s = begin_s + (newest_ns - first_ns) / 1e9 / speed - now_s()
             if wait_s > 0:
                 stop.wait(wait_s)
         if stop.is_set():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import logging
 import os
 import signal
 import subprocess
@@ -74,7 +75,7 @@ def test_parameters_status_and_the_liveliness_token_are_there() -> None:
         status = wait_for(
             lambda: next((s for s in bus.messages["rig/status"] if s.samples_per_s > 450), None), "status"
         )
-        parameters = wait_for(lambda: bus.messages["rig/parameters"], "parameters", 7.0)[0]
+        parameters = wait_for(lambda: bus.messages["rig/parameters"], "parameters")[0]
         tokens = [r.ok for r in bus.session.liveliness().get("board51/*/alive") if r.ok is not None]
 
     assert (status.link, status.samples_lost, status.log_state) == ("streaming", 0, "off")
@@ -298,38 +299,46 @@ def test_a_router_may_go_and_come_back() -> None:
 
 
 @pytest.mark.parametrize("queue", [8192, 64], ids=["all wait", "most are dropped"])
-def test_what_subscribers_miss_while_the_router_is_away_is_counted(queue: int) -> None:
+def test_what_subscribers_miss_while_the_router_is_away_is_counted(
+    queue: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "gateway")
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with ExitStack() as stack:
         routers = [stack.enter_context(router_process(endpoint))]
         board = stack.enter_context(ScriptedBoard())
-        config = gateway_config(board.url, stale_s=5.0)
+        config = gateway_config(board.url, stale_s=HANG_S)
         config = replace(config, zenoh=ZenohConfig(mode="client", connect=(endpoint,), queue=queue))
         stack.enter_context(running(config))
         bus = stack.enter_context(client(endpoint))
         bus.await_states(50)
-        before = wait_for(lambda: bus.messages["rig/status"], "status")[-1].publish_dropped
+        # What zenoh and the system hold when a router is killed is not known to have arrived: here they hold nothing.
+        board.streaming = False
+        wait_for(lambda: bus.states()[-1].sequence == board.tick & 0xFFFF, "the last sample")
+        before = bus.messages["rig/status"][-1] if bus.messages["rig/status"] else pb.Status()
 
         routers[0].kill()
         routers[0].wait()
+        wait_for(lambda: [r for r in caplog.records if "No router" in r.message], "the gateway's notice")
+        taken_before = bus.states()[-1].tick
+        board.streaming = True
         seen = board.tick
         wait_for(lambda: board.tick > seen + 500, "samples during the outage")
         stack.enter_context(router_process(endpoint))
-        lost, back = bus.await_event("bus-lost"), bus.await_event("bus-back")
+        back = bus.await_event("bus-back")
         bus.await_states(50)
         after = wait_for(
             lambda: [s for s in bus.messages["rig/status"] if s.host_time_ns > back.host_time_ns], "status"
-        )
+        )[-1]
 
-    ticks = [s.tick for s in bus.states() if s.host_time_ns > lost.host_time_ns]
-    taken_before = max(s.tick for s in bus.states() if s.host_time_ns <= lost.host_time_ns)
-    missing = ticks[-1] - taken_before - len(ticks)
-    counted = after[-1].publish_dropped - before
+    ticks = [s.tick for s in bus.states() if s.tick > taken_before]
+    lost_on_the_line = after.samples_lost - before.samples_lost
+    missing = ticks[-1] - taken_before - len(ticks) - lost_on_the_line
+    counted = after.publish_dropped - before.publish_dropped
     assert ticks == sorted(ticks)
     assert (counted > 400) == (queue == 64)
     assert str(counted) in back.text or not counted
-    # What zenoh and the system held when the router was killed is not known to have arrived: a moment's samples.
-    assert counted <= missing <= counted + 100
+    assert missing == counted
 
 
 def test_a_full_disk_stops_the_log_and_not_the_samples(tmp_path: Path) -> None:
@@ -421,7 +430,11 @@ def test_a_panic_in_a_thread_of_zenoh_ends_it_in_good_order_to_be_started_again(
     with ScriptedBoard() as board:
         words = ["gateway", "--board", f"rig={board.url}", "--listen", endpoint, "--log-dir", str(tmp_path)]
         done = subprocess.run(
-            [sys.executable, "-c", PANICS, "5.0", *words], stderr=subprocess.PIPE, text=True, timeout=60, check=False
+            [sys.executable, "-c", PANICS, "5.0", *words],
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=HANG_S,
+            check=False,
         )
     (log,) = tmp_path.glob("*.mcap")
 
@@ -486,5 +499,5 @@ def test_a_signal_ends_it_cleanly_and_moves_nothing(number: signal.Signals, tmp_
 
 
 def closed_loop_when_up(bus: Bus) -> None:
-    wait_for(bus.states, "first sample", 20.0)
+    wait_for(bus.states, "first sample")
     closed_loop(bus)

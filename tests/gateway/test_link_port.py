@@ -14,6 +14,7 @@ import pytest
 from gateway.link.port import Port, PortProblem, check_url, open_port
 from protocol.errors import ConfigError
 from tests.gateway.gateway_peers import free_port
+from tests.patience import HANG_S
 
 
 @pytest.fixture
@@ -110,7 +111,7 @@ def test_a_handler_without_a_descriptor_is_pumped() -> None:
     assert isinstance(port, Port)
 
     assert port.write(b"around") == 6
-    received, deadline_s = b"", time.monotonic() + 5
+    received, deadline_s = b"", time.monotonic() + HANG_S
     while received != b"around" and time.monotonic() < deadline_s:
         select.select([port.fd], [], [], 1.0)
         received += port.read() or b""

@@ -22,6 +22,7 @@ from protocol.bus import topics
 from protocol.bus.endpoint import zenoh_config
 from protocol.bus.identity import Identity
 from tests.gateway.gateway_peers import ScriptedBoard, free_port, gateway_config, running, wait_for
+from tests.patience import HANG_S
 
 PEOPLE = {"ana": Role.ENGINEER, "ben": Role.OPERATOR, "vic": Role.VIEWER}
 PASSWORD = "correct horse"
@@ -59,7 +60,7 @@ class Client:
     def own_key(self) -> str:
         return topics.command_key("board51", "rig", role=self.identity.role, who=self.identity.name)
 
-    def ask(self, payload: bytes, key: str = "", timeout_s: float = 3.0) -> list[pb.CommandReply]:
+    def ask(self, payload: bytes, key: str = "", timeout_s: float = HANG_S) -> list[pb.CommandReply]:
         """Every reply to a query."""
         replies = self.session.get(key or self.own_key, payload=payload, timeout=timeout_s)
         return [pb.CommandReply.FromString(reply.ok.payload.to_bytes()) for reply in replies if reply.ok is not None]

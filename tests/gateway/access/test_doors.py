@@ -102,7 +102,7 @@ def test_an_expired_certificate_stays_outside(rig: GuardedRig, keys: SecurityFol
 
 def test_a_session_ends_when_its_certificate_does(rig: GuardedRig, keys: SecurityFolder, tmp_path: Path) -> None:
     authority = Authority.load(keys.ca.read_bytes(), (keys.path / "ca-key.pem").read_bytes())
-    short = authority.issue("ben", now=datetime.now(UTC), days=3.0 / 86400)
+    short = authority.issue("ben", now=datetime.now(UTC), days=6.0 / 86400)
 
     with join(rig.endpoint, keys.identity("ben"), change=lambda config: show(config, short, tmp_path)) as client:
         wait_for(lambda: client.states, "states while it is good")

@@ -41,7 +41,7 @@ class Served:
             self.__exit__()
             raise
         if self._failures:
-            self._thread.join()
+            self._thread.join(HANG_S)
             raise self._failures[0]
         return self
 
@@ -170,7 +170,7 @@ class Kept:
         async def look() -> bool | None:
             return True if sum(e.EventType.Identifier == kind for e in self.events) >= count else None
 
-        await until(look, f"{count} events of type {kind}", 20.0)
+        await until(look, f"{count} events of type {kind}")
 
     async def retained(self, name: str, count: int) -> None:
         """A condition has been told of so often."""
@@ -179,7 +179,7 @@ class Kept:
             told = [e for e in self.events if getattr(e, "ConditionName", None) == name and e.Retain]
             return True if len(told) >= count else None
 
-        await until(look, f"{count} times {name}", 20.0)
+        await until(look, f"{count} times {name}")
 
 
 async def subscribe(client: Peer, kept: Kept, *paths: str, interval_ms: float = 20.0) -> Any:
@@ -222,4 +222,4 @@ async def received(kept: Kept, path: str, count: int) -> None:
     async def look() -> bool | None:
         return True if len(kept.values.get(path, [])) >= count else None
 
-    await until(look, f"{count} values of {path}", 20.0)
+    await until(look, f"{count} values of {path}")

@@ -47,11 +47,11 @@ def test_a_view_that_dies_is_started_again_and_ends_with_the_gateway(monkeypatch
     port = free_port()
 
     with running([router(port)]):
-        wait_for(listening(port), "view", 20.0)
+        wait_for(listening(port), "view")
         first = view_at(port)
         os.kill(first, signal.SIGKILL)
-        second = wait_for(lambda: (pid := view_at(port)) != first and pid, "another process", 20.0)
-        wait_for(listening(port), "view again", 20.0)
+        second = wait_for(lambda: (pid := view_at(port)) != first and pid, "another process")
+        wait_for(listening(port), "view again")
 
     assert second != first
     assert not listening(port)()
@@ -63,11 +63,11 @@ def test_a_view_that_hangs_is_killed_and_started_again(monkeypatch: pytest.Monke
     port = free_port()
 
     with running([router(port)]):
-        wait_for(listening(port), "view", 20.0)
+        wait_for(listening(port), "view")
         first = view_at(port)
         os.kill(first, signal.SIGSTOP)
         second = wait_for(lambda: (pid := view_at(port)) not in (0, first) and pid, "another process", 40.0)
-        wait_for(listening(port), "view again", 20.0)
+        wait_for(listening(port), "view again")
 
     assert second != first
     assert not listening(port)()
@@ -115,7 +115,7 @@ def test_a_view_with_a_wrong_option_is_not_started_again(
     monkeypatch.setattr(children, "FIRST_WAIT_S", 0.05)
 
     with running([View(name="foxglove", arguments=("--listen", "nowhere"))]):
-        wait_for(lambda: "not started again" in caplog.text, "verdict", 20.0)
+        wait_for(lambda: "not started again" in caplog.text, "verdict")
 
     errors = [line for line in capfd.readouterr().err.splitlines() if line]
     assert errors == ["board51 foxglove: --listen 'nowhere' is not an address. Write HOST:PORT, e.g. 127.0.0.1:4840."]
@@ -128,7 +128,7 @@ def test_no_view_outlives_a_gateway_that_is_killed() -> None:
         f"with running([View(name='router', arguments=('--listen', 'tcp/127.0.0.1:{port}'))]): time.sleep(60)"
     )
     gateway = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.DEVNULL)
-    wait_for(listening(port), "view", 20.0)
+    wait_for(listening(port), "view")
 
     gateway.kill()
     gateway.wait()

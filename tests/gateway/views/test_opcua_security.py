@@ -34,6 +34,7 @@ from gateway.views.opcua.server import Settings
 from protocol.errors import ConfigError
 from tests.gateway.views.bus_peers import played_gateway, ticking
 from tests.gateway.views.opcua_peers import NAMESPACE, Peer, Served
+from tests.patience import HANG_S
 
 S = ua.StatusCodes
 DOUBLE = ua.VariantType.Double
@@ -71,7 +72,7 @@ async def enter(
     by_certificate: bool = False,
 ) -> Client:
     """A client that is in, or an exception."""
-    client = Client(f"opc.tcp://127.0.0.1:{plant.server.port}/board51/", timeout=5)
+    client = Client(f"opc.tcp://127.0.0.1:{plant.server.port}/board51/", timeout=HANG_S)
     identity = plant.folder / "identities" / certificate_of
     client.application_uri = "urn:test:client"
     await client.set_security(
@@ -220,7 +221,7 @@ def test_the_right_password_over_an_unencrypted_channel_is_refused(plant: Plant)
     """No endpoint offers it, but asyncua's server opens such a channel all the same."""
 
     async def ask() -> None:
-        client = Client(f"opc.tcp://127.0.0.1:{plant.server.port}/board51/", timeout=5)
+        client = Client(f"opc.tcp://127.0.0.1:{plant.server.port}/board51/", timeout=HANG_S)
         await client.connect_socket()
         try:
             await client.send_hello()
@@ -253,7 +254,7 @@ def test_a_channel_by_another_certificate_than_the_one_shown_is_refused(
     async def ask() -> None:
         strange = stranger(plant, tmp_path) / "identities" / "eve"
         server = plant.folder / "opcua" / "server.pem"
-        client = Client(f"opc.tcp://127.0.0.1:{plant.server.port}/board51/", timeout=5)
+        client = Client(f"opc.tcp://127.0.0.1:{plant.server.port}/board51/", timeout=HANG_S)
         await client.set_security(
             SecurityPolicyBasic256Sha256,
             strange / "certificate.pem",
@@ -292,7 +293,7 @@ def test_guessing_a_session_does_not_give_its_rights(plant: Plant) -> None:
         async with await entered(plant, "emma", certificate_of="emma") as owner:
             tokens = [owner.uaclient.protocol.authentication_token]
             await owner.get_namespace_array()
-            thief = Client(f"opc.tcp://127.0.0.1:{plant.server.port}/board51/", timeout=5)
+            thief = Client(f"opc.tcp://127.0.0.1:{plant.server.port}/board51/", timeout=HANG_S)
             await thief.connect_socket()
             await thief.send_hello()
             await thief.open_secure_channel()
