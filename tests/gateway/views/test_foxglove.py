@@ -21,6 +21,7 @@ from protocol.bus import topics
 from protocol.errors import ServiceError
 from tests.gateway.gateway_peers import client, free_port
 from tests.gateway.views.bus_peers import PlayedGateway, played_gateway, ticking
+from tests.patience import HANG_S
 
 
 @pytest.fixture
@@ -37,11 +38,13 @@ async def listen(port: int, wanted: str) -> tuple[dict[str, Any], list[tuple[int
         async for frame in socket:
             if isinstance(frame, str):
                 said = json.loads(frame)
-                for offered in said.get("channels", []) if said["op"] == "advertise" else []:
-                    if offered["topic"] == wanted and not channel:
-                        channel = offered
-                        subscription = {"id": 1, "channelId": offered["id"]}
-                        await socket.send(json.dumps({"op": "subscribe", "subscriptions": [subscription]}))
+                offers = said.get("channels", []) if said["op"] == "advertise" else []
+                offered = next((offer for offer in offers if offer["topic"] == wanted), None)
+                channel = channel or offered or {}
+                # The server may offer a channel a moment before it knows it: then it refuses, and is asked again.
+                if offered or (said["op"] == "status" and "nknown channel" in said["message"]):
+                    subscription = {"id": 1, "channelId": channel["id"]}
+                    await socket.send(json.dumps({"op": "subscribe", "subscriptions": [subscription]}))
             elif frame[0] == 1:
                 _, time_ns = struct.unpack_from("<IQ", frame, 1)
                 messages.append((time_ns, frame[13:]))
@@ -64,7 +67,7 @@ def decode(channel: dict[str, Any], payload: bytes) -> Any:
 def test_a_client_that_knows_only_the_protocol_reads_the_samples(gateway: PlayedGateway) -> None:
     with client(gateway.endpoint) as bus, ticking(gateway, "rig1"):
         view = FoxgloveView(bus.session, "board51", "127.0.0.1", 0)
-        channel, messages = asyncio.run(asyncio.wait_for(listen(view.port, "board51/rig1/state"), 15.0))
+        channel, messages = asyncio.run(asyncio.wait_for(listen(view.port, "board51/rig1/state"), HANG_S))
         view.close()
 
     states = [decode(channel, payload) for _, payload in messages]
@@ -77,9 +80,9 @@ def test_a_client_that_knows_only_the_protocol_reads_the_samples(gateway: Played
 def test_junk_is_counted_and_not_passed_on(gateway: PlayedGateway) -> None:
     with client(gateway.endpoint) as bus, ticking(gateway, "rig1"):
         view = FoxgloveView(bus.session, "board51", "127.0.0.1", 0)
-        asyncio.run(asyncio.wait_for(listen(view.port, "board51/rig1/state"), 15.0))
+        asyncio.run(asyncio.wait_for(listen(view.port, "board51/rig1/state"), HANG_S))
         gateway.session.put("board51/rig1/state", b"\xff\xff\xff")
-        asyncio.run(asyncio.wait_for(listen(view.port, "board51/rig1/state"), 15.0))
+        asyncio.run(asyncio.wait_for(listen(view.port, "board51/rig1/state"), HANG_S))
         view.close()
 
         assert view.refused == 1

@@ -91,7 +91,7 @@ for (const path of variables) {
   const series = (found.series[path] = { count: 0, gaps: [], statuses: {}, last_ms: null });
   const item = await subscription.monitor(
     { nodeId: id(`${board}/${path}`), attributeId: AttributeIds.Value },
-    { samplingInterval: 20, discardOldest: true, queueSize: 100, filter }, TimestampsToReturn.Both,
+    { samplingInterval: 20, discardOldest: true, queueSize: 1000, filter }, TimestampsToReturn.Both,
   );
   item.on("changed", (value) => {
     const name = value.statusCode.name;
@@ -171,7 +171,7 @@ async function acknowledge(name) {
   }));
   const item = await subscription.monitor(
     { nodeId: "i=2253", attributeId: AttributeIds.EventNotifier },
-    { samplingInterval: 0, discardOldest: true, queueSize: 100, filter: events }, TimestampsToReturn.Both,
+    { samplingInterval: 0, discardOldest: true, queueSize: 1000, filter: events }, TimestampsToReturn.Both,
   );
   const waiting = [];
   item.on("changed", (fields) => {
