@@ -25,21 +25,21 @@ from pathlib import Path
 
 import zenoh
 
+from gateway.access.authorize import Doorkeeper
 from gateway.access.certificates import WARN_DAYS
-from gateway.access.doorkeeper import Doorkeeper
 from gateway.access.folder import SecurityFolder
 from gateway.access.listeners import check_bus_listeners
-from gateway.commands_bus import CommandQueryable
+from gateway.bus.command_service import CommandQueryable
+from gateway.bus.publisher import BoardOutlet, Publisher
+from gateway.bus.router_watch import RouterWatch
+from gateway.bus.status import StatusMaker
 from gateway.config import GatewayConfig, LogConfig
 from gateway.link.clock import HostClock
 from gateway.link.driver import BoardDriver
-from gateway.link.loop import LinkThread
+from gateway.link.io_thread import LinkThread
 from gateway.link.port import check_url
-from gateway.publish import BoardOutlet, Publisher
 from gateway.record.recorder import Recorder
 from gateway.record.writer import LogError
-from gateway.router_watch import RouterWatch
-from gateway.status import StatusMaker
 from protocol.bus import topics
 from protocol.bus.endpoint import Mode, zenoh_config
 from protocol.bus.identity import Identity, load_identity

@@ -16,7 +16,7 @@ from typing import Any
 
 from gateway.campaign.menu import BY_NAME, MENU, Experiment
 from gateway.campaign.plan import Limits
-from gateway.campaign.tap import Recorded
+from gateway.campaign.subscriber import Recorded
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recording

@@ -18,8 +18,8 @@ import zenoh
 
 from gateway.campaign.checks import AT_STOP_S, STOP_SHARE, Problem, rest_level_m
 from gateway.campaign.plan import CAPTURE_PRE_S, CAPTURE_S, Action, GoTo, Send, Shoot
-from gateway.campaign.tap import ID_PREFIX, Tap
-from gateway.client import send
+from gateway.campaign.subscriber import ID_PREFIX, Tap
+from gateway.client.connection import send
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.identity import Identity
 from protocol.errors import Board51Error, ServiceError

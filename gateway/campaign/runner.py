@@ -31,7 +31,7 @@ from gateway.campaign.plan import (
     raised,
 )
 from gateway.campaign.rig import Cut, Rig, Stopped
-from gateway.campaign.tap import Recorded, Tap, is_foreign
+from gateway.campaign.subscriber import Recorded, Tap, is_foreign
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import Board51Error, ServiceError
 

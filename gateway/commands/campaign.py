@@ -17,7 +17,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.client import add_bus_arguments, open_bus
+from gateway.client.connection import add_bus_arguments, open_bus
 from protocol.bus.identity import find_identity
 from protocol.bus.topics import check_name
 from protocol.errors import UsageError
@@ -94,7 +94,7 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
     from gateway.campaign.outcome import Wishes
     from gateway.campaign.rig import Rig
     from gateway.campaign.runner import Runner
-    from gateway.campaign.tap import Tap
+    from gateway.campaign.subscriber import Tap
     from protocol.campaign import load_plant
 
     plant = load_plant(args.plant) if args.plant is not None else CE152

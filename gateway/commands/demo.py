@@ -22,7 +22,7 @@ import time
 from pathlib import Path
 from types import FrameType
 
-from gateway.client import open_bus
+from gateway.client.connection import open_bus
 from gateway.demo.bus import BusView
 from gateway.demo.findings import Flight, conclusion, gather, sentence, table
 from gateway.demo.processes import call, finish, free_port, listens, running, wait

@@ -19,7 +19,8 @@ from protocol.errors import UsageError
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options; the lists of effects and faults come from their tables."""
-    from gateway.emulator import effects, faults
+    from gateway.emulator import faults
+    from gateway.emulator.plant import effects
 
     parser.epilog = (
         "examples:\n"
@@ -67,7 +68,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM, SIGINT or the end of --duration."""
-    from gateway.emulator import effects, secret
+    from gateway.emulator.plant import effects, secret
     from gateway.emulator.serve import Server, build_lines, pty_ports, tcp_ports
 
     _check(args)

@@ -10,7 +10,7 @@ import argparse
 import json
 from pathlib import Path
 
-from gateway.record.export import Format, export
+from gateway.record.tables.export import Format, export
 from protocol.bus import topics
 from protocol.errors import UsageError
 

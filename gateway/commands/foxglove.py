@@ -11,7 +11,7 @@ import signal
 import threading
 from importlib.resources import files
 
-from gateway.client import open_bus
+from gateway.client.connection import open_bus
 from gateway.views.listen import add_view_arguments, listener
 from protocol.bus import topics
 

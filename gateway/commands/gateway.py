@@ -123,13 +123,13 @@ def run(args: argparse.Namespace) -> int:
         print(documented_toml())
         return 0
     from gateway import daemon  # zenoh and foxglove take their time; --help and --print-config answer at once
-    from gateway.views import children
+    from gateway.views import supervisor
 
     config = configuration(args)
-    views = children.views_for(config)
+    views = supervisor.views_for(config)
     if args.check:
         daemon.check(config)
         print(f"{len(config.boards)} boards: {', '.join(f'{b.name} at {b.port}' for b in config.boards)}")
         return 0
-    with children.running(views) if views else nullcontext():
+    with supervisor.running(views) if views else nullcontext():
         return daemon.serve(config)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.access.listeners import is_loopback
-from gateway.client import open_bus
+from gateway.client.connection import open_bus
 from gateway.views.account import ACCOUNT, views_identity
 from gateway.views.listen import add_view_arguments, listener
 from protocol.bus.endpoint import check_endpoint, zenoh_config
@@ -78,8 +78,8 @@ def _serve(args: argparse.Namespace, host: str, port: int, folder: SecurityFolde
 
     from gateway.access.certificates import check_certificate
     from gateway.access.private import check_private
+    from gateway.views.hmi.actions import Routes
     from gateway.views.hmi.app import HmiSettings, listen, serve
-    from gateway.views.hmi.console import Routes
 
     now = datetime.now(UTC)
     certificate = key = None

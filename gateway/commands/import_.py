@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from gateway.record.table_import import ImportReport, import_recording
+from gateway.record.tables.table_import import ImportReport, import_recording
 from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.campaign import CHANNELS, KINDS, Campaign, Channel, Column, Kind, Recording, load, parse_column
 from protocol.errors import UsageError

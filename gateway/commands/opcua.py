@@ -12,7 +12,7 @@ import logging
 import signal
 from typing import TYPE_CHECKING
 
-from gateway.client import open_bus
+from gateway.client.connection import open_bus
 from gateway.config import OpcuaConfig, changed
 from gateway.views.account import views_identity
 from gateway.views.listen import add_view_arguments, listener

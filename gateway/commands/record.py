@@ -14,7 +14,7 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-from gateway.client import add_bus_arguments, open_bus
+from gateway.client.connection import add_bus_arguments, open_bus
 from gateway.record.recorder import Recorder
 from protocol.bus import topics
 from protocol.bus.encoding import parse

@@ -13,8 +13,8 @@ import shlex
 
 from google.protobuf.json_format import MessageToDict
 
-from gateway.access.doorkeeper import MAX_AGE_S
-from gateway.client import add_bus_arguments, open_bus, send
+from gateway.access.authorize import MAX_AGE_S
+from gateway.client.connection import add_bus_arguments, open_bus, send
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.identity import find_identity
 from protocol.bus.topics import check_name

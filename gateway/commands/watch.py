@@ -12,7 +12,7 @@ import zenoh
 from google.protobuf.json_format import MessageToDict
 from google.protobuf.message import Message
 
-from gateway.client import add_bus_arguments, open_bus
+from gateway.client.connection import add_bus_arguments, open_bus
 from protocol.bus import topics
 from protocol.bus.encoding import parse
 from protocol.bus.identity import find_identity

@@ -9,7 +9,7 @@ import time
 
 import zenoh
 
-from gateway.client import send
+from gateway.client.connection import send
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse

@@ -11,10 +11,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from gateway.emulator.faults import EVENTS, Fault, FaultyLine
-from gateway.emulator.firmware import Firmware
-from gateway.emulator.flash import T_S_US
+from gateway.emulator.firmware.board import Firmware
+from gateway.emulator.firmware.flash import T_S_US
+from gateway.emulator.firmware.uart import Pacer
 from gateway.emulator.ports import Port
-from gateway.emulator.uart import Pacer
 from protocol.wire.messages import EventCode
 
 _T_S = T_S_US * 1e-6

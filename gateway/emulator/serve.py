@@ -25,10 +25,10 @@ from types import MappingProxyType, TracebackType
 from typing import Self
 
 from gateway.emulator.faults import Fault, parse
-from gateway.emulator.firmware import Firmware
-from gateway.emulator.flash import T_S_US
+from gateway.emulator.firmware.board import Firmware
+from gateway.emulator.firmware.flash import T_S_US
 from gateway.emulator.line import BoardLine, LineCounts
-from gateway.emulator.plant import Plant
+from gateway.emulator.plant.levitation import Plant
 from gateway.emulator.ports import Port, PtyPort, TcpPort
 from protocol.errors import ServiceError
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal
 
-from gateway.samples import Scaling, WireCommand
+from gateway.board.scaling import Scaling, WireCommand
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.events import Answer
 from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES, Message, unpack_pair

@@ -16,17 +16,17 @@ import secrets
 import time
 from dataclasses import dataclass
 
-from gateway.access.doorkeeper import Sender
-from gateway.alarms import TO_BOARD
+from gateway.access.authorize import Sender
+from gateway.board.conditions import TO_BOARD
+from gateway.board.scaling import StateEncoder, WireCommand, parameters_message, scaling_of
 from gateway.config import BoardConfig
 from gateway.link.capture import CaptureReader
 from gateway.link.clock import HostClock
-from gateway.link.desk import CommandDesk, Known
-from gateway.link.outlet import Outlet, Reply
+from gateway.link.command_handler import CommandDesk, Known
+from gateway.link.event_text import describe
+from gateway.link.keepalive import Upkeep
+from gateway.link.sink import Outlet, Reply
 from gateway.link.to_board import ANSWERING, UNANSWERED, UNANSWERED_S, ToBoard
-from gateway.link.upkeep import Upkeep
-from gateway.link.words import describe
-from gateway.samples import StateEncoder, WireCommand, parameters_message, scaling_of
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.events import Answer, BoardEvent, Event, Opened, Restarted, Sample, VersionRefused
 from protocol.wire.messages import FAULT_EVENTS, VERSION, EventCode, Message

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from gateway.alarms import LINK, LOG, TO_BOARD
+from gateway.board.conditions import LINK, LOG, TO_BOARD
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import FAULT_EVENTS, Flag
 

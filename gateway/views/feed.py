@@ -31,11 +31,11 @@ from typing import TypeVar
 import zenoh
 from google.protobuf.message import Message
 
-from gateway.alarms import LINK
-from gateway.client import send
+from gateway.board.conditions import LINK
+from gateway.client.connection import send
 from gateway.views.alarms import Alarm, AlarmBook
+from gateway.views.bins import Tap, channels
 from gateway.views.decimate import Decimator
-from gateway.views.tap import Tap, channels
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse

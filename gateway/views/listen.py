@@ -7,7 +7,7 @@ import logging
 from pathlib import Path
 
 from gateway.access.listeners import check_listener
-from gateway.client import add_bus_arguments
+from gateway.client.connection import add_bus_arguments
 from protocol.bus.topics import check_name
 from protocol.errors import ConfigError
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.emulator.firmware import AnalogSide, Firmware
+from gateway.emulator.firmware.board import AnalogSide, Firmware
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import EventCode, Message, Value, encode_body

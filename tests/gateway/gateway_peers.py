@@ -19,7 +19,7 @@ import zenoh
 from google.protobuf.message import Message as ProtoMessage
 
 from gateway import daemon
-from gateway.access.doorkeeper import Sender
+from gateway.access.authorize import Sender
 from gateway.config import BoardConfig, GatewayConfig, LogConfig, ZenohConfig
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics

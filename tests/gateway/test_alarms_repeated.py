@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.alarms import EVERY_S, LINK, TO_BOARD, Condition, Standing
+from gateway.board.conditions import EVERY_S, LINK, TO_BOARD, Condition, Standing
 from gateway.emulator.serve import Emulator
 from gateway.record.reader import read
 from protocol.bus import board51_pb2 as pb

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import board51
-from gateway.emulator.rig import CE152
+from gateway.emulator.plant.rig import CE152
 from tests.gateway.campaign_line import emulated_line
 
 TRUTH = {

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gateway.access.doorkeeper import MAX_AGE_S, Sender
+from gateway.access.authorize import MAX_AGE_S, Sender
 from gateway.access.roles import Role
+from gateway.board.limits import MAX_STOP
+from gateway.board.scaling import scaling_of
 from gateway.config import LimitsConfig
-from gateway.limits import MAX_STOP
-from gateway.link.desk import KEPT_IDS, KEPT_S, CommandDesk, Known
-from gateway.samples import scaling_of
+from gateway.link.command_handler import KEPT_IDS, KEPT_S, CommandDesk, Known
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.events import Answer, Opened

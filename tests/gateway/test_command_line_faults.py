@@ -18,8 +18,8 @@ import pytest
 
 import board51
 from gateway.emulator.serve import Emulator
-from gateway.views.opcua.desk import called, code_of
-from gateway.views.opcua.model import methods
+from gateway.views.opcua.address_space.model import methods
+from gateway.views.opcua.operations import called, code_of
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Message
 from tests.gateway.gateway_peers import (

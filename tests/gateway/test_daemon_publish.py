@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 import time
 
-from gateway.publish import Channel, Publisher
-from gateway.status import percentile
+from gateway.bus.publisher import Channel, Publisher
+from gateway.bus.status import percentile
 from tests.gateway.gateway_peers import wait_for
 from tests.patience import HANG_S
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.emulator.effects import EFFECTS, check
-from gateway.emulator.secret import draw, open_sealed, seal
+from gateway.emulator.plant.effects import EFFECTS, check
+from gateway.emulator.plant.secret import draw, open_sealed, seal
 from protocol.errors import DataError, UsageError
 
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.emulator.arithmetic import saturate, scaled_product, sine_q15, to_mantissa
-from gateway.emulator.flash import (
+from gateway.emulator.firmware.arithmetic import saturate, scaled_product, sine_q15, to_mantissa
+from gateway.emulator.firmware.flash import (
     CURRENT,
     GAINS,
     INPUT,
@@ -22,8 +22,8 @@ from gateway.emulator.flash import (
     Scaling,
     gains_in_counts,
 )
-from gateway.emulator.law import ControlLaw
-from gateway.emulator.plant import Plant
+from gateway.emulator.firmware.law import ControlLaw
+from gateway.emulator.plant.levitation import Plant
 from protocol.wire.messages import COUNTS_MAX, Law
 from tests.gateway.board_host import Host
 

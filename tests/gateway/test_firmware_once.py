@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from gateway.emulator.firmware import Firmware
-from gateway.emulator.flash import LIMITS
+from gateway.emulator.firmware.board import Firmware
+from gateway.emulator.firmware.flash import LIMITS
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.messages import Message, Reason
 from tests.gateway.board_host import Bench, Host, frame

@@ -9,9 +9,9 @@ from itertools import pairwise
 
 import pytest
 
-from gateway.emulator.firmware import Firmware
-from gateway.emulator.flash import BOOT_TICKS, CURRENT, GAINS, INPUT, LIMITS, POSITION, WATCHDOG_TICKS
-from gateway.emulator.plant import Plant
+from gateway.emulator.firmware.board import Firmware
+from gateway.emulator.firmware.flash import BOOT_TICKS, CURRENT, GAINS, INPUT, LIMITS, POSITION, WATCHDOG_TICKS
+from gateway.emulator.plant.levitation import Plant
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import EventCode, Flag, HostLoss, Message, Mode, Reason, unpack_pair

@@ -15,9 +15,9 @@ import pytest
 from scipy.io import loadmat, savemat
 
 import board51
-from gateway.record.export import Format, export
 from gateway.record.reader import LogReader, read
-from gateway.record.table_import import ImportReport, import_recording
+from gateway.record.tables.export import Format, export
+from gateway.record.tables.table_import import ImportReport, import_recording
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import CHANNELS, Channel, Column, Kind, Recording

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from gateway.board.limits import BoardView, Gate, TokenBucket, bumpless, read_command
+from gateway.board.scaling import Refusal, Scaling, WireCommand, to_wire
 from gateway.config import LimitsConfig
-from gateway.limits import BoardView, Gate, TokenBucket, bumpless, read_command
-from gateway.samples import Refusal, Scaling, WireCommand, to_wire
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag, Message, Mode
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from gateway.alarms import TO_BOARD
+from gateway.board.conditions import TO_BOARD
 from gateway.config import BoardConfig
 from gateway.link.clock import HostClock
 from gateway.link.driver import BoardDriver
-from gateway.link.loop import LinkThread
+from gateway.link.io_thread import LinkThread
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.messages import BY_NAME, EventCode, Message, Reason

@@ -9,10 +9,10 @@ import threading
 import pytest
 
 from gateway.config import BoardConfig
-from gateway.link import loop
+from gateway.link import io_thread
 from gateway.link.clock import HostClock
 from gateway.link.driver import BoardDriver
-from gateway.link.loop import LinkThread
+from gateway.link.io_thread import LinkThread
 from gateway.link.port import Port, PortProblem, open_port
 from protocol.bus import board51_pb2 as pb
 from tests.gateway.gateway_peers import Collector, anybody, wait_for
@@ -42,7 +42,7 @@ def test_a_port_that_opens_after_the_end_is_closed_again(monkeypatch: pytest.Mon
         opened.append(open_port(url, baud))
         return opened[0]
 
-    monkeypatch.setattr(loop, "open_port", late)
+    monkeypatch.setattr(io_thread, "open_port", late)
     driver = BoardDriver(BoardConfig(name="rig", port=os.ttyname(follower)), Collector(), HostClock())
     link = LinkThread([driver])
     link.start()

@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from gateway.config import BoardConfig
-from gateway.link.upkeep import Upkeep
+from gateway.link.keepalive import Upkeep
 from protocol.wire.events import Answer
 from protocol.wire.messages import Value
 from protocol.wire.session import WAIT_S, Session

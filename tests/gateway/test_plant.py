@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.emulator.plant import STEP_S, Plant
-from gateway.emulator.rig import CE152, MEASURED_EQUILIBRIA, Rig
+from gateway.emulator.plant.levitation import STEP_S, Plant
+from gateway.emulator.plant.rig import CE152, MEASURED_EQUILIBRIA, Rig
 from protocol.errors import ConfigError, UsageError
 from tests.patience import HANG_S
 
@@ -292,7 +292,7 @@ def test_an_impossible_rig_is_refused(key: str, value: float) -> None:
 def test_without_a_compiler_the_same_numbers_come_out() -> None:
     program = (
         "import sys; sys.modules['numba'] = None\n"
-        "from gateway.emulator.plant import Plant\n"
+        "from gateway.emulator.plant.levitation import Plant\n"
         "plant = Plant(effects={'coulomb-friction': 0.002, 'eddy-current-lag': 0.001}, seed=1)\n"
         "plant.advance(5.0, 0.03); plant.advance(0.0, 0.03)\n"
         "print(repr((plant.i_c_a, plant.x_m, plant.v_m_s)))\n"

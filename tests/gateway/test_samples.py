@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.samples import Refusal, Scaling, StateEncoder, WireCommand, parameters_message, to_mantissa, to_wire
+from gateway.board.scaling import Refusal, Scaling, StateEncoder, WireCommand, parameters_message, to_mantissa, to_wire
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.decoder import State
 from protocol.wire.events import Sample

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from gateway.emulator.effects import EFFECTS
-from gateway.emulator.flash import CURRENT, INPUT, POSITION
-from gateway.emulator.rig import CE152
+from gateway.emulator.firmware.flash import CURRENT, INPUT, POSITION
+from gateway.emulator.plant.effects import EFFECTS
+from gateway.emulator.plant.rig import CE152
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Shape
 from tests.twin.identify.emulated_campaign import TICK_S, Lab

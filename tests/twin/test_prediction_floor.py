@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.emulator.effects import EFFECTS
+from gateway.emulator.plant.effects import EFFECTS
 from tests.twin.diagnose.known_diagnosis import campaign, fit_of
 from tests.twin.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, strong
 from twin.diagnose.evidence import Evidence, gather

@@ -1,6 +1,6 @@
 """The web server: guard, pages, requests and live frames around one client of the bus.
 
-It decides nothing about the rig; `console.py` asks the table of rights, the gateway asks it again.
+It decides nothing about the rig; `actions.py` asks the table of rights, the gateway asks it again.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from starlette.types import ASGIApp
 from gateway.access.roles import Role
 from gateway.access.users import Users
 from gateway.views.feed import Feed
-from gateway.views.hmi.console import REPLAY_SITE, Console, Routes
+from gateway.views.hmi.actions import REPLAY_SITE, Console, Routes
 from gateway.views.hmi.guard import MAX_BODY, Guard
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.library import Library

@@ -21,7 +21,7 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gateway.views.feed import BoardFeed, Feed
-from gateway.views.hmi import picture
+from gateway.views.hmi import snapshot
 from gateway.views.hmi.guard import PROTOCOL, SESSION_OVER
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.sessions import Session, Sessions
@@ -63,8 +63,8 @@ class Pictures:
             await asyncio.sleep(FRAME_S)
 
     def rest(self, board: BoardFeed) -> dict[str, Any]:
-        """See picture.rest; with what the drawing needs."""
-        return picture.rest(board) | {"travel_m": self._travel_m(board)}
+        """See snapshot.rest; with what the drawing needs."""
+        return snapshot.rest(board) | {"travel_m": self._travel_m(board)}
 
     def _travel_m(self, board: BoardFeed) -> float | None:
         model, parameters = board.latest(pb.TwinModel), board.latest(pb.Parameters)
@@ -110,10 +110,10 @@ class Live:
             if board is None:
                 return {}
             rows, cursor = self._pictures.traces(board).since(cursor)
-            made: dict[str, Any] = {"now": picture.now(board), "rows": rows}
+            made: dict[str, Any] = {"now": snapshot.now(board), "rows": rows}
             if now_s - looked_s >= REST_S:
                 looked_s = now_s
-                jobs = {job.kind: picture.job(job) for job in self._jobs.of(name)}
+                jobs = {job.kind: snapshot.job(job) for job in self._jobs.of(name)}
                 for part, content in (("rest", self._pictures.rest(board)), ("jobs", jobs)):
                     text = json.dumps(content)
                     if text != sent.get(part):
@@ -128,7 +128,7 @@ class Live:
 
         def frame(_: float) -> dict[str, Any]:
             boards = [board for board in map(feed.board, feed.boards()) if board is not None]
-            return {"boards": [picture.summary(board) for board in boards]}
+            return {"boards": [snapshot.summary(board) for board in boards]}
 
         await self._serve(socket, frame, OVERVIEW_S)
 

@@ -1,6 +1,6 @@
 """The pages: overview, rig, replay, logs, report.  What moves is drawn by static/hmi.js; here stand frames and words.
 
-Rule 1: a control that the session may not use is not on its page; `console.py` refuses it as well.
+Rule 1: a control that the session may not use is not on its page; `actions.py` refuses it as well.
 Rule 2: a page holds no state in the server: what it sends is a request of its own, so it works after any gap.
 Rule 3: every page has STOP and the key Esc: for its rig, or, where it belongs to none, for all rigs of the site.
 Rule 4: what comes and goes has its place: nothing may push a button away from under a finger.
@@ -17,7 +17,7 @@ from starlette.routing import Route
 
 from gateway.access.roles import LEAST_ROLE
 from gateway.views.hmi import controls
-from gateway.views.hmi.console import Console
+from gateway.views.hmi.actions import Console
 from gateway.views.hmi.guard import refusal
 from gateway.views.hmi.library import Entry
 from gateway.views.hmi.markup import Markup, join, tag

@@ -34,7 +34,7 @@ from starlette.routing import Route
 
 from gateway.access.logins import Logins, TooMany
 from gateway.access.users import Users
-from gateway.views.hmi.console import Console
+from gateway.views.hmi.actions import Console
 from gateway.views.hmi.guard import Guard, cookie_name, own_page, refusal
 from gateway.views.hmi.sessions import Session
 from protocol.bus import board51_pb2 as pb
@@ -48,7 +48,7 @@ _REPORT_POLICY = (
     " frame-ancestors 'self'"
 )
 SEEN_HEADER = "x-board51-seen"  # s, of this server's monotonic clock
-FRESH_S = 3.0  # with what `gateway.client.send` may take (7 s) no more than static/server.js waits
+FRESH_S = 3.0  # with what `gateway.client.connection.send` may take (7 s) no more than static/server.js waits
 STOPS = 64  # that wait for their answers at once
 
 

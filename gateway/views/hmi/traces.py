@@ -15,9 +15,9 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from gateway.views.bins import Tap
 from gateway.views.decimate import Bin
 from gateway.views.feed import BoardFeed
-from gateway.views.tap import Tap
 from protocol.bus import board51_pb2 as pb
 
 SPAN_S = 20.0  # that a plot shows

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 from asyncua import Server, ua
 
-from gateway.views.opcua.history import MAX_VALUES
+from gateway.views.opcua.address_space.history import MAX_VALUES
 from gateway.views.opcua.sessions import MAX_CONNECTIONS, MAX_QUEUE, MAX_SUBSCRIPTIONS
 from gateway.views.opcua.subscriptions import MAX_ITEMS, MIN_INTERVAL_MS
 

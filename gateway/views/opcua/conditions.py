@@ -18,8 +18,8 @@ from asyncua.common.event_objects import AlarmCondition, BaseEvent
 
 from gateway.views.alarms import Alarm
 from gateway.views.feed import BoardFeed
+from gateway.views.opcua.address_space.values import datetime_of
 from gateway.views.opcua.sessions import Condition, GuardedServer
-from gateway.views.opcua.values import datetime_of
 from protocol.bus import board51_pb2 as pb
 
 SEVERITY = {"info": 100, "warning": 500, "fault": 800}

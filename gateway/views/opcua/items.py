@@ -14,7 +14,7 @@ from typing import Any
 from asyncua import ua
 from asyncua.server.monitored_item_service import MonitoredItemData, MonitoredItemService
 
-from gateway.views.opcua.timestamps import stamped
+from gateway.views.opcua.address_space.timestamps import stamped
 
 VALUE = ua.AttributeIds.Value
 Trigger = ua.DataChangeTrigger

@@ -25,7 +25,7 @@ from gateway.access.folder import OPCUA_URI, SecurityFolder
 from gateway.access.logins import Logins, TooMany
 from gateway.access.private import read_private
 from gateway.access.users import User, Users
-from gateway.views.opcua.desk import Visitor
+from gateway.views.opcua.operations import Visitor
 from protocol.errors import ConfigError
 
 S = ua.StatusCodes

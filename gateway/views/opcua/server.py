@@ -19,12 +19,12 @@ from asyncua import Server, ua
 
 from gateway.access.roles import Role
 from gateway.views.feed import Feed
-from gateway.views.opcua.build import Builder
+from gateway.views.opcua.address_space.build import Builder
+from gateway.views.opcua.address_space.history import Historian, RingHistory
+from gateway.views.opcua.address_space.nodes import BoardNodes
 from gateway.views.opcua.capabilities import describe
 from gateway.views.opcua.conditions import Conditions
-from gateway.views.opcua.desk import Desk, Visitor
-from gateway.views.opcua.history import Historian, RingHistory
-from gateway.views.opcua.nodes import BoardNodes
+from gateway.views.opcua.operations import Desk, Visitor
 from gateway.views.opcua.security import Security
 from gateway.views.opcua.sessions import GuardedServer, Reception
 from protocol.errors import ServiceError

@@ -23,9 +23,9 @@ from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
 
 from gateway.access.roles import may
-from gateway.views.opcua import timestamps
-from gateway.views.opcua.desk import NOBODY, SETPOINTS, Desk, Visitor, called, code_of, is_of, written
-from gateway.views.opcua.model import methods
+from gateway.views.opcua.address_space import timestamps
+from gateway.views.opcua.address_space.model import methods
+from gateway.views.opcua.operations import NOBODY, SETPOINTS, Desk, Visitor, called, code_of, is_of, written
 from gateway.views.opcua.subscriptions import BoundedSubscriptions
 from protocol.bus import board51_pb2 as pb
 

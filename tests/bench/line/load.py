@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.emulator.firmware import Firmware
-from gateway.emulator.plant import Plant
+from gateway.emulator.firmware.board import Firmware
+from gateway.emulator.plant.levitation import Plant
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import Message, encode_body

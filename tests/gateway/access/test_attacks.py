@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 import zenoh
 
+from gateway.access.authorize import BURST, COMMANDS_PER_S, MAX_AGE_S, MAX_AHEAD_S
 from gateway.access.bus_rules import LARGEST_COMMAND, LARGEST_MESSAGE
-from gateway.access.doorkeeper import BURST, COMMANDS_PER_S, MAX_AGE_S, MAX_AHEAD_S
 from gateway.access.folder import SecurityFolder
 from gateway.record.reader import read
 from protocol.bus import board51_pb2 as pb

@@ -6,15 +6,15 @@ import time
 
 import pytest
 
-from gateway.access.doorkeeper import BURST, COMMANDS_PER_S, MAX_AGE_S, MAX_AHEAD_S, MAX_SENDERS, Doorkeeper, Sender
+from gateway.access.authorize import BURST, COMMANDS_PER_S, MAX_AGE_S, MAX_AHEAD_S, MAX_SENDERS, Doorkeeper, Sender
 from gateway.access.roles import Role
+from gateway.board.limits import Gate
+from gateway.board.scaling import Refusal
 from gateway.config import BoardConfig, LimitsConfig
-from gateway.limits import Gate
 from gateway.link.clock import HostClock
-from gateway.link.desk import KEPT_IDS, KEPT_S
+from gateway.link.command_handler import KEPT_IDS, KEPT_S
 from gateway.link.driver import BoardDriver
-from gateway.link.loop import LinkThread
-from gateway.samples import Refusal
+from gateway.link.io_thread import LinkThread
 from protocol.bus import board51_pb2 as pb
 from tests.gateway.gateway_peers import Collector, ScriptedBoard, wait_for
 

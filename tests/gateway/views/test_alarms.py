@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.alarms import LINK, LOG, TO_BOARD
+from gateway.board.conditions import LINK, LOG, TO_BOARD
 from gateway.views.alarms import MAX_ALARMS, TWIN, AlarmBook
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from gateway.config import BoardConfig, GatewayConfig, HmiConfig, OpcuaConfig, SecurityConfig, ZenohConfig
-from gateway.views import children
+from gateway.views import supervisor
 from gateway.views.child import NICER
-from gateway.views.children import View, running, views_for
+from gateway.views.supervisor import View, running, views_for
 from protocol.errors import ConfigError
 from tests.gateway.gateway_peers import free_port, wait_for
 
@@ -43,7 +43,7 @@ def children_of(pid: int) -> list[int]:
 
 
 def test_a_view_that_dies_is_started_again_and_ends_with_the_gateway(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(children, "FIRST_WAIT_S", 0.1)
+    monkeypatch.setattr(supervisor, "FIRST_WAIT_S", 0.1)
     port = free_port()
 
     with running([router(port)]):
@@ -58,8 +58,8 @@ def test_a_view_that_dies_is_started_again_and_ends_with_the_gateway(monkeypatch
 
 
 def test_a_view_that_hangs_is_killed_and_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(children, "FIRST_WAIT_S", 0.1)
-    monkeypatch.setattr(children, "HUNG_S", 5.0)
+    monkeypatch.setattr(supervisor, "FIRST_WAIT_S", 0.1)
+    monkeypatch.setattr(supervisor, "HUNG_S", 5.0)
     port = free_port()
 
     with running([router(port)]):
@@ -112,7 +112,7 @@ def view_at(port: int) -> int:
 def test_a_view_with_a_wrong_option_is_not_started_again(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(children, "FIRST_WAIT_S", 0.05)
+    monkeypatch.setattr(supervisor, "FIRST_WAIT_S", 0.05)
 
     with running([View(name="foxglove", arguments=("--listen", "nowhere"))]):
         wait_for(lambda: "not started again" in caplog.text, "verdict")
@@ -124,7 +124,7 @@ def test_a_view_with_a_wrong_option_is_not_started_again(
 def test_no_view_outlives_a_gateway_that_is_killed() -> None:
     port = free_port()
     code = (
-        "from gateway.views.children import View, running\nimport time\n"
+        "from gateway.views.supervisor import View, running\nimport time\n"
         f"with running([View(name='router', arguments=('--listen', 'tcp/127.0.0.1:{port}'))]): time.sleep(60)"
     )
     gateway = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.DEVNULL)

@@ -10,11 +10,11 @@ from functools import partial
 
 import pytest
 
-from gateway.alarms import LINK, TO_BOARD
+from gateway.board.conditions import LINK, TO_BOARD
 from gateway.views.alarms import TWIN
+from gateway.views.bins import channels
 from gateway.views.feed import SILENT_S, TWIN_GONE_S, BoardFeed, Feed
-from gateway.views.hmi.picture import rest
-from gateway.views.tap import channels
+from gateway.views.hmi.snapshot import rest
 from protocol.bus import board51_pb2 as pb
 from tests.gateway.gateway_peers import ScriptedBoard, client, gateway_config, running, wait_for
 from tests.gateway.views.bus_peers import PlayedGateway, feed_of, played_gateway

@@ -10,14 +10,14 @@ import pytest
 
 import board51
 from gateway.access.roles import Role
-from gateway.views.hmi.console import Routes, slug
+from gateway.views.hmi.actions import Routes, slug
 from gateway.views.hmi.gains import parse_gains, rows
 from gateway.views.hmi.jobs import LINES, WIDTH, Jobs
 from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import travel_of
 from gateway.views.hmi.markup import tag
-from gateway.views.hmi.picture import describe, rest
 from gateway.views.hmi.sessions import MAX_SESSIONS, Sessions
+from gateway.views.hmi.snapshot import describe, rest
 from gateway.views.hmi.traces import MAX_ROWS, Traces
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError, UsageError

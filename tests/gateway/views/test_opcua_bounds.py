@@ -14,7 +14,7 @@ from asyncua.ua.uaerrors import UaError
 
 from gateway.views.feed import Feed
 from gateway.views.opcua import sessions, subscriptions
-from gateway.views.opcua.desk import Desk
+from gateway.views.opcua.operations import Desk
 from gateway.views.opcua.server import Settings
 from gateway.views.opcua.sessions import GuardedServer, Reception
 from tests.gateway.views.bus_peers import played_gateway, ticking

@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.views.feed import Link
-from gateway.views.opcua import quality
-from gateway.views.opcua.clock import StampClock
-from gateway.views.opcua.desk import called, code_of, written
-from gateway.views.opcua.history import RingHistory, Track
-from gateway.views.opcua.model import TOPICS, Method, leaves, methods
-from gateway.views.opcua.units import unit_of
+from gateway.views.opcua.address_space import quality
+from gateway.views.opcua.address_space.clock import StampClock
+from gateway.views.opcua.address_space.history import RingHistory, Track
+from gateway.views.opcua.address_space.model import TOPICS, Method, leaves, methods
+from gateway.views.opcua.address_space.units import unit_of
+from gateway.views.opcua.operations import called, code_of, written
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.wire.messages import Flag

@@ -19,7 +19,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from gateway.emulator.effects import EFFECTS, Effect
+from gateway.emulator.plant.effects import EFFECTS, Effect
 from tests.twin.diagnose.hidden_campaign import PlantName, make_campaign
 from tests.twin.diagnose.outside import OUTSIDE
 

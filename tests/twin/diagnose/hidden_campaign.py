@@ -24,8 +24,8 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.emulator.flash import CURRENT, INPUT, POSITION
-from gateway.emulator.rig import CE152, Rig
+from gateway.emulator.firmware.flash import CURRENT, INPUT, POSITION
+from gateway.emulator.plant.rig import CE152, Rig
 from protocol.wire.messages import Mode, Shape
 from tests.twin.identify.emulated_campaign import TICK_S, Lab, random_rig
 
@@ -142,7 +142,7 @@ def make_campaign(
 
     Args:
         folder: Made if absent.
-        effects: Strength by name, as `gateway.emulator.effects`.
+        effects: Strength by name, as `gateway.emulator.plant.effects`.
         seed: Of the rig, its noise and the excitation.
         plant: Whose equations.
         quick: A third of the time in each recording.

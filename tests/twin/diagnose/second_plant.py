@@ -1,6 +1,6 @@
 """A second rig and a second board, written from equations alone: nothing of emulator or twin.
 
-What differs from `gateway/emulator/physics.py` although it is meant to be the same effect:
+What differs from `gateway/emulator/plant/physics.py` although it is meant to be the same effect:
 
 - integration: operators split, each solved exactly (amplifier, field, sensor: exponentials) or implicitly (drag, dry
   friction), 10 us a step; an impact reflects the overshoot instead of being searched for;
@@ -25,7 +25,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.emulator.rig import Rig
+from gateway.emulator.plant.rig import Rig
 from tests.twin.diagnose.hidden_campaign import (
     CAPTURE_COUNT,
     CAPTURE_PRE,

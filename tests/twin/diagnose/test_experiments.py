@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from gateway.campaign import menu as campaign_menu
-from gateway.emulator.flash import POSITION
-from gateway.emulator.rig import CE152, Rig
+from gateway.emulator.firmware.flash import POSITION
+from gateway.emulator.plant.rig import CE152, Rig
 from protocol.campaign import Controller, OperatingPoint, Plant
 from protocol.wire.messages import Shape
 from tests.twin.diagnose.simulated_rig import (

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.emulator.effects import EFFECTS
+from gateway.emulator.plant.effects import EFFECTS
 from protocol.campaign import load
 from tests.twin.diagnose.draws import (
     DELAYING,

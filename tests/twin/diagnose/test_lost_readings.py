@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.emulator.rig import CE152
+from gateway.emulator.plant.rig import CE152
 from tests.twin.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, controller, criterion_of, fitted, strong
 from tests.twin.identify.emulated_campaign import Lab
 from tests.twin.model.true_model import true_model

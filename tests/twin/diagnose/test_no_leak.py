@@ -88,7 +88,7 @@ def test_identify_reads_nothing_but_the_campaign_folder(tmp_path: Path) -> None:
     [
         "open(c + '/../truth.json').read()",
         "import os; os.listdir(c + '/..')",
-        "import gateway.emulator.effects",
+        "import gateway.emulator.plant.effects",
         "import tests.twin.diagnose.draws",
         "import subprocess; subprocess.run(['cat', c + '/../truth.json'])",
         "import subprocess, sys; subprocess.run([sys.executable, '-c', 'open(\"' + c + '/../truth.json\")'])",

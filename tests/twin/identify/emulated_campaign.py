@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.emulator.firmware import Firmware
-from gateway.emulator.flash import CURRENT, INPUT, POSITION, gains_in_counts
-from gateway.emulator.plant import Plant
-from gateway.emulator.rig import CE152, Rig
+from gateway.emulator.firmware.board import Firmware
+from gateway.emulator.firmware.flash import CURRENT, INPUT, POSITION, gains_in_counts
+from gateway.emulator.plant.levitation import Plant
+from gateway.emulator.plant.rig import CE152, Rig
 from protocol.campaign import Campaign, Kind, parse
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame

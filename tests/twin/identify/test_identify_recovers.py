@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.emulator.flash import INPUT
+from gateway.emulator.firmware.flash import INPUT
 from protocol.wire.messages import Mode, Shape
 from tests.twin.identify.emulated_campaign import TRUTHS, Lab, campaign_of, random_rig, run_campaign, truth
 from tests.twin.identify.independent_plant import Ball, wandering

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.emulator.flash import INPUT, POSITION
-from gateway.emulator.rig import CE152
+from gateway.emulator.firmware.flash import INPUT, POSITION
+from gateway.emulator.plant.rig import CE152
 from protocol.campaign import parse
 from protocol.wire.messages import Mode, Shape
 from tests.twin.identify.emulated_campaign import Lab

@@ -1,0 +1,145 @@
+"""Who sends a command, and whether it may come in: before the limits of the board.  No I/O.
+
+On a guarded bus the router has checked the sender, and the key says who it is (`topics.command_key`).  This decides the
+rest: does the role suffice, is the command fresh, does one sender drown the others.  On a bus that is not guarded
+nobody has a role, and a command may be undated; one that is dated is judged in the same way.
+
+Rule 1: STOP needs a role that may act, and nothing more: no clock, no rate.  A wrong clock must not keep the coil on.
+Rule 2: a command is fresh for MAX_AGE_S after it was issued, or for as long as its sender waits where that is less.
+        The desk remembers ids for longer than that, so that the same bytes are executed once; and what may have been
+        issued before this gateway's start is refused, because it may have been executed by the one before.
+Rule 3: the clocks of sender and gateway may differ by MAX_AHEAD_S.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from gateway.access.roles import ROLE_WORDS, Role, may, refusal_text
+from gateway.board.limits import TokenBucket
+from gateway.board.scaling import Refusal
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+
+MAX_AGE_S = 10.0
+MAX_AHEAD_S = 1.0
+COMMANDS_PER_S = 100.0  # of one sender to all boards; the boards' own limits are lower
+BURST = 200.0
+MAX_SENDERS = 256  # names that the views' account may invent
+_REPORT_S = 1.0  # between two events about a flood of one sender
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sender:
+    """Whose command this is.  On a guarded bus the key said so and the router has checked it; else nobody knows."""
+
+    name: str
+    role: Role | None  # None: the bus is not guarded
+    arrived_ns: int  # Unix time
+    started_ns: int  # of this gateway
+
+    def sign(self, command: pb.Command) -> None:
+        """Write who and role over whatever the sender wrote there; who that is, where nobody knows better."""
+        command.role = ""
+        if self.role is not None:
+            command.who, command.role = self.name, self.role.word
+
+    def right(self, command: pb.Command) -> Refusal | None:
+        """None if the role suffices."""
+        act = command.WhichOneof("what") or ""
+        if self.role is None or may(self.role, act):
+            return None
+        return Refusal("not-allowed", refusal_text(self.name, self.role, act))
+
+    def left_s(self, command: pb.Command) -> float:
+        """For how long the command may still begin to act; infinite where it is undated."""
+        if not command.issued_ns:
+            return math.inf
+        valid_s = min(command.valid_s or MAX_AGE_S, MAX_AGE_S)
+        return valid_s - (self.arrived_ns - command.issued_ns) * 1e-9
+
+    def fresh(self, command: pb.Command) -> Refusal | None:
+        """None if the command was issued just now, and its sender still waits."""
+        if command.WhichOneof("what") == "stop":
+            return None
+        if not command.issued_ns:
+            if self.role is None:
+                return None
+            return Refusal("not-fresh", "On a guarded bus a command says when it was issued (issued_ns, Unix time).")
+        age_s = (self.arrived_ns - command.issued_ns) * 1e-9
+        if age_s < -MAX_AHEAD_S or self.left_s(command) < 0:
+            valid_s = self.left_s(command) + age_s
+            when = f"{age_s:.1f} s ago" if age_s > 0 else f"{-age_s:.1f} s in the future"
+            return Refusal(
+                "not-fresh",
+                f"The command was issued {when}; it is good for {valid_s:g} s. If it is not a repeated old one,"
+                " the clocks of its sender and of the gateway differ: set them.",
+            )
+        if command.issued_ns < self.started_ns + MAX_AHEAD_S * 1e9:
+            return Refusal(
+                "not-fresh", "The command may be older than this gateway, which has just started: send a new one."
+            )
+        return None
+
+
+class Doorkeeper:
+    """Of one gateway; any thread.
+
+    Args:
+        started_ns: Unix time of the gateway's start.
+        tell: called with sender and number of commands thrown away, at most once a second for each sender.
+        guarded: whether the keys of commands say who sends.
+    """
+
+    def __init__(self, started_ns: int, tell: Callable[[str, int], None], *, guarded: bool = True) -> None:
+        self.guarded = guarded
+        self._started_ns, self._tell = started_ns, tell
+        self._lock = threading.Lock()
+        self._floods: OrderedDict[str, _Flood] = OrderedDict()
+
+    def clock_stepped(self, step_ns: int) -> None:
+        """The host's clock was set: this is when the gateway started by the clock of now."""
+        self._started_ns += step_ns
+
+    def sender(self, key: str, arrived_ns: int) -> Sender | Refusal:
+        """Who sends under `key`."""
+        if not self.guarded:
+            return Sender(name="", role=None, arrived_ns=arrived_ns, started_ns=self._started_ns)
+        found = topics.sender(key)
+        if found is None or found[0] not in ROLE_WORDS:
+            text = f"On this bus a command goes under .../command/as/ROLE/NAME, not under {key[-100:]}."
+            return Refusal("not-allowed", text)
+        role, name = found
+        return Sender(name=name, role=Role[role.upper()], arrived_ns=arrived_ns, started_ns=self._started_ns)
+
+    def flooded(self, sender: Sender, now_s: float) -> bool:
+        """Use up one command of the sender's share; True if nothing is left of it.  Not to be asked for STOP."""
+        assert self.guarded
+        with self._lock:
+            flood = self._floods.get(sender.name)
+            if flood is None:
+                flood = self._floods[sender.name] = _Flood(TokenBucket(BURST, COMMANDS_PER_S))
+                if len(self._floods) > MAX_SENDERS:
+                    self._floods.popitem(last=False)
+            self._floods.move_to_end(sender.name)
+            if flood.bucket.level(now_s) >= 1.0:
+                flood.bucket.take(1.0, now_s)
+                return False
+            flood.refused += 1
+            refused = flood.refused
+            if report := now_s - flood.reported_s >= _REPORT_S:
+                flood.refused, flood.reported_s = 0, now_s
+        if report:
+            self._tell(sender.name, refused)
+        return True
+
+
+@dataclass(slots=True)
+class _Flood:
+    bucket: TokenBucket
+    refused: int = 0
+    reported_s: float = float("-inf")

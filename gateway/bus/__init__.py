@@ -1,0 +1,1 @@
+"""The gateway's side of the bus: what it publishes, which queries it answers."""

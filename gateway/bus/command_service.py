@@ -1,0 +1,108 @@
+"""The queryable `<site>/<board>/command`: a Command in, exactly one CommandReply out.
+
+On a guarded bus it is `<site>/<board>/command/as/<role>/<who>`, and nothing is served under the plain key.
+
+zenoh calls back in its own threads; the decision falls in the serial thread (`link/command_handler.py`), the reply
+leaves through a publisher's thread.  A query without a reply would look to its sender like a gateway that is not there.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import zenoh
+
+from gateway.access.authorize import Doorkeeper, Sender
+from gateway.board.limits import read_command
+from gateway.board.scaling import Refusal
+from gateway.bus.publisher import Channel, Publisher
+from gateway.link.driver import BoardDriver
+from gateway.link.io_thread import LinkThread
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.bus.encoding import zenoh_encoding
+
+MAX_POSTED = 256  # queries on their way to the serial thread; beyond it only STOP is carried there
+_ENCODING = zenoh_encoding(pb.CommandReply)
+
+
+class CommandQueryable:
+    """Serves one board's commands until the zenoh session closes.
+
+    Args:
+        session: of the bus.
+        site: first chunk of the key.
+        driver: of the board.
+        link: the serial thread.
+        replies: takes them; not what events wait in while there is no router.
+        door: says who sends.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        site: str,
+        driver: BoardDriver,
+        link: LinkThread,
+        replies: Publisher,
+        door: Doorkeeper,
+    ) -> None:
+        self._key = topics.key(site, driver.config.name, "command")
+        self._driver, self._link, self._replies, self._door = driver, link, replies, door
+        self._lock = threading.Lock()  # of _posted: queries come in several threads
+        self._posted = 0
+        served = f"{self._key}/{topics.AS}/*/*" if door.guarded else self._key
+        self._queryable = session.declare_queryable(served, self._on_query)
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        payload = query.payload.to_bytes() if query.payload is not None else b""
+        asked = str(query.key_expr)
+        sender = self._door.sender(asked, time.time_ns())
+        if isinstance(sender, Refusal):
+            refusal = pb.CommandReply(refused_by="gateway", reason=sender.reason, text=sender.text)
+            _Reply(query, asked, self._replies)(refusal)
+            return
+        role = sender.role
+        key = self._key if role is None else f"{self._key}/{topics.AS}/{role.word}/{sender.name}"
+        reply = _Reply(query, key, self._replies)
+        flood = self._flood(payload, sender)
+        if flood is not None:
+            reply(flood)
+            return
+        with self._lock:
+            self._posted += 1
+
+        def done(answer: pb.CommandReply) -> None:
+            with self._lock:
+                self._posted -= 1
+            reply(answer)
+
+        self._link.command(self._driver, payload, done, sender)
+
+    def _flood(self, payload: bytes, sender: Sender) -> pb.CommandReply | None:
+        """The refusal of what is too much, before it costs the serial thread anything; None if it may go on."""
+        full = self._posted >= MAX_POSTED
+        if not full and not self._door.guarded:
+            return None
+        command, _ = read_command(payload)
+        if command.WhichOneof("what") == "stop":
+            return None
+        if not full and not self._door.flooded(sender, time.monotonic()):
+            return None
+        text = "Too many commands at once; STOP alone is exempt."
+        return pb.CommandReply(id=command.id, refused_by="gateway", reason="flood", text=text)
+
+
+class _Reply:
+    """Answers one query."""
+
+    def __init__(self, query: zenoh.Query, key: str, replies: Publisher) -> None:
+        self._query, self._key, self._replies = query, key, replies
+
+    def __call__(self, answer: pb.CommandReply) -> None:
+        self._replies.put(Channel(self), [answer.SerializeToString()])
+
+    def put(self, payload: bytes, /) -> None:
+        with self._query:
+            self._query.reply(self._key, payload, encoding=_ENCODING)

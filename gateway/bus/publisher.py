@@ -1,0 +1,221 @@
+"""Messages onto the bus, in threads of their own; what a board's driver hands out goes to bus and log from here.
+
+Rule 1: `Publisher.put` returns at once.  A router that stopped reading stalls zenoh's put (BLOCK; what does not fit is
+        dropped by the router, for each subscriber by itself): it stalls this thread, never the serial one.
+Rule 2: the queue is bounded; when full, the OLDEST messages are dropped and counted with their channel.
+Rule 3: samples, replies and everything else have separate threads: an event does not wait behind 8000 samples.
+Rule 4: a message is serialised once; bus and log get the same bytes.
+Rule 5: without a router zenoh throws away what it is given and says nothing.  So it is given nothing then (`hold`): the
+        queue keeps the newest, and counts the rest.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from typing import Protocol
+
+import zenoh
+from google.protobuf.message import Message as ProtoMessage
+
+from gateway.record.recorder import Recorder
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.bus.encoding import zenoh_encoding
+
+_logger = logging.getLogger("gateway.publish")
+
+
+class Target(Protocol):
+    """Takes one payload; may block."""
+
+    def put(self, payload: bytes, /) -> object:
+        """Send it."""
+
+
+class Channel:
+    """A target with its counts.  `latencies_s` of about the last second: from read to handed to zenoh."""
+
+    def __init__(self, target: Target) -> None:
+        self.target = target
+        self.waiting = 0
+        self.dropped = 0
+        self._latencies_s: list[float] = []
+
+    def note(self, latency_s: float) -> None:
+        """One read's samples are out."""
+        self._latencies_s.append(latency_s)
+
+    def take_latencies_s(self) -> list[float]:
+        """What was noted since the last call."""
+        taken, self._latencies_s = self._latencies_s, []
+        return taken
+
+
+class Publisher:
+    """One thread that puts what is queued, in order.
+
+    Args:
+        name: of the thread.
+        capacity: payloads that may wait.
+    """
+
+    def __init__(self, name: str, capacity: int) -> None:
+        self._capacity = capacity
+        self._queue: deque[tuple[Channel, list[bytes], int]] = deque()
+        self._depth = 0
+        self._condition = threading.Condition(threading.Lock())
+        self._held = False
+        self._stopping = False
+        self._failed = False
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Begin to put."""
+        self._thread.start()
+
+    def put(self, channel: Channel, payloads: list[bytes], read_mono_ns: int = 0) -> None:
+        """Queue payloads of one channel; `read_mono_ns` (monotonic) where their latency is of interest."""
+        with self._condition:
+            idle = not self._queue
+            self._queue.append((channel, payloads, read_mono_ns))
+            self._depth += len(payloads)
+            channel.waiting += len(payloads)
+            while self._depth > self._capacity:
+                oldest, dropped, _ = self._queue.popleft()
+                oldest.dropped += len(dropped)
+                oldest.waiting -= len(dropped)
+                self._depth -= len(dropped)
+            if idle:  # otherwise the thread is at work and looks again by itself
+                self._condition.notify()
+
+    def hold(self, *, held: bool) -> None:
+        """Put nothing from now on, or go on with what waits."""
+        with self._condition:
+            self._held = held
+            self._condition.notify()
+
+    @property
+    def waiting(self) -> int:
+        """Payloads in the queue."""
+        return self._depth
+
+    def stop(self, *, patience_s: float = 1.0) -> None:
+        """Put what waits, as far as the bus takes it within `patience_s`, and end."""
+        with self._condition:
+            self._stopping = True
+            self._condition.notify()
+        self._thread.join(patience_s)
+
+    def _work(self) -> None:
+        while True:
+            with self._condition:
+                while self._held or not self._queue:
+                    if self._stopping:
+                        return
+                    self._condition.wait()
+                channel, payloads, read_ns = self._queue.popleft()
+                self._depth -= len(payloads)
+                channel.waiting -= len(payloads)
+            try:
+                put = channel.target.put
+                for payload in payloads:
+                    put(payload)
+            except Exception as error:  # whatever it is, the next message may go through
+                channel.dropped += len(payloads)
+                if not self._failed:
+                    self._failed = True
+                    _logger.warning("the bus refuses a message: %s", error)
+                continue
+            self._failed = False
+            if read_ns:
+                channel.note((time.monotonic_ns() - read_ns) * 1e-9)
+
+
+class BoardOutlet:
+    """One board's way out: zenoh publishers, liveliness token, recorder (`gateway/link/sink.py`)."""
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        site: str,
+        board: str,
+        *,
+        samples: Publisher,
+        messages: Publisher,
+        recorder: Recorder | None,
+    ) -> None:
+        self._session, self._recorder = session, recorder
+        self._samples, self._messages = samples, messages
+        self._keys = {topic.name: topics.key(site, board, topic.name) for topic in topics.TOPICS}
+        publishers = {
+            topic.name: session.declare_publisher(
+                self._keys[topic.name],
+                encoding=zenoh_encoding(topic.message),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            )
+            for topic in topics.TOPICS
+            if topic.by == "gateway" and topic.bus
+        }
+        self._states = publishers["state"]
+        self._channels = {name: Channel(publisher) for name, publisher in publishers.items()}
+        self.state_channel = self._channels["state"]
+        self._state_key, self._raw_key = self._keys["state"], self._keys["raw"]
+        self._alive_channel = Channel(_Token(session, topics.key(site, board, topics.ALIVE)))
+
+    @property
+    def wanted(self) -> bool:
+        """Whether somebody on the bus subscribes to this board's samples."""
+        return self._states.matching_status.matching  # type: ignore[attr-defined,no-any-return]  # the stub says bool
+
+    @property
+    def dropped(self) -> int:
+        """Messages of this board that the bus did not take in time."""
+        return sum(channel.dropped for channel in self._channels.values())
+
+    @property
+    def waiting(self) -> int:
+        """Messages of this board that wait for the bus."""
+        return sum(channel.waiting for channel in self._channels.values())
+
+    def states(self, payloads: list[bytes], host_time_ns: int, read_mono_ns: int) -> None:
+        """Samples of one read to bus and log."""
+        self._samples.put(self.state_channel, payloads, read_mono_ns)
+        if self._recorder is not None:
+            for payload in payloads:
+                self._recorder.put(self._state_key, payload, host_time_ns)
+
+    def send(self, topic: str, message: ProtoMessage, host_time_ns: int) -> None:
+        """One message to bus and log, as the table of topics says."""
+        row, payload = topics.BY_NAME[topic], message.SerializeToString()
+        if row.bus:
+            self._messages.put(self._channels[topic], [payload])
+        if row.logged and self._recorder is not None:
+            self._recorder.put(self._keys[topic], payload, host_time_ns)
+
+    def raw(self, data: bytes, host_time_ns: int, *, to_board: bool) -> None:
+        """Bytes of the UART to the log."""
+        if self._recorder is not None:
+            message = pb.RawBytes(host_time_ns=host_time_ns, to_board=to_board, data=data)
+            self._recorder.put(self._raw_key, message.SerializeToString(), host_time_ns)
+
+    def alive(self, *, alive: bool) -> None:
+        """The token says "samples come", not "the gateway runs": it is held while the link is streaming."""
+        self._messages.put(self._alive_channel, [b"1" if alive else b""])
+
+
+class _Token:
+    """Liveliness as a target, so that declaring it happens in a publisher's thread and in order."""
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        self._session, self._key = session, key
+        self._token: zenoh.LivelinessToken | None = None
+
+    def put(self, payload: bytes, /) -> None:
+        if payload and self._token is None:
+            self._token = self._session.liveliness().declare_token(self._key)
+        elif not payload and self._token is not None:
+            token, self._token = self._token, None
+            token.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type

@@ -1,0 +1,101 @@
+"""pb.Status and pb.Alarms of one board from what the parts keep."""
+
+from __future__ import annotations
+
+from gateway.board.conditions import LINK, LOG, TO_BOARD, Condition, Standing
+from gateway.bus.publisher import BoardOutlet
+from gateway.link.driver import BoardDriver
+from gateway.record.recorder import RecorderStats
+from protocol.bus import board51_pb2 as pb
+from protocol.wire.messages import Flag
+
+_BITS_PER_BYTE = 10  # 8N1
+
+
+def percentile(values: list[float], share: float) -> float:
+    """The value below which `share` of `values` lie (nearest rank); 0 for none."""
+    if not values:
+        return 0.0
+    ordered = sorted(values)
+    return ordered[min(len(ordered) - 1, int(share * len(ordered)))]
+
+
+class StatusMaker:
+    """Makes one board's status; rates are over the time since the last call."""
+
+    def __init__(self, driver: BoardDriver, outlet: BoardOutlet, now_s: float) -> None:
+        self._driver, self._outlet = driver, outlet
+        self._started_s = self._last_s = now_s
+        self._last_samples = self._last_bytes = 0
+        self._standing = Standing()
+
+    def make(self, log: RecorderStats | None, now_s: float) -> pb.Status:
+        """The status now; `log` None where no log is written."""
+        driver, session = self._driver, self._driver.session
+        counters, unwrapper, counts, desk = session.counters, session.unwrapper, driver.counts, driver.desk
+        elapsed_s = max(now_s - self._last_s, 1e-3)
+        samples, received = counts.samples, counts.bytes_received
+        new_samples, new_bytes = samples - self._last_samples, received - self._last_bytes
+        self._last_s, self._last_samples, self._last_bytes = now_s, samples, received
+        latencies_s = self._outlet.state_channel.take_latencies_s()
+        status = pb.Status(
+            host_time_ns=driver.host_ns(),
+            link=driver.link,
+            port=driver.port,
+            uptime_s=now_s - self._started_s,
+            session=session.number if session.is_open else 0,
+            samples_per_s=new_samples / elapsed_s,
+            samples=samples,
+            samples_lost=unwrapper.lost,
+            bytes_received=received,
+            bytes_sent=counts.bytes_sent,
+            reconnects=counts.reconnects,
+            board_resets=counters.board_resets,
+            commands_accepted=desk.accepted_count,
+            commands_refused=desk.refused_count,
+            commands_timed_out=desk.timed_out_count,
+            latency_p50_ms=percentile(latencies_s, 0.5) * 1e3,
+            latency_p99_ms=percentile(latencies_s, 0.99) * 1e3,
+            publish_queue_depth=max(0, self._outlet.waiting),
+            publish_dropped=self._outlet.dropped,
+            log_state="off",
+            line_load=new_bytes * _BITS_PER_BYTE / elapsed_s / driver.config.baud,
+            board_bad_frames=driver.upkeep.board_bad_frames,
+            board_overruns=driver.upkeep.board_overruns,
+            states=counters.states,
+            to_board=driver.to_board.state,
+            unanswered_s=driver.to_board.unanswered_s(now_s),
+        )
+        status.states_ignored.update({**session.states_ignored, "not-served": counts.samples_refused})
+        status.bad_frames.update(counters.bad_frames)
+        status.bad_frames.update(
+            {
+                "implausible": unwrapper.implausible,
+                "duplicate": unwrapper.duplicates,
+                "stray-answer": counters.stray_answers,
+                "events-lost": counters.events_lost,
+            }
+        )
+        if log is not None:
+            status.log_queue_depth, status.log_dropped = log.depth, log.dropped
+            status.log_file, status.log_bytes, status.log_state = log.file, log.bytes, log.state
+        return status
+
+    def alarms(self, log: RecorderStats | None, now_s: float) -> pb.Alarms | None:
+        """What is wrong and who has seen it, where it is time to say so."""
+        driver, holding = self._driver, dict[str, Condition]()
+        if driver.link != "streaming":
+            holding[LINK] = Condition(text=driver.reason, since_ns=driver.since_ns)
+        if driver.unanswered is not None:
+            holding[TO_BOARD] = Condition(text=driver.unanswered.text, since_ns=driver.unanswered.host_time_ns)
+        sample, fault = driver.known.sample, driver.fault
+        if sample is not None and sample.state.flags & Flag.FAULT:
+            holding["fault" if fault is None else fault.name] = (
+                Condition(text="A fault is active and the coil is off; set a mode to clear it.")
+                if fault is None
+                else Condition(text=fault.text, since_ns=fault.host_time_ns)
+            )
+        if log is not None and log.state not in ("writing", "off"):
+            holding[LOG] = Condition(text=f"The log is not written: {log.state}.")
+        seen = driver.desk.notes.acknowledged
+        return self._standing.tell(holding, seen, host_ns=driver.host_ns(), now_s=now_s)

@@ -1,0 +1,1 @@
+"""The emulated board's program: tick, control law, commands, memory, UART."""

@@ -1,0 +1,313 @@
+"""The board's firmware: bytes from the host in, ticks of the loop, frames out.  No I/O, no clock, no threads.
+
+    firmware = Firmware(Plant(), board_id=1)
+    firmware.feed(frame)               # between two ticks
+    firmware.tick()                    # T_s of plant time, then one run of the loop
+    line.write(firmware.take_output())
+
+Every rule of 'Behaviour of the board' in protocol/README.md holds here; this file has 1 to 5, 10 and 13, `loop.py` and
+`commands.py` the others.  Reading order: `arithmetic.py`, `law.py`, `flash.py`, `loop.py`, `commands.py`,
+`uart.py`, this.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Protocol
+
+from gateway.emulator.firmware.commands import (
+    HANDLERS,
+    Answer,
+    Refusal,
+    acknowledge,
+    identity,
+    parameters,
+    refuse_range,
+)
+from gateway.emulator.firmware.control_loop import ControlLoop, Tick
+from gateway.emulator.firmware.flash import (
+    BOOT_TICKS,
+    CURRENT,
+    INPUT,
+    POSITION,
+    T_S_US,
+    TICKS_PER_S,
+    WATCHDOG_TICKS,
+)
+from gateway.emulator.firmware.uart import Inbox, Outbox, Priority
+from protocol.wire.framing import encode_frame
+from protocol.wire.messages import (
+    BY_NAME,
+    BY_TYPE,
+    VERSION,
+    EventCode,
+    HostLoss,
+    Message,
+    Mode,
+    Reason,
+    Value,
+    decode_body,
+    encode_body,
+    pack_pair,
+)
+
+KEPT_IDS = 8
+PENDING_COMMANDS = 8
+HOST_LOSS_MS = 500
+_PLANT_STEP_US = 20
+_STATE_TYPE = bytes((BY_NAME["STATE"].type,))
+_WITHOUT_SESSION = {"HELLO", "PING", "STOP"}
+_PRIORITY = {"EVENT": Priority.EVENT, "CAPTURE_BLOCK": Priority.CAPTURE_BLOCK}
+
+
+class AnalogSide(Protocol):
+    """What the converters are connected to; `plant.Plant` is one."""
+
+    def advance(self, u_v: float, duration_s: float) -> None:
+        """Let time pass with the input held."""
+
+    def sense(self) -> tuple[float, float]:
+        """(i_c in A, x in m) now."""
+
+    def drop_sample(self) -> bool:
+        """Whether this tick's STATE is lost on the board."""
+
+
+class Firmware:
+    """One board, powered on.
+
+    Args:
+        plant: The analog side; the firmware moves its time.
+        board_id: Serial number in IDENTITY.
+    """
+
+    def __init__(self, plant: AnalogSide, *, board_id: int = 1) -> None:
+        self._plant = plant
+        self._board_id = board_id
+        self.outbox = Outbox()
+        self._resets = 0
+        self._elapsed_us = 0  # plant time since the last tick
+        self._boot(EventCode.RESET_POWER_ON)
+
+    def _boot(self, cause: EventCode) -> None:
+        self.next_tick = 0
+        self.outbox.clear()
+        self._inbox = Inbox()
+        self._pending: deque[tuple[bytes, Message | None, Refusal | None]] = deque()
+        self._session: int | None = None
+        self._kept: deque[tuple[int, int, bytes, Priority]] = deque(maxlen=KEPT_IDS)  # id, type, frame
+        self._divider = 1
+        self._policy = HostLoss.COIL_OFF
+        self._timeout_ms = HOST_LOSS_MS
+        self._silent_us = 0
+        self._events = 0
+        self._overruns = 0
+        self._ticks_since_overrun_event = TICKS_PER_S
+        self._reset_cause = cause
+        self._reset_wait = 0  # ticks left to get the ACK of RESET out; 0: no reset pending
+        self._hung_ticks = 0
+        self._dead_ticks = 0
+        self.loop = ControlLoop(self._emit)
+        self._emit(cause, self._resets)
+
+    def reset(self, cause: EventCode) -> None:
+        """Restart: coil off, silence for the time of a boot, then tick 0; a power cycle also clears the count."""
+        self._resets = 0 if cause == EventCode.RESET_POWER_ON else min(self._resets + 1, 0xFFFF)
+        self._boot(cause)
+        self._dead_ticks = BOOT_TICKS
+
+    def hang(self) -> None:
+        """The program counter is lost: no loop, no answers, u_c as it was, until the watchdog resets the board."""
+        self._hung_ticks = WATCHDOG_TICKS
+
+    def overrun(self) -> None:
+        """The next tick comes late by the board's own account."""
+        self._overruns = min(self._overruns + 1, 0xFFFF)
+        self.loop.overrun = True
+        if self._ticks_since_overrun_event >= TICKS_PER_S:
+            self._ticks_since_overrun_event = 0
+            self._emit(EventCode.OVERRUN, 0)
+
+    def feed(self, data: bytes, *, into_tick_us: int = 0) -> None:
+        """Bytes from the host, at this time after the last tick; never raises."""
+        if self._hung_ticks or self._dead_ticks:
+            return
+        for body in self._inbox.feed(data):
+            self._receive(body, min(into_tick_us, T_S_US))
+
+    def tick(self) -> None:
+        """T_s of plant time with the input held, then one run of the loop."""
+        self._advance_to(T_S_US)
+        self._elapsed_us = 0
+        if self._dead_ticks:
+            self._dead_ticks -= 1
+            return
+        if self._hung_ticks:
+            self._hung_ticks -= 1
+            if not self._hung_ticks:
+                self.reset(EventCode.RESET_WATCHDOG)
+            return
+        i_a, x_m = self._plant.sense()
+        self._execute_pending()
+        if self._reset_wait and self._leave():
+            return
+        self._watch_host()
+        state = self.loop.run(CURRENT.to_count(i_a), POSITION.to_count(x_m))
+        # The plant is asked at every tick, not at every frame: the loss belongs to the board, not to the divider.
+        lost = self._plant.drop_sample()
+        if self._divider and self.next_tick % self._divider == 0 and not lost:
+            self._send_state(state)
+        self.next_tick = self.next_tick + 1 & 0xFFFFFFFF
+        self._ticks_since_overrun_event += 1
+
+    def take_frame(self) -> bytes:
+        """The frame that goes on the line next, or nothing."""
+        return b"" if self._dead_ticks else self.outbox.take()
+
+    def take_output(self) -> bytes:
+        """All frames waiting, in the order of the line."""
+        return b"".join(iter(self.take_frame, b""))
+
+    @property
+    def bad_frames(self) -> int:
+        """Frames rejected since the reset."""
+        return self._inbox.bad_frames
+
+    def _advance_to(self, time_us: int) -> None:
+        """Bring the plant to this time after the last tick, taking capture samples on the way."""
+        loop = self.loop
+        while self._elapsed_us < time_us:
+            step_us = time_us - self._elapsed_us
+            capture = loop.capture if loop.capturing else None
+            if capture is not None:
+                if capture.time_to_sample_us() == 0:
+                    capture.take(CURRENT.to_count(self._plant.sense()[0]))
+                step_us = min(step_us, capture.time_to_sample_us())
+            u = 0 if self._dead_ticks else loop.u
+            self._plant.advance(INPUT.to_si(u), step_us * 1e-6)
+            self._elapsed_us += step_us
+            if capture is not None:
+                capture.pass_time(step_us)
+                if capture.done:
+                    self._emit(EventCode.CAPTURE_DONE, 0)
+
+    def _receive(self, body: bytes, into_tick_us: int) -> None:
+        row = BY_TYPE.get(body[0])
+        if len(body) < 2 or body[1] == 0 or (row is not None and not row.to_board):
+            self._inbox.bad_frames = min(self._inbox.bad_frames + 1, 0xFFFF)
+            return
+        self._host_seen()
+        decoded = decode_body(body)
+        message = decoded if isinstance(decoded, Message) else None
+        refusal = None
+        if decoded == "type":
+            refusal = Refusal(Reason.UNKNOWN_TYPE)
+        elif decoded == "length":
+            refusal = Refusal(Reason.BAD_LENGTH)
+        elif message is None:
+            refusal = refuse_range(body)
+        if message is not None and message.name == "STOP":
+            # Commands that came before it are executed first, so that none of them turns the coil on again.
+            self._execute_pending()
+            self._advance_to(into_tick_us - into_tick_us % _PLANT_STEP_US)
+            self.loop.switch_off()
+            self._answer(body, acknowledge(body[0], self.next_tick))
+        elif len(self._pending) >= PENDING_COMMANDS:
+            self._answer(body, Refusal(Reason.BUSY), keep=False)
+        else:
+            self._pending.append((body, message, refusal))
+
+    def _execute_pending(self) -> None:
+        while self._pending:
+            body, message, refusal = self._pending.popleft()
+            if message is not None and message.name == "HELLO":
+                self._answer(body, self._hello(message), keep=False)
+                continue
+            kept = next((entry for entry in self._kept if entry[0] == body[1]), None)
+            if kept is not None and kept[1] == body[0]:
+                self.outbox.put(kept[2], kept[3])
+            elif kept is not None:
+                self._answer(body, Refusal(Reason.BUSY), keep=False)
+            elif message is None:
+                # Not kept: noise at the end of a good frame may leave the CRC right and the length wrong, and the
+                # repetition of that command must not meet the noise again.
+                self._answer(body, refusal or Refusal(Reason.OUT_OF_RANGE), keep=False)
+            elif self._session is None and message.name not in _WITHOUT_SESSION:
+                self._answer(body, Refusal(Reason.NO_SESSION), keep=False)
+            else:
+                self._answer(body, self._execute(message))
+
+    def _execute(self, message: Message) -> Answer | Refusal:
+        row, tick = BY_NAME[message.name], self.next_tick
+        match message.name:
+            case "PING":
+                values: dict[str, Value] = {"tick": tick, "bad_frames": self.bad_frames, "overruns": self._overruns}
+                return Answer("PONG", values)
+            case "SET_STREAM":
+                self._divider = message.int("divider")
+            case "SET_HOST_LOSS":
+                self._policy = HostLoss(message.int("policy"))
+                self._timeout_ms = message.int("timeout")
+            case "GET_PARAMETERS":
+                return parameters(self.loop, self._divider, self._policy, self._timeout_ms)
+            case "RESET":
+                self._reset_wait = WATCHDOG_TICKS  # a line that never takes the ACK must not prevent the reset
+            case _:
+                return HANDLERS[message.name](self.loop, message, tick)
+        return acknowledge(row.type, tick)
+
+    def _answer(self, body: bytes, answer: Answer | Refusal, *, keep: bool = True) -> None:
+        if isinstance(answer, Refusal):
+            values = {"command": body[0], "reason": int(answer.reason), "detail": answer.detail}
+            answer = Answer("NACK", values)
+        frame = encode_frame(encode_body(answer.name, id=body[1], **answer.values))
+        priority = _PRIORITY.get(answer.name, Priority.ANSWER)
+        if keep:
+            self._kept = deque((entry for entry in self._kept if entry[0] != body[1]), maxlen=KEPT_IDS)
+            self._kept.append((body[1], body[0], frame, priority))
+        self.outbox.put(frame, priority)
+
+    def _hello(self, message: Message) -> Answer | Refusal:
+        if not message.int("version_min") <= VERSION <= message.int("version_max"):
+            return Refusal(Reason.VERSION, VERSION)
+        if message.int("session") != self._session:
+            self._session = message.int("session")
+            self._kept.clear()
+        return identity(self._board_id, self.next_tick, self._reset_cause)
+
+    def _leave(self) -> bool:
+        """Whether the RESET that was acknowledged happens now."""
+        self._reset_wait -= 1
+        if self._reset_wait and self.outbox.waiting(Priority.ANSWER):
+            return False
+        self.reset(EventCode.RESET_COMMANDED)
+        return True
+
+    def _host_seen(self) -> None:
+        self._silent_us = 0
+        if self.loop.host_lost:
+            self.loop.host_lost = False
+            self._emit(EventCode.HOST_BACK, 0)
+
+    def _watch_host(self) -> None:
+        self._silent_us += T_S_US
+        if self.loop.host_lost or self._silent_us < self._timeout_ms * 1000:
+            return
+        self.loop.host_lost = True
+        self._emit(EventCode.HOST_LOST, self._policy)
+        if self._policy == HostLoss.HOLD and self.loop.mode == Mode.CLOSED_LOOP:
+            self.loop.end_excitation()
+        elif self._policy != HostLoss.KEEP:
+            self.loop.switch_off()
+
+    def _emit(self, code: EventCode, detail: int) -> None:
+        body = encode_body("EVENT", number=self._events & 0xFF, tick=self.next_tick, code=int(code), detail=int(detail))
+        self._events += 1
+        self.outbox.put(encode_frame(body), Priority.EVENT)
+
+    def _send_state(self, state: Tick) -> None:
+        # Packed by hand: this runs 500 times a second for each board.
+        sequence = (self.next_tick & 0xFFFF).to_bytes(2, "little")
+        counts = pack_pair(state.i, state.x) + pack_pair(state.u, state.x_ref)
+        body = _STATE_TYPE + sequence + counts + bytes((state.flags,))
+        self.outbox.put(encode_frame(body), Priority.STATE)

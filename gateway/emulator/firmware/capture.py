@@ -1,0 +1,55 @@
+"""A burst of i_c at 25 kHz around a step of u_c: rule 12 of protocol/README.md.
+
+    u_from for 20 ms | u_from, `pre` samples | u_to, the rest of `count` samples | as the mode says
+                     ^ sample 0 = `began_tick`
+
+Sample n is taken n * 40 us after the tick `began_tick`; sample `pre` at the instant of the step, so it still shows the
+current before it.
+"""
+
+from __future__ import annotations
+
+from gateway.emulator.firmware.flash import CAPTURE_SETTLE_US, CAPTURE_US, T_S_US
+from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES, pack_pair
+
+
+class Capture:
+    """One capture, from the command on; knows its input, is told the samples."""
+
+    def __init__(self, *, u_from: int, u_to: int, pre: int, count: int, tick: int) -> None:
+        self.total = count
+        self.began_tick = tick + CAPTURE_SETTLE_US // T_S_US & 0xFFFFFFFF
+        self._u = (u_from, u_to)
+        self._pre = pre
+        self._start_us = CAPTURE_SETTLE_US
+        self._samples: list[int] = []
+
+    @property
+    def u(self) -> int:
+        """The input in force from now to the next change."""
+        due_now = len(self._samples) == self._pre and self._start_us == 0
+        return self._u[due_now or len(self._samples) > self._pre]
+
+    @property
+    def done(self) -> bool:
+        """All samples are taken and the last one's 40 us are over."""
+        return len(self._samples) == self.total and self._start_us <= 0
+
+    def time_to_sample_us(self) -> int:
+        """Until the next sample is due; 0: now.  After the last one: until the capture is over."""
+        return self._start_us
+
+    def pass_time(self, duration_us: int) -> None:
+        """Let time pass, at most `time_to_sample_us()`."""
+        self._start_us -= duration_us
+
+    def take(self, i: int) -> None:
+        """Keep the sample that is due."""
+        self._samples.append(i)
+        self._start_us = CAPTURE_US
+
+    def block(self, index: int) -> bytes:
+        """Up to 32 samples from `index` on, packed in pairs, filled up with 0: 48 bytes."""
+        part = self._samples[index : index + CAPTURE_BLOCK_SAMPLES]
+        part += [0] * (CAPTURE_BLOCK_SAMPLES - len(part))
+        return b"".join(pack_pair(a, b) for a, b in zip(part[::2], part[1::2], strict=True))

@@ -1,0 +1,196 @@
+"""The control loop between two converters: modes, reference, excitation, law, faults.  Counts in, counts out.
+
+Rules 6 to 9, 11 and the board's half of 12 and 13 of protocol/README.md.  Frames, ids and sessions are
+`firmware.py`'s business; what a command does to the loop is `commands.py`'s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from gateway.emulator.firmware.capture import Capture
+from gateway.emulator.firmware.excitation import Excitation
+from gateway.emulator.firmware.flash import GAINS, LIMITS, TICKS_PER_S, Limits
+from gateway.emulator.firmware.law import ControlLaw
+from protocol.wire.messages import COUNTS_MAX, EventCode, Flag, Mode
+
+OVER_CURRENT_TICKS = 50
+SENSOR_FAULT_TICKS = 500
+TARGET_U, TARGET_X_REF = 0, 1
+INPUT_LIMIT = 0  # detail of LIMIT_HIT
+_INPUT_SATURATED, _POSITION_RANGE, _CURRENT_RANGE, _OVERRUN, _HOST_LOST, _FAULT = (int(flag) for flag in Flag)
+
+
+class Reference:
+    """x_ref in force and the allowance for jumps: rule 7.
+
+    The allowance is kept in counts times ticks per second, so that refilling it is one addition of an integer.
+    """
+
+    def __init__(self, x_ref: int, limits: Limits) -> None:
+        self.x_ref = x_ref
+        self._limits = limits
+        self._full = limits.x_ref_step * TICKS_PER_S
+        self._allowance = self._full
+
+    @property
+    def allowance(self) -> int:
+        """The largest jump that would be accepted now, counts."""
+        return self._allowance // TICKS_PER_S
+
+    def refill(self) -> None:
+        """One tick passes."""
+        self._allowance = min(self._allowance + self._limits.x_ref_slew, self._full)
+
+    def jump(self, x_ref: int) -> None:
+        """Go to `x_ref` and use up the allowance."""
+        self._allowance -= abs(x_ref - self.x_ref) * TICKS_PER_S
+        self.x_ref = x_ref
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tick:
+    """What one run of the loop leaves for STATE."""
+
+    i: int
+    x: int
+    u: int
+    x_ref: int
+    flags: int
+
+
+class ControlLoop:
+    """State of the loop after a reset, until the next one.
+
+    Args:
+        emit: Takes an event: (code, detail).
+    """
+
+    def __init__(self, emit: Callable[[EventCode, int], None]) -> None:
+        self.limits = LIMITS
+        self.law = ControlLaw(GAINS)
+        self.reference = Reference(GAINS.x_0, LIMITS)
+        self.mode = Mode.IDLE
+        self.fault = False
+        self.host_lost = False
+        self.overrun = False
+        self.gains_tick = 0
+        self.excitation: Excitation | None = None
+        self.capture: Capture | None = None
+        self._emit = emit
+        self._open_loop_u = 0
+        self._u = 0  # what the mode says
+        self._announced = False  # EXCITATION_DONE was sent
+        self._over_current_ticks = 0
+        self._sensor_ticks = 0
+        self._limited = False
+        self._ticks_since_limit_hit = TICKS_PER_S
+
+    @property
+    def u(self) -> int:
+        """The count on the input converter."""
+        return self._u if self.capture is None or self.capture.done else self.capture.u
+
+    @property
+    def capturing(self) -> bool:
+        """A capture drives the coil."""
+        return self.capture is not None and not self.capture.done
+
+    def set_mode(self, mode: Mode) -> None:
+        """Enter `mode`, as SET_MODE does; the mode in force stays untouched."""
+        if mode == Mode.IDLE and self.capturing:
+            self.capture = None
+        if mode == self.mode:
+            return
+        self.end_excitation()
+        self.mode = mode
+        self._open_loop_u = 0
+        self._limited = False
+        self._sensor_ticks = 0
+        self.law.reset()
+        self._emit(EventCode.MODE_CHANGED, mode)
+
+    def switch_off(self) -> None:
+        """Coil off now, not at the next tick; mode idle, excitation and capture ended."""
+        self.set_mode(Mode.IDLE)
+        self._u = 0
+
+    def excite(self, excitation: Excitation) -> None:
+        """Play from this tick on."""
+        self.excitation = excitation
+        self._announced = excitation.done
+
+    def end_excitation(self) -> None:
+        """The signal is its offset from here on."""
+        if self.excitation is not None and self.excitation.signal.target == TARGET_X_REF:
+            self.reference.x_ref = self.excitation.signal.offset
+        elif self.excitation is not None:
+            self._open_loop_u = self.excitation.signal.offset
+        self.excitation = None
+
+    def set_reference(self, x_ref: int) -> None:
+        """A reference already checked; it replaces an excitation of the reference."""
+        if self.excitation is not None and self.excitation.signal.target == TARGET_X_REF:
+            self.excitation = None
+        self.reference.jump(x_ref)
+
+    def run(self, i: int, x: int) -> Tick:
+        """One tick, from the converters' counts to the input's."""
+        self._watch(i, x)
+        self._play()
+        limited = False
+        if self.mode == Mode.CLOSED_LOOP:
+            self._u, limited = self.law.run(i, x, self.reference.x_ref)
+        else:
+            self._u = self._open_loop_u if self.mode == Mode.OPEN_LOOP else 0
+        self._report_limit(limited=limited)
+        self.reference.refill()
+        return Tick(i=i, x=x, u=self.u, x_ref=self.reference.x_ref, flags=self._flags(i, x))
+
+    def _play(self) -> None:
+        if self.excitation is None:
+            return
+        if self.excitation.done and not self._announced:
+            self._announced = True
+            self._emit(EventCode.EXCITATION_DONE, 0)
+        value = self.excitation.next()
+        if self.excitation.signal.target == TARGET_X_REF:
+            self.reference.x_ref = value
+        else:
+            self._open_loop_u = value
+
+    def _report_limit(self, *, limited: bool) -> None:
+        self._ticks_since_limit_hit += 1
+        if limited and not self._limited and self._ticks_since_limit_hit >= TICKS_PER_S:
+            self._emit(EventCode.LIMIT_HIT, INPUT_LIMIT)
+            self._ticks_since_limit_hit = 0
+        self._limited = limited
+
+    def _watch(self, i: int, x: int) -> None:
+        self._over_current_ticks = self._over_current_ticks + 1 if i == COUNTS_MAX else 0
+        clipped = self.mode == Mode.CLOSED_LOOP and x in (0, COUNTS_MAX)
+        self._sensor_ticks = self._sensor_ticks + 1 if clipped else 0
+        if self.fault:
+            return
+        if self._over_current_ticks >= OVER_CURRENT_TICKS:
+            self._fail(EventCode.OVER_CURRENT, i)
+        elif self._sensor_ticks >= SENSOR_FAULT_TICKS:
+            self._fail(EventCode.SENSOR_FAULT, x)
+
+    def _fail(self, code: EventCode, count: int) -> None:
+        self._emit(code, count)
+        self.fault = True
+        self.switch_off()
+
+    def _flags(self, i: int, x: int) -> int:
+        # Plain integers: combining IntFlag members costs more than the control law, 500 times a second.
+        flags = int(self.mode)
+        flags |= _INPUT_SATURATED if self._limited else 0
+        flags |= _POSITION_RANGE if x in (0, COUNTS_MAX) else 0
+        flags |= _CURRENT_RANGE if i == COUNTS_MAX else 0
+        flags |= _OVERRUN if self.overrun else 0
+        flags |= _HOST_LOST if self.host_lost else 0
+        flags |= _FAULT if self.fault else 0
+        self.overrun = False
+        return flags

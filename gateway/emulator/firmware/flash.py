@@ -1,0 +1,119 @@
+"""What is in the emulated board's flash: scalings, gains, operating point, limits, identity.
+
+Rule 1: everything the board itself works with is an integer count; the SI numbers beside it are for IDENTITY and for
+        the build that computed the counts.
+Rule 2: a converter's count is the nearest one, so that `offset + lsb * count` has no bias.
+
+Gains: an LQI design with u = u_0 - K [i_c - i_0, x - x_0, x', sum of (x_ref - x) T_s], K in V/A, V/m, V s/m, V/(m s),
+for the measured CE 152 at x = 2.85 mm.  Linearised there the rig has x'' = 3700 s^-2 x + 30.5 m/s^2/A i and
+i = 0.297 A/V u: K puts the fast pair at about 108 rad/s with damping 0.7 and the integral at 14 rad/s, in a
+loop sampled at 500 Hz.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from gateway.emulator.firmware.arithmetic import to_mantissa
+from gateway.emulator.firmware.law import Gains
+from protocol.wire.messages import COUNTS_MAX, Law
+
+T_S_US = 2000  # eq. (15)
+TICKS_PER_S = 1_000_000 // T_S_US
+CAPTURE_US = 40  # 25 kHz
+CAPTURE_SIZE = 2000  # samples; 3 kB of external RAM
+CAPTURE_SETTLE_US = 20_000  # u_from before the first sample
+ADC_BITS = DAC_BITS = 12
+FIRMWARE = (1, 0)
+BUILD = b"emulated"
+WATCHDOG_TICKS = 25  # 50 ms
+BOOT_TICKS = 5  # 10 ms from reset to tick 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scaling:
+    """SI value = offset + lsb * count, in the unit of the channel."""
+
+    offset: float
+    lsb: float
+
+    def to_count(self, value: float) -> int:
+        """What the converter makes of `value`: nearest count, limited to 0..4095; not a number reads as 0."""
+        count = (value - self.offset) / self.lsb + 0.5
+        return 0 if not count > 0 else COUNTS_MAX if count > COUNTS_MAX else math.floor(count)
+
+    def to_si(self, count: int) -> float:
+        """The value that `count` stands for."""
+        return self.offset + self.lsb * count
+
+    def span(self, distance: float) -> int:
+        """`distance`, in the unit of the channel, as a number of counts."""
+        return round(distance / self.lsb)
+
+
+# D. Honc's CE 152: sensor y = 4.92 V - 855 V/m * gap; the stops are 5.7 mm apart; the converter takes 0..5 V.
+_SENSOR_V_PER_M = 855.0
+_TOP_STOP_V = 4.92
+_TRAVEL_M = 5.7e-3
+_CODES = 1 << ADC_BITS
+CURRENT = Scaling(offset=0.0, lsb=2.0 / _CODES)  # A: a 0..2 A input, twice what the rig ever needs
+POSITION = Scaling(
+    offset=-(_TOP_STOP_V - _SENSOR_V_PER_M * _TRAVEL_M) / _SENSOR_V_PER_M, lsb=5.0 / _CODES / _SENSOR_V_PER_M
+)  # m, up from the bottom stop
+INPUT = Scaling(offset=0.0, lsb=5.0 / _CODES)  # V
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """What the board refuses to be commanded beyond, in counts (rules 7 and 8)."""
+
+    x_ref_min: int
+    x_ref_max: int
+    x_ref_step: int
+    x_ref_slew: int  # counts per second
+    u_max: int
+
+
+LIMITS = Limits(
+    x_ref_min=POSITION.to_count(0.3e-3),
+    x_ref_max=POSITION.to_count(5.2e-3),
+    x_ref_step=POSITION.span(2.5e-3),
+    x_ref_slew=POSITION.span(20e-3),
+    u_max=COUNTS_MAX,
+)
+
+K_LQI = (0.49, 1700.0, 17.7, -17600.0)
+K_PID = (1700.0, 17600.0, 17.7)  # k_p V/m, k_int V/(m s), k_d V s/m
+OPERATING_POINT = (0.6365, 2.85e-3, 2.143)  # i_0 A, x_0 m, u_0 V: mid-travel at rest, by the line in rig.py
+
+
+def gains_in_counts(law: Law, gains_si: tuple[float, ...], operating_point: tuple[float, float, float]) -> Gains:
+    """SI gains as the board takes them: rule 14 of protocol/README.md.
+
+    Args:
+        law: LQI or PID.
+        gains_si: LQI (k_i V/A, k_x V/m, k_v V s/m, k_int V/(m s)); PID (k_p V/m, k_int V/(m s), k_d V s/m).
+        operating_point: i_0 in A, x_0 in m, u_0 in V.
+    """
+    per_x = POSITION.lsb / INPUT.lsb
+    t_s = T_S_US * 1e-6
+    if law == Law.LQI:
+        k_i, k_x, k_v, k_int = gains_si
+        counts = (k_i * CURRENT.lsb / INPUT.lsb, k_x * per_x, k_v * per_x / t_s, k_int * per_x * t_s)
+    else:
+        k_p, k_int, k_d = gains_si
+        counts = (k_p * per_x, k_int * per_x * t_s, k_d * per_x / t_s, 0.0)
+    (m1, s1), (m2, s2), (m3, s3), (m4, s4) = (to_mantissa(gain) for gain in counts)
+    i_0_a, x_0_m, u_0_v = operating_point
+    return Gains(
+        law=law,
+        mantissas=(m1, m2, m3, m4),
+        shifts=(s1, s2, s3, s4),
+        i_0=CURRENT.to_count(i_0_a),
+        x_0=POSITION.to_count(x_0_m),
+        u_0=INPUT.to_count(u_0_v),
+    )
+
+
+GAINS = gains_in_counts(Law.LQI, K_LQI, OPERATING_POINT)

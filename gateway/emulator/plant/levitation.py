@@ -1,0 +1,183 @@
+"""A rig that a board can be connected to: an input in, two analog sensor readings out.
+
+    plant = Plant(effects={"quadratic-drag": 1.0}, seed=1)
+    plant.advance(3.5, 0.002)          # one tick with u_c = 3.5 V
+    i_c_a, x_m = plant.sense()         # with noise, before the converters
+
+Rule 1: physical time moves only in `advance`, in steps of 20 us; a tick is 100 of them, a capture sample 2.
+Rule 2: everything random comes from `seed`: sensor noise and lost frames from generators of their own, so that asking
+        for one never changes the other.  The trajectory itself is not random.
+Rule 3: the plant never prints or logs its effects: they may be secret.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from gateway.emulator.plant.effects import DISTURBANCE_FREQUENCY_HZ, HEATING_TIME_CONSTANT_S, MAX_DELAY_S, check
+from gateway.emulator.plant.physics import Constants, State, advance, reading
+from gateway.emulator.plant.rig import CE152, Rig
+from protocol.errors import UsageError
+
+STEP_S = 20e-6  # divides the tick (2 ms) and the capture period (40 us)
+_NO_EFFECTS: Mapping[str, float] = MappingProxyType({})
+
+
+class Plant:
+    """The 'real' rig, from rest: ball on the bottom stop, no current, cold.
+
+    Args:
+        rig: Its numbers.
+        effects: Strength of each effect by name (`effects.EFFECTS`); an effect not named is absent.
+        seed: Of noise and lost frames.
+        step_s: Integration step.
+
+    Raises:
+        UsageError: an unknown effect, or a strength out of its range or impossible on this rig.
+    """
+
+    def __init__(
+        self, rig: Rig = CE152, effects: Mapping[str, float] = _NO_EFFECTS, *, seed: int = 0, step_s: float = STEP_S
+    ) -> None:
+        self.rig = rig
+        self.step_s = step_s
+        noise, loss = np.random.SeedSequence(seed).spawn(2)
+        self._noise = np.random.default_rng(noise)
+        self._loss = np.random.default_rng(loss)
+        self._steps = 0
+        length = round(MAX_DELAY_S / step_s) + 1
+        self._inputs = np.zeros(length)
+        self._sensed = np.zeros((length, 2))
+        self.set_effects(effects)
+        self.place(0.0)
+        self.advance(0.0, 0.0)  # compiles now: the first tick of a running board must not wait for it
+
+    @property
+    def time_s(self) -> float:
+        """Physical time since the start."""
+        return self._steps * self.step_s
+
+    @property
+    def i_c_a(self) -> float:
+        """True coil current."""
+        return self._state.i
+
+    @property
+    def x_m(self) -> float:
+        """True position, up from the sensor."""
+        return self._state.x
+
+    @property
+    def v_m_s(self) -> float:
+        """True speed, up."""
+        return self._state.v
+
+    def set_effects(self, effects: Mapping[str, float]) -> None:
+        """Replace all effects from now on; state and time go on.
+
+        Raises:
+            UsageError: as the constructor.
+        """
+        rig, strength = self.rig, check(effects)
+        if rig.coil_plane_above_stop_m + strength["air-gap-offset"] < 1e-4:
+            raise UsageError(
+                f"Effect air-gap-offset: d = {strength['air-gap-offset']:g} m puts the coil's plane into the travel",
+                remedy=f"Give more than {1e-4 - rig.coil_plane_above_stop_m:g} m on this rig",
+            )
+        self._constants = _constants(rig, strength, self.step_s)
+        self._sensing_delay = round(strength["sampling-delay"] / self.step_s)
+        self._current_gain = strength["current-sensor-gain"]
+        self._current_offset = strength["current-sensor-offset"]
+        self._loss_probability = strength["lost-samples"]
+
+    def place(self, x_m: float, *, v_m_s: float = 0.0, i_c_a: float = 0.0) -> None:
+        """Put the ball at x with a speed, and the coil to a current, as if it had been so for long.
+
+        Raises:
+            UsageError: x outside the travel, a negative current, or not a number.
+        """
+        if not (0.0 <= x_m <= self.rig.travel_m and 0.0 <= i_c_a <= self.rig.current_max_a and math.isfinite(v_m_s)):
+            raise UsageError(
+                f"The ball cannot be placed at x = {x_m} m, v = {v_m_s} m/s with i_c = {i_c_a} A",
+                remedy=f"Give x within 0 .. {self.rig.travel_m} m, i_c within 0 .. {self.rig.current_max_a} A",
+            )
+        s = reading(x_m, i_c_a, self._constants)
+        self._state = State(i=i_c_a, f=i_c_a, x=x_m, v=v_m_s, w=0.0, s=s)
+        self._sensed[:] = i_c_a, s
+
+    def advance(self, u_v: float, duration_s: float) -> None:
+        """Let `duration_s` of physical time pass with the input held.
+
+        Args:
+            u_v: Input voltage; the amplifier limits it to 0 .. input_max_v.
+            duration_s: A multiple of `step_s`, not negative.
+
+        Raises:
+            UsageError: an input that is not a number, or a duration that is not such a multiple.
+        """
+        count = round(duration_s / self.step_s) if math.isfinite(duration_s) else -1
+        if count < 0 or abs(count * self.step_s - duration_s) > 1e-3 * self.step_s or math.isnan(u_v):
+            raise UsageError(
+                f"The plant cannot advance by {duration_s} s with u = {u_v} V",
+                remedy=f"Give a number of volts and a multiple of {self.step_s:g} s",
+            )
+        u = min(max(float(u_v), 0.0), self.rig.input_max_v)
+        self._state = State(
+            *advance(self._state, self._steps, count, self.step_s, u, self._constants, self._inputs, self._sensed)
+        )
+        self._steps += count
+
+    def sense(self) -> tuple[float, float]:
+        """(i_c in A, x in m) as the analog sensors give them now: effects and fresh noise included."""
+        i, x = self._sensed[(self._steps - self._sensing_delay) % len(self._sensed)]
+        noise = self._noise.standard_normal(2)
+        return (
+            float(self._current_gain * i + self._current_offset + self.rig.current_noise_a * noise[0]),
+            float(x + self.rig.position_noise_m * noise[1]),
+        )
+
+    def drop_sample(self) -> bool:
+        """Whether the board loses the state frame of this tick (effect lost-samples); ask once per frame."""
+        return bool(self._loss.random() < self._loss_probability)
+
+
+def _constants(rig: Rig, strength: Mapping[str, float], step_s: float) -> Constants:
+    return Constants(
+        mass=rig.mass_kg,
+        travel=rig.travel_m,
+        weight=rig.mass_kg * rig.gravity_m_s2,
+        K_c=rig.force_constant_n_m2_a2,
+        gap_bottom=rig.gap_m(0.0) + strength["air-gap-offset"],
+        gap_mid=rig.gap_m(rig.travel_m / 2.0),
+        K_A=rig.amplifier_gain_a_v,
+        T_A=rig.amplifier_time_constant_s,
+        b=rig.drag_n_s_m,
+        restitution=rig.restitution,
+        current_max=min(rig.current_max_a, strength["current-limit"]),
+        gain_loss=strength["amplifier-gain-drift"],
+        heating_time=HEATING_TIME_CONSTANT_S,
+        slew=strength["slew-rate-limit"],
+        dead_zone=strength["amplifier-dead-zone"],
+        current_offset=strength["amplifier-offset"],
+        inductance_growth=strength["position-dependent-inductance"],
+        emf=strength["motional-emf"],
+        exponent=strength["force-exponent"],
+        inverse_saturation=1.0 / strength["core-saturation"],
+        residual=strength["residual-magnetism"],
+        eddy=strength["eddy-current-lag"],
+        drag2=strength["quadratic-drag"],
+        friction=strength["coulomb-friction"],
+        force=strength["constant-force"],
+        shake=strength["periodic-disturbance"],
+        shake_omega=2.0 * math.pi * DISTURBANCE_FREQUENCY_HZ,
+        x_offset=strength["position-sensor-offset"],
+        x_gain=strength["position-sensor-gain"],
+        x_bow=strength["position-sensor-nonlinearity"],
+        x_lag=strength["position-sensor-lag"],
+        crosstalk=strength["sensor-crosstalk"],
+        input_delay=round(strength["actuation-delay"] / step_s),
+    )

@@ -1,0 +1,335 @@
+"""Commands from the bus on their way to one board, and the answers on their way back.  No I/O.
+
+Rule 1: every query is answered, once: refused by gateway, board or link (down, timed out, cancelled), or by a fault of
+        ours (`internal-error`).
+Rule 2: an id is executed at most once.  The replies of the last 256 ids, and of all of the last 20 s, are kept; the
+        same command again gets the kept reply, which says until when.  The same id with other content is refused
+        (`id-reused`): "accepted" would be a lie.  A dated command is too old before its id can be forgotten
+        (access/authorize.py): it is executed at most once whatever happens, an undated one within one run of this.
+Rule 3: `link-down`, `flood`, `queue-full` and a time-out before a byte was sent are not kept: nothing was executed, and
+        trying again with the same id is just what the sender should do.
+Rule 4: who, when, what and result of every command go out as CommandRecord.
+Rule 5: on a guarded bus the sender (access/authorize.py) is written into the command, and its role and the command's
+        age are judged first.  What is refused for these is not kept: nobody fills the memory without a right.
+Rule 6: STOP goes to the board each time it is asked for, whatever its id: used, pending, or none at all.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from gateway.access.authorize import Sender
+from gateway.board.limits import BoardView, Gate, bumpless, read_command
+from gateway.board.scaling import Refusal, Scaling, WireCommand, to_wire
+from gateway.config import LimitsConfig
+from gateway.link.annotations import KINDS, Notes
+from gateway.link.event_text import mode_name
+from gateway.link.sink import Outlet, Reply
+from protocol.bus import board51_pb2 as pb
+from protocol.wire.events import Answer, Sample
+from protocol.wire.messages import Flag, Message, Mode, Reason
+from protocol.wire.session import Session
+
+KEPT_IDS = 256
+KEPT_S = 20.0  # longer than a command is fresh (access/authorize.py): no bytes are executed twice
+MAX_WAITING = 32  # commands on their way to one board: at 0.5 s per time-out, a queue beyond it is not worth joining
+
+_NOT_KEPT = (
+    "flood", "queue-full", "id-reused", "not-allowed", "not-fresh", "not-available", "link-down", "internal-error",
+)  # fmt: skip
+_NO_PORT = ("absent", "connecting")
+_logger = logging.getLogger("gateway.link")
+
+_CANCELLED = {
+    "stop": ("superseded-by-stop", "A STOP came; if the board had this command already, STOP ended what it began."),
+    "board-reset": ("board-reset", "The board restarted while this was under way; whether it acted is unknown."),
+    "disconnected": ("disconnected", "The port went away while this was under way; whether it acted is unknown."),
+}
+_NACK_TEXT = {
+    Reason.OUT_OF_RANGE: "a value is outside the board's bounds; the bound in the way is {detail} counts",
+    Reason.SLEW: "the jump of the reference is larger than the allowance of {detail} counts",
+    Reason.WRONG_MODE: "this is not possible in mode {mode}",
+    Reason.BUSY: "it is busy, probably with a capture",
+    Reason.NO_SESSION: "it has restarted and does not know this gateway yet; try again",
+    Reason.NOT_AVAILABLE: "there is nothing to read",
+    Reason.FAULT_ACTIVE: "a fault is active; set a mode to clear it",
+}
+
+
+@dataclass(slots=True)
+class Known:
+    """What the board has said in this session."""
+
+    identity: Message | None = None
+    scaling: Scaling | None = None
+    parameters: Message | None = None
+    sample: Sample | None = None
+
+
+@dataclass(slots=True, kw_only=True)
+class _Asked:
+    """One command, and who waits for its reply: more than one where it was repeated meanwhile."""
+
+    command: pb.Command
+    received_ns: int
+    replies: list[Reply]
+
+
+@dataclass(slots=True, kw_only=True)
+class _Pending:
+    wire: WireCommand
+    asked: list[_Asked] = field(default_factory=list)  # several: STOPs that share a frame
+
+
+@dataclass(slots=True)
+class _Kept:
+    content: bytes
+    reply: pb.CommandReply
+    at_ns: int
+
+
+class CommandDesk:
+    """The commands of one board.
+
+    Args:
+        limits: of this board.
+        session: where accepted commands go.
+        known: what the board has said; the driver keeps it up to date.
+        outlet: for the records.
+        accepted: called with wire command, bus command and ACK of what the board accepted.
+    """
+
+    def __init__(
+        self,
+        limits: LimitsConfig,
+        session: Session,
+        known: Known,
+        outlet: Outlet,
+        accepted: Callable[[WireCommand, pb.Command, Message], None],
+    ) -> None:
+        self.accepted_count = self.refused_count = self.timed_out_count = 0
+        self.notes = Notes(outlet)
+        self._gate = Gate(limits)
+        self._session, self._known, self._outlet, self._on_accepted = session, known, outlet, accepted
+        self._pending: dict[int, _Pending] = {}
+        self._kept: OrderedDict[str, _Kept] = OrderedDict()
+        self._x_ref_m: float | None = None  # commanded, not yet seen in a state
+        self._x_ref_tick: float = -1  # seen from this tick on
+        self._mode_tick: float = -1
+
+    def take(
+        self,
+        payload: bytes,
+        reply: Reply,
+        now_s: float,
+        host_ns: int,
+        *,
+        link: str,
+        reason: str,
+        sender: Sender,
+    ) -> None:
+        """One query.  `link` and `reason` say how the link is, for the case that it is down."""
+        command, bad_form = read_command(payload)
+        asked = _Asked(command=command, received_ns=host_ns, replies=[reply])
+        sender.sign(command)
+        if bad_form is not None:
+            self._refuse(asked, bad_form, keep=False)
+            return
+        try:
+            refusal = self._decide(asked, now_s, link, reason, sender)
+        except Exception as error:  # a fault of ours costs this command, and neither its answer nor its record
+            _logger.exception("a command")
+            refusal = Refusal("internal-error", f"A fault of the gateway ({type(error).__name__}); its log says where.")
+        if refusal is not None:
+            self._refuse(asked, refusal, keep=refusal.reason not in _NOT_KEPT)
+
+    def _decide(self, asked: _Asked, now_s: float, link: str, reason: str, sender: Sender) -> Refusal | None:
+        """Answer it, hand it on, or say why not."""
+        command = asked.command
+        not_allowed = sender.right(command)
+        if not_allowed is not None:
+            return not_allowed
+        if command.WhichOneof("what") == "stop":
+            return self._stop(asked, now_s, link, reason)
+        waiting = (one for pending in self._pending.values() for one in pending.asked)
+        pending = next((one for one in waiting if one.command.id == command.id and not _is_stop(one.command)), None)
+        kept = self._kept.get(command.id)
+        if kept is not None or pending is not None:
+            same = _content(command) == (kept.content if kept else _content(pending.command) if pending else b"")
+            if not same:
+                return Refusal("id-reused", "This id was used for another command; choose a new one.")
+            if kept is not None:
+                asked.replies[0](kept.reply)
+            elif pending is not None:
+                pending.replies += asked.replies
+            return None
+        refusal = sender.fresh(command) or self._gate.admit(command, now_s)
+        if refusal is not None:
+            return refusal
+        if self._session.waiting >= MAX_WAITING:
+            return Refusal("queue-full", f"{MAX_WAITING} commands wait for this board already.")
+        if command.WhichOneof("what") in KINDS:
+            self._note(asked)
+            return None
+        return self._carry_on(asked, now_s, link, reason, sender.left_s(command))
+
+    def answered(self, answer: Answer, host_ns: int) -> bool:
+        """Take the end of a command; False if it is not one of the bus."""
+        pending = self._pending.pop(answer.token, None)
+        if pending is None:
+            return False
+        message, count, keep = answer.message, len(pending.asked), True
+        reply = pb.CommandReply(attempts=answer.attempts)
+        tick = -1
+        if answer.outcome == "ack" and message is not None:
+            tick = message.int("tick")
+            reply.accepted, reply.tick, reply.text = True, tick, pending.wire.note
+            self.accepted_count += count
+        elif answer.outcome == "nack" and message is not None:
+            reply.refused_by = "board"
+            reply.reason, reply.text = _nack(message)
+            self.refused_count += count
+        elif answer.outcome == "timed-out":
+            reply.refused_by, reply.reason = "link", "timed-out"
+            reply.text = _timed_out(pending.wire.name, answer.attempts)
+            keep = answer.attempts > 0
+            self.timed_out_count += count
+        else:
+            reply.refused_by = "link"
+            reply.reason, reply.text = _CANCELLED[answer.why]
+            self.refused_count += count
+        for one in pending.asked:
+            self._settle(one.command, tick)
+            self._finish(one, reply, host_ns, keep=keep)
+        if reply.accepted and message is not None:
+            self._on_accepted(pending.wire, pending.asked[0].command, message)
+        return True
+
+    def _stop(self, asked: _Asked, now_s: float, link: str, reason: str) -> Refusal | None:
+        if link in _NO_PORT:
+            return _down(link, reason)
+        self._mode_tick = float("inf")
+        token = self._session.submit("STOP", now_s)  # needs neither session nor scaling
+        pending = self._pending.setdefault(token, _Pending(wire=WireCommand(name="STOP", values={})))
+        pending.asked.append(asked)
+        return None
+
+    def _carry_on(self, asked: _Asked, now_s: float, link: str, reason: str, left_s: float) -> Refusal | None:
+        command, scaling, view = asked.command, self._known.scaling, self._view()
+        if not self._session.is_open or scaling is None:
+            return _down(link, reason)
+        whole = bumpless(command, view)
+        wire = whole if isinstance(whole, Refusal) else to_wire(whole, scaling)
+        refusal = self._gate.beyond(command)
+        if refusal is None:
+            refusal = wire if isinstance(wire, Refusal) else self._gate.check(command, wire, view, now_s)
+        if refusal is not None or isinstance(wire, Refusal):
+            return refusal
+        token = self._session.submit(wire.name, now_s, left_s, **wire.values)
+        self._pending[token] = _Pending(wire=wire, asked=[asked])
+        self._gate.passed(command, view, now_s)
+        if command.WhichOneof("what") == "set_reference":
+            self._x_ref_m, self._x_ref_tick = command.set_reference.x_ref_m, float("inf")
+        elif command.WhichOneof("what") == "set_mode":
+            self._mode_tick = float("inf")
+        return None
+
+    def _note(self, asked: _Asked) -> None:
+        """What the gateway itself does; the board need not be there."""
+        tick = self._known.sample.tick if self._known.sample is not None else 0
+        session = self._session.number if self._session.is_open else 0
+        answer = self.notes.take(asked.command, asked.received_ns, tick=tick, session=session)
+        self.accepted_count += 1
+        self._finish(asked, answer, asked.received_ns, keep=True)
+
+    def _view(self) -> BoardView:
+        sample, scaling, parameters = self._known.sample, self._known.scaling, self._known.parameters
+        if parameters is not None and parameters.int("divider") == 0:
+            sample = None  # the stream is off: the last state tells nothing about now
+        tick = -1 if sample is None else sample.tick
+        x_ref_m = None
+        if self._x_ref_tick > tick:
+            x_ref_m = self._x_ref_m
+        elif sample is not None and scaling is not None:
+            x_ref_m = scaling.x_m(sample.state.x_ref)
+        known_mode = sample is not None and self._mode_tick <= tick
+        flags = sample.state.flags if sample is not None else 0
+        return BoardView(
+            mode=Mode(flags & 3) if known_mode else None,
+            flags=flags & int(~Flag(0)) if known_mode else 0,
+            x_ref_m=x_ref_m,
+            u_c_v=scaling.u_v(sample.state.u_c) if sample is not None and scaling is not None else None,
+            parameters=parameters,
+            scaling=scaling,
+        )
+
+    def _settle(self, command: pb.Command, tick: int) -> None:
+        if command.WhichOneof("what") == "set_reference":
+            self._x_ref_tick = tick
+        elif command.WhichOneof("what") in ("set_mode", "stop"):
+            self._mode_tick = tick
+
+    def session_ended(self) -> None:
+        """The count of ticks begins anew: what was commanded before says nothing about the board now."""
+        self._x_ref_tick = self._mode_tick = -1
+
+    def _refuse(self, asked: _Asked, refusal: Refusal, *, keep: bool) -> None:
+        self.refused_count += 1
+        by = "link" if refusal.reason == "link-down" else "gateway"
+        answer = pb.CommandReply(refused_by=by, reason=refusal.reason, text=refusal.text)
+        self._finish(asked, answer, asked.received_ns, keep=keep)
+
+    def _finish(self, asked: _Asked, said: pb.CommandReply, answered_ns: int, *, keep: bool) -> None:
+        command, answer = asked.command, pb.CommandReply()
+        answer.CopyFrom(said)
+        answer.id = command.id
+        if keep and not _is_stop(command):
+            answer.repeat_until_ns = answered_ns + round(KEPT_S * 1e9)
+            self._kept[command.id] = _Kept(_content(command), answer, answered_ns)
+            while len(self._kept) > KEPT_IDS:
+                oldest = next(iter(self._kept.values()))
+                if 0 <= answered_ns - oldest.at_ns < KEPT_S * 1e9:
+                    break
+                self._kept.popitem(last=False)
+        record = pb.CommandRecord(received_ns=asked.received_ns, answered_ns=answered_ns, command=command, reply=answer)
+        self._outlet.send("command/record", record, answered_ns)
+        for reply in asked.replies:
+            reply(answer)
+
+
+def _is_stop(command: pb.Command) -> bool:
+    return bool(command.WhichOneof("what") == "stop")
+
+
+def _down(link: str, reason: str) -> Refusal:
+    return Refusal(
+        "link-down", f"The board is not there ({link}: {reason})." if reason else f"The board is not there ({link})."
+    )
+
+
+def _content(command: pb.Command) -> bytes:
+    """What the command does: two senders may carry the same id on behalf of each other, so not who, nor when."""
+    bare = pb.Command()
+    bare.CopyFrom(command)
+    bare.who, bare.role, bare.issued_ns, bare.valid_s = "", "", 0, 0.0
+    return bare.SerializeToString(deterministic=True)
+
+
+def _timed_out(name: str, attempts: int) -> str:
+    if attempts:
+        return (
+            f"The board did not answer {attempts} attempts; whether it acted, or will when the line moves again,"
+            " is unknown."
+        )
+    if name == "STOP":
+        return "The line takes no bytes and the coil may be on. STOP goes out as soon as the line moves."
+    return "The board does not answer, and nothing of this was sent: it has not acted and never will."
+
+
+def _nack(message: Message) -> tuple[str, str]:
+    reason, detail = Reason(message.int("reason")), message.int("detail")
+    text = _NACK_TEXT.get(reason, "it does not take this command").format(detail=detail, mode=mode_name(detail))
+    return reason.name.lower().replace("_", "-"), f"The board refused: {text}."

@@ -1,0 +1,246 @@
+"""The serial thread: one selector over all boards.  Nothing in it blocks.
+
+Rule 1: a port that is ready is read once, everything there is, and stamped once.
+Rule 2: what may block is done elsewhere: ports are opened in short-lived helper threads, puts and replies go out in the
+        publisher's threads, the log has its own.
+Rule 3: nothing waits here to be written: what the port does not take stays with the session, which knows who still
+        waits for it.
+Rule 4: a fault in the handling of one board costs that board its connection, not the others theirs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import selectors
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from gateway.access.authorize import Sender
+from gateway.link.driver import BoardDriver
+from gateway.link.port import Port, PortProblem, open_port
+from gateway.link.sink import Reply
+
+POLL_S = 0.005  # how late a time-out may be noticed; the shortest configurable one is 20 ms
+# From this many streaming boards on, the thread rests after each round so that the next one finds several boards ready:
+# without it 32 boards cost a wake-up for each of 16000 frames a second.
+BATCH_BOARDS = 4
+BATCH_S = 0.001
+CLOSE_PATIENCE_S = 1.0  # at the end, for ports that are slow to close
+_logger = logging.getLogger("gateway.link")
+
+
+@dataclass(slots=True)
+class _Line:
+    """A board's driver and what the loop needs to move its bytes."""
+
+    driver: BoardDriver
+    port: Port | None = None
+    opening: bool = False
+    next_open_s: float = 0.0
+    waits_for_room: bool = False
+
+
+class LinkThread:
+    """Serves all boards until `stop`."""
+
+    def __init__(self, drivers: Sequence[BoardDriver]) -> None:
+        self._lines = [_Line(driver) for driver in drivers]
+        self._by_driver = {id(line.driver): line for line in self._lines}
+        self._selector = selectors.DefaultSelector()
+        self._wake_read, self._wake_write = os.pipe()
+        os.set_blocking(self._wake_read, False)
+        os.set_blocking(self._wake_write, False)
+        self._selector.register(self._wake_read, selectors.EVENT_READ, None)
+        self._actions: deque[Callable[[], None]] = deque()
+        self._closing: list[threading.Thread] = []
+        self._stopping = False
+        self._gate = threading.Lock()  # the number of a pipe that was closed may be another file's by then
+        self._ended = False
+        self._thread = threading.Thread(target=self._work, name="link", daemon=True)
+
+    def start(self) -> None:
+        """Begin to open ports."""
+        self._thread.start()
+
+    def post(self, action: Callable[[], None]) -> bool:
+        """Have `action` run in the serial thread, soon; from any thread.  False where that has ended: nobody will."""
+        with self._gate:
+            if self._ended:
+                return False
+            self._actions.append(action)
+            with contextlib.suppress(BlockingIOError):  # a full pipe wakes as well as an empty one with a byte
+                os.write(self._wake_write, b"\x00")
+            return True
+
+    def command(self, driver: BoardDriver, payload: bytes, reply: Reply, sender: Sender) -> None:
+        """Hand a query to a board's driver; from any thread."""
+
+        def act() -> None:
+            line = self._by_driver[id(driver)]
+            try:
+                driver.command(payload, reply, time.monotonic(), sender)
+                self._write_output(line)
+            except Exception:
+                _logger.exception("%s: after a command", driver.config.name)
+                self._give_up(line)
+
+        if not self.post(act):
+            act()  # says that the link is down
+
+    def stop(self) -> None:
+        """Close all ports and end the thread.  The boards are told nothing: their host-loss policy decides."""
+        self._stopping = True
+        self.post(lambda: None)
+        self._thread.join()
+        deadline_s = time.monotonic() + CLOSE_PATIENCE_S
+        for closing in self._closing:
+            closing.join(max(0.0, deadline_s - time.monotonic()))
+
+    # -- in the serial thread
+
+    def _work(self) -> None:
+        next_poll_s = 0.0
+        streaming = 0
+        try:
+            while not self._stopping:
+                pause_s = max(0.0, next_poll_s - time.monotonic())
+                for key, mask in self._selector.select(pause_s):
+                    line: _Line | None = key.data
+                    if line is None:
+                        self._run_actions()
+                    else:
+                        try:
+                            self._serve(line, mask)
+                        except Exception:
+                            _logger.exception("%s: while reading", line.driver.config.name)
+                            self._give_up(line)
+                now_s = time.monotonic()
+                if now_s >= next_poll_s:
+                    next_poll_s = now_s + POLL_S
+                    streaming = self._poll(now_s)
+                if streaming >= BATCH_BOARDS:
+                    time.sleep(BATCH_S)
+        finally:
+            for line in self._lines:
+                self._close(line, "The gateway ends.", severity="info")
+            with self._gate:
+                self._ended = True
+            self._run_actions()  # queries that came meanwhile are told that the link is down
+            self._selector.close()
+            os.close(self._wake_read)
+            os.close(self._wake_write)
+
+    def _serve(self, line: _Line, mask: int) -> None:
+        if mask & selectors.EVENT_WRITE:
+            self._write_output(line)
+        if not mask & selectors.EVENT_READ or line.port is None:
+            return
+        data = line.port.read()
+        now_ns = time.monotonic_ns()
+        if data is None:
+            return
+        if not data:
+            self._close(line, f"{line.port.name} is gone.")
+            return
+        line.driver.received(data, now_ns)
+        self._write_output(line)
+
+    def _poll(self, now_s: float) -> int:
+        """What is due on any board; the number of boards that stream."""
+        streaming = 0
+        for line in self._lines:
+            driver = line.driver
+            if line.port is None:
+                if not line.opening and now_s >= line.next_open_s:
+                    self._begin_opening(line)
+                continue
+            streaming += driver.link == "streaming"
+            if now_s >= driver.deadline_s:
+                try:
+                    driver.poll(now_s)
+                    self._write_output(line)
+                except Exception:
+                    _logger.exception("%s: while something was due", driver.config.name)
+                    self._give_up(line)
+        return streaming
+
+    def _run_actions(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            os.read(self._wake_read, 4096)
+        for _ in range(len(self._actions)):
+            action = self._actions.popleft()
+            try:
+                action()
+            except Exception:
+                _logger.exception("an action of the link thread failed")
+
+    def _give_up(self, line: _Line) -> None:
+        """A fault of ours (called in an except block) must not take the other boards with it."""
+        self._close(line, "An internal error; see the gateway's log.")
+
+    # -- opening and closing
+
+    def _begin_opening(self, line: _Line) -> None:
+        line.opening = True
+        config = line.driver.config
+
+        def work() -> None:
+            try:
+                result = open_port(config.port, config.baud)
+            except Exception as error:  # a driver's own bug: this port does not open, the others live on
+                result = PortProblem("port-failed", f"{config.port} cannot be opened: {error}.")
+            if not self.post(lambda: self._opened(line, result)) and not isinstance(result, PortProblem):
+                result.close()
+
+        threading.Thread(target=work, name=f"open-{config.name}", daemon=True).start()
+
+    def _opened(self, line: _Line, result: Port | PortProblem) -> None:
+        now_s = time.monotonic()
+        line.opening = False
+        line.next_open_s = now_s + line.driver.config.reconnect_s
+        if isinstance(result, PortProblem):
+            line.driver.port_absent(result.kind, result.text)
+            return
+        if self._stopping:
+            result.close()
+            return
+        line.port = result
+        line.waits_for_room = False
+        self._selector.register(result.fd, selectors.EVENT_READ, line)
+        line.driver.port_opened(result.name, now_s)
+        self._write_output(line)
+
+    def _close(self, line: _Line, text: str, *, severity: str = "warning") -> None:
+        port, line.port = line.port, None
+        if port is None:
+            return
+        self._selector.unregister(port.fd)
+        # Closing may block as opening may: a tty drains what the adapter no longer takes, pyserial's socket sleeps.
+        closing = threading.Thread(target=port.close, name=f"close-{line.driver.config.name}", daemon=True)
+        closing.start()
+        self._closing = [*(t for t in self._closing if t.is_alive()), closing]
+        now_s = time.monotonic()
+        line.next_open_s = now_s + line.driver.config.reconnect_s
+        line.driver.port_lost(text, now_s, severity=severity)
+
+    # -- writing
+
+    def _write_output(self, line: _Line) -> None:
+        while line.port is not None and (data := line.driver.output()):
+            written = line.port.write(data)
+            if written is None:
+                self._close(line, f"{line.port.name} is gone.")
+                return
+            line.driver.wrote(written)
+            if written < len(data):
+                break
+        waits = bool(line.driver.output())
+        if line.port is not None and waits != line.waits_for_room:
+            line.waits_for_room = waits
+            wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if waits else 0)
+            self._selector.modify(line.port.fd, wanted, line)

@@ -1,0 +1,207 @@
+"""A topic of a log as columns, into CSV, MATLAB or Parquet.  Numbers keep every bit; what is absent stays absent.
+
+Columns are the fields of the message, nested ones joined with `_` (x_m_error), `t_s` first.  Absent numbers are an
+empty cell in CSV, null in Parquet, NaN in MATLAB.  A capture has one row per sample, t_s counted from the step.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from google.protobuf.descriptor import FieldDescriptor
+from google.protobuf.json_format import MessageToJson
+from google.protobuf.message import Message
+
+from gateway.record.reader import LogReader, Record
+from gateway.record.tables.mat import write_mat
+from gateway.record.writer import LogError
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.errors import DataError
+
+Format = Literal["csv", "mat", "parquet"]
+Cell = float | int | str | None
+Getter = Callable[[Message], Cell]
+Reach = Callable[[Any], Any]  # from a message to the nested one that holds a field; None where that is absent
+
+
+@dataclass(slots=True)
+class Columns:
+    """One topic of one board: rows of cells."""
+
+    names: list[str]
+    rows: list[list[Cell]]
+
+
+def export(
+    logs: Path | Sequence[Path],
+    out: Path,
+    *,
+    form: Format,
+    topic: str = "state",
+    boards: Sequence[str] | None = None,
+    start_s: float = 0.0,
+    end_s: float | None = None,
+) -> list[tuple[Path, int]]:
+    """Write one file per board; with several boards the name becomes `<stem>-<board><suffix>`.
+
+    Returns:
+        Files and their numbers of rows.
+
+    Raises:
+        DataError: the log is absent, damaged, or has nothing of the topic.
+        LogError: a file exists or cannot be written.
+    """
+    reader = LogReader(logs)
+    last_ns = None
+    found: dict[str, Columns] = {}
+    getters = _getters(topics.BY_NAME[topic].message)
+    for record in reader.records(topics_=[topic], boards=boards, start_s=start_s, end_s=end_s):
+        last_ns = record.time_ns
+        columns = found.get(record.board)
+        if columns is None:
+            columns = found[record.board] = Columns(_names(record, getters), [])
+        columns.rows += _rows(record, getters, start_ns=reader.start_ns)
+    reader.check(last_ns=last_ns)
+    if not found:
+        seen = sorted({c.topic for scan in reader.scans for c in scan.channels.values()})
+        raise DataError(f"Log {reader.name} has no {topic} to export", remedy=f"It has: {', '.join(seen)}")
+    files = []
+    for board, columns in found.items():
+        path = out if len(found) == 1 else out.with_name(f"{out.stem}-{board}{out.suffix}")
+        try:
+            path.open("x").close()  # never over an existing file
+        except OSError as error:
+            raise LogError(path, error) from None
+        try:
+            _WRITERS[form](path, columns)
+        except OSError as error:
+            path.unlink()
+            raise LogError(path, error) from None
+        files.append((path, len(columns.rows)))
+    return files
+
+
+def _names(record: Record, getters: dict[str, Getter]) -> list[str]:
+    if isinstance(record.message, pb.CaptureRecord):
+        return ["t_s", "i_c_a", "u_c_v", "session", "capture_tick"]
+    return ["t_s", *(name for name in getters if name != "t_s")]
+
+
+def _rows(record: Record, getters: dict[str, Getter], *, start_ns: int) -> Iterator[list[Cell]]:
+    message = record.message
+    if isinstance(message, pb.CaptureRecord):
+        for index, i_c_a in enumerate(message.i_c_a):
+            before = index < message.step_index
+            u_c_v = message.u_from_v if before else message.u_to_v
+            t_s = (index - message.step_index) * message.sample_time_s
+            yield [t_s, i_c_a, u_c_v, message.session, message.tick]
+        return
+    own_time = getters.get("t_s")
+    time_s = own_time(message) if own_time else (record.time_ns - start_ns) / 1e9
+    yield [time_s, *(getter(message) for name, getter in getters.items() if name != "t_s")]
+
+
+def _getters(message: type[Message]) -> dict[str, Getter]:
+    """Column name -> how to get the cell out of a message."""
+    return dict(_walk(message.DESCRIPTOR, "", lambda root: root))
+
+
+def _walk(descriptor: Any, prefix: str, reach: Reach) -> Iterator[tuple[str, Getter]]:
+    for field in descriptor.fields:
+        name = prefix + field.name
+        if field.is_repeated or field.type == FieldDescriptor.TYPE_BYTES:
+            yield name, _text_of(field.name, reach)
+        elif field.message_type is not None and field.containing_oneof is None:
+            yield from _walk(field.message_type, f"{name}_", _step(field.name, reach))
+        elif field.message_type is not None:
+            yield name, _json_of(field.name, reach)
+        elif field.has_presence:
+            yield name, _present(field.name, reach)
+        else:
+            yield name, _plain(field.name, reach)
+
+
+def _step(name: str, reach: Reach) -> Reach:
+    """Into a message that may be absent, or inside one that is."""
+
+    def get(root: Any) -> Any:
+        holder = reach(root)
+        return getattr(holder, name) if holder is not None and holder.HasField(name) else None
+
+    return get
+
+
+def _plain(name: str, reach: Reach) -> Getter:
+    return lambda root: None if (holder := reach(root)) is None else _cell(getattr(holder, name))
+
+
+def _present(name: str, reach: Reach) -> Getter:
+    return lambda root: None if (value := _step(name, reach)(root)) is None else _cell(value)
+
+
+def _json_of(name: str, reach: Reach) -> Getter:
+    return lambda root: None if (value := _step(name, reach)(root)) is None else MessageToJson(value, indent=None)
+
+
+def _text_of(name: str, reach: Reach) -> Getter:
+    def get(root: Message) -> Cell:
+        holder = reach(root)
+        value: Any = () if holder is None else getattr(holder, name)
+        if isinstance(value, bytes):
+            return value.hex()
+        if hasattr(value, "items"):
+            return " ".join(f"{key}={item}" for key, item in sorted(value.items()))
+        return " ".join(repr(item) for item in value)
+
+    return get
+
+
+def _cell(value: float | int | str | bool) -> Cell:
+    return int(value) if isinstance(value, bool) else value
+
+
+def _write_csv(path: Path, columns: Columns) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns.names)
+        # repr: the shortest text that reads back as the same double
+        writer.writerows([_csv_cell(cell) for cell in row] for row in columns.rows)
+
+
+def _csv_cell(cell: Cell) -> str | int:
+    return "" if cell is None else repr(cell) if isinstance(cell, float) else cell
+
+
+def _write_mat(path: Path, columns: Columns) -> None:
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    for name, cells in zip(columns.names, zip(*columns.rows, strict=True), strict=True):
+        if any(isinstance(cell, str) for cell in cells):
+            arrays[name] = np.array(["" if cell is None else str(cell) for cell in cells], dtype=object)
+        elif all(isinstance(cell, int) for cell in cells):
+            arrays[name] = np.array(cells, dtype=np.uint64 if max(cells) >= 2**53 else np.float64)
+        else:
+            arrays[name] = np.array([np.nan if cell is None else cell for cell in cells], dtype=float)
+    write_mat(path, arrays)
+
+
+def _write_parquet(path: Path, columns: Columns) -> None:
+    import pyarrow
+    import pyarrow.parquet
+
+    cells = zip(*columns.rows, strict=True)
+    table = pyarrow.table({name: pyarrow.array(list(cell)) for name, cell in zip(columns.names, cells, strict=True)})
+    pyarrow.parquet.write_table(table, path)
+
+
+_WRITERS: dict[Format, Callable[[Path, Columns], None]] = {
+    "csv": _write_csv,
+    "mat": _write_mat,
+    "parquet": _write_parquet,
+}

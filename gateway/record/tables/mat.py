@@ -1,0 +1,94 @@
+"""MATLAB files: columns in, columns out.  A variable is a vector, or a scalar struct of vectors (`run.x`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gateway.record.tables.table import FloatArray, Table
+from protocol.errors import DataError
+from protocol.table_file import check_mat
+
+
+def read_mat(path: Path) -> Table:
+    """The numeric vectors of a .mat file up to version 7.
+
+    Raises:
+        DataError: it is absent, not a MATLAB file, version 7.3, without vectors, or its vectors differ in length.
+    """
+    from scipy.io import loadmat
+
+    check_mat(path)
+    try:
+        content: dict[str, Any] = loadmat(path, squeeze_me=False, struct_as_record=False)
+    except NotImplementedError:
+        raise DataError(f"{path} is a MATLAB 7.3 file", remedy="Save it again with: save(name, '-v7')") from None
+    except Exception as error:  # scipy lets through whatever its parser stumbles over, KeyError and zlib.error too
+        raise DataError(f"{path} is not a MATLAB file, or is cut off: {error}", remedy="Save it again") from None
+    columns: dict[str, FloatArray] = {}
+    unusable: dict[str, str] = {}
+    for name, value in content.items():
+        if not name.startswith("__"):
+            _collect(name, value, columns, unusable)
+    # A scalar beside vectors (a sample time, a mass) is not a column.
+    columns = {name: column for name, column in columns.items() if len(column) > 1} or columns
+    if not columns:
+        others = "".join(f"; {name}: {why}" for name, why in unusable.items())
+        raise DataError(f"{path} holds no numeric vectors{others}", remedy="Save t, x, ... as vectors of equal length")
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise DataError(f"{path}: vectors differ in length: {listed}", remedy="Save vectors of equal length")
+    return Table(
+        path=path,
+        names=tuple(columns),
+        rows=next(iter(lengths.values())),
+        place=lambda row: f"sample {row + 1}",
+        cell=lambda column, row: float(columns[column][row]),
+        unusable=unusable,
+    )
+
+
+def _collect(name: str, value: Any, columns: dict[str, FloatArray], unusable: dict[str, str]) -> None:
+    if (
+        isinstance(value, np.ndarray)
+        and value.dtype == object
+        and value.size == 1
+        and hasattr(value.item(), "_fieldnames")
+    ):
+        record = value.item()
+        for field in record._fieldnames:  # noqa: SLF001  # scipy's documented way into a struct
+            _collect(f"{name}.{field}", getattr(record, field), columns, unusable)
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and 0 < value.size == max(value.shape):
+        columns[name] = value.astype(float).ravel()
+    else:
+        unusable[name] = _why(value)
+
+
+def _why(value: Any) -> str:
+    """Why a variable is no column, with what it is."""
+    if not isinstance(value, np.ndarray):
+        return f"it is of a type that is not read ({type(value).__name__})"
+    shape = " x ".join(str(size) for size in value.shape)
+    if value.size == 0:
+        return "it is empty"
+    if value.dtype.kind in "fiub":
+        return f"it is a matrix of {shape}; save each of its columns as a vector"
+    if value.dtype.kind == "c":
+        return "it is complex"
+    if value.dtype.kind in "US":
+        return "it is text"
+    return f"it is a cell or struct array of {shape}; save vectors of numbers"
+
+
+def write_mat(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Column vectors under their names (a `.` or `/` in a name becomes `_`)."""
+    from scipy.io import savemat
+
+    savemat(
+        path, {name.replace(".", "_").replace("/", "_"): values for name, values in columns.items()}, oned_as="column"
+    )

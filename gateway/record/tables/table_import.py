@@ -1,0 +1,279 @@
+"""A recording in a table (CSV, MATLAB) into a log: the same State messages that a board's samples become.
+
+Rule 1: a channel that the table lacks is absent in every State; nothing is filled in.
+Rule 2: T_s is the median step of t; `tick` counts in T_s from the first row.  A step of more than 1.5 T_s is a gap:
+        the tick jumps, `lost_before` says by how much.  `t_s` stays the table's own time, to the bit.
+Rule 3: log time is the table's time from the epoch 0: an imported log is not pretended to be of a certain day.
+Rule 4: where it came from (file, SHA-256, columns, campaign) lies in the log's metadata.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gateway.record.tables.mat import read_mat
+from gateway.record.tables.table import FloatArray, Table, read_csv
+from gateway.record.writer import LogWriter
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.campaign import CHANNELS, UNITS, Campaign, Channel, Column, Recording
+from protocol.errors import DataError
+from protocol.toml_table import shown
+from protocol.units import MOST, NOT_MEASURED, scale_of_size
+
+GAP_STEPS = 1.5  # a step longer than this lost at least one sample
+LARGEST_GAP = 1 << 31  # samples: `lost_before` counts in 32 bits
+JITTER_SHARE = 0.1  # a step off a whole number of T_s by more than this share is irregular
+_FIELDS: Mapping[Channel, str] = {"u_c": "u_c_v", "i_c": "i_c_a", "x": "x_m", "x_ref": "x_ref_m"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImportReport:
+    """What was imported, and what to know about it."""
+
+    source: Path
+    log: Path
+    board: str
+    rows: int
+    channels: tuple[Channel, ...]
+    sample_time_s: float  # 0 where the rows are not in time
+    duration_s: float
+    gaps: int
+    samples_missing: int
+    irregular_steps: int
+    worst_step_s: float  # the step farthest from a whole number of T_s
+    beyond_table: Mapping[str, int]  # values for which a look-up table was extrapolated, by channel
+    warnings: tuple[str, ...] = ()  # what a rig of this kind does not do, and columns that cannot be used
+
+
+def open_table(path: Path) -> Table:
+    """A CSV or MATLAB file, by its name.
+
+    Raises:
+        DataError: it cannot be read as one.
+    """
+    if path.suffix == ".mcap":
+        raise DataError(f"{path} is a log already", remedy="Use it as it is")
+    return read_mat(path) if path.suffix == ".mat" else read_csv(path)
+
+
+def import_recording(
+    source: Path,
+    log: Path,
+    recording: Recording,
+    *,
+    site: str = topics.DEFAULT_SITE,
+    board: str,
+    campaign: Campaign | None = None,
+) -> ImportReport:
+    """Write one recording as a log.
+
+    Args:
+        source: The table.
+        log: MCAP file to create.
+        recording: Columns and kind; for `equilibria` each row is a session of its own, without time.
+        site: First part of the keys.
+        board: Second part.
+        campaign: Gives the gains and the plant, where it is known.
+
+    Raises:
+        DataError: the table is not as the recording says: file, line, column, value.
+        LogError: the log exists or cannot be written.
+    """
+    table = open_table(source)
+    values, beyond = _channels(table, recording)
+    in_time = recording.kind != "equilibria"
+    time_s = values.pop("t") if in_time else np.arange(table.rows, dtype=float)
+    if not values:
+        raise DataError(
+            f"{source} has none of the channels {', '.join(CHANNELS[1:])}",
+            remedy=f"Map them; its columns are: {', '.join(table.names)}",
+        )
+    steps = _check_time(table, recording, time_s) if in_time else np.ones(table.rows - 1)
+    sample_time_s = _round(float(np.median(steps))) if in_time else 0.0
+    ticks_per_step = np.maximum(1, np.ceil(steps / (sample_time_s or 1.0) - (GAP_STEPS - 1.0))).astype(int)
+    off = np.abs(steps - ticks_per_step * sample_time_s) if in_time else np.zeros(0)
+    report = ImportReport(
+        source=source,
+        log=log,
+        board=board,
+        rows=table.rows,
+        channels=tuple(values),
+        sample_time_s=sample_time_s,
+        duration_s=float(time_s[-1] - time_s[0]),
+        gaps=int(np.count_nonzero(ticks_per_step > 1)),
+        samples_missing=int(np.sum(ticks_per_step - 1)),
+        irregular_steps=int(np.count_nonzero(off > JITTER_SHARE * sample_time_s)),
+        worst_step_s=float(steps[np.argmax(off)]) if off.size else 0.0,
+        beyond_table=beyond,
+        warnings=(
+            *_implausible(recording, values, steps),
+            *(f"column {name!r} cannot be used: {why}" for name, why in table.unusable.items()),
+        ),
+    )
+    writer = LogWriter(log, metadata=_provenance(report, recording, campaign), compression="zstd")
+    try:
+        _write(writer, f"{site}/{board}", report, recording, campaign, time_s, ticks_per_step, values)
+        writer.close()
+    except BaseException:
+        writer.abandon()
+        log.unlink(missing_ok=True)
+        raise
+    return report
+
+
+def _channels(table: Table, recording: Recording) -> tuple[dict[Channel, FloatArray], dict[str, int]]:
+    """Converted values of the channels there are, and how many lay beyond a look-up table."""
+    values: dict[Channel, FloatArray] = {}
+    beyond: dict[str, int] = {}
+    for channel in CHANNELS:
+        column = recording.column(channel)
+        mapped = channel in recording.columns
+        if not mapped and column.column not in table.names and (channel != "t" or recording.kind == "equilibria"):
+            continue
+        raw = table.numbers(column.column)
+        values[channel] = _convert(column, raw)
+        _check_measured(table, channel, column, values[channel])
+        count = sum(column.beyond_table(value) for value in raw.tolist())
+        if count:
+            beyond[channel] = count
+    return values, beyond
+
+
+def _check_measured(table: Table, channel: Channel, column: Column, values: FloatArray) -> None:
+    bad = np.flatnonzero(~(np.abs(values) <= NOT_MEASURED[channel]))
+    if bad.size:
+        row = int(bad[0])
+        raise DataError(
+            f"{table.path}, {table.place(row)}: {column.column} = {shown(table.cell(column.column, row))} gives "
+            f"{values[row]:.3g} {UNITS[channel]} for {channel}, which nothing measures",
+            remedy="Correct the cell, leave that row out, or give the column another scale",
+        )
+
+
+def _implausible(recording: Recording, values: Mapping[Channel, FloatArray], steps: FloatArray) -> Iterator[str]:
+    """One line for each channel that is beyond what a rig of this kind has, with the scale that would mend it."""
+    sizes: dict[Channel, float] = {} if recording.kind == "equilibria" else {"t": float(np.median(steps))}
+    sizes |= {channel: float(np.percentile(np.abs(column), 99)) for channel, column in values.items()}
+    for channel, size in sizes.items():
+        scale = scale_of_size(size, channel)
+        if scale is not None:
+            what = "its samples are {:.3g} s apart" if channel == "t" else f"it reaches {{:.3g}} {UNITS[channel]}"
+            column = recording.column(channel)
+            yield (
+                f"{channel} (column {column.column!r}): {what.format(size)}, more than the {MOST[channel]:g} "
+                f"{UNITS[channel]} of any rig of this kind; scale = {column.scale * scale:g} would make it plausible"
+            )
+
+
+def _convert(column: Column, raw: FloatArray) -> FloatArray:
+    if column == Column(column=column.column):
+        return raw  # to the bit
+    return np.array([column.convert(value) for value in raw.tolist()])
+
+
+def _check_time(table: Table, recording: Recording, time_s: FloatArray) -> FloatArray:
+    """Steps of t, shape (rows - 1,)."""
+    name = recording.column("t").column
+    if table.rows < 2:
+        raise DataError(f"{table.path} has one row", remedy="T_s needs two at least")
+    steps = np.diff(time_s)
+    median_s = float(np.median(steps))
+    torn = np.flatnonzero(steps > LARGEST_GAP * median_s) if median_s > 0.0 else np.zeros(0, dtype=int)
+    if torn.size:
+        row = int(torn[0]) + 1
+        raise DataError(
+            f"{table.path}, {table.place(row)}: {name} jumps by {steps[row - 1]:.3g} s, {LARGEST_GAP} samples and more",
+            remedy="Split the file there, or correct the cell",
+        )
+    bad = np.flatnonzero(steps <= 0.0)
+    if bad.size:
+        row = int(bad[0]) + 1
+        raise DataError(
+            f"{table.path}, {table.place(row)}: {name} = {table.cell(name, row)} does not come after "
+            f"{table.cell(name, row - 1)}",
+            remedy="Time must rise from row to row: sort the rows, or split the file where it starts again",
+        )
+    return steps
+
+
+def _round(step_s: float) -> float:
+    """Nine digits: 0.002 computed as a difference of large times is 0.00200000000018."""
+    return float(f"{step_s:.6g}") if abs(float(f"{step_s:.6g}") - step_s) < 1e-6 * step_s else step_s
+
+
+def _write(
+    writer: LogWriter,
+    prefix: str,
+    report: ImportReport,
+    recording: Recording,
+    campaign: Campaign | None,
+    time_s: FloatArray,
+    ticks_per_step: np.ndarray[tuple[int], np.dtype[np.int_]],
+    values: Mapping[Channel, FloatArray],
+) -> None:
+    shift_s = min(0.0, float(time_s[0]))  # log time is unsigned
+    closed = recording.kind in ("closed-loop", "equilibria")
+    parameters = _parameters(report, recording, campaign)
+    parameters.host_time_ns = round((float(time_s[0]) - shift_s) * 1e9)
+    writer.write(f"{prefix}/parameters", parameters.SerializeToString(), parameters.host_time_ns)
+    mode = pb.MODE_CLOSED_LOOP if closed else pb.MODE_OPEN_LOOP
+    columns = [(_FIELDS[channel], column.tolist()) for channel, column in values.items()]
+    in_time = recording.kind != "equilibria"
+    tick = 0
+    for row, at_s in enumerate(time_s.tolist()):
+        step = int(ticks_per_step[row - 1]) if row else 1
+        tick += step if row else 0
+        time_ns = round((at_s - shift_s) * 1e9)
+        state = pb.State(
+            sequence=tick & 0xFFFF,
+            tick=tick,
+            session=1 if in_time else row + 1,
+            host_time_ns=time_ns,
+            mode=mode,
+            t_s=at_s,
+            lost_before=step - 1,
+        )
+        for field, column in columns:
+            setattr(state, field, column[row])
+        writer.write(f"{prefix}/state", state.SerializeToString(), time_ns)
+
+
+def _parameters(report: ImportReport, recording: Recording, campaign: Campaign | None) -> pb.Parameters:
+    """What is known; the rest stays 0, which for limits and converters means unknown."""
+    parameters = pb.Parameters(session=1, firmware="import", sample_time_s=report.sample_time_s, stream_divider=1)
+    if campaign is not None:
+        parameters.x_ref_max_m = campaign.plant.travel_m
+        if campaign.controller is not None and recording.kind == "closed-loop":
+            point = campaign.controller.operating_point
+            parameters.law = pb.LAW_PID if campaign.controller.kind == "pid" else pb.LAW_LQI
+            parameters.gains.extend(campaign.controller.gains)
+            parameters.i_0_a, parameters.x_0_m, parameters.u_0_v = point.i_c_a, point.x_m, point.u_c_v
+    return parameters
+
+
+def _provenance(report: ImportReport, recording: Recording, campaign: Campaign | None) -> dict[str, dict[str, str]]:
+    mapped: tuple[Channel, ...] = ("t", *report.channels)
+    columns = {channel: asdict(recording.column(channel)) for channel in mapped}
+    provenance = {
+        "import": {
+            "file": report.source.name,
+            "sha256": hashlib.sha256(report.source.read_bytes()).hexdigest(),
+            "kind": recording.kind,
+            "use": recording.use,
+            "skip_s": repr(recording.skip_s),
+            "columns": json.dumps(columns),
+            "sample_time_s": repr(report.sample_time_s),
+            "samples_missing": str(report.samples_missing),
+            "irregular_steps": str(report.irregular_steps),
+        }
+    }
+    if campaign is not None:
+        provenance["plant"] = {name: str(value) for name, value in asdict(campaign.plant).items()}
+    return provenance

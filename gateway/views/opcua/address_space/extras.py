@@ -1,0 +1,63 @@
+"""What the views know of a board beyond its topics: is the link live, which alarms, who commanded last."""
+
+from __future__ import annotations
+
+from asyncua import ua
+
+from gateway.views.feed import BoardFeed
+from gateway.views.opcua.address_space import quality
+from gateway.views.opcua.address_space.values import Value, data_value
+
+_V = ua.VariantType
+# Path, type, whether an array, what it is.
+EXTRAS: tuple[tuple[str, ua.VariantType, bool, str], ...] = (
+    ("link/state", _V.String, False, "live, or why not: silent, absent, handshake, connecting, no-gateway"),
+    ("link/reason", _V.String, False, "a sentence; empty where live"),
+    ("alarms/active", _V.UInt32, False, "conditions that hold now"),
+    ("alarms/unacknowledged", _V.UInt32, False, "that nobody has seen yet"),
+    ("alarms/list", _V.String, True, "name, severity, state, text of each; the most urgent first"),
+    ("last_command/who", _V.String, False, "of the newest command to this board, by whichever way it came"),
+    ("last_command/what", _V.String, False, "its kind"),
+    ("last_command/accepted", _V.Boolean, False, "whether it was"),
+    ("last_command/reason", _V.String, False, "why it was refused, kebab-case"),
+    ("last_command/text", _V.String, False, "why it was refused, a sentence"),
+)
+
+
+def extra(feed: BoardFeed, path: str) -> object:
+    """The value of now; None where there is none."""
+    match path:
+        case "link/state":
+            return feed.link().state
+        case "link/reason":
+            return feed.link().reason
+        case "alarms/active":
+            return sum(alarm.active for alarm in feed.alarms())
+        case "alarms/unacknowledged":
+            return sum(not alarm.acknowledged for alarm in feed.alarms())
+        case "alarms/list":
+            return [
+                f"{a.name}: {a.severity}, {'active' if a.active else 'gone'},"
+                f" {'acknowledged' if a.acknowledged else 'not acknowledged'}: {a.text}"
+                for a in feed.alarms()
+            ]
+    records = feed.commands()
+    if not records:
+        return None
+    record = records[-1]
+    return {
+        "who": record.command.who,
+        "what": record.command.WhichOneof("what") or "",
+        "accepted": record.reply.accepted,
+        "reason": record.reply.reason,
+        "text": record.reply.text,
+    }[path.partition("/")[2]]
+
+
+def extra_value(feed: BoardFeed, path: str, variant: ua.VariantType, now_ns: int) -> Value:
+    """With its time: of a command, when it was answered; else now, when it is judged."""
+    value = extra(feed, path)
+    if path.startswith("last_command/"):
+        records = feed.commands()
+        now_ns = records[-1].answered_ns if records else 0
+    return data_value(value, variant, quality.GOOD if value is not None else quality.WAITING, now_ns)

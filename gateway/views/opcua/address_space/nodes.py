@@ -1,0 +1,300 @@
+"""One board's nodes, kept up to date from its feed.
+
+Rule 1: a value that nobody subscribes to is made when it is read; only subscribed ones are made at the rate.
+Rule 2: each interval reaches each subscriber, in order, also when this process was late: the feed keeps the bins.
+Rule 3: a status is judged at the moment of reading or sending, never stored.  After an outage it is good again with the
+        first interval since, not with the first sample: until then the value is the one from before.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from asyncua import ua
+from asyncua.server.internal_server import InternalServer
+
+from gateway.views.bins import Tap
+from gateway.views.decimate import Bin
+from gateway.views.feed import BoardFeed
+from gateway.views.opcua.address_space import quality
+from gateway.views.opcua.address_space.build import READ, WRITE, Builder, analog
+from gateway.views.opcua.address_space.clock import StampClock
+from gateway.views.opcua.address_space.extras import EXTRAS, extra, extra_value
+from gateway.views.opcua.address_space.history import RingHistory, Track
+from gateway.views.opcua.address_space.model import TICK_TOPICS, TOPICS, Argument, Leaf, leaves, methods
+from gateway.views.opcua.address_space.ranges import RANGED, ranges
+from gateway.views.opcua.address_space.units import unit_of
+from gateway.views.opcua.address_space.values import Value, data_value
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+
+VALUE = ua.AttributeIds.Value
+_TAPPED = {"state": pb.State, "twin/state": pb.TwinState, "twin/divergence": pb.Divergence}
+_V = ua.VariantType
+OUTPUTS = (
+    Argument(name="accepted", variant=_V.Boolean, is_array=False, about=""),
+    Argument(name="reason", variant=_V.String, is_array=False, about="kebab-case, stable; empty where accepted"),
+    Argument(name="text", variant=_V.String, is_array=False, about="a sentence for people"),
+    Argument(name="tick", variant=_V.UInt64, is_array=False, about="from which it is in force"),
+)
+
+
+@dataclass(slots=True)
+class _Node:
+    """A leaf in the address space."""
+
+    leaf: Leaf
+    attribute: Any  # asyncua's AttributeValue: its datachange_callbacks are the subscribers
+
+
+class BoardNodes:
+    """The nodes of one board.
+
+    Args:
+        server: asyncua's.
+        builder: of the site's namespace.
+        parent: object under which the board comes.
+        feed: of this board.
+        rate_hz: intervals per second.
+        history: where the tracks are kept.
+        history_s: how far they go back.
+    """
+
+    def __init__(
+        self,
+        server: InternalServer,
+        builder: Builder,
+        parent: ua.NodeId,
+        feed: BoardFeed,
+        *,
+        rate_hz: float,
+        history: RingHistory,
+        history_s: float,
+    ) -> None:
+        self.feed = feed
+        self.name = feed.name
+        self._server, self._builder = server, builder
+        self._clock = StampClock()
+        self._taps: dict[str, Tap] = {
+            topic: feed.tap(message, width_s=1.0 / rate_hz) for topic, message in _TAPPED.items()
+        }
+        self._bins: dict[str, Bin] = {}
+        self._outlived: set[str] = set()  # topics whose bin is from before an outage
+        self._stamps_ns: dict[str, int] = {}
+        self._seen: dict[str, tuple[object, int]] = {}  # what was sent last: message, status
+        self._nodes: dict[str, list[_Node]] = {topic: [] for topic in TOPICS}
+        self._extras: dict[str, tuple[Any, object]] = {}
+        self._tracks: dict[str, Track] = {}
+        self._ranges_of: pb.Parameters | None = None
+        rows = max(2, round(history_s * rate_hz))
+        self.object = builder.folder(parent, self.name, "one rig", events=True)
+        self._build(history, rows, 1000.0 / rate_hz)
+
+    # -- building
+
+    def _build(self, history: RingHistory, rows: int, interval_ms: float) -> None:
+        places: dict[str, ua.NodeId] = {"": self.object}
+
+        def place(path: str, about: str) -> ua.NodeId:
+            if path not in places:
+                above, _, _ = path.rpartition("/")
+                places[path] = self._builder.folder(place(above, ""), f"{self.name}/{path}", about)
+            return places[path]
+
+        for topic in TOPICS:
+            above = place(topic, topics.BY_NAME[topic].about)
+            columns = [leaf for leaf in leaves() if leaf.topic == topic and leaf.statistic is not None]
+            track = self._tracks[topic] = Track(len(columns), rows) if columns else Track(0, 1)
+            for leaf in (leaf for leaf in leaves() if leaf.topic == topic):
+                base = self._builder.id(f"{self.name}/{leaf.path.rpartition('/')[0]}")
+                parent = base if leaf.statistic in ("low", "high") else above
+                node = self._builder.leaf(
+                    parent, self.name, leaf, history=leaf.statistic is not None, min_sampling_ms=interval_ms
+                )
+                if leaf.statistic is not None:
+                    history.add(node, track, columns.index(leaf))
+                self._nodes[topic].append(_Node(leaf, self._serve(node, self._reader(leaf))))
+        for path, variant, is_array, about in EXTRAS:
+            folder, _, _ = path.partition("/")
+            node = self._builder.variable(
+                place(folder, ""), f"{self.name}/{path}", variant, about, is_array=is_array, access=READ
+            )
+            self._extras[path] = (self._serve(node, self._extra_reader(path, variant)), None)
+        for path, field, about in (
+            ("setpoint/x_ref_m", "x_ref_m", "write: a new reference, through the gateway's limits"),
+            ("setpoint/mode", "mode", "write: 0 idle (coil off), 1 open loop, 2 closed loop"),
+        ):
+            self._build_setpoint(place("setpoint", "write here"), path, field, about)
+        for method in methods():
+            self._builder.method(self.object, f"{self.name}/{method.name}", "", method.arguments, OUTPUTS)
+
+    def _build_setpoint(self, parent: ua.NodeId, path: str, field: str, about: str) -> None:
+        leaf = next(leaf for leaf in leaves() if leaf.path == f"state/{field}")
+        unit = unit_of(field)
+        node = self._builder.variable(
+            parent,
+            f"{self.name}/{path}",
+            leaf.variant,
+            about,
+            access=READ | WRITE,
+            kind=analog(path) if unit is not None else ua.ObjectIds.BaseDataVariableType,
+        )
+        if unit is not None:
+            self._builder.unit(node, f"{self.name}/{path}", unit, ranged=path in RANGED)
+        self._nodes["state"].append(_Node(leaf, self._serve(node, self._reader(leaf))))
+
+    def _serve(self, node: ua.NodeId, read: Callable[[], Value]) -> Any:
+        self._server.set_attribute_value_callback(node, lambda _node, _attribute: read())
+        return self._server.aspace[node].attributes[VALUE]
+
+    # -- reading
+
+    def _reader(self, leaf: Leaf) -> Callable[[], Value]:
+        if leaf.statistic is not None:
+            return lambda: self._value_of_bin(leaf, self._bins.get(leaf.topic), self._status(leaf.topic))
+        return lambda: self._value_of_message(leaf, self._status(leaf.topic))
+
+    def _extra_reader(self, path: str, variant: ua.VariantType) -> Callable[[], Value]:
+        return lambda: extra_value(self.feed, path, variant, time.time_ns())
+
+    def _status(self, topic: str) -> int:
+        """Of everything of a topic, now."""
+        status = self._judged(topic)
+        return quality.STALE if topic in self._outlived and not quality.is_down(status) else status
+
+    def _judged(self, topic: str) -> int:
+        feed = self.feed
+        message = topics.BY_NAME[topic].message
+        if feed.latest(message) is None:
+            return quality.WAITING
+        if topic == "state":
+            return quality.of_board(feed.link())
+        if topic.startswith("twin/"):
+            twin = feed.latest(pb.TwinState)
+            if twin is None:
+                return quality.WAITING
+            return quality.of_twin(feed.age_s(pb.TwinState), twin.sync if topic != "twin/model" else "in-step")
+        link, age_s = feed.link(), feed.age_s(pb.Status)
+        if topic == "parameters" and link.state in ("absent", "no-gateway"):
+            return quality.STALE
+        return quality.of_gateway(link, age_s)
+
+    def _value_of_bin(self, leaf: Leaf, shown: Bin | None, status: int) -> Value:
+        if shown is None:
+            return data_value(None, leaf.variant, quality.WAITING if not quality.is_bad(status) else status, 0)
+        value = {"low": shown.low, "high": shown.high}.get(leaf.statistic or "", shown.last)[leaf.field]
+        return data_value(value, leaf.variant, self._status_of(leaf, shown, status), self._stamps_ns[leaf.topic])
+
+    def _status_of(self, leaf: Leaf, shown: Bin, status: int) -> int:
+        if isinstance(shown.message, pb.State):
+            status = quality.of_signal(status, leaf, shown.message.flags, sensor_fault=self._sensor_fault())
+        return quality.of_extreme(status, leaf.statistic, shown.lost)
+
+    def _sensor_fault(self) -> bool:
+        return self.feed.fault() == "sensor-fault"
+
+    def _value_of_message(self, leaf: Leaf, status: int) -> Value:
+        shown = self._bins.get(leaf.topic)  # of the values beside it, not a newer one: they belong together
+        message: Any = self.feed.latest(leaf.message) if shown is None else shown.message
+        if message is None:
+            return data_value(None, leaf.variant, quality.WAITING, 0)
+        value: Any = message
+        for name in leaf.field.split("."):
+            value = getattr(value, name)
+        if leaf.is_array:
+            value = [f"{k}={v}" for k, v in value.items()] if leaf.variant is _V.String else list(value)
+        if leaf.topic == "state":
+            status = quality.of_signal(status, leaf, message.flags, sensor_fault=self._sensor_fault())
+            value = None if _is_absent(message, leaf.field) else value
+        stamp_ns = getattr(message, "host_time_ns", 0) if shown is None else self._stamps_ns[leaf.topic]
+        return data_value(value, leaf.variant, status, stamp_ns)
+
+    # -- updating
+
+    async def update(self) -> None:
+        """Send what has changed since the last call to whoever subscribed it, and keep history."""
+        self._update_ranges()
+        for topic in TICK_TOPICS:
+            down = quality.is_down(self._judged(topic))
+            bins = self._taps[topic].take(unfinished=down)
+            if down:
+                self._outlived.add(topic)
+            elif bins:
+                self._outlived.discard(topic)
+            status = self._status(topic)
+            for taken in bins:
+                await self._interval(topic, taken, status)
+                # Many have gathered where this process was held up: clients are answered meanwhile.
+                await asyncio.sleep(0)
+            if not bins and topic in self._bins and self._seen.get(topic, (None, status))[1] != status:
+                await self._interval(topic, self._bins[topic], status, again=True)  # its status has changed
+            self._seen[topic] = (None, status)
+        for topic in TOPICS[len(TICK_TOPICS) :]:
+            message, status = self.feed.latest(topics.BY_NAME[topic].message), self._status(topic)
+            if self._seen.get(topic) != (id(message), status):
+                self._seen[topic] = (id(message), status)
+                await self._send_messages(topic, status)
+        await self._update_extras()
+
+    async def _interval(self, topic: str, taken: Bin, status: int, *, again: bool = False) -> None:
+        self._bins[topic] = taken
+        if not again:
+            self._stamps_ns[topic] = self._stamp(topic, taken)
+        values, codes = list[float](), list[int]()
+        for node in self._nodes[topic]:
+            leaf = node.leaf
+            if leaf.statistic is not None and len(values) < self._tracks[topic].columns:
+                source = {"low": taken.low, "high": taken.high}.get(leaf.statistic, taken.last)
+                value = source[leaf.field]
+                values.append(value)
+                code = self._status_of(leaf, taken, status)
+                codes.append(quality.UNAVAILABLE if value != value and not quality.is_bad(code) else code)
+            if node.attribute.datachange_callbacks:
+                if leaf.statistic is not None:
+                    await _tell(node.attribute, self._value_of_bin(leaf, taken, status))
+                else:
+                    await _tell(node.attribute, self._value_of_message(leaf, status))
+        stamp_ns = self._stamps_ns[topic] + (1000 if again else 0)
+        self._tracks[topic].append(stamp_ns, values, codes)
+
+    def _stamp(self, topic: str, taken: Bin) -> int:
+        if topic == "state":
+            return self._clock.stamp(session=taken.session, t_s=taken.t_s, host_time_ns=taken.host_time_ns)
+        return max(self._clock.place(taken.t_s), self._stamps_ns.get(topic, 0) + 1000)
+
+    async def _send_messages(self, topic: str, status: int) -> None:
+        for node in self._nodes[topic]:
+            if node.attribute.datachange_callbacks:
+                await _tell(node.attribute, self._value_of_message(node.leaf, status))
+
+    async def _update_extras(self) -> None:
+        for path, (attribute, sent) in self._extras.items():
+            if attribute.datachange_callbacks:
+                value = extra(self.feed, path)
+                if value != sent:
+                    self._extras[path] = (attribute, value)
+                    await _tell(attribute, attribute.value_callback(None, VALUE))
+
+    def _update_ranges(self) -> None:
+        parameters = self.feed.latest(pb.Parameters)
+        if parameters is None or parameters is self._ranges_of:
+            return
+        self._ranges_of = parameters
+        for path, (low, high) in ranges(parameters).items():
+            node = self._builder.id(f"{self.name}/{path}/EURange")
+            held = self._server.aspace[node].attributes[VALUE]
+            held.value = Value(Value=ua.Variant(ua.Range(Low=low, High=high), _V.ExtensionObject))
+
+
+async def _tell(attribute: Any, value: Value) -> None:
+    for handle, callback in list(attribute.datachange_callbacks.items()):
+        await callback(handle, value)
+
+
+def _is_absent(message: Any, field: str) -> bool:
+    descriptor = message.DESCRIPTOR.fields_by_name[field]
+    return bool(descriptor.has_presence) and not message.HasField(field)

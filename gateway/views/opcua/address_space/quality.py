@@ -1,0 +1,90 @@
+"""Status codes that tell the truth about a value.  Pure.
+
+| what is known | status |
+|---|---|
+| samples come | Good |
+| nothing of this kind came yet | BadWaitingForInitialData |
+| the board fell silent, is being called again | UncertainLastUsableValue, with the last value |
+| no port, no gateway | BadNoCommunication |
+| position fault of the board | BadSensorFailure (x_m) |
+| a converter at its end: the value is clipped | UncertainSensorNotAccurate (x_m, i_c_a) |
+| samples lost within the interval: a spike may be missing | UncertainSubNormal (min, max) |
+| twin settling or out of step | UncertainSubNormal |
+| twin gone | UncertainLastUsableValue, after TWIN_GONE_S BadNoCommunication |
+| a figure that does not exist (NaN, absent) | BadDataUnavailable |
+"""
+
+from __future__ import annotations
+
+from asyncua import ua
+
+from gateway.views.feed import Link
+from gateway.views.opcua.address_space.model import Leaf, Statistic
+from protocol.wire.messages import Flag
+
+S = ua.StatusCodes
+GOOD: int = S.Good
+WAITING: int = S.BadWaitingForInitialData
+STALE: int = S.UncertainLastUsableValue
+NO_COMMUNICATION: int = S.BadNoCommunication
+UNAVAILABLE: int = S.BadDataUnavailable
+SUBNORMAL: int = S.UncertainSubNormal
+CLIPPED: int = S.UncertainSensorNotAccurate
+SENSOR_FAILURE: int = S.BadSensorFailure
+
+TWIN_STALE_S = 0.5
+TWIN_GONE_S = 5.0
+STATUS_STALE_S = 3.5  # published once a second
+_SOFT = frozenset({"silent", "handshake", "connecting", "streaming"})  # the gateway is there and tries
+
+
+def is_bad(code: int) -> bool:
+    """Whether a value with this status is not to be used at all."""
+    return code >= 0x80000000
+
+
+def is_down(code: int) -> bool:
+    """Whether nothing new comes, as a topic's status says it."""
+    return code not in (GOOD, SUBNORMAL)
+
+
+def of_board(link: Link) -> int:
+    """Of what the board itself says: `state`."""
+    if link.live:
+        return GOOD
+    return STALE if link.state in _SOFT else NO_COMMUNICATION
+
+
+def of_gateway(link: Link, status_age_s: float) -> int:
+    """Of what the gateway says about a board, whether or not that board is there: `status`."""
+    if status_age_s > STATUS_STALE_S:
+        return NO_COMMUNICATION if link.state == "no-gateway" else STALE
+    return GOOD
+
+
+def of_twin(age_s: float, sync: str) -> int:
+    """Of `twin/state` and `twin/divergence`."""
+    if age_s > TWIN_GONE_S:
+        return NO_COMMUNICATION
+    if age_s > TWIN_STALE_S:
+        return STALE
+    return GOOD if sync == "in-step" else SUBNORMAL
+
+
+def of_signal(base: int, leaf: Leaf, flags: int, *, sensor_fault: bool) -> int:
+    """Of one signal of `state`, given the board's."""
+    if base != GOOD:
+        return base
+    if leaf.field == "x_m":
+        if sensor_fault:
+            return SENSOR_FAILURE
+        if flags & Flag.POSITION_RANGE:
+            return CLIPPED
+    if leaf.field == "i_c_a" and flags & Flag.CURRENT_RANGE:
+        return CLIPPED
+    return base
+
+
+def of_extreme(base: int, statistic: Statistic | None, lost: int) -> int:
+    """Of a lowest or highest value over an interval in which samples were lost."""
+    return SUBNORMAL if base == GOOD and lost and statistic in ("low", "high") else base

@@ -1,0 +1,49 @@
+"""Which timestamps a client gets: those that it asked for (TimestampsToReturn of Part 4, 7.40), and no others.  Pure.
+
+Source: when the sample was made.  Server: when this server looked at the value, or took it into its history.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from asyncua import ua
+from asyncua.common.utils import ServiceError
+
+from gateway.views.opcua.address_space.values import Value
+
+T = ua.TimestampsToReturn
+
+
+def check(asked: ua.TimestampsToReturn, *, of_history: bool = False) -> None:
+    """Whether that can be asked for; a history without time stamps is none (Part 11, 6.4.2).
+
+    Raises:
+        ServiceError: BadTimestampsToReturnInvalid.
+    """
+    if asked not in (T.Source, T.Server, T.Both) and (of_history or asked != T.Neither):
+        raise ServiceError(ua.StatusCodes.BadTimestampsToReturnInvalid)
+
+
+def stamped(
+    value: ua.DataValue, asked: ua.TimestampsToReturn, served: datetime | None, *, of_value: bool = True
+) -> ua.DataValue:
+    """`value` with what was asked for.
+
+    Args:
+        value: as it is kept; not changed.
+        asked: by the client.
+        served: the server's timestamp.
+        of_value: of the attribute Value; the others have no source.
+    """
+    source = value.SourceTimestamp if of_value and asked in (T.Source, T.Both) else None
+    server = served if asked in (T.Server, T.Both) else None
+    if source is value.SourceTimestamp and server is value.ServerTimestamp:
+        return value
+    return Value(
+        Value=value.Value,
+        StatusCode=value.StatusCode,
+        SourceTimestamp=source,
+        SourcePicoseconds=value.SourcePicoseconds if source is not None else None,
+        ServerTimestamp=server,
+    )

@@ -1,0 +1,145 @@
+"""Writes and method calls as commands of the bus, and what became of them as status codes.
+
+Rule 1: the same way as everybody's: feed.command, so the gateway's limits, its log and its record of who apply.
+Rule 2: rights are those of the table in gateway/access/roles.py, whoever looks them up.
+Rule 3: every refusal has a status code and, as output of the method and under last_command, its reason in words.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from asyncua import ua
+
+from gateway.access.roles import Role, may, refusal_text
+from gateway.views.feed import Feed
+from gateway.views.opcua.address_space.model import Method
+from protocol.bus import board51_pb2 as pb
+
+S = ua.StatusCodes
+TIMEOUT_S = 5.0
+_NULLABLE = (ua.VariantType.String, ua.VariantType.LocalizedText)
+SETPOINTS = {"x_ref_m": ua.VariantType.Double, "mode": ua.VariantType.UInt32}  # what may be written, and its type
+_CODES: dict[str, int] = {
+    "not-allowed": S.BadUserAccessDenied,
+    "out-of-range": S.BadOutOfRange,
+    "not-finite": S.BadOutOfRange,
+    "slew": S.BadOutOfRange,
+    "wrong-mode": S.BadInvalidState,
+    "fault-active": S.BadInvalidState,
+    "busy": S.BadInvalidState,
+    "no-session": S.BadInvalidState,
+    "not-available": S.BadInvalidState,
+    "not-fresh": S.BadInvalidTimestamp,
+    "internal-error": S.BadInternalError,
+    "flood": S.BadTooManyOperations,
+    "queue-full": S.BadTooManyOperations,
+    "not-delivered": S.BadNoCommunication,
+    "link-down": S.BadNoCommunication,
+    "disconnected": S.BadNoCommunication,
+    "timed-out": S.BadTimeout,
+    "superseded-by-stop": S.BadOperationAbandoned,
+    "board-reset": S.BadOperationAbandoned,
+    "malformed": S.BadInvalidArgument,
+    "oversize": S.BadInvalidArgument,
+    "no-alarm": S.BadConditionBranchAlreadyAcked,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Visitor:
+    """Who is at the other end of a session."""
+
+    name: str
+    role: Role
+
+
+NOBODY = Visitor(name="anonymous", role=Role.VIEWER)
+
+
+def code_of(reply: pb.CommandReply) -> int:
+    """The status code of a reply; a reason that is not in the table is still a refusal."""
+    if reply.accepted:
+        return int(S.Good)
+    return int(_CODES.get(reply.reason, S.BadRequestNotAllowed))
+
+
+class Desk:
+    """Sends the commands of all sessions."""
+
+    def __init__(self, feed: Feed) -> None:
+        self._feed = feed
+
+    async def command(self, visitor: Visitor, board: str, act: str, command: pb.Command) -> pb.CommandReply:
+        """What became of it.
+
+        A visitor without the right is refused here; on a guarded bus by the gateway, whose log then has the attempt.
+        STOP is a right of viewers who have logged in: who came in without a name, to look, is refused here always.
+        """
+        if (visitor.name, visitor.role) == (NOBODY.name, NOBODY.role):
+            text = "Whoever has not logged in only looks: log in, or let --anonymous say more."
+            return pb.CommandReply(id=command.id, refused_by="gateway", reason="not-allowed", text=text)
+        if not self._feed.guarded and not may(visitor.role, act):
+            text = refusal_text(visitor.name, visitor.role, act)
+            return pb.CommandReply(id=command.id, refused_by="gateway", reason="not-allowed", text=text)
+        who, role = visitor.name, visitor.role.word
+        if act == "acknowledge" and may(visitor.role, act):  # it may count without a gateway, too
+            seen = command.acknowledge
+            return await asyncio.to_thread(
+                self._feed.acknowledge, board, seen.alarm, who=who, role=role, comment=seen.comment
+            )
+        return await asyncio.to_thread(self._feed.command, board, command, who=who, role=role, timeout_s=TIMEOUT_S)
+
+
+def written(field: str, value: ua.DataValue) -> tuple[str, pb.Command] | int:
+    """(act, command) of a value written to a setpoint, or the status code that says why it is none."""
+    if value.StatusCode is not None and not value.StatusCode.is_good():
+        return int(S.BadWriteNotSupported)
+    if value.Value is None or not is_of(value.Value, SETPOINTS[field], is_array=False):
+        return int(S.BadTypeMismatch)
+    number = value.Value.Value
+    if field == "x_ref_m":
+        if not math.isfinite(number):
+            return int(S.BadOutOfRange)
+        return "set_reference", pb.Command(set_reference=pb.SetReference(x_ref_m=number))
+    if number not in pb.Mode.values():
+        return int(S.BadOutOfRange)
+    return "set_mode", pb.Command(set_mode=pb.SetMode(mode=number))
+
+
+def called(method: Method, inputs: list[ua.Variant]) -> pb.Command | tuple[int, list[int]]:
+    """The command of a call, or (status code, one code per argument) that say why it is none."""
+    wanted = method.arguments
+    if len(inputs) != len(wanted):
+        return int(S.BadArgumentsMissing if len(inputs) < len(wanted) else S.BadTooManyArguments), []
+    command = pb.Command()
+    what: Any = getattr(command, method.act)
+    what.SetInParent()
+    codes: list[int] = []
+    for argument, given in zip(wanted, inputs, strict=True):
+        code = int(S.Good) if is_of(given, argument.variant, is_array=argument.is_array) else int(S.BadTypeMismatch)
+        if code == S.Good:
+            try:
+                if argument.is_array:
+                    getattr(what, argument.name).extend(given.Value)
+                elif given.Value is not None:  # a null string is OPC UA's way to leave it empty
+                    setattr(what, argument.name, given.Value)
+            except ValueError:
+                code = int(S.BadOutOfRange)
+        codes.append(code)
+    if any(code != S.Good for code in codes):
+        return int(S.BadInvalidArgument), codes
+    return command
+
+
+def is_of(given: ua.Variant, variant: ua.VariantType, *, is_array: bool) -> bool:
+    """Whether it is just of that type: a server converts nothing (Part 4, 5.11.4 and 5.12.2).
+
+    A Float that was meant as a Double is 3.0000000260770321e-3 m where the sender wrote 3 mm.
+    """
+    if given.Value is None:
+        return variant in _NULLABLE and given.VariantType in (variant, ua.VariantType.Null)
+    return given.VariantType is variant and isinstance(given.Value, list) == is_array and not given.Dimensions
