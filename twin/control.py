@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from protocol.bus import board51_pb2 as pb
-from twin import linear
 from twin.compiled import kernel
+from twin.model import linear
 from twin.model.parameters import Model
 
 SUM_COUNTS_MAX = (1 << 23) - 1  # the board's integrator is a saturating 24-bit integer (rule 9)

@@ -16,7 +16,7 @@ from protocol.campaign import load
 from tests.twin.diagnose.foreign import hall_campaign
 from tests.twin.diagnose.hidden_campaign import make_campaign
 from twin.diagnose.pipeline import diagnose
-from twin.diagnose.show import shown
+from twin.diagnose.residuals.summary import shown
 
 EFFECT = {"quadratic-drag": 1.0}
 SEED = 104

@@ -19,11 +19,11 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from tests.twin.identify.independent_plant import Ball, wandering
+from twin.estimation.prepare import prepare
+from twin.estimation.record import Record
 from twin.identify.fit import NAMES, Fit, Likelihood, fit
 from twin.identify.pipeline import _start, identify_records
-from twin.identify.prepare import prepare
-from twin.identify.record import Record
-from twin.identify.start import amplifier_start, ball_start
+from twin.identify.starting.regression import amplifier_start, ball_start
 
 FloatArray = NDArray[np.float64]
 TICKS = 10_000  # 20 s

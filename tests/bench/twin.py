@@ -22,7 +22,7 @@ from tests.twin.rig import T_S, Rig
 from twin.mirror.mirror import Mirror
 from twin.mirror.offline import run_log
 from twin.model.nominal import nominal
-from twin.recordings import TwinLog
+from twin.readers.log import TwinLog
 
 SAMPLES = 60_000  # two minutes of a board
 BASELINE_TICKS = 300

@@ -91,7 +91,7 @@ def flown_log(path: Path) -> None:
     """A log of two boards: one as the nominal model has it, one whose coil's plane is 2.44 mm higher."""
     # The log's writer is the product's: it is imported here, so that the list of cases needs nothing of `twin`.
     from protocol.bus import board51_pb2 as pb
-    from twin.recordings import TwinLog
+    from twin.readers.log import TwinLog
 
     held_m = 2.85e-3
     rigs = {"right": Rig(), "wrong": Rig(K_c=M * G / 120.364**2, gap_offset_m=2.4377e-3)}

@@ -15,7 +15,7 @@ from tests.gateway.views.bus_peers import played_gateway
 from tests.gateway.views.opcua_peers import Served, peer, until
 from tests.twin.rig import Rig
 from tests.twin.twin_bus import introduce_to
-from twin.mirror.service import TwinService
+from twin.mirror.bus.service import TwinService
 from twin.mirror.settings import Settings
 from twin.model.nominal import nominal
 

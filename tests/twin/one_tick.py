@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from twin.model.extended import I_C, Base, V, X
-from twin.simulate import PlantNumbers, hold, rig_at
+from twin.model.simulate import PlantNumbers, hold, rig_at
 
 
 def tick(plant: PlantNumbers, i: float, x: float, v: float, u: float) -> tuple[float, float, float]:

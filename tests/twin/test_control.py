@@ -11,7 +11,7 @@ from protocol.bus import board51_pb2 as pb
 from tests.twin.one_tick import tick
 from twin.control import LawNumbers, c2d, equilibrium, integral_behind, law, law_numbers, linearise
 from twin.model.nominal import nominal
-from twin.simulate import plant_numbers
+from twin.model.simulate import plant_numbers
 
 T_S = 2e-3
 

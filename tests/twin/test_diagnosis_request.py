@@ -8,8 +8,8 @@ from protocol.bus import board51_pb2 as pb
 from tests.twin.test_service_handover import alarms, ask, command, divergences, offset_rig, right_model
 from tests.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait_for_count
 from twin.commands import diagnose
-from twin.mirror.request import NAME, DiagnosisRequest
-from twin.mirror.service import TwinService
+from twin.mirror.bus.request import NAME, DiagnosisRequest
+from twin.mirror.bus.service import TwinService
 from twin.mirror.settings import Settings
 from twin.model.nominal import nominal
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from twin.identify.record import FloatArray
+from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import neutral
 from twin.model.causes.coulomb_friction import FORCE
 from twin.model.extended import FIELD, I_C, SENSOR, STATES, Base, V, X, advance

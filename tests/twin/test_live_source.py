@@ -18,7 +18,7 @@ from twin.live.folder import changes_of, controller_of, plant_of, write
 from twin.live.pieces import cut
 from twin.live.source import Heard, find_board, from_bus, from_log, open_client
 from twin.model.nominal import nominal
-from twin.recordings import TwinLog
+from twin.readers.log import TwinLog
 
 T_NS = 2_000_000
 GAINS = (0.49, 1700.0, 17.7, -17600.0)

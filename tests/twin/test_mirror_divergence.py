@@ -11,9 +11,10 @@ from scipy.stats import binom, chi2
 from protocol.bus import board51_pb2 as pb
 from tests.twin.rig import T_S, G, M, Rig
 from twin.control import law_numbers
-from twin.mirror.alarms import PLACES, TURNED_OFF, TURNED_ON, UNCHANGED, decide, message, white_threshold
-from twin.mirror.divergence import NIS, Comparison, figures, rolling_mean
-from twin.mirror.expected import (
+from twin.mirror.mirror import IN_STEP, Mirror
+from twin.mirror.monitor.alarms import PLACES, TURNED_OFF, TURNED_ON, UNCHANGED, decide, message, white_threshold
+from twin.mirror.monitor.divergence import NIS, Comparison, figures, rolling_mean
+from twin.mirror.monitor.expected import (
     ExpectedError,
     autocovariance,
     discrete_lyapunov,
@@ -21,7 +22,6 @@ from twin.mirror.expected import (
     toeplitz_eigenvalues,
     weighted_chi_square_quantile,
 )
-from twin.mirror.mirror import IN_STEP, Mirror
 from twin.mirror.output import Output
 from twin.mirror.settings import Settings
 from twin.model.nominal import nominal

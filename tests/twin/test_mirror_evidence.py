@@ -13,14 +13,14 @@ from tests.twin.rig import T_S, Rig
 from tests.twin.test_service_handover import alarms as alarms_on_bus
 from tests.twin.test_service_handover import divergences, offset_rig
 from tests.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait_for_count
+from twin.mirror.bus.request import NAME
+from twin.mirror.bus.service import TwinService
 from twin.mirror.mirror import IN_STEP, OUT_OF_STEP, Mirror
 from twin.mirror.offline import run_log
 from twin.mirror.output import Output
-from twin.mirror.request import NAME
-from twin.mirror.service import TwinService
 from twin.mirror.settings import Settings
 from twin.model.nominal import nominal
-from twin.recordings import TwinLog
+from twin.readers.log import TwinLog
 
 HELD = 2.85e-3
 ABOUT = ("innovation", "divergence-i_c")  # the integrator takes the ball to x_ref, so x is right all the same

@@ -17,7 +17,7 @@ from tests.twin.model.true_model import true_model
 from twin.mirror.mirror import Mirror
 from twin.mirror.output import Output
 from twin.model.parameters import Model
-from twin.simulate import hold, left_out, plant_numbers, rig_at
+from twin.model.simulate import hold, left_out, plant_numbers, rig_at
 
 GAINS = (0.49, 1700.0, 17.7, -17600.0)
 MIDDLE_M = 2.85e-3

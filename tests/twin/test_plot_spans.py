@@ -11,9 +11,9 @@ import pytest
 import board51
 from protocol.bus import board51_pb2 as pb
 from tests.twin.rig import Rig
-from twin.mirror.handover import believe
+from twin.mirror.bus.handover import believe
 from twin.model.nominal import nominal
-from twin.recordings import TwinLog
+from twin.readers.log import TwinLog
 
 HELD = 2.85e-3
 TICKS = 1500

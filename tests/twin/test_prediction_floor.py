@@ -11,15 +11,15 @@ import pytest
 from gateway.emulator.plant.effects import EFFECTS
 from tests.twin.diagnose.known_diagnosis import campaign, fit_of
 from tests.twin.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, strong
-from twin.diagnose.evidence import Evidence, gather
-from twin.diagnose.floor import Floor
-from twin.diagnose.measure import gain, predictions
-from twin.diagnose.models import model_of
-from twin.diagnose.playback import Converters
-from twin.diagnose.synthetic import Schedule, simulate
-from twin.diagnose.theta import FLOORS, Theta
+from twin.diagnose.evidence.gather import Evidence, gather
+from twin.diagnose.experiments.closed_loop import Converters
+from twin.diagnose.experiments.virtual_recordings import Schedule, simulate
+from twin.diagnose.inference.noise_floor import Floor
+from twin.diagnose.inference.theta import FLOORS, Theta
+from twin.diagnose.judge.prediction_gain import gain, predictions
+from twin.diagnose.report.model_file import model_of
+from twin.estimation.prediction_floor import floor_rmse
 from twin.model.causes.catalogue import CATALOGUE
-from twin.prediction_floor import floor_rmse
 from twin.validate.ball import _effective, multi_step
 from twin.validate.source import filtered, source_of
 

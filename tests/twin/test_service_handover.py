@@ -16,10 +16,10 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import zenoh_encoding
 from tests.twin.rig import TRAVEL, G, M, Rig
 from tests.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait, wait_for_count
-from twin.mirror.handover import MAX_PAYLOAD, believe
-from twin.mirror.service import TwinService
+from twin.mirror.bus.handover import MAX_PAYLOAD, believe
+from twin.mirror.bus.service import TwinService
+from twin.mirror.bus.watched import REPEAT_S
 from twin.mirror.settings import Settings
-from twin.mirror.watched import REPEAT_S
 from twin.model.nominal import nominal
 from twin.model.parameters import Model, model_to_dict
 

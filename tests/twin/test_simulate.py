@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 from tests.twin.one_tick import numbers, tick
 from twin.model.nominal import nominal
 from twin.model.parameters import Model
-from twin.simulate import PlantNumbers, plant_numbers
+from twin.model.simulate import PlantNumbers, plant_numbers
 
 T_S = 2e-3
 
@@ -162,7 +162,7 @@ import json
 from twin.model.nominal import nominal
 from twin.mirror.loop import advance
 from twin.control import LawNumbers
-from twin.simulate import plant_numbers, rig_at
+from twin.model.simulate import plant_numbers, rig_at
 p = plant_numbers(nominal(), 2e-3)
 c = tuple(LawNumbers(1.65, 0.49, 2.85e-3, 0.49, 1700.0, 0.0, 17.7, 17600.0, 0.0, 5.0, 1.0, 2e-3))
 memory = rig_at(p, i=0.0, x=0.0, v=0.0, u=0.0)

@@ -17,7 +17,7 @@ from tests.patience import HANG_S
 from tests.twin.rig import G, M, Rig
 from twin.model.nominal import nominal
 from twin.model.parameters import model_to_dict
-from twin.recordings import LogReader, TwinLog, parse
+from twin.readers.log import LogReader, TwinLog, parse
 
 HELD = 2.85e-3
 

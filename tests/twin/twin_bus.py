@@ -15,7 +15,7 @@ from protocol.bus import topics
 from protocol.bus.endpoint import zenoh_config
 from tests.patience import HANG_S
 from tests.twin.rig import Rig
-from twin.mirror.service import TwinService
+from twin.mirror.bus.service import TwinService
 
 
 def free_endpoint() -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from protocol.campaign import load
 from protocol.errors import DataError
-from twin.diagnose.budget import FULL, MILLION, QUICK
+from twin.diagnose.inference.budget import FULL, MILLION, QUICK
 from twin.live.shell import check_options, configure_live, give_to_twin, record_live
 
 
@@ -65,13 +65,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Diagnose, print, write."""
     # Imported here: --help must not wait for numba and scipy.
-    from twin.diagnose.given import check_plant
+    from twin.diagnose.equilibria.run import rests_alone, run_static
+    from twin.diagnose.judge.given_model import check_plant
     from twin.diagnose.pipeline import diagnose
-    from twin.diagnose.report import to_html
+    from twin.diagnose.report.page import to_html
+    from twin.diagnose.report.sentences import percent, sizes
+    from twin.diagnose.residuals.summary import shown, to_dict
     from twin.diagnose.result import to_json
-    from twin.diagnose.show import shown, to_dict
-    from twin.diagnose.static_shell import rests_alone, run_static
-    from twin.diagnose.words import percent, sizes
     from twin.model.parameters import load_model, model_to_dict
 
     began = time.monotonic()

@@ -21,9 +21,9 @@ from twin.model.nominal import SHIPPED
 from twin.model.parameters import Model
 
 if TYPE_CHECKING:
-    from twin.figure import Traces
     from twin.mirror.offline import BoardRun
     from twin.mirror.output import Output
+    from twin.mirror.plots.traces import Traces
 
 SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _draw(args: argparse.Namespace, board: str, trace: Traces, title: str, model: Model, settings: Settings) -> None:
-    from twin.figure import draw
+    from twin.mirror.plots.traces import draw
 
     trace.crop(args.from_s, args.to_s)
     if not trace.rows:
@@ -115,7 +115,7 @@ def _draw(args: argparse.Namespace, board: str, trace: Traces, title: str, model
 
 
 def _draw_spans(args: argparse.Namespace, board: str, trace: Traces, title: str, *, given: str) -> None:
-    from twin.figure_spans import Column, draw_spans
+    from twin.mirror.plots.spans import Column, draw_spans
 
     columns = []
     for begin, end, label in args.span:
@@ -131,7 +131,7 @@ def _draw_spans(args: argparse.Namespace, board: str, trace: Traces, title: str,
 
 def _model_at(path: Path, board: str, t_s: float) -> str:
     """What the log says the twin ran on at the end of a span; empty where it does not say."""
-    from twin.recordings import LogReader, parse
+    from twin.readers.log import LogReader, parse
 
     ran, now_s = "", -math.inf
     for entry in LogReader(path, topics=("state", "twin/model"), board=board):
@@ -146,7 +146,7 @@ def _model_at(path: Path, board: str, t_s: float) -> str:
 def _thresholds(path: Path, board: str, trace: Traces, model: Model, settings: Settings) -> tuple[float, float]:
     """(mean NIS, mean squared normalised error of x around the median reference); the latter NaN without parameters."""
     from twin.mirror.regime import Regime
-    from twin.recordings import LogReader, parse
+    from twin.readers.log import LogReader, parse
 
     sample_time_s = _sample_time(trace)
     entry = next(iter(LogReader(path, topics=("parameters",), board=board)), None)
@@ -164,8 +164,8 @@ def _sample_time(trace: Traces) -> float:
 
 
 def _from_run(path: Path, board: str | None, model: Model, settings: Settings) -> dict[str, Traces]:
-    from twin.figure import Traces
     from twin.mirror.offline import run_log
+    from twin.mirror.plots.traces import Traces
 
     traces: dict[str, Traces] = {}
 
@@ -180,8 +180,8 @@ def _from_run(path: Path, board: str | None, model: Model, settings: Settings) -
 
 def _from_topics(path: Path, board: str | None) -> dict[str, Traces]:
     """Match samples and answers by (session, tick); empty where a log has no twin topics."""
-    from twin.figure import Traces
-    from twin.recordings import LogReader, parse
+    from twin.mirror.plots.traces import Traces
+    from twin.readers.log import LogReader, parse
 
     states: dict[str, dict[tuple[int, int], pb.State]] = defaultdict(dict)
     twins: dict[str, dict[tuple[int, int], pb.TwinState]] = defaultdict(dict)

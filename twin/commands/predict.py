@@ -17,7 +17,7 @@ from protocol.campaign import Campaign, Recording, load
 from protocol.errors import DataError, UsageError
 
 if TYPE_CHECKING:
-    from twin.diagnose.predict import Prediction
+    from twin.diagnose.judge.predict import Prediction
     from twin.model.parameters import Model
 
 
@@ -46,10 +46,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Predict, write, print."""
     # Imported here: --help must not wait for numba and scipy.
-    from twin.diagnose.predict import predict
-    from twin.identify.reading import read_recording
+    from twin.diagnose.judge.predict import predict
     from twin.model.nominal import SHIPPED, nominal
     from twin.model.parameters import load_model
+    from twin.readers.campaign import read_recording
 
     if args.horizon < 1:
         raise UsageError(f"--horizon {args.horizon}", remedy="Give a number of samples from 1")

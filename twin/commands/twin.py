@@ -137,8 +137,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _hand_over(args: argparse.Namespace, endpoints: tuple[str, ...]) -> int:
-    from twin.mirror.client import hand_over
-    from twin.mirror.handover import MAX_WORD, believe
+    from twin.mirror.bus.client import hand_over
+    from twin.mirror.bus.handover import MAX_WORD, believe
 
     who = args.who or _login()
     for what, word in (("--who", who), ("--id", args.id)):
@@ -185,8 +185,8 @@ def _login() -> str:
 
 
 def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints: tuple[str, ...]) -> int:
-    from twin.mirror.service import TwinService
-    from twin.simulate import left_out
+    from twin.mirror.bus.service import TwinService
+    from twin.model.simulate import left_out
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     stop = threading.Event()
@@ -228,9 +228,9 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
 
 
 def _over_log(args: argparse.Namespace, model: Model, settings: Settings) -> int:
-    from twin.mirror.handover import believe
+    from twin.mirror.bus.handover import believe
     from twin.mirror.offline import run_log
-    from twin.simulate import left_out
+    from twin.model.simulate import left_out
 
     started = time.perf_counter()
     for line in left_out(model):

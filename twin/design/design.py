@@ -29,10 +29,10 @@ from twin.design.loop import (
 )
 from twin.design.margins import Margins, margins
 from twin.design.robust import Robustness, over_intervals, plant_at, stable_range_m
-from twin.linear import delay_s
 from twin.model.extension import sentences
+from twin.model.linear import delay_s
 from twin.model.parameters import Model
-from twin.simulate import left_out
+from twin.model.simulate import left_out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from protocol.errors import UsageError
 from twin.control import c2d, discrete, equilibrium, linearise
 from twin.design.loop import Gains, Plant, backward, closed_loop
-from twin.mirror.expected import discrete_lyapunov
+from twin.mirror.monitor.expected import discrete_lyapunov
 from twin.model.parameters import Model
 
 Law = Literal["lqi", "pid"]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
-from twin.mirror.expected import discrete_lyapunov
+from twin.mirror.monitor.expected import discrete_lyapunov
 
 Gains = tuple[float, float, float, float]  # [k_i, k_x, k_v, k_int] of the law u = -K [i, x, x', s]
 

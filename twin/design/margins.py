@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.design.loop import Controller, Plant, radius, seeing
-from twin.linear import late
+from twin.model.linear import late
 
 GAIN_MAX = 1000.0
 DELAY_MAX_TICKS = 25

@@ -20,28 +20,28 @@ import numpy as np
 
 from protocol.campaign import Campaign
 from protocol.errors import DataError
-from twin.diagnose.adequacy import adequate
-from twin.diagnose.answer import Asked, Say, Searched, testable_causes, timed, told
-from twin.diagnose.begin import no_better, start_theta
-from twin.diagnose.budget import FULL, KEPT, QUICK, Budget, Spent, millions
-from twin.diagnose.change import find_change
-from twin.diagnose.estimate import climb
-from twin.diagnose.evidence import Evidence, gather
-from twin.diagnose.floor import floor_of
-from twin.diagnose.forward import SHARE
-from twin.diagnose.given import check_plant
-from twin.diagnose.likelihood import Criterion
-from twin.diagnose.odd import Odd, odd_one
-from twin.diagnose.quick import shortened
+from twin.diagnose.assemble import Asked, Say, Searched, testable_causes, timed, told
+from twin.diagnose.checks.change_point import find_change
+from twin.diagnose.checks.outlier_recording import Odd, odd_one
+from twin.diagnose.evidence.gather import Evidence, gather
+from twin.diagnose.evidence.shorten import shortened
+from twin.diagnose.inference.adequacy import adequate
+from twin.diagnose.inference.budget import FULL, KEPT, QUICK, Budget, Spent, millions
+from twin.diagnose.inference.fisher_scoring import climb
+from twin.diagnose.inference.initial_guess import no_better, start_theta
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.noise_floor import floor_of
+from twin.diagnose.inference.theta import BASE, STOPS, Theta
+from twin.diagnose.judge.given_model import check_plant
 from twin.diagnose.result import Diagnosis
-from twin.diagnose.select import select
-from twin.diagnose.theta import BASE, STOPS, Theta
-from twin.identify.checks import inspect
-from twin.identify.dead import without_dead
-from twin.identify.innovations import FLIES, FOLLOWS
-from twin.identify.reading import read_campaign
-from twin.identify.record import Record
+from twin.diagnose.search.forward_step import SHARE
+from twin.diagnose.search.stepwise import select
+from twin.estimation.innovations import FLIES, FOLLOWS
+from twin.estimation.record import Record
+from twin.identify.checks.dead_channels import without_dead
+from twin.identify.checks.plausibility import inspect
 from twin.model.parameters import Model
+from twin.readers.campaign import read_campaign
 
 UNASKED = "--quick: not asked whether an effect begins or ends in the middle of the campaign"
 FLIGHT_LEAST_S = 2.0  # 120 time constants of the unstable pole
@@ -70,7 +70,7 @@ def diagnose(
         share: least part of what is left that a cause must explain; with a smaller one confidence is not calibrated.
         seed: of the bootstrap.
         workers: threads.
-        budget: filter steps, `budget.py`; default QUICK or FULL.
+        budget: filter steps, `twin/diagnose/inference/budget.py`; default QUICK or FULL.
         say: takes lines of progress, each with the share of the budget that is used.
 
     Raises:

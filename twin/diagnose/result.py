@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from twin.diagnose.account import Account, Verdict
-from twin.diagnose.budget import Budget
-from twin.diagnose.estimate import Fit
-from twin.diagnose.evidence import Evidence
-from twin.diagnose.floor import Floor
-from twin.diagnose.measure import Gain
-from twin.diagnose.selection import Selection
-from twin.diagnose.theta import Theta
+from twin.diagnose.evidence.gather import Evidence
+from twin.diagnose.inference.budget import Budget
+from twin.diagnose.inference.fisher_scoring import Fit
+from twin.diagnose.inference.noise_floor import Floor
+from twin.diagnose.inference.theta import Theta
+from twin.diagnose.judge.account import Account, Verdict
+from twin.diagnose.judge.prediction_gain import Gain
+from twin.diagnose.search.state import Selection
 from twin.model.parameters import Model, Parameter
 
 
@@ -80,7 +80,7 @@ class Trifle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnosis:
-    """Everything that was found; what `report.py` shows."""
+    """Everything that was found; what `twin/diagnose/report/page.py` shows."""
 
     verdict: Verdict
     sentence: str  # the answer, for people

@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from protocol.campaign import Plant
-from twin.identify.innovations import FOLLOWS, USE_I, USE_X, Series, information, run_filter, whiten
-from twin.identify.prepare import BLOCK_SAMPLES
-from twin.identify.record import FloatArray
-from twin.identify.transition import GAP_MIN_SHARE, Physics
+from twin.estimation.innovations import FOLLOWS, USE_I, USE_X, Series, information, run_filter, whiten
+from twin.estimation.prepare import BLOCK_SAMPLES
+from twin.estimation.record import FloatArray
+from twin.estimation.transition import GAP_MIN_SHARE, Physics
 
 PARAMETERS = ("K_A", "T_A", "K_c", "b")
 NOISES = ("sigma_i_c_a", "sigma_x_m", "process_i_c_a", "process_a_m_s2")

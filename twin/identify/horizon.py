@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from protocol.campaign import Campaign, Plant
 from twin.compiled import Packed, kernel
-from twin.identify.delay import delayed, input_delay
+from twin.estimation.innovations import FLIES, FOLLOWS, USE_X
+from twin.estimation.prepare import prepare
+from twin.estimation.record import Record
+from twin.estimation.transition import Physics, moments, transit
+from twin.identify.checks.input_delay import delayed, input_delay
 from twin.identify.fit import Likelihood, Point, physics
-from twin.identify.innovations import FLIES, FOLLOWS, USE_X
-from twin.identify.prepare import prepare
-from twin.identify.reading import read_campaign
-from twin.identify.record import Record
-from twin.identify.transition import Physics, moments, transit
+from twin.readers.campaign import read_campaign
 
 if TYPE_CHECKING:
     from twin.identify.pipeline import Identification

@@ -18,22 +18,22 @@ import numpy as np
 
 from protocol.campaign import Campaign
 from protocol.errors import DataError
+from twin.estimation.innovations import FLIES, USE_I, USE_X
+from twin.estimation.prepare import Usage, prepare
+from twin.estimation.record import Record
+from twin.estimation.whiteness import Whiteness, whiteness
 from twin.identify import verdicts
-from twin.identify.checks import inspect
-from twin.identify.dead import without_dead
-from twin.identify.delay import delayed, input_delay
+from twin.identify.checks.dead_channels import without_dead
+from twin.identify.checks.input_delay import delayed, input_delay
+from twin.identify.checks.plausibility import inspect
 from twin.identify.fit import FLOORS, NAMES, NOISES, PARAMETERS, Fit, Likelihood, Point, fit, gate, most_drag, sandwich
 from twin.identify.horizon import Horizon, horizons
-from twin.identify.innovations import FLIES, USE_I, USE_X
 from twin.identify.intervals import Interval, quadratic_or_profile
-from twin.identify.levels import Levels, Shape, find_levels, find_shape
-from twin.identify.liftoff import ForceConstant, equilibria, force_constant, lift_offs
-from twin.identify.prepare import Usage, prepare
-from twin.identify.reading import read_campaign
-from twin.identify.record import Record
-from twin.identify.start import AmplifierStart, BallStart, amplifier_start, ball_start
-from twin.identify.whiteness import Whiteness, whiteness
+from twin.identify.starting.levels import Levels, Shape, find_levels, find_shape
+from twin.identify.starting.liftoff import ForceConstant, equilibria, force_constant, lift_offs
+from twin.identify.starting.regression import AmplifierStart, BallStart, amplifier_start, ball_start
 from twin.model.parameters import Model, Parameter
+from twin.readers.campaign import read_campaign
 
 PARSIMONY = 2.0  # of log-likelihood: a process noise that gains less than that is not there
 # Of the travel: nearer to x_max, (3) changes by a fifth to a half over the error of one prediction (10 to 50 um).  The

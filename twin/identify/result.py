@@ -7,12 +7,12 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from protocol.campaign import Campaign
+from twin.estimation.prepare import Usage
+from twin.estimation.record import Record
+from twin.estimation.whiteness import Whiteness
 from twin.identify.fit import FLOORS, Fit
-from twin.identify.levels import Levels, Shape
-from twin.identify.liftoff import ForceConstant
-from twin.identify.prepare import Usage
-from twin.identify.record import Record
-from twin.identify.whiteness import Whiteness
+from twin.identify.starting.levels import Levels, Shape
+from twin.identify.starting.liftoff import ForceConstant
 from twin.model.parameters import NOISE, Noise
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from dataclasses import replace
 from protocol.campaign import Plant
 from twin.identify.fit import Fit
 from twin.identify.intervals import Interval
-from twin.identify.levels import Levels, Shape
-from twin.identify.liftoff import ForceConstant
-from twin.identify.start import BallStart
+from twin.identify.starting.levels import Levels, Shape
+from twin.identify.starting.liftoff import ForceConstant
+from twin.identify.starting.regression import BallStart
 from twin.model.parameters import PARAMETERS, Parameter
 
 IDENTIFIED, WEAK = 0.25, 1.0  # half width of the 95 % interval over the value

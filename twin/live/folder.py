@@ -20,7 +20,7 @@ from twin.live.pieces import Piece
 from twin.live.source import Heard
 from twin.model.nominal import nominal
 from twin.model.parameters import model_from_dict
-from twin.recordings import TwinLog
+from twin.readers.log import TwinLog
 
 
 def write(heard: Heard, pieces: Sequence[Piece], plant: Plant, out: Path, *, site: str, board: str) -> Path:

@@ -97,7 +97,7 @@ def give_to_twin(args: argparse.Namespace, model: Path, board: str, tell: Callab
     """Hand the model over and tell what the twin makes of it; False where it was refused."""
     from twin.live.source import open_client
     from twin.live.twin_heard import hand_over_and_compare
-    from twin.mirror.handover import believe
+    from twin.mirror.bus.handover import believe
     from twin.model.parameters import load_model
 
     endpoints = endpoints_of(args)

@@ -23,7 +23,7 @@ from protocol.bus.encoding import parse
 from protocol.bus.endpoint import refused_by_router, zenoh_config
 from protocol.bus.identity import Identity
 from protocol.errors import ServiceError, UsageError
-from twin.recordings import LogReader
+from twin.readers.log import LogReader
 
 STATUS_WAIT_S = 3.5  # it comes once a second
 PROGRESS_S = 10.0

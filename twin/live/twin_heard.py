@@ -16,8 +16,8 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse
 from protocol.bus.identity import Identity
-from twin.mirror.client import hand_over
-from twin.mirror.handover import Belief
+from twin.mirror.bus.client import hand_over
+from twin.mirror.bus.handover import Belief
 
 SPAN_S = 3.0
 SAMPLES = 1000

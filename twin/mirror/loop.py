@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, law
 from twin.model.extended import V
-from twin.simulate import I_READ, INTEGRAL, X_BEFORE, X_READ, hold
+from twin.model.simulate import I_READ, INTEGRAL, X_BEFORE, X_READ, hold
 
 
 @kernel
@@ -22,7 +22,7 @@ def advance(
 ) -> tuple[float, float, float, float]:
     """Run one tick, in closed loop under x_ref, else under the given u: A, m, m/s, V.
 
-    memory: of a simulated rig (`twin/simulate.py`), the integral of (x_ref - x) dt and x at the tick before in it.
+    memory: of a rig (`twin/model/simulate.py`), the integral of (x_ref - x) dt and x at the tick before in it.
     Returns (i_c, x as the sensors show them, x', u_c) of the tick that was run.
     """
     i, x, v = memory[I_READ], memory[X_READ], memory[V]

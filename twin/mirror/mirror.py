@@ -13,7 +13,7 @@ Rule 4: without the board's parameters there is no law, hence no free twin; the 
 Rule 5: another model is another twin: it starts from the next sample and settles, the alarms of the one before end.
 Rule 6: an alarm on the comparison is about one flight.  A new session and a silence of more than SILENT_S end it at
         once, a change of mode ends those on errors; what else interrupts the evidence, ends it after a while (rule 4 of
-        divergence.py).  Fresh evidence raises it again.
+        twin/mirror/monitor/divergence.py).  Fresh evidence raises it again.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ import numpy as np
 
 from protocol.bus import board51_pb2 as pb
 from twin.control import integral_behind
-from twin.mirror.divergence import Comparison
 from twin.mirror.loop import advance
+from twin.mirror.monitor.divergence import Comparison
 from twin.mirror.observer import Observer
 from twin.mirror.output import IN_STEP as IN_STEP
 from twin.mirror.output import OUT_OF_STEP as OUT_OF_STEP
@@ -38,7 +38,7 @@ from twin.mirror.settings import Settings
 from twin.mirror.step import Constants, step
 from twin.model.extended import WARMTH
 from twin.model.parameters import Model
-from twin.simulate import INTEGRAL, X_BEFORE, X_READ, places, rig_at
+from twin.model.simulate import INTEGRAL, X_BEFORE, X_READ, places, rig_at
 
 SAMPLE_TIME_RANGE_S = (1e-4, 2e-2)  # T_s for which the steps of the kernels were checked
 SILENT_S = 1.0  # without a sample

@@ -34,7 +34,7 @@ from twin.model.extended import (
     position_reading,
 )
 from twin.model.parameters import Noise
-from twin.simulate import PlantNumbers, over
+from twin.model.simulate import PlantNumbers, over
 
 SETTLE_S = 0.1  # the estimate forgets its start within about 1 / (unstable pole) = 12 ms; eight of them
 CONTACT_SHARE = 0.01  # of the travel: nearer to a stop than this counts as contact

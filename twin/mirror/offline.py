@@ -17,12 +17,12 @@ from typing import Any
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
 from protocol.errors import DataError
-from twin.mirror.handover import believe
+from twin.mirror.bus.handover import believe
 from twin.mirror.mirror import Mirror
 from twin.mirror.output import Output
 from twin.mirror.settings import Settings
 from twin.model.parameters import Model
-from twin.recordings import LogReader, TwinLog, parse
+from twin.readers.log import LogReader, TwinLog, parse
 
 SIGNALS = ("x_m", "i_c_a", "u_c_v")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from protocol.bus import board51_pb2 as pb
-from twin.mirror.divergence import ALARMS, Figures
+from twin.mirror.monitor.divergence import ALARMS, Figures
 from twin.mirror.sample import Sample
 from twin.mirror.step import Answer
 

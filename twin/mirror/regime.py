@@ -7,11 +7,11 @@ import math
 from protocol.bus import board51_pb2 as pb
 from twin.compiled import Packed
 from twin.control import LawNumbers, law_numbers
-from twin.mirror.alarms import probability_per_window, white_threshold
-from twin.mirror.expected import OFF_PROBABILITY, Expectation, ExpectedError
+from twin.mirror.monitor.alarms import probability_per_window, white_threshold
+from twin.mirror.monitor.expected import OFF_PROBABILITY, Expectation, ExpectedError
 from twin.mirror.settings import Settings
 from twin.model.parameters import Model
-from twin.simulate import plant_numbers
+from twin.model.simulate import plant_numbers
 
 SETTLED_SHARE = 1e-4  # of a difference at the start: 1 mm has become 0.1 um
 SETTLE_MIN_S, SETTLE_MAX_S = 0.1, 5.0
@@ -76,7 +76,9 @@ class Regime:
         self.plant = plant_numbers(model, sample_time_s)
         self.law = law_numbers(parameters) if parameters else None
         self.window = max(2, round(settings.window_s / sample_time_s))
-        self.hold = self.window + round(SETTLE_MAX_S / sample_time_s)  # an alarm without evidence: see divergence.py
+        self.hold = self.window + round(
+            SETTLE_MAX_S / sample_time_s
+        )  # an alarm without evidence: see `monitor/divergence.py`
         self.i_lsb_a = parameters.i_lsb_a if parameters else 0.0
         self.x_lsb_m = parameters.x_lsb_m if parameters else 0.0
         probability = probability_per_window(settings.false_alarms_per_day, self.window * sample_time_s)

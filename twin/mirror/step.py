@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.compiled import Packed, kernel
-from twin.mirror.alarms import UNCHANGED
-from twin.mirror.divergence import I_C, U_C, Figures, X, figures, judge_error, judge_innovation
 from twin.mirror.loop import advance
+from twin.mirror.monitor.alarms import UNCHANGED
+from twin.mirror.monitor.divergence import I_C, U_C, Figures, X, figures, judge_error, judge_innovation
 from twin.mirror.observer import observe
 
 Innovation: TypeAlias = tuple[float, float, float, float, bool]  # of i_c (A), of x (m), NIS, its mean, valid

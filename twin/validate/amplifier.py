@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from twin.identify.record import FloatArray, intervals, runs
+from twin.estimation.record import FloatArray, intervals, runs
 from twin.model.parameters import Model
 from twin.validate.extended import current
 from twin.validate.source import Source, chosen

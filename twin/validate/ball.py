@@ -2,7 +2,7 @@
 
 The ball is unstable (an error grows by e within about 13 ms on a CE 152), so open loop means short windows.
 
-The noise floor is what the model's sensor noise alone leaves of a right model (`twin/prediction_floor.py`).
+The noise floor is what the model's sensor noise alone leaves of a right model (`twin/estimation/prediction_floor.py`).
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.estimation.innovations import FLIES, FOLLOWS
+from twin.estimation.prediction_floor import TOLERANCE, floor_rmse
+from twin.estimation.record import BoolArray, FloatArray, runs
 from twin.identify.fit import FLOORS, physics
 from twin.identify.horizon import HORIZONS_S, predict
-from twin.identify.innovations import FLIES, FOLLOWS
-from twin.identify.record import BoolArray, FloatArray, runs
 from twin.model.extended import SENSOR
 from twin.model.extension import base
 from twin.model.parameters import Model
-from twin.prediction_floor import TOLERANCE, floor_rmse
-from twin.simulate import over, plant_numbers, rig_at
+from twin.model.simulate import over, plant_numbers, rig_at
 from twin.validate.extended import predictions, window
 from twin.validate.source import Filtered, plant_of
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.diagnose.filter import OUT_COLUMNS, drive_over, run_extended
-from twin.diagnose.horizon import roll
+from twin.estimation.ekf import OUT_COLUMNS, drive_over, run_extended
+from twin.estimation.innovations import FOLLOWS, Series, whiten
+from twin.estimation.record import FloatArray
+from twin.estimation.rollout import roll
 from twin.identify.fit import Point
-from twin.identify.innovations import FOLLOWS, Series, whiten
-from twin.identify.record import FloatArray
 from twin.model.extended import (
     FIELD,
     I_C,
@@ -28,7 +28,7 @@ from twin.model.extended import (
 )
 from twin.model.extension import base
 from twin.model.parameters import Model
-from twin.simulate import plant_numbers
+from twin.model.simulate import plant_numbers
 
 
 def filter_extended(series: Series, point: Point, model: Model, tick_s: float) -> tuple[FloatArray, FloatArray]:

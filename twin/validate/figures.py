@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import t as student
 
-from twin.figure import MEASURED, REFERENCE, TWIN
-from twin.identify.record import FloatArray
+from twin.estimation.record import FloatArray
+from twin.mirror.plots.traces import MEASURED, REFERENCE, TWIN
 from twin.validate.amplifier import Amplifier, AmplifierTrace
 from twin.validate.ball import Ahead, Windows
 from twin.validate.loop import LoopRun

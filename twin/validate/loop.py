@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, integral_behind, law
-from twin.identify.lawcheck import law_gap
-from twin.identify.record import FloatArray, runs
-from twin.mirror.expected import STABLE, autocovariance, error_dynamics
+from twin.estimation.record import FloatArray, runs
+from twin.identify.checks.control_law import law_gap
+from twin.mirror.monitor.expected import STABLE, autocovariance, error_dynamics
 from twin.model.extended import I_C, Base, V, X
 from twin.model.parameters import Model
-from twin.simulate import I_READ, X_READ, PlantNumbers, hold, plant_numbers, rig_at
+from twin.model.simulate import I_READ, X_READ, PlantNumbers, hold, plant_numbers, rig_at
 from twin.validate.ball import SETTLE_S
 from twin.validate.source import Filtered, Source, plant_of
 
@@ -65,7 +65,7 @@ def simulate_loop(
         x_ref: m, shape (n,).
         noise: of i_c (A), x (m), process of i_c (A), of x' (m/s), shape (4, n).
         lsb: of i_c (A), x (m), u_c (V); 0 does not round.
-        begin: memory of the simulated rig (`twin/simulate.py`).
+        begin: memory of the simulated rig (`twin/model/simulate.py`).
         law_begin: integral, previous measured x.
         before: inputs that still have to act, oldest first: their number is the delay.
         out: receives the result.

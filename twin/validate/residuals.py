@@ -14,9 +14,9 @@ import numpy as np
 from scipy.linalg import toeplitz
 from scipy.stats import chi2
 
-from twin.identify.innovations import FLIES, FOLLOWS
-from twin.identify.record import FloatArray
-from twin.identify.whiteness import LAGS, LEVEL, SMALL
+from twin.estimation.innovations import FLIES, FOLLOWS
+from twin.estimation.record import FloatArray
+from twin.estimation.whiteness import LAGS, LEVEL, SMALL
 from twin.validate.source import Filtered
 
 BOUND_99 = 2.576

@@ -18,18 +18,18 @@ from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Campaign, Controller, Plant
 from protocol.files import open_regular
 from twin.control import LawNumbers, law_numbers
-from twin.identify.checks import inspect
-from twin.identify.dead import without_dead
-from twin.identify.delay import delayed, input_delay
+from twin.estimation.innovations import FLIES, USE_I, USE_X, Series
+from twin.estimation.prepare import flights, prepare
+from twin.estimation.record import FloatArray, Record, runs
+from twin.identify.checks.control_law import WIDE_V, numbers_of
+from twin.identify.checks.dead_channels import without_dead
+from twin.identify.checks.input_delay import delayed, input_delay
+from twin.identify.checks.plausibility import inspect
 from twin.identify.fit import Likelihood, Point, gate
-from twin.identify.innovations import FLIES, USE_I, USE_X, Series
-from twin.identify.lawcheck import WIDE_V, numbers_of
 from twin.identify.pipeline import grouped
-from twin.identify.prepare import flights, prepare
-from twin.identify.reading import read_recording
-from twin.identify.record import FloatArray, Record, runs
 from twin.model.parameters import Model
-from twin.recordings import LogReader, parse
+from twin.readers.campaign import read_recording
+from twin.readers.log import LogReader, parse
 from twin.validate.extended import as_shown, filter_extended
 
 FLYING = ("closed-loop", "prbs", "free")

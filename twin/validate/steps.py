@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.stats import t as student
 
-from twin.identify.record import FloatArray, runs
+from twin.estimation.record import FloatArray, runs
 from twin.validate.loop import LoopRun
 
 DWELL_S = 0.15  # a reference that stands still for so long after a change is a step

@@ -14,7 +14,7 @@ import numpy as np
 from protocol.campaign import Campaign
 from protocol.errors import DataError
 from twin.model.parameters import Model
-from twin.simulate import left_out
+from twin.model.simulate import left_out
 from twin.validate.amplifier import Amplifier, amplifier, fit_percent
 from twin.validate.ball import Ahead, Windows, multi_step, windows
 from twin.validate.loop import LoopRun, closed_loops, measured_only

@@ -23,7 +23,7 @@ from tests.gateway.access.access_peers import Client, GuardedRig, fresh, join
 from tests.gateway.gateway_peers import ScriptedBoard, free_port, gateway_config, running, wait_for
 from tests.patience import HANG_S
 from tests.protocol.stopped_subscriber import STALL_S, longest_round_s
-from twin.mirror.service import TwinService
+from twin.mirror.bus.service import TwinService
 from twin.model.nominal import nominal
 
 pytestmark = pytest.mark.xdist_group("guarded-bus")

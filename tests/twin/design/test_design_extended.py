@@ -17,7 +17,7 @@ from tests.twin.identify.emulated_campaign import Lab
 from tests.twin.model.true_model import true_model
 from twin.control import discrete, equilibrium, linearise
 from twin.design.design import Design, design
-from twin.linear import linearise as numerically
+from twin.model.linear import linearise as numerically
 from twin.model.parameters import model_to_dict
 
 T_S = 2e-3

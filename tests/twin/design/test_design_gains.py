@@ -21,7 +21,7 @@ from twin.design.margins import delayed_plant
 from twin.design.robust import plant_at
 from twin.model.nominal import nominal
 from twin.model.parameters import Model
-from twin.simulate import plant_numbers
+from twin.model.simulate import plant_numbers
 
 T_S = 2e-3
 COIL_PLANE_ABOVE_STOP_M = 2.44e-3

@@ -11,9 +11,9 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from twin.diagnose.confidence import MOST
-from twin.diagnose.words import micrometres, percent
-from twin.prediction_floor import TOLERANCE
+from twin.diagnose.checks.confidence import MOST
+from twin.diagnose.report.sentences import micrometres, percent
+from twin.estimation.prediction_floor import TOLERANCE
 
 COUNTED = "lost-samples"  # its gaps are counted: no likelihood, no share
 _ROUNDING = 1e-6

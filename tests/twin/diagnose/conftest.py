@@ -8,7 +8,9 @@ from typing import Any
 import pytest
 
 from tests.twin.diagnose.agreement import disagreements
-from twin.diagnose import result, static_json, static_shell
+from twin.diagnose import result
+from twin.diagnose.equilibria import run as static_shell
+from twin.diagnose.equilibria import to_json as static_json
 
 
 @pytest.fixture(autouse=True)

@@ -11,22 +11,22 @@ import numpy as np
 
 from protocol.campaign import Campaign
 from tests.twin.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, controller, strong
-from twin.diagnose.account import account_of
-from twin.diagnose.estimate import Fit
-from twin.diagnose.evidence import gather
-from twin.diagnose.floor import Floor
-from twin.diagnose.forward import Round
-from twin.diagnose.likelihood import Criterion
-from twin.diagnose.measure import HORIZONS_S, gain
-from twin.diagnose.models import model_of
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.experiments.virtual_recordings import Schedule, simulate
+from twin.diagnose.inference.fisher_scoring import Fit
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.noise_floor import Floor
+from twin.diagnose.inference.theta import BASE, Theta, coordinates_of
+from twin.diagnose.judge.account import account_of
+from twin.diagnose.judge.prediction_gain import HORIZONS_S, gain
+from twin.diagnose.report.model_file import model_of
+from twin.diagnose.report.sentences import finding_sentence, summary_sentence
 from twin.diagnose.result import Diagnosis, Finding, Member, NotTestable, Proposal, RuledOut, fit_parameters
-from twin.diagnose.screen import Score
-from twin.diagnose.selection import Selection
-from twin.diagnose.synthetic import Schedule, simulate
-from twin.diagnose.theta import BASE, Theta, coordinates_of
-from twin.diagnose.trials import Trial
-from twin.diagnose.words import finding_sentence, summary_sentence
-from twin.identify.record import Record
+from twin.diagnose.search.candidate_fits import Trial
+from twin.diagnose.search.forward_step import Round
+from twin.diagnose.search.score_test import Score
+from twin.diagnose.search.state import Selection
+from twin.estimation.record import Record
 
 QUIET = replace(THETA, process_a_m_s2=0.02)  # what rounding leaves
 LOUD_M_S2 = 1.0  # what a baseline leaves to chance that does not know the cause

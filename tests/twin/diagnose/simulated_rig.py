@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.campaign import Controller, OperatingPoint, Plant
-from twin.diagnose.estimate import Fit, climb
-from twin.diagnose.evidence import gather
-from twin.diagnose.likelihood import Criterion
-from twin.diagnose.menu import MENU, Item, schedule_of
-from twin.diagnose.operating import at_rest, lift_off_input
-from twin.diagnose.screen import probed
-from twin.diagnose.synthetic import Schedule, simulate
-from twin.diagnose.theta import BASE, Theta, coordinates_of
-from twin.identify.record import Record
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.experiments.equilibrium import at_rest, lift_off_input
+from twin.diagnose.experiments.menu import MENU, Item, schedule_of
+from twin.diagnose.experiments.virtual_recordings import Schedule, simulate
+from twin.diagnose.inference.fisher_scoring import Fit, climb
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.theta import BASE, Theta, coordinates_of
+from twin.diagnose.search.score_test import probed
+from twin.estimation.record import Record
 from twin.model.causes.catalogue import BY_NAME
 
 PLANT = Plant(name="ce152", mass_kg=8.28e-3, travel_m=5.7e-3, x_max_m=8.1e-3, gravity_m_s2=9.81)

@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from protocol.campaign import Campaign, load
 from tests.twin.diagnose.hidden_campaign import make_campaign
 from tests.twin.diagnose.known_diagnosis import QUIET
-from twin.diagnose.evidence import gather
-from twin.diagnose.likelihood import Criterion
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.theta import STOPS, derivative_step, moved
 from twin.diagnose.pipeline import diagnose, tick_of
-from twin.diagnose.theta import STOPS, derivative_step, moved
-from twin.identify.reading import read_campaign
 from twin.model.causes.catalogue import neutral
 from twin.model.causes.position_sensor_nonlinearity import BOW, CAUSE, FULLNESS, SKEW
 from twin.model.extended import Base, position_of_reading, position_reading
+from twin.readers.campaign import read_campaign
 
 RIG = Base(K_A=0.3, T_A=0.3e-3, K_c=6e-6, b=0.02, mass_kg=8.28e-3, gravity_m_s2=9.81, x_max_m=8.1e-3, travel_m=5.7e-3)
 BOW_M = 2e-4

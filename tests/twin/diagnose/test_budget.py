@@ -18,18 +18,18 @@ from tests.twin.diagnose.foreign import hall_campaign
 from tests.twin.diagnose.known_diagnosis import QUIET, steps
 from tests.twin.diagnose.simulated_rig import PLANT, THETA, TICK_S, narrow, strong
 from tests.twin.diagnose.test_diagnose_campaign import comparable
-from twin.diagnose.budget import MILLION, QUICK, Budget, Spent
-from twin.diagnose.estimate import climb
-from twin.diagnose.evidence import gather
-from twin.diagnose.floor import floor_of
-from twin.diagnose.likelihood import Criterion
-from twin.diagnose.pace import pace_of
-from twin.diagnose.periodic import AMPLITUDE, CAUSE, FREQUENCY
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.evidence.shorten import ALL_SAMPLES, FLIGHT_SAMPLES, shortened
+from twin.diagnose.inference.budget import MILLION, QUICK, Budget, Spent
+from twin.diagnose.inference.fisher_scoring import climb
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.noise_floor import floor_of
+from twin.diagnose.inference.pace import pace_of
+from twin.diagnose.inference.theta import BASE, Theta
 from twin.diagnose.pipeline import diagnose
-from twin.diagnose.quick import ALL_SAMPLES, FLIGHT_SAMPLES, shortened
-from twin.diagnose.select import select
-from twin.diagnose.selection import Selection
-from twin.diagnose.theta import BASE, Theta
+from twin.diagnose.search.periodic import AMPLITUDE, CAUSE, FREQUENCY
+from twin.diagnose.search.state import Selection
+from twin.diagnose.search.stepwise import select
 from twin.model.causes.catalogue import BY_NAME
 
 SHORT = 12.0 * MILLION  # the rounds of the small foreign campaign take more

@@ -11,21 +11,21 @@ from protocol.campaign import load
 from tests.twin.diagnose.hidden_campaign import make_campaign
 from tests.twin.diagnose.known_diagnosis import fit_of
 from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
-from twin.diagnose import forward
-from twin.diagnose import select as search
-from twin.diagnose.begin import no_better, start_theta
-from twin.diagnose.estimate import climb
-from twin.diagnose.evidence import gather
-from twin.diagnose.floor import Floor, floor_of
-from twin.diagnose.likelihood import Criterion
-from twin.diagnose.rivals import stand_ins
-from twin.diagnose.screen import probed
-from twin.diagnose.selection import Selection
-from twin.diagnose.starts import beside
-from twin.diagnose.theta import BASE, STOPS, coordinates_of
-from twin.diagnose.trials import MARGIN, Trial
-from twin.identify.reading import read_campaign
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.inference.fisher_scoring import climb
+from twin.diagnose.inference.initial_guess import no_better, start_theta
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.noise_floor import Floor, floor_of
+from twin.diagnose.inference.theta import BASE, STOPS, coordinates_of
+from twin.diagnose.search import forward_step as forward
+from twin.diagnose.search import stepwise as search
+from twin.diagnose.search.candidate_fits import MARGIN, Trial
+from twin.diagnose.search.candidate_starts import beside
+from twin.diagnose.search.equivalence import stand_ins
+from twin.diagnose.search.score_test import probed
+from twin.diagnose.search.state import Selection
 from twin.model.causes.catalogue import BY_NAME
+from twin.readers.campaign import read_campaign
 
 HIDDEN = {"quadratic-drag": 2.0, "air-gap-offset": 3e-4}
 TRIED = tuple(BY_NAME[name] for name in (*HIDDEN, "constant-force"))

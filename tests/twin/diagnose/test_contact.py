@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from protocol.campaign import Kind, Plant
-from twin.diagnose.contact import at_converter_end, bounces, held_samples, near_converter_end
-from twin.diagnose.evidence import gather
-from twin.diagnose.filter import RESTS_LOW
-from twin.diagnose.rest_noise import sensor_noise
-from twin.identify.innovations import FLIES, USE_X
-from twin.identify.record import FloatArray, Record
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.evidence.sensor_noise import sensor_noise
+from twin.estimation.contact import at_converter_end, bounces, held_samples, near_converter_end
+from twin.estimation.ekf import RESTS_LOW
+from twin.estimation.innovations import FLIES, USE_X
+from twin.estimation.record import FloatArray, Record
 
 PLANT = Plant(name="ce152", mass_kg=8.28e-3, travel_m=5.7e-3, x_max_m=8.1e-3, gravity_m_s2=9.81)
 TICK_S = 2e-3
@@ -78,7 +78,7 @@ def test_a_rest_ends_where_it_did_whether_hops_are_asked_for_or_not(seed: int, m
     x[800:] = 0.5 * 0.4 * (TICK_S * np.arange(200.0)) ** 2
     takes_off = record(noisy(x, seed), "sawtooth")
     with_hops = held_samples(takes_off, PLANT)
-    monkeypatch.setattr("twin.diagnose.contact.HOP_SCALES", np.inf)
+    monkeypatch.setattr("twin.estimation.contact.HOP_SCALES", np.inf)
 
     assert 800 < with_hops.sum() < 830
     assert np.array_equal(with_hops, held_samples(takes_off, PLANT))

@@ -10,12 +10,12 @@ import pytest
 
 from tests.twin.diagnose.simulated_rig import PLANT, THETA, TICK_S, criterion_of, fitted, narrow, strong
 from tests.twin.diagnose.test_lost_readings import drawn, less
-from twin.diagnose.estimate import LOUD
-from twin.diagnose.evidence import gather
-from twin.diagnose.likelihood import Criterion, Run
-from twin.diagnose.screen import screen
-from twin.diagnose.theta import BASE, NOISES, STOPS, Theta, coordinates_of, moved
-from twin.identify.record import FloatArray
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.inference.fisher_scoring import LOUD
+from twin.diagnose.inference.likelihood import Criterion, Run
+from twin.diagnose.inference.theta import BASE, NOISES, STOPS, Theta, coordinates_of, moved
+from twin.diagnose.search.score_test import screen
+from twin.estimation.record import FloatArray
 
 CASES = [
     THETA,

@@ -17,19 +17,19 @@ import board51
 from protocol.campaign import load
 from tests.twin.diagnose.hidden_campaign import make_campaign
 from tests.twin.identify.independent_plant import Ball, wandering
-from twin.diagnose.change import apart, in_time
-from twin.diagnose.consistency import beginnings, contradictions
-from twin.diagnose.estimate import climb
-from twin.diagnose.evidence import gather
-from twin.diagnose.floor import MATERIAL, Floor, floor_of
-from twin.diagnose.likelihood import Criterion
-from twin.diagnose.lost import lost_samples
+from twin.diagnose.checks.change_point import apart, in_time
+from twin.diagnose.checks.consistency import beginnings, contradictions
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.evidence.sample_loss import lost_samples
+from twin.diagnose.evidence.sensor_noise import noise_error, sensor_noise
+from twin.diagnose.inference.fisher_scoring import climb
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.noise_floor import MATERIAL, Floor, floor_of
+from twin.diagnose.inference.theta import BASE, Theta
 from twin.diagnose.pipeline import diagnose
-from twin.diagnose.rest_noise import noise_error, sensor_noise
-from twin.diagnose.theta import BASE, Theta
-from twin.identify.reading import read_campaign
-from twin.identify.record import FloatArray, Record
+from twin.estimation.record import FloatArray, Record
 from twin.model.parameters import Model, load_model, model_to_dict
+from twin.readers.campaign import read_campaign
 
 BALL = Ball()
 TRUE = Theta(

@@ -11,15 +11,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.twin.identify.independent_plant import Ball, wandering
-from twin.diagnose.estimate import climb
-from twin.diagnose.evidence import gather
-from twin.diagnose.likelihood import Criterion
-from twin.diagnose.measure import bootstrap
-from twin.diagnose.screen import screen
-from twin.diagnose.starts import start_of
-from twin.diagnose.theta import BASE, Theta, coordinates_of
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.inference.fisher_scoring import climb
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.theta import BASE, Theta, coordinates_of
+from twin.diagnose.judge.prediction_gain import bootstrap
+from twin.diagnose.search.candidate_starts import start_of
+from twin.diagnose.search.score_test import screen
+from twin.estimation.record import FloatArray
 from twin.identify.fit import Likelihood, Point
-from twin.identify.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE, neutral
 from twin.model.causes.cause import PLACES, Cause
 from twin.model.extended import Base, advance

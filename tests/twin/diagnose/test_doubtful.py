@@ -5,15 +5,15 @@ from __future__ import annotations
 import pytest
 
 from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
-from twin.diagnose.estimate import Fit, climb
-from twin.diagnose.floor import floor_of
-from twin.diagnose.forward import THRESHOLD, Round
-from twin.diagnose.rivals import stand_ins
-from twin.diagnose.screen import screen
-from twin.diagnose.selection import Selection
-from twin.diagnose.starts import start_of
-from twin.diagnose.theta import BASE, STOPS, coordinates_of, roused
-from twin.diagnose.trials import MARGIN
+from twin.diagnose.inference.fisher_scoring import Fit, climb
+from twin.diagnose.inference.noise_floor import floor_of
+from twin.diagnose.inference.theta import BASE, STOPS, coordinates_of, roused
+from twin.diagnose.search.candidate_fits import MARGIN
+from twin.diagnose.search.candidate_starts import start_of
+from twin.diagnose.search.equivalence import stand_ins
+from twin.diagnose.search.forward_step import THRESHOLD, Round
+from twin.diagnose.search.score_test import screen
+from twin.diagnose.search.state import Selection
 from twin.model.causes.catalogue import BY_NAME
 
 GAP, DRAG, FORCE, FRICTION, MAGNETISM = (

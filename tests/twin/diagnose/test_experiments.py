@@ -25,15 +25,15 @@ from tests.twin.diagnose.simulated_rig import (
     strong,
 )
 from tests.twin.identify.emulated_campaign import Lab
-from twin.diagnose import experiments
-from twin.diagnose.estimate import Fit
-from twin.diagnose.experiments import ENOUGH_Z, Proposal, propose
-from twin.diagnose.likelihood import Criterion
-from twin.diagnose.measurements import measurement_for
-from twin.diagnose.menu import MENU, Item, Level, Wave, schedule_of, sentence
-from twin.diagnose.theta import moved
-from twin.diagnose.trials import Trial
-from twin.identify.record import Record
+from twin.diagnose.experiments import design as experiments
+from twin.diagnose.experiments.design import ENOUGH_Z, Proposal, propose
+from twin.diagnose.experiments.external_measurements import measurement_for
+from twin.diagnose.experiments.menu import MENU, Item, Level, Wave, schedule_of, sentence
+from twin.diagnose.inference.fisher_scoring import Fit
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.theta import moved
+from twin.diagnose.search.candidate_fits import Trial
+from twin.estimation.record import Record
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
 

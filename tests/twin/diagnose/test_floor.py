@@ -7,10 +7,10 @@ from dataclasses import replace
 
 from tests.twin.diagnose.known_diagnosis import QUIET, steps
 from tests.twin.diagnose.simulated_rig import PLANT, TICK_S, strong
-from twin.diagnose.evidence import gather
-from twin.diagnose.floor import Floor
-from twin.diagnose.likelihood import Criterion
-from twin.diagnose.theta import FLOORS
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.noise_floor import Floor
+from twin.diagnose.inference.theta import FLOORS
 
 
 def test_a_right_model_lacks_nothing_under_its_own_floor_alone() -> None:

@@ -24,7 +24,7 @@ from tests.twin.diagnose.draws import (
 )
 from tests.twin.diagnose.hidden_campaign import Grounded, PlantName, draw_rig, make_campaign
 from twin.identify.pipeline import identify
-from twin.identify.reading import read_campaign
+from twin.readers.campaign import read_campaign
 
 PLANTS: tuple[PlantName, ...] = ("emulator", "independent")
 

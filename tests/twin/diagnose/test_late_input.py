@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
-from twin.diagnose.dead_time import dead_time
-from twin.diagnose.floor import floor_of
-from twin.diagnose.forward import SHARE, forward
-from twin.diagnose.screen import screen
-from twin.diagnose.select import select
-from twin.diagnose.trials import fitted as tried
-from twin.identify.record import Record
+from twin.diagnose.evidence.dead_time import dead_time
+from twin.diagnose.inference.noise_floor import floor_of
+from twin.diagnose.search.candidate_fits import fitted as tried
+from twin.diagnose.search.forward_step import SHARE, forward
+from twin.diagnose.search.score_test import screen
+from twin.diagnose.search.stepwise import select
+from twin.estimation.record import Record
 from twin.model.causes.catalogue import BY_NAME
 
 FAST = replace(THETA, T_A=1.2e-4)

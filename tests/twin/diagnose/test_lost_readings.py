@@ -11,17 +11,17 @@ from gateway.emulator.plant.rig import CE152
 from tests.twin.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, controller, criterion_of, fitted, strong
 from tests.twin.identify.emulated_campaign import Lab
 from tests.twin.model.true_model import true_model
-from twin.diagnose.bridge import bridged
-from twin.diagnose.evidence import gather
-from twin.diagnose.filter import LOST
-from twin.diagnose.forward import THRESHOLD
-from twin.diagnose.horizon import SETTLE_S, predict_ahead
-from twin.diagnose.predict import predict
-from twin.diagnose.screen import screen
-from twin.diagnose.synthetic import Schedule, simulate
-from twin.diagnose.theta import Theta
-from twin.identify.innovations import FLIES, FOLLOWS, USE_I, USE_X
-from twin.identify.record import BoolArray, Record
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.evidence.lost_rows import bridged
+from twin.diagnose.experiments.virtual_recordings import Schedule, simulate
+from twin.diagnose.inference.theta import Theta
+from twin.diagnose.judge.predict import predict
+from twin.diagnose.search.forward_step import THRESHOLD
+from twin.diagnose.search.score_test import screen
+from twin.estimation.ekf import LOST
+from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X
+from twin.estimation.record import BoolArray, Record
+from twin.estimation.rollout import SETTLE_S, predict_ahead
 
 NOISY = replace(THETA, T_A=9e-4, sigma_x_m=8e-6, sigma_i_c_a=1.6e-3)
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 from tests.twin.diagnose.simulated_rig import ITEMS, criterion_of, made, narrow, strong
-from twin.diagnose.adequacy import adequate, where_left
-from twin.diagnose.estimate import climb
-from twin.diagnose.floor import MISPLACED_M, floor_of
-from twin.diagnose.likelihood import STOP_STD_M, Criterion
-from twin.diagnose.screen import screen
-from twin.diagnose.theta import BASE, STOPS, coordinates_of
+from twin.diagnose.inference.adequacy import adequate, where_left
+from twin.diagnose.inference.fisher_scoring import climb
+from twin.diagnose.inference.likelihood import STOP_STD_M, Criterion
+from twin.diagnose.inference.noise_floor import MISPLACED_M, floor_of
+from twin.diagnose.inference.theta import BASE, STOPS, coordinates_of
+from twin.diagnose.search.score_test import screen
 
 OFFSET_M = 0.3e-3
 HIDDEN, STAND_IN = "position-sensor-offset", "air-gap-offset"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.campaign import Plant
-from twin.diagnose.evidence import POLE_SHARE, gather
-from twin.identify.innovations import FLIES, USE_I
-from twin.identify.record import Record
+from twin.diagnose.evidence.gather import POLE_SHARE, gather
+from twin.estimation.innovations import FLIES, USE_I
+from twin.estimation.record import Record
 
 TRAVEL_M = 5.7e-3
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import pytest
 
 from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
-from twin.diagnose import select
-from twin.diagnose.estimate import PASSES
-from twin.diagnose.floor import floor_of
-from twin.diagnose.forward import BESIDE_NOISE, THRESHOLD, Round
-from twin.diagnose.rivals import stand_ins
-from twin.diagnose.screen import probed
-from twin.diagnose.selection import Selection
+from twin.diagnose.inference.fisher_scoring import PASSES
+from twin.diagnose.inference.noise_floor import floor_of
+from twin.diagnose.search import stepwise as select
+from twin.diagnose.search.equivalence import stand_ins
+from twin.diagnose.search.forward_step import BESIDE_NOISE, THRESHOLD, Round
+from twin.diagnose.search.score_test import probed
+from twin.diagnose.search.state import Selection
 from twin.model.causes.catalogue import BY_NAME
 
 FIRST, LATER = "motional-emf", "actuation-delay"

@@ -11,12 +11,12 @@ import pytest
 from protocol.campaign import load
 from tests.twin.diagnose.hidden_campaign import make_campaign
 from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
-from twin.diagnose.forward import THRESHOLD, Round
-from twin.diagnose.likelihood import Criterion
-from twin.diagnose.not_named import trifles_of
+from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.pipeline import diagnose
-from twin.diagnose.selection import Selection
-from twin.diagnose.trials import Trial
+from twin.diagnose.report.other_causes import trifles_of
+from twin.diagnose.search.candidate_fits import Trial
+from twin.diagnose.search.forward_step import THRESHOLD, Round
+from twin.diagnose.search.state import Selection
 
 INDUCTANCE = "position-dependent-inductance"
 

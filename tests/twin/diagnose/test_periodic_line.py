@@ -9,13 +9,13 @@ import pytest
 
 from tests.twin.diagnose.known_diagnosis import QUIET, steps
 from tests.twin.diagnose.simulated_rig import PLANT, TICK_S, strong
-from twin.diagnose import rivals
-from twin.diagnose.estimate import PASSES, climb
-from twin.diagnose.evidence import gather
-from twin.diagnose.likelihood import Criterion
-from twin.diagnose.periodic import AMPLITUDE, CAUSE, FREQUENCY, find_line, rephased, settled
-from twin.diagnose.selection import Selection
-from twin.diagnose.theta import BASE, coordinates_of
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.inference.fisher_scoring import PASSES, climb
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.theta import BASE, coordinates_of
+from twin.diagnose.search import equivalence as rivals
+from twin.diagnose.search.periodic import AMPLITUDE, CAUSE, FREQUENCY, find_line, rephased, settled
+from twin.diagnose.search.state import Selection
 from twin.model.causes.catalogue import BY_NAME
 
 FORCE_N, FREQUENCY_HZ = 2e-3, 7.3

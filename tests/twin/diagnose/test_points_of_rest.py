@@ -14,8 +14,8 @@ import pytest
 from board51 import main
 from protocol.campaign import Plant
 from protocol.errors import DataError
-from twin.diagnose.static import f_test, fit_static, holding_currents, interval, points_of, rounding
-from twin.identify.record import Record
+from twin.diagnose.equilibria.points import f_test, fit_static, holding_currents, interval, points_of, rounding
+from twin.estimation.record import Record
 from twin.model.parameters import load_model
 
 Answer = tuple[int, dict[str, Any]]

@@ -20,12 +20,12 @@ from protocol.bus.topics import key
 from protocol.wire.messages import Shape
 from tests.twin.identify.emulated_campaign import TICK_S, Lab
 from tests.twin.model.true_model import true_model
-from twin.diagnose.predict import predict
+from twin.diagnose.judge.predict import predict
+from twin.estimation.record import Record
 from twin.identify.fit import Point
 from twin.identify.horizon import horizons
-from twin.identify.record import Record
 from twin.model.parameters import model_to_dict
-from twin.recordings import TwinLog
+from twin.readers.log import TwinLog
 from twin.validate.source import plant_of
 
 NAMES = ("t", "u_c", "i_c", "x", "x_ref")

@@ -13,13 +13,13 @@ import pytest
 
 from board51 import main
 from protocol.campaign import load
-from twin.diagnose.evidence import Evidence, gather
-from twin.diagnose.likelihood import Criterion
+from twin.diagnose.evidence.gather import Evidence, gather
+from twin.diagnose.evidence.sensor_noise import sensor_noise
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.theta import Theta
 from twin.diagnose.pipeline import tick_of
-from twin.diagnose.rest_noise import sensor_noise
-from twin.diagnose.theta import Theta
-from twin.identify.innovations import FLIES
-from twin.identify.reading import read_campaign
+from twin.estimation.innovations import FLIES
+from twin.readers.campaign import read_campaign
 
 ROOT = Path(__file__).resolve().parents[3]
 DATA = Path(os.environ.get("BOARD51_DATA", ROOT.parent / "shared" / "data"))

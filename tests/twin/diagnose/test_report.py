@@ -10,11 +10,11 @@ import pytest
 
 from tests.twin.diagnose.known_diagnosis import diagnosis
 from tests.twin.diagnose.simulated_rig import controller
-from twin.diagnose.figures import _short
-from twin.diagnose.report import to_html
+from twin.diagnose.report.figures import _short
+from twin.diagnose.report.page import to_html
+from twin.diagnose.report.sentences import finding_sentence, measured, quantity, summary_sentence
+from twin.diagnose.residuals.summary import shown
 from twin.diagnose.result import Diagnosis, Proposal, Trifle
-from twin.diagnose.show import shown
-from twin.diagnose.words import finding_sentence, measured, quantity, summary_sentence
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 from twin.model.parameters import Parameter

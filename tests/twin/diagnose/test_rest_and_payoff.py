@@ -11,19 +11,19 @@ import pytest
 
 from protocol.campaign import Campaign, load
 from tests.twin.diagnose.hidden_campaign import make_campaign
-from twin.diagnose.begin import no_better, start_theta
-from twin.diagnose.estimate import climb
-from twin.diagnose.evidence import gather
-from twin.diagnose.filter import RESTS_LOW
-from twin.diagnose.likelihood import Criterion
-from twin.diagnose.payoff import removed
-from twin.diagnose.rest_noise import sensor_noise
-from twin.diagnose.screen import screen
-from twin.diagnose.starts import beside, start_of
-from twin.diagnose.theta import BASE, STOPS, Theta
-from twin.identify.innovations import USE_X
-from twin.identify.reading import read_campaign
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.evidence.sensor_noise import sensor_noise
+from twin.diagnose.inference.fisher_scoring import climb
+from twin.diagnose.inference.initial_guess import no_better, start_theta
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.theta import BASE, STOPS, Theta
+from twin.diagnose.search.candidate_starts import beside, start_of
+from twin.diagnose.search.prediction_benefit import removed
+from twin.diagnose.search.score_test import screen
+from twin.estimation.ekf import RESTS_LOW
+from twin.estimation.innovations import USE_X
 from twin.model.causes.catalogue import BY_NAME
+from twin.readers.campaign import read_campaign
 
 
 @pytest.fixture(scope="module")

@@ -9,14 +9,14 @@ import pytest
 
 from tests.twin.diagnose.known_diagnosis import QUIET, diagnosis, steps
 from tests.twin.diagnose.simulated_rig import PLANT, TICK_S, controller, strong
-from twin.diagnose.correction import correction
-from twin.diagnose.evidence import gather
-from twin.diagnose.floor import Floor
-from twin.diagnose.force import filtered, parabola
-from twin.diagnose.regimes import blocks_of, by_edges, error_bins
-from twin.diagnose.response import Steps, step_responses
-from twin.diagnose.show import Show, shown, to_dict
-from twin.diagnose.spectrum import spectrum
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.inference.noise_floor import Floor
+from twin.diagnose.residuals.force import filtered, parabola
+from twin.diagnose.residuals.regimes import blocks_of, by_edges, error_bins
+from twin.diagnose.residuals.spectrum import spectrum
+from twin.diagnose.residuals.state_map import correction
+from twin.diagnose.residuals.step_response import Steps, step_responses
+from twin.diagnose.residuals.summary import Show, shown, to_dict
 
 GAP_M = 5e-4
 FLOOR = Floor(sigma_i_c_a=QUIET.sigma_i_c_a, sigma_x_m=QUIET.sigma_x_m, measured=True, loglik=0.0, readings=1)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 
 from tests.twin.diagnose.simulated_rig import PLANT, THETA, TICK_S, narrow
-from twin.diagnose.evidence import gather
-from twin.diagnose.likelihood import Criterion
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.inference.likelihood import Criterion
 
 
 def test_climbs_run_side_by_side_and_keep_their_order() -> None:

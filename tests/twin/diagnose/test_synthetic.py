@@ -20,8 +20,9 @@ from tests.twin.diagnose.simulated_rig import (
     strong,
 )
 from tests.twin.identify.emulated_campaign import Lab
-from twin.diagnose.menu import MENU
-from twin.diagnose.operating import (
+from twin.diagnose.evidence.sensor_noise import sensor_noise
+from twin.diagnose.experiments.closed_loop import Converters, converters_of
+from twin.diagnose.experiments.equilibrium import (
     at_rest,
     carrying_current,
     carrying_input,
@@ -29,11 +30,10 @@ from twin.diagnose.operating import (
     position_shown_as,
     settled_current,
 )
-from twin.diagnose.playback import Converters, converters_of
-from twin.diagnose.rest_noise import sensor_noise
-from twin.diagnose.synthetic import Schedule, input_limit, resimulate, simulate
-from twin.identify.innovations import FLIES
-from twin.identify.record import Record
+from twin.diagnose.experiments.menu import MENU
+from twin.diagnose.experiments.virtual_recordings import Schedule, input_limit, resimulate, simulate
+from twin.estimation.innovations import FLIES
+from twin.estimation.record import Record
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 
 STRENGTHS = {  # clear effects under which the loop still holds the ball; others: their first probe

@@ -21,7 +21,7 @@ from protocol.campaign import Campaign, Kind, parse
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import Law, Message, Mode, Shape, Value, encode_body
-from twin.identify.record import Capture, Record
+from twin.estimation.record import Capture, Record
 
 TICK_S = 2e-3
 TRUTHS = ("K_A", "T_A", "K_c", "b")

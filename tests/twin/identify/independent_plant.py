@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protocol.campaign import Campaign, Kind, parse
-from twin.identify.record import Record
+from twin.estimation.record import Record
 
 SUBSTEPS = 50
 

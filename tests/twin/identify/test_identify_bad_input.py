@@ -14,8 +14,8 @@ from protocol.campaign import Campaign, parse
 from protocol.errors import DataError
 from protocol.wire.messages import Shape
 from tests.twin.identify.emulated_campaign import Lab, campaign_of, random_rig, run_campaign
+from twin.estimation.record import Record
 from twin.identify.pipeline import identify_records
-from twin.identify.record import Record
 
 RIG = random_rig(np.random.default_rng(30))
 

@@ -14,9 +14,9 @@ import board51
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
 from tests.twin.identify.independent_plant import Ball, wandering
-from twin.identify.record import Record
+from twin.estimation.record import Record
 from twin.model.parameters import load_model
-from twin.recordings import TwinLog
+from twin.readers.log import TwinLog
 
 BALL = Ball()
 HEAD = f'[plant]\nname = "bench"\nmass_kg = {BALL.m}\ntravel_m = {BALL.travel}\nx_max_m = {BALL.x_max}\n'

@@ -11,9 +11,9 @@ from gateway.emulator.firmware.flash import INPUT
 from protocol.wire.messages import Mode, Shape
 from tests.twin.identify.emulated_campaign import TRUTHS, Lab, campaign_of, random_rig, run_campaign, truth
 from tests.twin.identify.independent_plant import Ball, wandering
+from twin.estimation.prepare import BLOCK_SAMPLES, prepare
+from twin.estimation.record import Record
 from twin.identify.pipeline import Identification, identify_records
-from twin.identify.prepare import BLOCK_SAMPLES, prepare
-from twin.identify.record import Record
 
 TICKS = 4000
 BALL = Ball()

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from twin.identify.innovations import FLIES, FOLLOWS, USE_I, USE_X, run_filter
-from twin.identify.transition import Physics, moments, transit
+from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X, run_filter
+from twin.estimation.transition import Physics, moments, transit
 
 
 def plain(function: object) -> object:

@@ -14,9 +14,9 @@ from protocol.campaign import parse
 from protocol.wire.messages import Mode, Shape
 from tests.twin.identify.emulated_campaign import Lab
 from tests.twin.identify.independent_plant import Ball, wandering
+from twin.estimation.record import Record
 from twin.identify.horizon import horizons
 from twin.identify.pipeline import identify_records
-from twin.identify.record import Record
 
 # A CE 152 by its numbers; its coil's plane is 2.4 mm above the stop.
 BALL = Ball(K_A=0.297, T_A=3e-4, K_c=5.607e-6, b=0.02, m=CE152.mass_kg, travel=CE152.travel_m, x_max=8.1e-3)

@@ -16,9 +16,9 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
 from tests.twin.identify.independent_plant import Ball
 from tests.twin.validate.test_validate_verdicts import BALL, captured, controller_of, model_of, steps
-from twin.identify.record import Record
+from twin.estimation.record import Record
 from twin.model.parameters import model_to_dict
-from twin.recordings import TwinLog
+from twin.readers.log import TwinLog
 
 HEAD = f'[plant]\nname = "bench"\nmass_kg = {BALL.m}\ntravel_m = {BALL.travel}\nx_max_m = {BALL.x_max}\n'
 RECORDING = '[[recording]]\nfile = "{file}"\nkind = "{kind}"\nuse = "judge"\n'

@@ -11,7 +11,7 @@ import pytest
 
 from protocol.campaign import Controller, OperatingPoint
 from tests.twin.identify.independent_plant import Ball
-from twin.identify.record import Capture, Record
+from twin.estimation.record import Capture, Record
 from twin.model.parameters import PARAMETERS, Model, Noise, Parameter, Plant
 from twin.validate.ball import Ahead
 from twin.validate.figures import ahead_axes

@@ -1,0 +1,297 @@
+"""From a finished search to the diagnosis: findings, next experiments, what was ruled out, the gain, the sentence."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+
+from protocol.campaign import Campaign, Plant
+from twin.diagnose.checks.change_point import Change, late_finding
+from twin.diagnose.checks.confidence import confidence_of
+from twin.diagnose.checks.consistency import beginnings, contradictions
+from twin.diagnose.evidence.gather import Evidence
+from twin.diagnose.evidence.sample_loss import Lost, lost_samples
+from twin.diagnose.experiments.design import propose
+from twin.diagnose.inference.adequacy import where_left
+from twin.diagnose.inference.budget import Budget, Spent
+from twin.diagnose.inference.fisher_scoring import Fit, spreads
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.noise_floor import Floor
+from twin.diagnose.inference.pace import pace_of
+from twin.diagnose.inference.theta import Theta
+from twin.diagnose.judge.account import Account, Verdict, account_of, beyond_floor, beyond_sentence, verdict_of
+from twin.diagnose.judge.given_model import off_sentence, theta_of
+from twin.diagnose.judge.prediction_gain import HORIZONS_S, Gain, gain
+from twin.diagnose.report.model_file import model_of
+from twin.diagnose.report.other_causes import missing_channels, not_testable, ruled_out, trifles_of
+from twin.diagnose.report.sentences import finding_sentence, summary_sentence
+from twin.diagnose.result import (
+    Diagnosis,
+    Finding,
+    Member,
+    Proposal,
+    fit_parameters,
+)
+from twin.diagnose.search.candidate_fits import Trial
+from twin.diagnose.search.forward_step import SHARE
+from twin.diagnose.search.prediction_benefit import HORIZON_S
+from twin.diagnose.search.state import Selection
+from twin.estimation.record import Record
+from twin.model.causes.catalogue import CATALOGUE
+from twin.model.causes.cause import Cause
+from twin.model.parameters import Model, Parameter
+
+LOST = "lost-samples"
+PERIODIC = "periodic-disturbance"
+Say = Callable[[str], None]
+
+
+@dataclass(kw_only=True)
+class Searched:
+    """What the search ended with; a change puts its own criterion, causes and recordings in place of the first ones."""
+
+    criterion: Criterion
+    base: Fit
+    floor: Floor
+    found: Selection
+    fine: bool  # what is left is noise
+    why_not: str
+    change: Change | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """How the user wants it done."""
+
+    model: Model | None
+    quick: bool
+    share: float
+    seed: int
+    workers: int
+    budget: Budget
+    say: Say
+
+
+@contextmanager
+def timed(stages: dict[str, float], name: str) -> Iterator[None]:
+    """Add the seconds that the block takes to that stage."""
+    began = time.perf_counter()
+    yield
+    stages[name] = stages.get(name, 0.0) + time.perf_counter() - began
+
+
+def testable_causes(records: Sequence[Record]) -> tuple[Cause, ...]:
+    """The causes whose channels the recordings have."""
+    return tuple(
+        cause
+        for cause in CATALOGUE
+        if not cause.not_testable and cause.name != LOST and not missing_channels(cause, records)
+    )
+
+
+def told(
+    campaign: Campaign,
+    done: Searched,
+    records: Sequence[Record],
+    judges: Sequence[Record],
+    evidence: Evidence,
+    judge: Evidence | None,
+    warnings: list[str],
+    asked: Asked,
+    stages: dict[str, float],
+) -> Diagnosis:
+    """The diagnosis of a finished search; `warnings` and `stages` grow on the way."""
+    criterion, found, floor, model = done.criterion, done.found, done.floor, asked.model
+    finished = not asked.budget.unanswered  # what cannot be paid from here on leaves the verdict as it is
+    asked.budget.reopen()
+    with timed(stages, "what is left"):
+        under = floor.under(criterion, found.fit.theta)
+        account = account_of(found, under.excess(found.fit.loglik), done.fine)
+        where = "" if done.fine else where_left(criterion, found.fit, under)
+        spread = spreads(criterion, found.fit)
+        warnings += contradictions(criterion, found.fit)
+        always = [name for name in found.causes if name != PERIODIC and done.change is None]
+        warnings += [
+            f"{late.cause} is not there from the start: it begins in {late.recording} at about {late.t_s:.0f} s"
+            for late in beginnings(criterion, found.fit, always)
+        ]
+    with timed(stages, "next experiments"):
+        proposals = {} if asked.quick else _proposals(criterion, found, campaign, asked)
+    with timed(stages, "gain"):
+        before = done.base.theta if model is None else theta_of(model, done.base.theta)
+        after, tick_s = found.fit.theta, criterion.tick_s
+        gains = _gains(judge, before, after, floor, campaign.plant, tick_s, asked)
+        at_20_ms = next((one for one in gains if abs(one.horizon_s - 0.02) < 0.5 * tick_s), None)
+        off = ""
+        if model is not None and judge is not None and at_20_ms is not None:
+            anew = gain(judge, done.base.theta, after, floor, campaign.plant, tick_s, at_20_ms.samples, asked.seed)
+            off = off_sentence(model, done.base.theta, at_20_ms, anew)
+            warnings += [off] if off else []
+    lost = lost_samples([*records, *judges])
+    verdict = verdict_of(named=bool(found.causes) or lost is not None, fine=done.fine, finished=finished, gain=at_20_ms)
+    findings = _findings(found, account, spread, proposals, verdict, asked.quick, lost)
+    if done.change is not None:
+        findings = [late_finding(one, done.change) for one in findings]
+    if not done.fine:
+        warnings.append(done.why_not)
+    elif at_20_ms is not None and beyond_floor(at_20_ms):
+        where = beyond_sentence(at_20_ms)
+        warnings.append(f"not all is explained {where}")
+    trifles = tuple(trifles_of(criterion, found)) if done.fine and done.change is None else ()
+    diagnosis = Diagnosis(
+        verdict=verdict,
+        sentence="",
+        causes=tuple(findings),
+        not_testable=tuple(not_testable(found, records)),
+        trifles=trifles,
+        ruled_out=tuple(ruled_out(found, {*_names(findings), *(one.name for one in trifles)})) if finished else (),
+        account=account,
+        unexplained_where=where,
+        gains=tuple(gains),
+        gain=at_20_ms,
+        baseline=model or _paper(campaign, done, records, under),
+        extended=model_of(
+            campaign, found.fit, spread, records, under.excess(found.fit.loglik), "extended by board51 diagnose"
+        ),
+        warnings=tuple(dict.fromkeys(warnings)),
+        quick=asked.quick or asked.share < SHARE,
+        stages_s=stages,
+        selection=found,
+        floor=floor,
+        fit_evidence=evidence,
+        judge_evidence=judge,
+        before=before,
+        after=after,
+        tick_s=tick_s,
+        budget=asked.budget,
+    )
+    sentence = summary_sentence(diagnosis)
+    if not any(record.has("x") for record in records):
+        sentence = f"Of the amplifier alone, as no recording has x: {sentence}"
+    if off and verdict == "model-adequate":
+        sentence = f"The form of the model is adequate, but {off}."
+    return replace(diagnosis, sentence=sentence)
+
+
+def _paper(campaign: Campaign, done: Searched, records: Sequence[Record], under: Floor) -> Model:
+    lacks = under.excess(done.base.loglik)
+    return model_of(campaign, done.base, {}, records, lacks, "the paper's model at its best")
+
+
+def _gains(
+    judge: Evidence | None, before: Theta, after: Theta, floor: Floor, plant: Plant, tick_s: float, asked: Asked
+) -> list[Gain]:
+    if judge is None or not len(judge.series):
+        return []
+
+    def at(samples: int) -> Gain | None:
+        return gain(judge, before, after, floor, plant, tick_s, samples, asked.seed)
+
+    # The longest first: it takes the most.
+    horizons = sorted({max(round(horizon / tick_s), 1) for horizon in HORIZONS_S}, reverse=True)
+    horizons = _affordable(horizons, judge, (before, after), tick_s, asked.budget)
+    with ThreadPoolExecutor(max_workers=asked.workers) as pool:
+        found = [one for one in pool.map(at, horizons) if one is not None]
+    return found[::-1]
+
+
+def _affordable(
+    horizons: Sequence[int], judge: Evidence, thetas: Sequence[Theta], tick_s: float, budget: Budget
+) -> list[int]:
+    """The horizons that the budget pays for, that of the answer first."""
+    pace, paid = pace_of(judge.series), set()
+    for samples in sorted(horizons, key=lambda samples: abs(samples * tick_s - HORIZON_S)):
+        with suppress(Spent), budget.question(f"the error of x {1e3 * samples * tick_s:.0f} ms ahead"):
+            budget.take(sum(pace.steps_ahead(theta.vector(), samples) for theta in thetas))
+            paid.add(samples)
+    return [samples for samples in horizons if samples in paid]
+
+
+def _findings(
+    found: Selection,
+    account: Account,
+    spread: dict[str, float],
+    proposals: dict[str, Proposal],
+    verdict: Verdict,
+    quick: bool,
+    lost: Lost | None,
+) -> list[Finding]:
+    findings = []
+    for cause in found.causes:
+        near = found.classes.get(cause, ())
+        parameters = fit_parameters(found.fit, cause, spread)
+        findings.append(
+            Finding(
+                name=cause,
+                sentence=finding_sentence(cause, parameters),
+                parameters=parameters,
+                confidence=confidence_of(found, cause, verdict, quick),
+                indistinguishable_from=tuple(_member(trial) for trial in near),
+                share_of_excess_explained=account.by_cause[cause],
+                loglik_gain=account.gains[cause],
+                next_experiment=proposals.get(cause),
+            )
+        )
+    if lost is not None:
+        value = Parameter(value=lost.probability, unit="", ci95=lost.ci95, verdict="identified", method="gaps counted")
+        findings.append(
+            Finding(
+                name=LOST,
+                sentence=f"{100 * lost.probability:.2g} % of the samples are missing, most in {lost.worst}",
+                parameters={"probability": value},
+                confidence=0.99,
+                indistinguishable_from=(),
+                share_of_excess_explained=0.0,
+                loglik_gain=0.0,
+            )
+        )
+    return findings
+
+
+def _names(findings: Sequence[Finding]) -> set[str]:
+    """Of the causes, and of those that none of these data can tell from them."""
+    return {finding.name for finding in findings} | {
+        member.name for finding in findings for member in finding.indistinguishable_from
+    }
+
+
+def _proposals(criterion: Criterion, found: Selection, campaign: Campaign, asked: Asked) -> dict[str, Proposal]:
+    """For each cause with a class, the experiment that splits it best, or why none can."""
+    result = {}
+    for cause in found.causes:
+        near = found.classes.get(cause, ())
+        if not near:
+            continue
+        question = f"which experiment tells {cause} from {', '.join(trial.cause for trial in near)}"
+        asked.say(f"{question}?")
+        ranked = []
+        with suppress(Spent), asked.budget.question(question):
+            ranked = propose(criterion, found.fit, cause, near, campaign.controller, asked.budget)
+        if not ranked:
+            continue
+        best = ranked[0]
+        outside = tuple(
+            f"{pair.own} and {pair.rival}: no experiment on this rig tells them apart; {pair.measurement}"
+            for pair in best.pairs
+            if not pair.separable
+        )
+        result[cause] = Proposal(
+            what=best.what if best.separable else " ".join(outside) or best.what,
+            separation_z=best.separation_z,
+            command=best.command if best.separable else "",
+            outside=outside,
+            others=tuple((one.name, one.separation_z) for one in ranked[1:4]),
+        )
+    return result
+
+
+def _member(trial: Trial) -> Member:
+    return Member(name=trial.cause, parameters=fit_parameters(trial.fit, trial.cause, _own_spread(trial.fit)))
+
+
+def _own_spread(fit: Fit) -> dict[str, float]:
+    return {name: math.nan for name in fit.free}

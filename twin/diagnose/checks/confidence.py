@@ -1,0 +1,38 @@
+"""How sure is a name?  A figure that grows with the lead over the rivals; not calibrated yet.
+
+The lead of a cause is the log-likelihood by which it beats the best rival outside its class.  How often a name is right
+at each figure is what `board51 bench diagnosis` measures; the map below was not fitted to it, but for names that stand
+beside `unknown-cause`.
+"""
+
+from __future__ import annotations
+
+import math
+
+from twin.diagnose.judge.account import Verdict
+from twin.diagnose.search.state import Selection
+
+_HALF_LEAD = 6.0  # of log-likelihood
+_UNCALIBRATED = 0.8
+# At most, by verdict.  Of the names that stood beside `unknown-cause` in two draws of the whole matrix 6 of 21 were
+# right; none was counted yet beside `partly-explained`.
+MOST: dict[Verdict, float] = {
+    "causes-found": 0.98,
+    "partly-explained": 0.98 * _UNCALIBRATED,
+    "unknown-cause": 0.294,
+    "unfinished": 0.294,
+}
+
+
+def confidence_of(found: Selection, cause: str, verdict: Verdict, quick: bool) -> float:
+    """Probability that the truth is `cause` or in its class.
+
+    Args:
+        found: the selection.
+        cause: one of its causes.
+        verdict: of the answer; where more than noise is left, a name may stand in for what nobody knows.
+        quick: without classes, not calibrated.
+    """
+    lead = found.runner_up.get(cause, found.gains.get(cause, 0.0))
+    sure = 1.0 - 0.5 * math.exp(-max(lead, 0.0) / _HALF_LEAD)
+    return round(MOST[verdict] * sure * (_UNCALIBRATED if quick else 1.0), 3)

@@ -1,0 +1,158 @@
+"""Do the recordings agree?  Which one contradicts the others, and does an effect begin in the middle of the campaign?
+
+At the final model each stretch of data says by how much it would move one number, the others staying: score over
+information.  Stretches that agree scatter about 0 by their own standard errors.
+
+Rule 1: a contradiction needs both: many standard errors, and a size that matters.
+Rule 2: a beginning is a split in time before which the cause is as good as absent.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from twin.diagnose.inference.fisher_scoring import Fit
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.theta import parameter_of, unit_of
+from twin.estimation.innovations import FOLLOWS, information
+from twin.estimation.record import FloatArray
+from twin.model.causes.catalogue import BY_NAME
+
+BLOCK_S = 1.0
+SURE = 8.0  # standard errors
+MATTERS = {"K_A": 0.03, "K_c": 0.05}  # of the logarithm
+ABSENT = 0.25  # of the later strength
+SPLIT_GAIN = 25.0  # of log-likelihood
+_LEAST_Z = 4.0  # of the effect after the split
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stretch:
+    """What one stretch of data asks of one coordinate."""
+
+    recording: int
+    t_s: float  # its beginning, on the recording's clock
+    move: float  # of the coordinate, from the final model
+    std: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Beginning:
+    """An effect that is not there from the start."""
+
+    cause: str
+    recording: str
+    t_s: float
+    gain: float
+
+
+def stretches(criterion: Criterion, fit: Fit, names: Sequence[str]) -> dict[str, list[Stretch]]:
+    """Each coordinate's wishes, by blocks of about a second within recordings."""
+    base, change = criterion.derivatives(fit.theta, names)
+    series = criterion.evidence.series
+    t = criterion.evidence.t
+    result: dict[str, list[Stretch]] = {name: [] for name in names}
+    for block in _blocks(series.recording, series.flags, series.step):
+        n = block.stop - block.start
+        fisher, each = np.zeros((len(names), len(names))), np.empty((n, len(names)))
+        information(base[block], np.ascontiguousarray(change[:, block]), each, fisher)
+        for place, name in enumerate(names):
+            own = float(fisher[place, place])
+            if own > 1e-12:
+                result[name].append(
+                    Stretch(
+                        recording=int(series.recording[block.start]),
+                        t_s=float(t[block.start]),
+                        move=float(each[:, place].sum()) / own,
+                        std=1.0 / math.sqrt(own),
+                    )
+                )
+    return result
+
+
+def contradictions(criterion: Criterion, fit: Fit) -> list[str]:
+    """A sentence for each recording that asks for another K_A or K_c than the rest."""
+    names = tuple(MATTERS)
+    asked = stretches(criterion, fit, names)
+    sentences = []
+    for name, least in MATTERS.items():
+        for number, recording in enumerate(criterion.evidence.names()):
+            own = [stretch for stretch in asked[name] if stretch.recording == number]
+            if not own:
+                continue
+            weights = np.array([stretch.std**-2 for stretch in own])
+            move = float(np.sum(weights * [stretch.move for stretch in own]) / weights.sum())
+            if abs(move) > least and abs(move) * math.sqrt(float(weights.sum())) > SURE:
+                sentences.append(
+                    f"{recording} contradicts the others: alone it asks for {name} {100 * math.expm1(move):+.0f} %"
+                )
+    return sentences
+
+
+def beginnings(criterion: Criterion, fit: Fit, causes: Sequence[str]) -> list[Beginning]:
+    """The causes that are absent at first, with the place where they begin."""
+    names = [f"{cause}.{BY_NAME[cause].strength.name}" for cause in causes]
+    if not names:
+        return []
+    asked = stretches(criterion, fit, names)
+    found = []
+    for cause, name in zip(causes, names, strict=True):
+        parameter = parameter_of(name)
+        here = parameter.coordinate(fit.theta.value(name)) / unit_of(parameter)
+        own = asked[name]
+        if len(own) < 4 or here == 0.0:
+            continue
+        weights = np.array([stretch.std**-2 for stretch in own])
+        strengths = here + np.array([stretch.move for stretch in own])
+        place, gain, before, after = _split(strengths, weights)
+        late = abs(before) < ABSENT * abs(after) and after * here > 0.0
+        sure = abs(after) * math.sqrt(float(weights[place:].sum())) > _LEAST_Z
+        if gain > SPLIT_GAIN and late and sure:
+            stretch = own[place]
+            found.append(
+                Beginning(
+                    cause=cause,
+                    recording=criterion.evidence.names()[stretch.recording],
+                    t_s=stretch.t_s,
+                    gain=gain,
+                )
+            )
+    return found
+
+
+def _split(values: FloatArray, weights: FloatArray) -> tuple[int, float, float, float]:
+    """(first block after the best split, gain of log-likelihood, weighted mean before, after)."""
+    total_w, total = weights.cumsum(), (weights * values).cumsum()
+    best = (1, -math.inf, 0.0, 0.0)
+    for place in range(1, len(values)):
+        w_1, w_2 = total_w[place - 1], total_w[-1] - total_w[place - 1]
+        if w_1 <= 0.0 or w_2 <= 0.0:
+            continue
+        first, second = total[place - 1] / w_1, (total[-1] - total[place - 1]) / w_2
+        gain = 0.5 * w_1 * w_2 / (w_1 + w_2) * (first - second) ** 2
+        if gain > best[1]:
+            best = (place, float(gain), float(first), float(second))
+    return best
+
+
+def _blocks(
+    recording: np.ndarray[tuple[int], np.dtype[np.int32]],
+    flags: np.ndarray[tuple[int], np.dtype[np.uint8]],
+    step: FloatArray,
+) -> list[slice]:
+    """Pieces of about `BLOCK_S`, never across recordings or gaps."""
+    edges = np.flatnonzero((flags & FOLLOWS == 0) | np.append(True, np.diff(recording) != 0))
+    pieces = []
+    for a, b in zip(edges, np.append(edges[1:], len(flags)), strict=True):
+        if b - a < 20:
+            continue
+        lasts = float(step[a + 1 : b].sum())
+        count = max(round(lasts / BLOCK_S), 1)
+        cuts = np.linspace(a, b, count + 1).astype(int)
+        pieces += [slice(int(c), int(d)) for c, d in pairwise(cuts) if d > c]
+    return pieces

@@ -1,0 +1,109 @@
+"""The odd one out: a recording of another rig, or of another day, among recordings that agree.
+
+Asked only where no cause, and no change between recordings, leaves noise.
+
+Rule 1: it is the odd one if the paper's law with other numbers, x_max among them, explains it alone down to its noise,
+        and these numbers differ by more than drift makes of a rig.  A recording that alone shows an unknown effect is
+        not: no numbers explain that.
+Rule 2: the others must then be explained without it; who calls decides that by diagnosing them alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from protocol.errors import DataError
+from twin.diagnose.checks.consistency import MATTERS
+from twin.diagnose.evidence.gather import gather
+from twin.diagnose.inference.adequacy import adequate
+from twin.diagnose.inference.fisher_scoring import PASSES, Fit, climb, inverse
+from twin.diagnose.inference.initial_guess import no_better, start_theta
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.noise_floor import Floor, expected
+from twin.diagnose.inference.theta import BASE, FLOORS, roused
+from twin.estimation.innovations import FLIES, information
+from twin.estimation.record import runs
+
+GAP = "air-gap-offset.d_m"
+CLEAR = 50.0  # of log-likelihood, by numbers of its own
+_FLOWN = 500  # samples in flight: fewer do not fix four numbers
+_FEWEST = 4  # recordings: of two that disagree nobody knows which is the odd one
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Odd:
+    """The recording and what it asks for."""
+
+    recording: int
+    name: str
+    moves: tuple[tuple[str, float], ...]  # (parameter, relative change from what the others ask for)
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        asked = " and ".join(f"{name} {100.0 * by:+.0f} %" for name, by in self.moves)
+        return (
+            f"{self.name} contradicts the others and was left out: alone it is explained by {asked}, as by another "
+            "rig. Check where it comes from"
+        )
+
+
+def odd_one(criterion: Criterion, base: Fit, floor: Floor) -> Odd | None:
+    """The recording that contradicts all others; None where none does.
+
+    Args:
+        criterion: of the recordings for fitting.
+        base: the paper's model, fitted to all of them.
+        floor: what sensor noise alone leaves.
+    """
+    evidence = criterion.evidence
+    series, names = evidence.series, BASE[:4]
+    if len(np.unique(series.recording[series.flags & FLIES != 0])) < _FEWEST:
+        return None
+    out, change = criterion.derivatives(base.theta, names)
+    best: tuple[float, int] = (CLEAR, -1)
+    for number in range(len(evidence.records)):
+        own = np.asarray(series.recording == number)
+        if np.count_nonzero(series.flags[own] & FLIES) < _FLOWN:
+            continue
+        (piece,) = runs(own)
+        each, fisher = np.empty((piece.stop - piece.start, len(names))), np.zeros((len(names), len(names)))
+        information(out[piece], np.ascontiguousarray(change[:, piece]), each, fisher)
+        score = each.sum(axis=0)
+        gain = 0.5 * float(score @ inverse(fisher) @ score)
+        best = max(best, (gain, number))
+    number = best[1]
+    if number < 0:
+        return None
+    record = evidence.records[number]
+    rest = [one for place, one in enumerate(evidence.records) if place != number]
+    plant, stops = criterion.plant, (evidence.low_m, evidence.high_m)
+    try:
+        start = no_better(start_theta([record], plant), evidence)
+    except DataError:
+        return None  # alone it says too little
+    budget = criterion.budget
+    alone = Criterion(gather([record], plant, stops), plant, criterion.tick_s, budget=budget)
+    others = Criterion(gather(rest, plant, stops), plant, criterion.tick_s, budget=budget)
+    try:
+        # Another rig has its coil at another height, too.
+        fit = climb(alone, start.having(GAP, 0.0), (*BASE, GAP), passes=2 * PASSES)
+        agreed = climb(others, roused(base.theta), base.free)
+        # With the noise of its own sensors: another rig has others.
+        quiet = replace(
+            fit.theta,
+            process_i_c_a=FLOORS["process_i_c_a"],
+            process_a_m_s2=FLOORS["process_a_m_s2"],
+        )
+        loglik, readings = expected(alone.outputs(quiet))
+        if not adequate(alone, fit, replace(floor, loglik=loglik, readings=readings))[0]:
+            return None
+        moves = {name: math.log(fit.theta.value(name) / agreed.theta.value(name)) for name in MATTERS}
+    finally:
+        alone.close()
+        others.close()
+    large = tuple((name, math.expm1(by)) for name, by in moves.items() if abs(by) > MATTERS[name])
+    return Odd(recording=number, name=record.name, moves=large) if large else None

@@ -1,0 +1,1 @@
+"""The diagnosis of a campaign that has points of rest alone."""

@@ -1,0 +1,199 @@
+"""What a diagnosis from points of rest says: sentences, and its form in diagnosis.json."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from twin.diagnose.equilibria.diagnosis import Explanation, StaticDiagnosis, parameters_of, proposal_for
+from twin.diagnose.equilibria.points import AMPLIFIER
+from twin.diagnose.report.sentences import quantity
+from twin.estimation.record import FloatArray
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+
+NEARLY = 0.9  # of the squares: a cause that takes so much away is worth mentioning though too few points hold it
+
+
+def sentence_of(found: StaticDiagnosis) -> str:
+    """The answer, first."""
+    n = len(found.points)
+    worst = int(np.argmax(np.abs(found.base.residual_a)))
+    off, i = found.base.residual_a[worst], found.points.i_c_a[worst]
+    wrong = (
+        f"With K_c at its best, (3) is off by {1e3 * rms(found.base.residual_a):.3g} mA rms over {n} points of rest,"
+        f" most at x = {1e3 * found.points.x_m[worst]:.2f} mm: the ball took {1e3 * off:+.0f} mA"
+        f" ({100 * off / i:+.0f} % of its holding current) against what (3) says"
+    )
+    if found.verdict == "model-adequate":
+        off_ma = 1e3 * rms(found.base.residual_a)
+        return f"These {n} points of rest do not contradict (3): it is off by {off_ma:.3g} mA rms."
+    if found.verdict == "unknown-cause":
+        nearest = next((one for one in found.others if not one.fit.at_bound), None)
+        taken = 0.0 if nearest is None else 1.0 - nearest.fit.rss_a2 / found.base.rss_a2
+        if nearest is None or taken < NEARLY:
+            return f"{wrong}; no single cause of the catalogue explains it."
+        by_chance = 100 * min(nearest.p * len(found.others), 1.0)
+        return (
+            f"{wrong}. {nearest.name} would take {100 * taken:.0f} % of the squares away, but {n} points are too few"
+            f" to name it: of {len(found.others)} causes one does as much by chance in {by_chance:.0f} % of campaigns."
+        )
+    first = found.members[0]
+    strength = BY_NAME[first.name].strength
+    size = f"{strength.symbol} = {quantity(first.value, strength.unit)}"
+    size += f" ({quantity(first.low, strength.unit)} to {quantity(first.high, strength.unit)})"
+    also = ", ".join(one.name for one in found.members[1:])
+    before, after = rms(found.base_left_out_a), rms(first.left_out_a)
+    text = f"{wrong}. {BY_NAME[first.name].title[:1].upper()}{BY_NAME[first.name].title[1:]}, {size}, would explain it"
+    text += f"; so would, as well, {also}." if also else "."
+    return (
+        f"{text} A point predicted from the others is then off by {1e3 * after:.3g} mA rms"
+        f" instead of {1e3 * before:.3g} ({before / after:.2g} times less)."
+    )
+
+
+def to_json(found: StaticDiagnosis) -> dict[str, Any]:
+    """The contract of diagnosis.json, with what is special to points of rest under `static`."""
+    base, first = found.base, found.members[0] if found.members else None
+    floor = len(found.points) * found.rounding_a**2
+    excess = max(base.rss_a2 - floor, 1e-300)
+    left = first.fit.rss_a2 if first else base.rss_a2
+    after = first.left_out_a if first else found.base_left_out_a
+    causes = []
+    if first is not None:
+        others = found.members[1:]
+        proposals = [proposal_for(first, other) for other in others]
+        causes.append(
+            {
+                "name": first.name,
+                "sentence": named(first),
+                "parameters": _numbers(first),
+                "confidence": round(found.confidence, 3),
+                "indistinguishable_from": [other.name for other in others],
+                "alternatives": [
+                    {
+                        "name": other.name,
+                        "parameters": _numbers(other),
+                        "rms_a": rms(other.fit.residual_a),
+                        "unstable_pole_per_s": other.pole_per_s,
+                        "told_apart_by": {"what": what, "separation_z": z, "command": command},
+                    }
+                    for other, (what, z, command) in zip(others, proposals, strict=True)
+                ],
+                "share_of_excess_explained": min((base.rss_a2 - left) / excess, 1.0),
+                "next_experiment": _best_proposal(proposals),
+                "unstable_pole_per_s": first.pole_per_s,
+            }
+        )
+    worst = int(np.argmax(np.abs(first.fit.residual_a if first else base.residual_a)))
+    remains = first.fit if first else base
+    where = (
+        f"{1e3 * remains.std_a:.2g} mA, most at x = {1e3 * found.points.x_m[worst]:.2f} mm;"
+        f" rounding alone makes {1e3 * found.rounding_a:.2g} mA"
+    )
+    return {
+        "verdict": found.verdict,
+        "sentence": sentence_of(found),
+        "calibrated": True,
+        "causes": causes,
+        "not_testable": [{"name": name, "why": why} for name, why in not_testable(found)],
+        "ruled_out": [{"name": one.name, "why": why_not(found, one)} for one in found.others],
+        "jointly_explained": {"share_of_excess": 0.0},
+        "unexplained": {
+            "share_of_excess": 0.0 if found.verdict == "model-adequate" else min(max(left - floor, 0.0) / excess, 1.0),
+            "where": where,
+        },
+        "gain": {
+            "horizon_samples": 0,
+            "judge": None
+            if found.judge is None
+            else {"baseline_rmse_a": rms(found.judge[0]), "extended_rmse_a": rms(found.judge[1])},
+            "why": "points of rest hold no motion to predict",
+            "leave_one_out": {
+                "baseline_rmse_a": rms(found.base_left_out_a),
+                "extended_rmse_a": rms(after),
+                "ratio": rms(after) / rms(found.base_left_out_a),
+                "noise_floor_a": found.rounding_a,
+                "points": len(found.points),
+            },
+        },
+        "static": {
+            "x_m": found.points.x_m.tolist(),
+            "i_c_a": found.points.i_c_a.tolist(),
+            "baseline_error_a": base.residual_a.tolist(),
+            "baseline_error_share": (base.residual_a / found.points.i_c_a).tolist(),
+            "baseline_error_m": found.base_off_m.tolist(),
+            "extended_error_a": remains.residual_a.tolist(),
+            "given_model_error_a": None if found.given_off_a is None else found.given_off_a.tolist(),
+            "K_c": {"paper": base.theta.K_c, "extended": remains.theta.K_c},
+            "F": None if first is None else first.F,
+            "p": None if first is None else first.p,
+            "degrees_of_freedom": remains.freedom,
+        },
+        "warnings": list(found.warnings),
+    }
+
+
+def not_testable(found: StaticDiagnosis) -> list[tuple[str, str]]:
+    """(name, why) of every cause of the catalogue that points of rest do not show."""
+    entries = []
+    tested = {one.name for one in (*found.members, *found.others)}
+    for cause in CATALOGUE:
+        if cause.name in tested:
+            continue
+        if cause.not_testable:
+            why = cause.not_testable
+        elif cause.name in found.absorbed:
+            why = "at rest K_c does what it does"
+        elif cause.name in AMPLIFIER:
+            why = "i_c was measured: what the amplifier makes of u_c does not matter to the force balance"
+        else:
+            why = f"nothing moves in these data ({', '.join(cause.shows_in) or 'no experiment'} would show it)"
+        entries.append((cause.name, why))
+    return entries
+
+
+def why_not(found: StaticDiagnosis, one: Explanation) -> str:
+    """Why a cause that was tried is not in the class."""
+    left = f"leaves {1e3 * rms(one.fit.residual_a):.3g} mA rms"
+    strength = BY_NAME[one.name].strength
+    if one.fit.at_bound:
+        return (
+            f"{left} even with {strength.symbol} at the end of its physical range, {quantity(one.value, strength.unit)}"
+        )
+    if found.base.rss_a2 - one.fit.rss_a2 < 1e-3 * found.base.rss_a2:
+        return "any size of it makes the balance worse"
+    best = found.members[0].fit if found.members else None
+    if best is None:
+        return f"{left}; chance does that in {100 * one.p:.2g} % of such campaigns, and others were tried too"
+    return f"{left}, {math.sqrt(one.fit.rss_a2 / best.rss_a2):.3g} times what {best.cause} leaves"
+
+
+def named(one: Explanation) -> str:
+    """The cause in plain words, with its size."""
+    strength = BY_NAME[one.name].strength
+    size = f"{strength.symbol} = {quantity(one.value, strength.unit)}"
+    return (
+        f"{BY_NAME[one.name].title}: {size} ({quantity(one.low, strength.unit)} to {quantity(one.high, strength.unit)})"
+    )
+
+
+def _numbers(one: Explanation) -> dict[str, Any]:
+    return {
+        name: {"value": p.value, "unit": p.unit, "std": p.std, "ci95": list(p.ci95) if p.ci95 else None}
+        for name, p in parameters_of(one).items()
+    }
+
+
+def _best_proposal(proposals: Sequence[tuple[str, float, str]]) -> dict[str, Any] | None:
+    if not proposals:
+        return None
+    what, z, command = max(proposals, key=lambda proposal: proposal[1])
+    return {"what": what, "separation_z": z, "command": command}
+
+
+def rms(values: FloatArray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,49 @@
+"""Lost samples: gaps in time that no model explains, counted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.estimation.record import Record
+
+FEWEST = 5  # gaps: one or two are an interruption, not a habit
+LEAST_SHARE = 5e-4
+LONGEST = 50  # intervals: a longer gap is a pause
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lost:
+    """How many samples are missing."""
+
+    probability: float
+    ci95: tuple[float, float]
+    gaps: int
+    worst: str  # the recording that lost most
+
+
+def lost_samples(records: Sequence[Record]) -> Lost | None:
+    """The share of ticks without a sample; None where that is no more than an interruption or two."""
+    missing, total, gaps, worst = 0, 0, 0, ("", 0)
+    for record in records:
+        if record.kind == "equilibria" or len(record.t) < 100:
+            continue
+        steps = np.diff(record.t)
+        interval = record.interval_s
+        whole = np.rint(steps / interval)
+        if np.mean(np.abs(steps / interval - whole) < 0.1) < 0.99:
+            continue  # sampled at varying times: nothing says that a sample is missing
+        lost = whole[(whole > 1) & (whole <= LONGEST)] - 1
+        missing, gaps, total = missing + int(lost.sum()), gaps + len(lost), total + len(record.t)
+        if lost.sum() > worst[1]:
+            worst = (record.name, int(lost.sum()))
+    if gaps < FEWEST or missing < LEAST_SHARE * total:
+        return None
+    n = missing + total
+    p, z = missing / n, 1.96
+    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
+    half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
+    return Lost(probability=p, ci95=(middle - half, middle + half), gaps=gaps, worst=worst[0])

@@ -1,0 +1,93 @@
+"""Sensor noise where no model is needed: at rest, or of a ball that is clamped."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.diagnose.evidence.gather import Evidence
+from twin.estimation.contact import HELD_SAMPLES, at_converter_end, near_converter_end
+from twin.estimation.ekf import RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN
+from twin.estimation.innovations import FLIES, USE_I, USE_X, Series
+from twin.estimation.record import BoolArray, FloatArray, runs
+
+RESTLESS = 5.0  # of the median window's sum of squares: of ten thousand windows of noise none reaches it
+_LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
+
+
+def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
+    """Standard deviations (i_c in A, x in m) at rest, where no model is needed; None where nothing rested for long."""
+    squares = _rest_squares(evidence)
+    result = [float(np.sqrt(total / count)) if count > 300 and total > 0 else None for total, count in squares]
+    if None in result:
+        clamped = _clamped_noise(evidence)
+        result = [here if here is not None else other for here, other in zip(result, clamped, strict=True)]
+    return result[0], result[1]
+
+
+def noise_error(evidence: Evidence) -> float:
+    """Standard error of ln sigma, averaged over both channels: sqrt(1 / 2n) each."""
+    counts = [count for _, count in _rest_squares(evidence) if count > 300]
+    return 0.5 * float(np.sqrt(sum(0.5 / count for count in counts)))
+
+
+def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
+    """Sum of squares around straight lines at rest, and its degrees of freedom: i_c, x.
+
+    A window far noisier than the others is none of rest: a current that still settles when u_c stands, a touched rig.
+    """
+    series = evidence.series
+    whole = _not_cut(series, series.i, USE_I), _not_cut(series, series.x, USE_X)
+    rest = series.flags & (RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) != 0
+    squares: tuple[list[float], list[float]] = ([], [])
+    for piece in runs(rest, 2 * HELD_SAMPLES):
+        for start in range(piece.start, piece.stop - HELD_SAMPLES + 1, HELD_SAMPLES):
+            window = slice(start, start + HELD_SAMPLES)
+            usable = whole[0][window].all() and np.ptp(series.u[window]) == 0.0, whole[1][window].all()
+            for place, values in ((0, series.i[window]), (1, series.x[window])):
+                if not usable[place]:
+                    continue
+                line = np.polynomial.polynomial.polyfit(_LINE, values, 1)
+                residual = values - np.polynomial.polynomial.polyval(_LINE, line)
+                squares[place].append(float(residual @ residual))
+    result = []
+    for channel in squares:
+        middle = float(np.median(channel)) if channel else 0.0
+        usual = [one for one in channel if one <= RESTLESS * middle] if middle > 0.0 else channel
+        result.append((sum(usual), len(usual) * (HELD_SAMPLES - 2)))
+    return result
+
+
+def _not_cut(series: Series, values: FloatArray, use: int) -> BoolArray:
+    """Which readings are used and have all of their noise, shape (n,)."""
+    used, known = series.flags & use != 0, series.flags & (use | RESTS_LOW | RESTS_HIGH) != 0
+    for number in np.unique(series.recording):
+        own = np.flatnonzero(known & (series.recording == number))
+        used[own[near_converter_end(values[own])]] = False
+    return np.asarray(used)
+
+
+def _clamped_noise(evidence: Evidence) -> tuple[float | None, float | None]:
+    """As `sensor_noise`, from a clamped ball at the heights that are flown: some sensors' noise grows with the gap."""
+    series = evidence.series
+    flown = series.x[series.flags & FLIES != 0]
+    amplifier_only = not any(record.has("x") for record in evidence.records)
+    if not len(flown) and not amplifier_only:
+        return None, None
+    low, high = np.quantile(flown, (0.01, 0.99)) if len(flown) else (np.inf, -np.inf)
+    needed = ("u_c", "i_c") if amplifier_only else ("u_c", "i_c", "x")
+    found: list[list[float]] = [[], []]
+    for record in evidence.records:
+        if record.kind != "amplifier-step" or not record.has(*needed):
+            continue
+        for start in range(HELD_SAMPLES, len(record.t) - HELD_SAMPLES + 1, HELD_SAMPLES):
+            window, settled = slice(start, start + HELD_SAMPLES), slice(start - HELD_SAMPLES, start + HELD_SAMPLES)
+            if np.ptp(record.u_c[settled]) != 0.0 or at_converter_end(record.i_c[window]).any():
+                continue
+            x = record.x[window]
+            for place, values in ((0, record.i_c[window]), (1, x if low <= float(np.median(x)) <= high else x[:0])):
+                if len(values) and np.isfinite(values).all():
+                    line = np.polynomial.polynomial.polyfit(_LINE, values, 1)
+                    residual = values - np.polynomial.polynomial.polyval(_LINE, line)
+                    found[place].append(float(residual @ residual) / (HELD_SAMPLES - 2))
+    result = [float(np.sqrt(np.mean(ones))) if len(ones) * HELD_SAMPLES > 300 else None for ones in found]
+    return result[0], result[1]

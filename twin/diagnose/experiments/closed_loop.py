@@ -1,0 +1,215 @@
+"""The extended model tick by tick under the board's law or a given input, and what its converters make of it.
+
+Rule 1: noise is that of theta, sensors and process; what a converter's step adds to a reading is part of theta's
+        sigma already and is taken off before.
+Rule 2: delays of input and of sampling are one delay between u_c and the readings, as in `twin/estimation/ekf.py`.
+Rule 3: the stops are inelastic and lie where theta has them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.campaign import Plant
+from twin.compiled import Packed, kernel
+from twin.control import LawNumbers, law
+from twin.diagnose.experiments.equilibrium import carrying_current
+from twin.diagnose.inference.theta import Theta
+from twin.estimation.ekf import drive_over
+from twin.estimation.record import FloatArray, Record
+from twin.model.causes import position_sensor_lag
+from twin.model.extended import I_C, SENSOR, Base, V, X, current_reading, position_reading
+
+_NO_LAW: Packed = tuple(LawNumbers(*[0.0] * len(LawNumbers._fields)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Converters:
+    """Steps of the board's converters; 0: none."""
+
+    i_lsb_a: float = 0.0
+    x_lsb_m: float = 0.0
+    u_lsb_v: float = 0.0
+    i_from_zero: bool = True  # i_c below 0 A reads 0
+
+
+def run(
+    theta: Theta,
+    plant: Plant,
+    numbers: LawNumbers | None,
+    steps: Converters,
+    t: FloatArray,
+    command: FloatArray,
+    y: NDArray[np.float64],
+    s: float,
+    speed: float,
+    tick_s: float,
+    rng: np.random.Generator,
+    out: FloatArray,
+    *,
+    clamped: bool = False,
+    floor_m: float | None = None,
+) -> None:
+    """`play` with the noise of theta; out, shape (n, 4), receives u_c, the readings of i_c and x, and the true x.
+
+    Args:
+        theta: the rig.
+        plant: mass, travel, x_max, gravity.
+        numbers: the law; None: open loop.
+        steps: of the converters.
+        t: s, shape (n,).
+        command: x_ref in m under a law, else u_c in V, shape (n,).
+        y: the state at the first sample, shape (6,), used up.
+        s: the integral of the law there, m s.
+        speed: of the reading there, m/s.
+        tick_s: that process noise refers to, s.
+        rng: gives 4 n normal numbers.
+        out: receives the result.
+        clamped: whether the ball is held where it is.
+        floor_m: where it rests if that is not the lower stop, m.
+    """
+    step = np.diff(t, prepend=t[0])
+    scale = np.empty((4, len(t)))
+    scale[0], scale[1] = _without_step(theta.sigma_i_c_a, steps.i_lsb_a), _without_step(theta.sigma_x_m, steps.x_lsb_m)
+    scale[2], scale[3] = theta.process_i_c_a * np.sqrt(step / tick_s), theta.process_a_m_s2
+    play(
+        tuple(theta.base(plant)),
+        theta.vector(),
+        _NO_LAW if numbers is None else tuple(numbers),
+        numbers is not None,
+        clamped,
+        (theta.stop_low_m if floor_m is None else floor_m, plant.travel_m + theta.stop_high_m),
+        (steps.i_lsb_a, steps.x_lsb_m, steps.u_lsb_v, 0.0 if steps.i_from_zero else -math.inf),
+        t,
+        step,
+        command,
+        scale * rng.standard_normal((4, len(t))),
+        y,
+        s,
+        speed,
+        out,
+    )
+
+
+def _without_step(sigma: float, lsb: float) -> float:
+    return math.sqrt(max(sigma * sigma - lsb * lsb / 12.0, 0.0))
+
+
+@kernel
+def play(
+    base: Packed,
+    c: NDArray[np.float64],
+    law_: Packed,
+    closed_loop: bool,
+    clamped: bool,
+    stops_m: tuple[float, float],
+    lsb: tuple[float, float, float, float],
+    t: NDArray[np.float64],
+    step: NDArray[np.float64],
+    command: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    y: NDArray[np.float64],
+    s: float,
+    speed: float,
+    out: NDArray[np.float64],
+) -> None:
+    """Fill out, shape (n, 4), with u_c, the readings of i_c and x, and the true x.
+
+    Args:
+        base: tuple(Base).
+        c: the causes' parameters, shape (PLACES,).
+        law_: tuple(LawNumbers); not looked at in open loop.
+        closed_loop: whether `command` is x_ref.
+        clamped: whether the ball is held where it is.
+        stops_m: where it lies at the lower and at the upper stop, m.
+        lsb: steps of i_c, x and u_c, and the lowest reading of i_c; A, m, V, A.
+        t: s, shape (n,).
+        step: time to the sample before, s, shape (n,).
+        command: of each sample, in force until the next, shape (n,).
+        noise: what is added to the readings of i_c and x, to i_c (all per sample), and an acceleration during the
+            interval before it; A, m, A, m/s^2, shape (4, n).
+        y: the state at the first sample, shape (6,), used up.
+        s: the integral of the law there, m s.
+        speed: of the reading there, m/s.
+        out: receives the result.
+    """
+    p = Base(*base)
+    numbers = LawNumbers(*law_)
+    lag_s = c[position_sensor_lag.TAU]
+    u = out[:, 0]
+    x_prev = 0.0
+    for n in range(len(t)):
+        if n > 0:
+            held_x, shown = y[X], y[SENSOR]
+            drive_over(base, c, y, u, n, 0, t[n - 1], step[n], True)
+            if clamped:
+                y[X], y[V] = held_x, 0.0
+            else:
+                a, T_s = noise[3, n], step[n]
+                touches = True
+                if y[X] <= max(stops_m[0], 0.0) and y[V] <= 0.0:
+                    y[X], y[V] = stops_m[0], 0.0
+                elif y[X] >= min(stops_m[1], p.travel_m) and y[V] >= 0.0:
+                    y[X], y[V] = stops_m[1], 0.0
+                else:
+                    touches = False
+                    y[X] += 0.5 * a * T_s * T_s
+                    y[V] += a * T_s
+                if touches and lag_s > 0.0:
+                    settled = position_reading(p, c, y[X], y[I_C])
+                    y[SENSOR] = settled + (shown - settled) * math.exp(-T_s / lag_s)
+            y[I_C] += noise[2, n]
+        if lag_s <= 0.0:
+            y[SENSOR] = position_reading(p, c, y[X], y[I_C])
+        i, x = current_reading(c, y[I_C]) + noise[0, n], y[SENSOR] + noise[1, n]
+        if lsb[0] > 0.0:
+            i = math.floor(i / lsb[0] + 0.5) * lsb[0]
+        if lsb[1] > 0.0:
+            x = math.floor(x / lsb[1] + 0.5) * lsb[1]
+        i = max(i, lsb[3])
+        if n == 0:
+            x_prev = x - speed * numbers.sample_time_s
+        v = command[n]
+        if closed_loop:
+            v, s = law(numbers, i, x, x_prev, s, command[n])
+            if lsb[2] > 0.0:
+                v = math.floor(v / lsb[2] + 0.5) * lsb[2]
+        x_prev = x
+        out[n, 0], out[n, 1], out[n, 2], out[n, 3] = v, i, x, y[X]
+
+
+def twelve_bits(theta: Theta, plant: Plant) -> Converters:
+    """Converters that fit the rig: x over 1.25 times the travel, i_c and u_c over what lifting the ball takes."""
+    i = carrying_current(theta, plant, 0.0)
+    i = i if math.isfinite(i) else 1.0
+    return Converters(
+        i_lsb_a=1.25 * i / 4096, x_lsb_m=1.25 * plant.travel_m / 4096, u_lsb_v=1.25 * i / theta.K_A / 4096
+    )
+
+
+def converters_of(records: Sequence[Record]) -> Converters:
+    """The steps that recordings themselves show: the smallest differences between readings."""
+
+    def smallest(channel: str) -> float:
+        found = []
+        for record in records:
+            values = getattr(record, channel)
+            distinct = np.unique(values[np.isfinite(values)])
+            if len(distinct) > 2 and record.kind != "equilibria":
+                gaps = np.diff(distinct)
+                gaps = gaps[gaps > 1e-6 * (distinct[-1] - distinct[0])]
+                found.append(float(np.min(gaps)))
+        return min(found, default=0.0)
+
+    told = [record.lsb for record in records if record.lsb != (0.0, 0.0)]
+    i_lsb, x_lsb = told[0] if told else (smallest("i_c"), smallest("x"))
+    lowest = [np.nanmin(r.i_c) for r in records if r.has("i_c") and r.kind != "equilibria"]
+    lowest += [np.min(capture.i_c_a) for r in records for capture in r.captures]
+    return Converters(
+        i_lsb_a=i_lsb, x_lsb_m=x_lsb, u_lsb_v=smallest("u_c"), i_from_zero=bool(min(lowest, default=0.0) >= 0.0)
+    )

@@ -1,0 +1,256 @@
+"""Which experiment would tell two causes apart that the recordings so far cannot: computed, for this rig.
+
+Each experiment of the menu is simulated on the rig as the own cause explains it.  What the rival, as it was fitted,
+predicts otherwise there is its Delta of the innovations.  What the rival could still take up by other parameters is
+taken off, its parameters being tied down by the campaign so far and by the experiment itself:
+
+    z^2 = min over xi of |Delta_campaign + J_campaign xi|^2 + |Delta_experiment + J_experiment xi|^2
+
+with J the whitened derivatives by the paper's parameters, the stops and the rival's own.  The rival was fitted to the
+campaign, so |Delta_campaign|^2 is twice the lead in log-likelihood there and J_campaign' Delta_campaign is 0.
+
+Rule 1: only what the two predict differs; noise levels are those of the own cause for both.
+Rule 2: an experiment in which the ball would not stay in the air is not proposed.
+Rule 3: up to z = 10 a refit with the experiment finds that z within its own error of 1; beyond 20 a quarter to two
+        thirds of it, because a rival may call part of a clear misfit process noise: near neighbours may then change
+        places (tests/twin/diagnose/test_experiments.py).
+Rule 4: a pair that no experiment of the menu separates is said to be so, with the measurement from outside that would.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from protocol.campaign import Controller
+from twin.diagnose.evidence.gather import Evidence, gather
+from twin.diagnose.experiments.closed_loop import converters_of
+from twin.diagnose.experiments.equilibrium import lift_off_input
+from twin.diagnose.experiments.external_measurements import measurement_for
+from twin.diagnose.experiments.menu import MENU, Item, schedule_of, sentence
+from twin.diagnose.experiments.virtual_recordings import input_limit, simulate
+from twin.diagnose.inference.budget import Budget
+from twin.diagnose.inference.fisher_scoring import Fit, inverse
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.theta import NOISES, PARAMETERS, STOPS, derivative_step, moved
+from twin.diagnose.search.candidate_fits import MARGIN, Trial
+from twin.estimation.ekf import RESTS_HIGH, RESTS_LOW
+from twin.estimation.innovations import information
+from twin.estimation.record import FloatArray, Record
+
+ENOUGH_Z = math.sqrt(2.0 * MARGIN)  # from here on two causes are no longer one class
+CONTACT_MOST = 0.05  # of an experiment's samples: more, and the loop does not hold the ball
+_NEAR_STOP = 0.02  # of the travel
+_SEED = 1
+_WARMS = "amplifier-gain-drift"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pair:
+    """Two causes that one experiment could tell apart, or not."""
+
+    own: str
+    rival: str
+    now_z: float  # by the campaign so far, standard errors
+    separation_z: float  # with the experiment added
+    separable: bool  # by any experiment of the menu
+    measurement: str  # from outside, for a pair that is not
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Proposal:
+    """One experiment, and what it would settle."""
+
+    name: str
+    what: str  # a sentence that a person can follow
+    command: str
+    separation_z: float  # smallest over the pairs that anything on the menu separates
+    separable: bool  # whether the experiment brings those apart
+    pairs: tuple[Pair, ...]
+
+
+def propose(
+    criterion: Criterion,
+    fit: Fit,
+    own: str,
+    rivals: Sequence[Trial],
+    controller: Controller | None,
+    budget: Budget | None = None,
+) -> list[Proposal]:
+    """The menu's experiments, best first; empty where there is no rival.
+
+    Args:
+        criterion: of the recordings so far.
+        fit: of the model with the own cause.
+        own: its name.
+        rivals: those that the recordings cannot tell from it, fitted.
+        controller: of the board; None: LQI designed for the rig.
+        budget: what the runs along the experiments are paid from; without one they are free.
+
+    Raises:
+        Spent: they are not affordable.
+    """
+    if not rivals:
+        return []
+    ranked = rank(criterion, fit, controller, [trial.fit for trial in rivals], budget)
+    now = [math.sqrt(2.0 * max(fit.loglik - trial.fit.loglik, 0.0)) for trial in rivals]
+    best = [max((zs[k] for _, zs in ranked), default=0.0) for k in range(len(rivals))]
+    can = [z >= ENOUGH_Z for z in best]
+    proposals = []
+    lift_off_v = lift_off_input(fit.theta, criterion.plant)
+    for item, zs in ranked:
+        pairs = tuple(
+            Pair(
+                own=own,
+                rival=trial.cause,
+                now_z=now[k],
+                separation_z=zs[k],
+                separable=can[k],
+                measurement="" if can[k] else measurement_for(own, trial.cause),
+            )
+            for k, trial in enumerate(rivals)
+        )
+        counts = [pair.separation_z for pair in pairs if pair.separable] or [pair.separation_z for pair in pairs]
+        smallest = min(counts)
+        proposals.append(
+            Proposal(
+                name=item.name,
+                what=sentence(item, lift_off_v=lift_off_v, travel_m=criterion.plant.travel_m),
+                command=f"board51 campaign run FOLDER --experiment {item.name}",
+                separation_z=smallest,
+                separable=smallest >= ENOUGH_Z,
+                pairs=pairs,
+            )
+        )
+    return sorted(proposals, key=lambda one: -one.separation_z)
+
+
+def rank(
+    criterion: Criterion,
+    fit: Fit,
+    controller: Controller | None,
+    members: Sequence[Fit],
+    budget: Budget | None = None,
+) -> list[tuple[Item, tuple[float, ...]]]:
+    """Each experiment that can be made, with the separation z from every member once it is added.
+
+    Args:
+        criterion: of the recordings so far.
+        fit: of the rig, as it is taken to be.
+        controller: of the board.
+        members: the rivals, fitted to the same recordings.
+        budget: as `propose` takes it.
+    """
+    plant = criterion.plant
+    lift_off_v = lift_off_input(fit.theta, plant)
+    steps = converters_of(criterion.evidence.records)
+    u_max_v = min(
+        (input_limit(one) for one in criterion.evidence.records if one.kind == "closed-loop"), default=math.inf
+    )
+    causes = {name.partition(".")[0] for one in (fit, *members) for name, _ in one.theta.causes}
+    held = [_tied(fit, member) for member in members]
+    ranked = []
+    for item in MENU:
+        if item.warms and _WARMS not in causes:
+            continue
+        schedule, times = schedule_of(item, lift_off_v=lift_off_v, travel_m=plant.travel_m, tick_s=criterion.tick_s)
+        if not np.isfinite(schedule.command).all() or not np.isfinite(schedule.bursts).all():
+            continue
+        records = simulate(
+            fit.theta,
+            plant,
+            controller,
+            schedule,
+            seed=_SEED,
+            tick_s=criterion.tick_s,
+            converters=steps,
+            u_max_v=u_max_v,
+        )
+        if item.closed_loop and not _floats(records[0], criterion):
+            continue
+        seen = _gathered(records, criterion, item)
+        trial = Criterion(seen, plant, criterion.tick_s, budget=budget)
+        try:
+            zs = _separations(trial, fit, members, held, times)
+        finally:
+            trial.close()
+        ranked.append((item, zs))
+    return ranked
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Tied:
+    """How the campaign so far ties down what a rival can still move."""
+
+    names: tuple[str, ...]
+    gram: FloatArray  # Fisher information of these, the noise levels left free
+    lead: float  # |Delta_campaign|^2
+
+
+def _tied(own: Fit, member: Fit) -> _Tied:
+    places = [
+        place for place, name in enumerate(member.free) if name not in NOISES and member.covariance[place, place] > 0.0
+    ]
+    gram = inverse(member.covariance[np.ix_(places, places)]) if places else np.zeros((0, 0))
+    lead = 2.0 * max(own.loglik - member.loglik, 0.0)
+    return _Tied(names=tuple(member.free[place] for place in places), gram=gram, lead=lead)
+
+
+def _floats(record: Record, criterion: Criterion) -> bool:
+    travel = criterion.plant.travel_m
+    at_stop = (record.x < _NEAR_STOP * travel) | (record.x > (1.0 - _NEAR_STOP) * travel) | ~np.isfinite(record.x)
+    return float(np.mean(at_stop)) <= CONTACT_MOST
+
+
+def _gathered(records: Sequence[Record], criterion: Criterion, item: Item) -> Evidence:
+    known = (criterion.evidence.low_m, criterion.evidence.high_m)
+    # A campaign that has never seen the stops learns them from an experiment that touches them.
+    return gather(records, criterion.plant, known if item.closed_loop or None not in known else None)
+
+
+def _separations(
+    trial: Criterion, own: Fit, members: Sequence[Fit], held: Sequence[_Tied], times: float
+) -> tuple[float, ...]:
+    """Z of each member with this experiment added; `times`: so often is it made."""
+    plant, series = trial.plant, trial.evidence.series
+    if not len(series):
+        return tuple(math.sqrt(tied.lead) for tied in held)
+    rests = bool((series.flags & (RESTS_LOW | RESTS_HIGH)).any())
+    common = [*PARAMETERS, *(STOPS if rests else ())]
+    steps = [derivative_step(own.theta, name, plant) for name in common]
+    thetas = [own.theta, *(moved(own.theta, name, by, plant) for name, by in zip(common, steps, strict=True))]
+    spans = []
+    for member, tied in zip(members, held, strict=True):
+        rival = member.theta
+        for name in NOISES:
+            rival = rival.having(name, own.theta.value(name))
+        names = [name for name in tied.names if "." in name]
+        by = [derivative_step(rival, name, plant) for name in names]
+        spans.append((len(thetas), names, by))
+        thetas += [rival, *(moved(rival, name, step, plant) for name, step in zip(names, by, strict=True))]
+    outs = trial.several(thetas)
+    base = outs[0]
+    shared = {name: (outs[1 + k] - base) / steps[k] for k, name in enumerate(common)}
+    found = []
+    for (first, names, by), tied in zip(spans, held, strict=True):
+        own_moves = {name: (outs[first + 1 + k] - outs[first]) / by[k] for k, name in enumerate(names)}
+        moves = shared | own_moves
+        rows = [outs[first] - base, *(moves.get(name, np.zeros_like(base)) for name in tied.names)]
+        found.append(_separation(base, np.array(rows), tied, times))
+    return tuple(found)
+
+
+def _separation(base: FloatArray, rows: FloatArray, tied: _Tied, times: float) -> float:
+    rows[:, :, 2:] = 0.0  # what is predicted, not how surely
+    count = len(rows)
+    gram = np.zeros((count, count))
+    information(base, rows, np.empty((len(base), count)), gram)
+    if not np.isfinite(gram).all():
+        return math.sqrt(tied.lead)  # the rival's filter does not stand it: nothing is claimed
+    gram *= times
+    cross = gram[1:, 0]
+    left = gram[0, 0] - float(cross @ inverse(tied.gram + gram[1:, 1:]) @ cross)
+    return math.sqrt(tied.lead + max(left, 0.0))

@@ -1,0 +1,1 @@
+"""Parameters, their likelihood, its maximum, and what a right model would leave."""

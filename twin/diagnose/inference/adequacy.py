@@ -1,0 +1,74 @@
+"""Is what is left noise?
+
+Rule 1: a model is adequate if its innovations are as large as the sensor noise makes them, and white.
+Rule 2: small departures are nobody's physics: converters round, the filter linearises.  What counts is stated
+        here once.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+
+from twin.diagnose.inference.fisher_scoring import Fit
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.noise_floor import MISPLACED_M, Floor
+from twin.estimation.innovations import FLIES
+from twin.estimation.whiteness import whiteness
+
+COLOURED = 0.06  # autocorrelation of innovations: four times what identify calls small
+_SURE = 4.0  # standard errors, 1 / sqrt(n): the largest of 50 autocorrelations
+LOUD = 1.5  # mean square of whitened innovations, of one recording against all
+
+
+def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
+    """(whether the model is adequate, the sentence that says why it is not); `floor`: under this model."""
+    _, white = criterion.white(fit.theta)
+    colour = whiteness(criterion.evidence.series, white)
+    if floor.measured and floor.audible(fit.loglik):
+        per_reading = floor.excess(fit.loglik) / floor.readings
+        return False, (
+            f"what is left is larger than the sensor noise: {per_reading:.2f} of log-likelihood per reading are missing"
+        )
+    if floor.misplaced_m > MISPLACED_M:
+        return False, f"it needs {_misplaced(floor)}; if the travel in the campaign file is wrong, mend it there"
+    counts = [count for count in np.isfinite(white).sum(axis=0).tolist() if count]
+    chance = _SURE / math.sqrt(min(counts)) if counts else math.inf
+    if colour.worst > max(COLOURED, chance):
+        return False, f"what is left is not white: its autocorrelation reaches {colour.worst:.2f}"
+    return True, ""
+
+
+def _misplaced(floor: Floor) -> str:
+    return f"a stop {floor.misplaced_m * 1e3:.2f} mm from where the plant has it"
+
+
+def where_left(criterion: Criterion, fit: Fit, floor: Floor) -> str:
+    """Where the innovations are largest: recording, height, direction, channel; or at a stop, if only that is wrong."""
+    if floor.misplaced_m > MISPLACED_M and not (floor.measured and floor.audible(fit.loglik)):
+        return f"at rest: the model needs {_misplaced(floor)}"
+    series = criterion.evidence.series
+    _, white = criterion.white(fit.theta)
+    names = criterion.evidence.names()
+    worst: list[tuple[float, str]] = []
+    for column, channel in ((0, "i_c"), (1, "x")):
+        values = white[:, column] ** 2
+        for number, name in enumerate(names):
+            own = values[(series.recording == number) & np.isfinite(values)]
+            if len(own) >= 100:
+                worst.append((float(own.mean()), f"{channel} in {name}"))
+    flying = (series.flags & FLIES != 0) & np.isfinite(white[:, 1])
+    parts = []
+    if worst:
+        most = max(worst)
+        parts.append(f"most in {most[1]} (mean square {most[0]:.2g} times its share)")
+    if flying.sum() > 500:
+        x, w = series.x[flying], white[flying, 1] ** 2
+        edges = np.quantile(x, np.linspace(0.0, 1.0, 6))
+        means = [float(w[(x >= a) & (x <= b)].mean()) for a, b in pairwise(edges)]
+        place = int(np.argmax(means))
+        if means[place] > LOUD * min(means):
+            parts.append(f"with the ball at {edges[place] * 1e3:.2f} to {edges[place + 1] * 1e3:.2f} mm")
+    return "; ".join(parts)

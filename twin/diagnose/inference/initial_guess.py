@@ -1,0 +1,68 @@
+"""Where the fit of the paper's model begins: no guess is asked of anybody."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from protocol.campaign import Plant
+from protocol.errors import DataError
+from twin.diagnose.evidence.gather import Evidence
+from twin.diagnose.evidence.sensor_noise import sensor_noise
+from twin.diagnose.inference.theta import Theta, most_drag
+from twin.estimation.record import Record
+from twin.identify.starting.regression import AmplifierStart, amplifier_start, ball_start
+
+_LEAST_NOISE = 0.7  # of the sensor noise at rest
+
+
+def start_theta(records: Sequence[Record], plant: Plant) -> Theta:
+    """Where the fit of the paper's model begins; no guess is needed.
+
+    Raises:
+        DataError: no recording has u_c and i_c that move.
+    """
+    amplifier = amplifier_start(list(records))
+    if amplifier is None or amplifier.K_A <= 0.0:
+        raise DataError(
+            "no recording shows i_c following u_c",
+            remedy="Record a step or a ramp of u_c with i_c, and map both columns",
+        )
+    if not any(record.has("x") for record in records):
+        # Nothing says where the ball is: the amplifier alone is asked about, and any K_c will do.
+        weight, half = plant.mass_kg * plant.gravity_m_s2, plant.x_max_m - 0.5 * plant.travel_m
+        return _start(amplifier, weight * half**2 / 0.25, 0.0)
+    ball = ball_start(list(records), plant, amplifier)
+    if ball is None or ball.k <= 0.0:
+        raise DataError(
+            "no recording shows the ball in flight for long enough",
+            remedy="Record closed-loop flights or an open-loop prbs with x: without them only the amplifier is known",
+        )
+    return _start(amplifier, ball.k * plant.mass_kg, min(max(ball.d * plant.mass_kg, 0.0), 0.9 * most_drag(plant)))
+
+
+def _start(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:
+    return Theta(
+        K_A=amplifier.K_A,
+        T_A=amplifier.T_A,
+        K_c=K_c,
+        b=b,
+        sigma_i_c_a=max(amplifier.sigma_i_c_a, 1e-5),
+        sigma_x_m=1e-5,
+        process_i_c_a=max(0.3 * amplifier.sigma_i_c_a, 1e-5),
+        process_a_m_s2=3.0,  # too little at the start, and the ball's errors are booked as sensor noise for good
+    )
+
+
+def no_better(theta: Theta, evidence: Evidence) -> Theta:
+    """With sensors that are at best somewhat better than at rest."""
+    sigma_i, sigma_x = sensor_noise(evidence)
+    least_i = _LEAST_NOISE * sigma_i if sigma_i else theta.least_i_c_a
+    least_x = _LEAST_NOISE * sigma_x if sigma_x else theta.least_x_m
+    return replace(
+        theta,
+        least_i_c_a=least_i,
+        least_x_m=least_x,
+        sigma_i_c_a=max(theta.sigma_i_c_a, least_i),
+        sigma_x_m=max(theta.sigma_x_m, least_x),
+    )

@@ -1,0 +1,1 @@
+"""What a model is worth on recordings that neither fitting nor choosing has seen."""

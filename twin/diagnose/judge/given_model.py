@@ -1,0 +1,77 @@
+"""A model file that the user gives: the simulation to be judged, as it is.
+
+Rule 1: it must be a model of the campaign's plant: what [plant] knows is not estimated, so another mass is another rig.
+Rule 2: its numbers are the baseline of the gain; whether its form is right is asked of the paper's model refitted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from protocol.campaign import Plant
+from protocol.errors import DataError
+from twin.diagnose.inference.theta import PARAMETERS, Theta
+from twin.diagnose.judge.prediction_gain import Gain
+from twin.model.parameters import Model
+
+SAME = 0.01  # relative: a balance or a caliper errs by less
+_KNOWN = ("mass_kg", "travel_m", "x_max_m", "gravity_m_s2")
+_WORSE = 1.1  # times the error of the refitted model: the numbers are off
+_OFF = 0.01  # of a parameter: worth a word
+
+
+def check_plant(model: Model, plant: Plant) -> None:
+    """Whether the model is one of this plant.
+
+    Raises:
+        DataError: names the first field that differs, with both values.
+    """
+    for name in _KNOWN:
+        own, asked = float(getattr(model.plant, name)), float(getattr(plant, name))
+        if abs(own - asked) > SAME * abs(asked):
+            raise DataError(
+                f"--model is of another plant: its {name} is {own:g}, [plant] of the campaign has {asked:g}",
+                remedy="Give a model that was identified with this [plant], or correct [plant]",
+            )
+
+
+def theta_of(model: Model, fitted: Theta) -> Theta:
+    """The model's numbers, causes and noise; the places of the stops are those of the data."""
+    noise = model.noise
+    return replace(
+        fitted,
+        K_A=model.K_A,
+        T_A=model.T_A,
+        K_c=model.K_c,
+        b=model.b,
+        sigma_i_c_a=noise.sigma_i_c_a,
+        sigma_x_m=noise.sigma_x_m,
+        process_i_c_a=noise.process_i_c_a,
+        process_a_m_s2=noise.process_a_m_s2,
+        causes=tuple(
+            (f"{cause.name}.{name}", parameter.value)
+            for cause in model.causes
+            for name, parameter in cause.parameters.items()
+            if cause.name != "lost-samples"
+        ),
+    )
+
+
+def off_sentence(model: Model, fitted: Theta, gain: Gain | None, refitted: Gain | None) -> str:
+    """How the given numbers differ from the fitted ones, where it costs something; empty where it does not.
+
+    Args:
+        model: the given one.
+        fitted: the paper's model at its best.
+        gain: of the final model over the given one.
+        refitted: of the final model over `fitted`.
+    """
+    if gain is None or refitted is None or gain.baseline_rmse_m < _WORSE * refitted.baseline_rmse_m:
+        return ""
+    moves = {name: fitted.value(name) / max(getattr(model, name), 1e-300) - 1.0 for name in PARAMETERS if name != "b"}
+    listed = ", ".join(f"{name} {100.0 * by:+.1f} %" for name, by in moves.items() if abs(by) > _OFF)
+    return (
+        f"the numbers of the given model are off: it predicts x {gain.horizon_s * 1e3:.0f} ms ahead to "
+        f"{gain.baseline_rmse_m * 1e6:.3g} µm, the paper's model fitted anew to {refitted.baseline_rmse_m * 1e6:.3g} µm"
+        + (f" ({listed})" if listed else "")
+    )

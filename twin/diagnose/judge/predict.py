@@ -1,0 +1,128 @@
+"""A model's predictions of one recording, N samples ahead, and how far off they are.  Pure.
+
+Rule 1: of the model and the recording nothing else is known: noise levels are the model's, with the converters' steps
+        of this recording added.
+Rule 2: u_c is moved to where it acts only for a model whose identification did so.
+Rule 3: what was not predicted is counted by reason; nothing is left out because it would look bad.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from protocol.errors import DataError
+from twin.diagnose.evidence.gather import gather
+from twin.estimation.ekf import LOST
+from twin.estimation.innovations import FLIES, FOLLOWS, USE_X
+from twin.estimation.record import FloatArray, Record
+from twin.estimation.rollout import SETTLE_S, predict_ahead, within_reach
+from twin.estimation.rollout_periodic import has_phase, predict_in_phase
+from twin.model.extended import position_reading
+from twin.model.extension import base, vector
+from twin.model.parameters import Model
+from twin.validate.source import plant_of, point_of, source_of
+
+NEEDED = ("u_c", "i_c", "x")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prediction:
+    """Readings and their predictions, and what was left out; arrays of shape (count,)."""
+
+    ahead: int  # samples
+    interval_s: float
+    t: FloatArray  # s, of the samples predicted
+    x: FloatArray  # m, measured
+    x_hat: FloatArray  # m
+    samples: int  # of the recording
+    left_out: tuple[tuple[str, int], ...]  # (why, samples)
+    notes: tuple[str, ...]
+
+    @property
+    def rmse_m(self) -> float | None:
+        """Root mean square of x - x_hat, m; None where nothing was predicted."""
+        return float(np.sqrt(np.mean((self.x - self.x_hat) ** 2))) if len(self.x) else None
+
+
+def predict(model: Model, record: Record, ahead: int) -> Prediction:
+    """Every reading of x that can be predicted from `ahead` samples before it.
+
+    Args:
+        model: with or without causes.
+        record: with t, u_c, i_c and x.
+        ahead: samples, 1 or more.
+
+    Raises:
+        DataError: a channel is missing, or the recording is shorter than the horizon.
+    """
+    missing = [channel for channel in NEEDED if not record.has(channel)]
+    if missing:
+        raise DataError(
+            f"{record.name} has no {' and no '.join(missing)}",
+            remedy="A prediction takes t, u_c, i_c and x: map their columns in a campaign.toml and give --campaign",
+        )
+    if len(record.t) <= ahead + 1 or not np.isfinite(record.interval_s):
+        raise DataError(
+            f"{record.name} has {len(record.t)} samples, too few to predict {ahead} ahead",
+            remedy="Give a longer recording, or a smaller --horizon",
+        )
+    source = source_of(replace(record, captures=()), model)
+    told = source.acting
+    p, c = base(model), vector(model.causes)
+    stops = (
+        float(position_reading(p, c, 0.0, 0.0)),
+        float(position_reading(p, c, p.travel_m, 0.0)),
+    )
+    evidence = gather([told], plant_of(model), stops)
+    s = evidence.series
+    point = point_of(model, record)
+    tick_s = record.interval_s
+    noise = (point.sigma_i_c_a, point.sigma_x_m, point.process_i_c_a, point.process_a_m_s2, tick_s)
+    ahead_of = predict_in_phase if has_phase(c) else predict_ahead
+    x_hat = ahead_of(tuple(p), c, noise, (0.0, 0.0), evidence.t, s.step, s.u, s.i, s.x, s.flags, tick_s, ahead)
+    x_hat = within_reach(x_hat, p, c, (0.0, 0.0))
+    sampled = s.flags & LOST == 0  # the series has a row for a lost sample, the recording has none
+    flags, x_hat = s.flags[sampled], x_hat[sampled]
+    there = np.isfinite(x_hat)
+    notes = list(evidence.notes)
+    if has_phase(c):
+        notes.append("the phase of periodic-disturbance is taken from the readings before each prediction")
+    if source.late:
+        notes.append(f"u_c acts {source.late} samples later than recorded, as where the model was identified")
+    if source.unknown_late:
+        notes.append(f"u_c acts {source.unknown_late} samples later than recorded, which the model does not know")
+    return Prediction(
+        ahead=ahead,
+        interval_s=tick_s,
+        t=record.t[there],
+        x=record.x[there],
+        x_hat=x_hat[there],
+        samples=len(record.t),
+        left_out=_left_out(flags, there, record, tick_s),
+        notes=tuple(notes),
+    )
+
+
+def _left_out(
+    flags: np.ndarray[tuple[int, ...], np.dtype[np.uint8]],
+    there: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
+    record: Record,
+    tick_s: float,
+) -> tuple[tuple[str, int], ...]:
+    """Each sample without a prediction, under the first reason that holds."""
+    flies, reads = flags & FLIES != 0, flags & USE_X != 0
+    contact = ~flies
+    unread = flies & ~reads & ~there
+    begun = ~(there | contact | unread)
+    gaps = int(np.count_nonzero(flags[1:] & FOLLOWS == 0))
+    return tuple(
+        (why, count)
+        for why, count in (
+            ("at a stop, or in a flight too short to use", int(contact.sum())),
+            ("no reading of x, or a wild one", int(unread.sum())),
+            (f"within {SETTLE_S:g} s and the horizon of the start of a flight ({gaps} gaps in time)", int(begun.sum())),
+        )
+        if count
+    )

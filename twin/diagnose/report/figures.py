@@ -1,0 +1,278 @@
+"""The pictures of the report as SVG: measured blue, baseline red, extended green, noise floor grey.
+
+Rule 1: one panel a picture, as wide as a phone: two stand side by side on a desk.
+Rule 2: the same colours and the same order everywhere; error bars are 95 % intervals.
+Rule 3: the same numbers give the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from twin.diagnose.residuals.force import Curve
+from twin.diagnose.residuals.regimes import Estimate, Regime
+from twin.diagnose.residuals.spectrum import Spectrum
+from twin.diagnose.residuals.state_map import Correction
+from twin.diagnose.residuals.step_response import Steps
+from twin.diagnose.residuals.summary import Ahead, Piece
+from twin.diagnose.search.forward_step import Round
+from twin.estimation.record import FloatArray
+from twin.mirror.plots.traces import MEASURED, REFERENCE, TWIN
+
+BASELINE, EXTENDED, FLOOR = TWIN, "#2a7f3f", REFERENCE
+MOST_BARS = 8
+_SCALES = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "N": (1e3, "mN")}
+_SETTINGS: Any = {"svg.hashsalt": "board51", "svg.fonttype": "path", "font.size": 11, "path.simplify_threshold": 0.3}
+
+
+def ahead_figure(rows: Sequence[Ahead]) -> bytes:
+    """Errors over the horizon."""
+    figure, ax = _panel()
+    h = np.array([row.horizon_s for row in rows]) * 1e3
+    for name, colour, own in _sides([row.baseline for row in rows], [row.extended for row in rows]):
+        _bars(ax, h, own, 1e6, name, colour, joined=True)
+    ax.plot(h, [row.floor_m * 1e6 for row in rows], color=FLOOR, ls="--", lw=1.2, label="noise floor")
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set_xticks(h, [f"{value:.3g}" for value in h])
+    ax.minorticks_off()
+    _decades(ax)
+    ax.set_xlabel("predicted so far ahead [ms]")
+    ax.set_ylabel("rms error of x [µm]")
+    ax.legend(fontsize=9.5)
+    return _svg(figure)
+
+
+def piece_figure(piece: Piece) -> bytes:
+    """What x did, and what both models had said."""
+    figure, ax = _panel()
+    t = piece.t_s - piece.t_s[0]
+    ax.plot(t, piece.baseline_m * 1e3, color=BASELINE, lw=1.0, label="baseline, 20 ms before")
+    if not np.array_equal(piece.extended_m, piece.baseline_m):
+        ax.plot(t, piece.extended_m * 1e3, color=EXTENDED, lw=1.0, label="extended, 20 ms before")
+    ax.plot(t, piece.x_m * 1e3, color=MEASURED, lw=1.0, label="measured")
+    ax.set_xlabel("time [s]")
+    ax.set_ylabel("position x [mm]")
+    ax.legend(fontsize=9.5)
+    return _svg(figure)
+
+
+def error_figure(piece: Piece, floor_m: float) -> bytes:
+    """Both errors over the same time."""
+    figure, ax = _panel()
+    t = piece.t_s - piece.t_s[0]
+    if np.isfinite(floor_m):
+        ax.axhspan(-2e6 * floor_m, 2e6 * floor_m, color=FLOOR, alpha=0.2, lw=0, label="2 std of noise alone")
+    ax.plot(t, (piece.baseline_m - piece.x_m) * 1e6, color=BASELINE, lw=0.9, label="baseline")
+    if not np.array_equal(piece.extended_m, piece.baseline_m):
+        ax.plot(t, (piece.extended_m - piece.x_m) * 1e6, color=EXTENDED, lw=0.9, label="extended")
+    ax.set_xlabel("time [s]")
+    ax.set_ylabel("predicted - measured [µm]")
+    ax.legend(fontsize=9.5)
+    return _svg(figure)
+
+
+def regime_figure(regime: Regime, floor_m: float) -> bytes:
+    """Errors in each group."""
+    named = not regime.unit
+    count = len(regime.bins)
+    figure, ax = _panel(height=max(2.2, 1.0 + 0.34 * count) if named else 3.2, left=0.36 if named else 0.15)
+    factor, unit = _SCALES.get(regime.unit, (1.0, regime.unit))
+    sides = _sides([one.baseline for one in regime.bins], [one.extended for one in regime.bins])
+    for place, (name, colour, own) in enumerate(sides):
+        if named:
+            _bars(
+                ax,
+                np.arange(count, dtype=np.float64) + 0.24 * (place - 0.5 * (len(sides) - 1)),
+                own,
+                1e6,
+                name,
+                colour,
+                sideways=True,
+            )
+        else:
+            _bars(ax, np.array([one.at for one in regime.bins]) * factor, own, 1e6, name, colour, joined=True)
+    line = ax.axvline if named else ax.axhline
+    if np.isfinite(floor_m):
+        line(floor_m * 1e6, color=FLOOR, ls="--", lw=1.2, label="noise floor")
+    if named:
+        ax.set_yticks(range(count), [_short(one.label) for one in regime.bins])
+        ax.invert_yaxis()
+        ax.set_xlim(left=0.0)
+        ax.set_xlabel("rms error 20 ms ahead [µm]")
+    else:
+        ax.set_ylim(bottom=0.0)
+        ax.set_xlabel(f"{regime.title} [{unit}]")
+        ax.set_ylabel("rms error 20 ms ahead [µm]")
+    ax.legend(fontsize=9.5)
+    return _svg(figure)
+
+
+def curve_figure(curve: Curve) -> bytes:
+    """A mean residual over one quantity."""
+    figure, ax = _panel()
+    factor, unit = _SCALES.get(curve.unit, (1.0, curve.unit))
+    up, what = (1e3, "unexplained force [mN]") if curve.residual_unit == "N" else (1e3, "unforeseen current [mA]")
+    at = np.array([point.at for point in curve.points]) * factor
+    ax.axhline(0.0, color="black", lw=0.6)
+    for name, colour, own in _sides([p.baseline for p in curve.points], [p.extended for p in curve.points]):
+        _bars(ax, at, own, up, name, colour, joined=True)
+    ax.set_xlabel(f"{curve.title} [{unit}]")
+    ax.set_ylabel(what)
+    ax.legend(fontsize=9.5)
+    return _svg(figure)
+
+
+def spectrum_figure(found: Spectrum) -> bytes:
+    """Densities of the error one sample ahead."""
+    figure, ax = _panel()
+    for name, colour, density in _traces(found.baseline, found.extended):
+        low, high = (density * factor * 1e6 for factor in found.spread)
+        ax.fill_between(found.frequency_hz, low, high, color=colour, alpha=0.2, lw=0)
+        ax.plot(found.frequency_hz, density * 1e6, color=colour, lw=1.0, label=name)
+    ax.axhline(found.floor * 1e6, color=FLOOR, ls="--", lw=1.2, label="noise floor")
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    _decades(ax)
+    ax.set_xlabel("frequency [Hz]")
+    ax.set_ylabel("error one sample ahead [µm/√Hz]")
+    ax.legend(fontsize=9.5)
+    return _svg(figure)
+
+
+def steps_figure(steps: Steps) -> bytes:
+    """Mean step of the rig and of both simulations."""
+    figure, ax = _panel()
+    t = steps.t_s * 1e3
+    ax.axhline(1.0, color=REFERENCE, lw=0.8, ls=":")
+    for name, colour, own in (("rig", MEASURED, steps.rig), *_traces(steps.baseline, steps.extended)):
+        ax.plot(t, own, color=colour, lw=1.3, label=name)
+    ax.set_xlabel("time from the change of the reference [ms]")
+    ax.set_ylabel("share of the step [-]")
+    ax.legend(fontsize=9.5, loc="lower right")
+    return _svg(figure)
+
+
+def step_difference_figure(steps: Steps) -> bytes:
+    """Rig minus simulation."""
+    figure, ax = _panel()
+    t = steps.t_s * 1e3
+    ax.axhline(0.0, color="black", lw=0.6)
+    for name, colour, own in _traces(steps.baseline, steps.extended):
+        ax.plot(t, 100.0 * (steps.rig - own), color=colour, lw=1.2, label=f"rig - {name}")
+    ax.set_xlabel("time from the change of the reference [ms]")
+    ax.set_ylabel("difference [% of the step]")
+    ax.legend(fontsize=9.5)
+    return _svg(figure)
+
+
+def round_figure(step: Round, number: int, threshold: float) -> bytes:
+    """What each candidate of a round gains: fitted where it was, else as its score says."""
+    fitted = {trial.cause: trial.gain for trial in step.trials}
+    rows = [(cause, gain, True) for cause, gain in fitted.items()]
+    rows += [(s.cause, s.gain, False) for s in step.scores if s.cause not in fitted and s.testable]
+    rows = sorted(rows, key=lambda row: -row[1])[:MOST_BARS]
+    figure, ax = _panel(height=1.3 + 0.28 * max(len(rows), 3), left=0.4, top=0.35)
+    for place, (cause, gain, own) in enumerate(rows):
+        colour = EXTENDED if cause == step.taken else BASELINE if own else FLOOR
+        ax.barh(place, max(gain, 0.0), height=0.7, color=colour, alpha=1.0 if own else 0.35)
+    ax.axvline(threshold, color="black", lw=0.8, ls=":")
+    names = [cause + (" ✓" if cause == step.taken else "") for cause, _, _ in rows]
+    ax.set_yticks(range(len(rows)), names, fontsize=9.5)
+    ax.set_axisbelow(True)
+    ax.invert_yaxis()
+    ax.set_xscale("symlog", linthresh=threshold)
+    ax.set_xlim(0.0, 1.6 * max([gain for _, gain, _ in rows], default=threshold) + threshold)
+    ax.xaxis.set_minor_locator(matplotlib.ticker.NullLocator())
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.set_xlabel("gain of log-likelihood")
+    ax.set_title(f"round {number}: " + (f"{step.taken} taken" if step.taken else "nothing taken"), fontsize=11)
+    return _svg(figure)
+
+
+def correction_figure(found: Correction) -> bytes:
+    """The mean error that is taken off, over position and speed."""
+    figure, ax = _panel()
+    limit = max(float(np.abs(found.offset_m).max()) * 1e6, 1e-3)
+    x, v = found.x_edges_m * 1e3, found.v_edges_m_s * 1e3
+    image = ax.pcolormesh(v, x, found.offset_m * 1e6, cmap="RdBu_r", vmin=-limit, vmax=limit)
+    figure.colorbar(image, ax=ax, label="taken off [µm]")
+    ax.set_xlabel("speed x' [mm/s]")
+    ax.set_ylabel("position x [mm]")
+    return _svg(figure)
+
+
+def _sides(baseline: Sequence[Estimate], extended: Sequence[Estimate]) -> list[tuple[str, str, Sequence[Estimate]]]:
+    """Both models, or the one that there is where nothing was added."""
+    if list(baseline) == list(extended):
+        return [("model", BASELINE, baseline)]
+    return [("baseline", BASELINE, baseline), ("extended", EXTENDED, extended)]
+
+
+def _traces(baseline: FloatArray, extended: FloatArray) -> list[tuple[str, str, FloatArray]]:
+    """As `_sides`, of traces."""
+    if np.array_equal(baseline, extended):
+        return [("model", BASELINE, baseline)]
+    return [("baseline", BASELINE, baseline), ("extended", EXTENDED, extended)]
+
+
+def _bars(
+    ax: Axes,
+    at: FloatArray,
+    values: Sequence[Estimate],
+    factor: float,
+    name: str,
+    colour: str,
+    *,
+    joined: bool = False,
+    sideways: bool = False,
+) -> None:
+    middle = np.array([one.value for one in values]) * factor
+    low = np.maximum(middle - np.array([one.low for one in values]) * factor, 0.0)
+    high = np.maximum(np.array([one.high for one in values]) * factor - middle, 0.0)
+    style: dict[str, Any] = {"color": colour, "marker": "o", "ms": 4, "elinewidth": 1.2, "capsize": 3}
+    style["lw"] = 1.0 if joined else 0.0
+    if sideways:
+        ax.errorbar(middle, at, xerr=[low, high], label=name, **style)
+    else:
+        ax.errorbar(at, middle, yerr=[low, high], label=name, **style)
+
+
+def _decades(ax: Axes) -> None:
+    """Ticks at 1, 2, 5 where a logarithmic axis is short."""
+    low, high = (float(value) for value in ax.get_ylim())
+    steps = (1, 2, 5) if high / max(low, 1e-12) < 300 else (1,)
+    ticks = [m * 10.0**k for k in range(-7, 7) for m in steps if low <= m * 10.0**k <= high]
+    ax.set_yticks(ticks, [f"{value:g}" for value in ticks])
+    ax.yaxis.set_minor_locator(matplotlib.ticker.NullLocator())
+
+
+def _short(label: str) -> str:
+    """A recording by its name alone, without folder and ending; both ends of what is still too long."""
+    stem = label.removesuffix(".gz").removesuffix(".csv").removesuffix(".mcap")
+    if stem != label:  # "slower than 1 mm/s" is no file
+        label = stem.rpartition("/")[2]
+    return label if len(label) <= 24 else label[:11] + "…" + label[-12:]
+
+
+def _panel(*, height: float = 3.2, left: float = 0.15, top: float = 0.12) -> tuple[Figure, Axes]:
+    with matplotlib.rc_context(_SETTINGS):
+        figure = Figure(figsize=(5.6, height))
+        figure.subplots_adjust(left=left, right=0.97, top=1.0 - top / height, bottom=0.6 / height)
+        ax = figure.subplots()
+    ax.grid(alpha=0.3)
+    return figure, ax
+
+
+def _svg(figure: Figure) -> bytes:
+    out = io.BytesIO()
+    with matplotlib.rc_context(_SETTINGS):
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+    return out.getvalue()

@@ -1,0 +1,224 @@
+"""Sentences for people: a cause with its size, the answer of a diagnosis, the bound on what was not found.
+
+Rule 1: a number has as many digits as its interval leaves it; both ends of an interval are in the unit of the number.
+Rule 2: the answer says what, how sure, how much of the error, and what it is worth; what these data cannot tell apart
+        is said in the same breath.
+Rule 3: a share is one of log-likelihood on the recordings for fitting, and so it is called; what an answer is worth is
+        said in prediction errors on the judge recordings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from twin.diagnose.inference.budget import millions
+from twin.diagnose.search.score_test import Score
+from twin.model.causes.catalogue import BY_NAME
+from twin.model.causes.cause import Cause, CauseParameter
+from twin.model.parameters import Parameter
+
+if TYPE_CHECKING:
+    from twin.diagnose.judge.prediction_gain import Gain
+    from twin.diagnose.result import Diagnosis, Finding
+
+_PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"))
+_SCALED = ("m", "A", "s", "N", "V", "m/A")
+LACKED = "the log-likelihood that the model lacks"  # on the recordings for fitting, against sensor noise alone
+WHERE_JUDGED = "on the judge recordings"
+_HARDLY = 1.02  # a factor on the error that nobody would notice
+_NUMBERS = {2: "Two", 3: "Three", 4: "Four"}
+
+
+def quantity(value: float, unit: str) -> str:
+    """A number with its unit at a readable power of ten."""
+    factor, shown = _scale(value, unit)
+    digits = ".3g" if factor != 1.0 else ".4g"
+    return f"{value / factor:{digits}} {shown}".rstrip()
+
+
+def measured(value: float, ci95: tuple[float, float] | None, unit: str) -> tuple[str, str]:
+    """(the number with its unit, its interval; empty where there is none), digits as the interval leaves them."""
+    if ci95 is None:
+        return quantity(value, unit), ""
+    factor, shown = _scale(value, unit)
+    half = 0.5 * (ci95[1] - ci95[0]) / factor
+    if not 0.0 < half < math.inf or not 1e-4 <= abs(value / factor) < 1e5:
+        return quantity(value, unit), f"{quantity(ci95[0], unit)} to {quantity(ci95[1], unit)}"
+    first = math.floor(math.log10(half))
+    places = min(max(-first if half >= 3.0 * 10.0**first else 1 - first, 0), 6)
+    number, low, high = (f"{one / factor:.{places}f}" for one in (value, *ci95))
+    return f"{number} {shown}".rstrip(), f"{low} to {high} {shown}".rstrip()
+
+
+def _scale(value: float, unit: str) -> tuple[float, str]:
+    if unit in _SCALED and 0.0 < abs(value) < 0.1:
+        factor, prefix = next(((f, p) for f, p in _PREFIXES if abs(value) >= 0.1 * f), _PREFIXES[-1])
+        return factor, prefix + unit
+    return 1.0, unit
+
+
+class _Size:
+    """A parameter in the template of a sentence: `{d_m}` its magnitude, `{gain:%}` its distance from neutral."""
+
+    def __init__(self, known: CauseParameter, parameter: Parameter) -> None:
+        self._known, self._parameter = known, parameter
+
+    def __format__(self, how: str) -> str:
+        value, ci95 = self._parameter.value, self._parameter.ci95
+        if how == "%":
+            away = abs(value - self._known.neutral)
+            spread = None if ci95 is None else (away - 0.5 * (ci95[1] - ci95[0]), away + 0.5 * (ci95[1] - ci95[0]))
+            return measured(100.0 * away, None if spread is None else (100 * spread[0], 100 * spread[1]), "%")[0]
+        ends = ci95 if ci95 is None or value >= 0.0 else (-ci95[1], -ci95[0])
+        return measured(abs(value), ends, self._known.unit)[0]
+
+
+def finding_sentence(cause: str, parameters: Mapping[str, Parameter]) -> str:
+    """The cause in plain words with its sizes, and the 95 % interval of its strength."""
+    known = BY_NAME[cause]
+    strength = parameters[known.strength.name]
+    template = known.opposite if known.opposite and strength.value < known.strength.neutral else known.sentence
+    if not template:
+        return f"{known.title}: {sizes(cause, parameters)}"
+    text = template.format(**{entry.name: _Size(entry, parameters[entry.name]) for entry in known.parameters})
+    _, interval = measured(strength.value, strength.ci95, known.strength.unit)
+    return f"{text} ({known.strength.symbol} = {interval}, 95 %)" if interval else text
+
+
+def sizes(cause: str, parameters: Mapping[str, Parameter]) -> str:
+    """Every parameter by its symbol, with its interval."""
+    parts = []
+    for entry in BY_NAME[cause].parameters:
+        parameter = parameters[entry.name]
+        number, interval = measured(parameter.value, parameter.ci95, entry.unit)
+        parts.append(f"{entry.symbol} = {number}" + (f" (95 %: {interval})" if interval else ""))
+    return ", ".join(parts)
+
+
+def bound_sentence(cause: Cause, score: Score) -> str:
+    """How large a cause that was not taken can be at most."""
+    strength = cause.strength
+    if score.detectable <= 0.0:
+        return "no effect on these recordings"
+    reach = abs(score.step) + 1.96 / score.detectable
+    if math.isinf(strength.neutral):
+        if score.step <= 0.0:
+            return f"not reached: nothing as low as {quantity(score.probe, strength.unit)} is seen"
+        return f"would gain {score.gain:.1f} of log-likelihood: too little"
+    size = abs(strength.coordinate(score.probe)) * reach
+    change = "differs by at most" if strength.neutral else "is at most"
+    what = quantity(size, strength.unit) if strength.unit else f"{100.0 * size:.2g} %"
+    return f"{strength.symbol} {change} {what} (95 %)"
+
+
+def summary_sentence(found: Diagnosis) -> str:
+    """The answer, first."""
+    if found.verdict == "model-adequate":
+        return "The model is adequate: what it gets wrong is sensor noise." + _unlike(found.gain)
+    worth = _worth(found)
+    if found.verdict == "unfinished":
+        return _unfinished(found) + worth
+    if found.verdict == "causes-found":
+        return _named(found.causes, whole=True) + _apart(found.causes) + worth
+    if found.verdict == "partly-explained":
+        rest = f" But not all is explained {found.unexplained_where}."
+        return _named(found.causes, whole=True) + _apart(found.causes) + worth + rest
+    where = found.unexplained_where.removeprefix("most ")
+    rest = f" What is left is largest {where}." if where else ""
+    if not found.causes:
+        if found.unexplained_where.startswith(WHERE_JUDGED):
+            rest = f" It explains the recordings for fitting, and not all {found.unexplained_where}."
+        return f"The model is wrong, and none of the known causes explains it.{rest}"
+    nearest = _named(found.causes, whole=False)
+    nearest = nearest[:1].lower() + nearest[1:] if nearest.startswith("The ") else nearest
+    return (
+        "The model is wrong, and the known causes do not explain all of it. What comes nearest may only stand in for "
+        f"what nobody knows: {nearest}{_apart(found.causes)}{rest}{worth}"
+    )
+
+
+def _unfinished(found: Diagnosis) -> str:
+    budget = found.budget
+    so_far = _named(found.causes, whole=False) if found.causes else "no cause was named."
+    return (
+        f"No answer yet: the search ended by its budget of {millions(budget.limit)}. Not examined: "
+        f"{'; '.join(budget.unanswered)}. Up to there: {so_far}"
+    )
+
+
+def _unlike(gain: Gain | None) -> str:
+    if gain is None:
+        return ""
+    return (
+        f" On the judge recordings it predicts x {gain.horizon_s * 1e3:.0f} ms ahead to "
+        f"{micrometres(gain.baseline_rmse_m)} rms; noise alone makes {micrometres(gain.floor_m)}."
+    )
+
+
+def _named(causes: Sequence[Finding], *, whole: bool) -> str:
+    """The causes with the share of each."""
+    shares = [one.share_of_excess_explained for one in causes]
+    if len(causes) == 1:
+        text = capital(causes[0].sentence)
+        if shares[0] <= 0.0:
+            return f"{text}."
+        what = f"{percent(shares[0])} of {LACKED}"
+        return f"{text}: this explains {what}." if whole else f"{text}, which explains {what}."
+    listed = "; ".join(
+        f"({n}) {one.sentence}" + (f", {percent(share)}" if share > 0.0 else "")
+        for n, (one, share) in enumerate(zip(causes, shares, strict=True), start=1)
+    )
+    of = f" (shares: of {LACKED})" if any(share > 0.0 for share in shares) else ""
+    return f"{_NUMBERS.get(len(causes), str(len(causes)))} causes{of}: {listed}."
+
+
+def _apart(causes: Sequence[Finding]) -> str:
+    """What these data cannot tell apart."""
+    parts = []
+    for one in causes:
+        if one.indistinguishable_from:
+            names = " or ".join(member.name for member in one.indistinguishable_from)
+            parts.append(f" These data cannot tell {one.name} from {names}.")
+    return "".join(parts)
+
+
+def _worth(found: Diagnosis) -> str:
+    gain = found.gain
+    if gain is None or not found.causes or found.before == found.after:
+        return ""
+    ratio = gain.baseline_rmse_m / max(gain.extended_rmse_m, 1e-12)
+    error = f"{gain.horizon_s * 1e3:.0f} ms prediction error"
+    change = f"hardly changes the {error}"
+    if ratio >= _HARDLY:
+        change = f"cuts the {error} by a factor of {_times(ratio)}"
+    elif ratio < 1.0 / _HARDLY:
+        change = f"makes the {error} {_times(1.0 / ratio)} times as large"
+    return (
+        f" On the judge recordings extending the model {change}: from {micrometres(gain.baseline_rmse_m)} to "
+        f"{micrometres(gain.extended_rmse_m)}; noise alone makes {micrometres(gain.floor_m)}."
+    )
+
+
+def _times(ratio: float) -> str:
+    """A prediction that has run off the travel is wrong by any factor: beyond a hundred the number says nothing."""
+    return "over 100" if ratio > 100.0 else f"{ratio:.2g}"
+
+
+def percent(share: float) -> str:
+    """No cause explains all: what is left below one in a hundred is not told from it."""
+    return "over 99 %" if share > 0.995 else "less than 1 %" if share < 0.005 else f"{100.0 * share:.0f} %"
+
+
+def micrometres(value_m: float) -> str:
+    """To three digits, never with an exponent."""
+    micro = value_m * 1e6
+    if micro >= 1e3:
+        return f"{micro / 1e3:.3g} mm"
+    return f"{micro:.0f} µm" if micro >= 100.0 else f"{micro:.3g} µm"
+
+
+def capital(text: str) -> str:
+    """As a sentence begins; a symbol stays as it is."""
+    return text if text.startswith(("x ", "i_c ", "i x", "x_max")) else text[:1].upper() + text[1:]

@@ -1,0 +1,1 @@
+"""What the simulation gets wrong, as numbers: by state, by frequency, as force, in steps."""

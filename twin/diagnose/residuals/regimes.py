@@ -1,0 +1,182 @@
+"""Errors sorted by the state in which they were made, with intervals.
+
+Rule 1: intervals are by block bootstrap over half seconds: neighbouring errors overlap and are one accident, not many.
+        The same blocks are drawn for both models, so that their ratio has an interval of its own.
+Rule 2: a group that too few samples or too few blocks speak for is left out: an average over one accident is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.estimation.record import BoolArray, FloatArray
+
+Labels = NDArray[np.int64]  # group of each sample, -1: none
+
+BLOCK_S = 0.5
+DRAWS = 400
+FEWEST_SAMPLES, FEWEST_BLOCKS = 50, 4
+CI = (0.025, 0.975)
+SURE = 0.005  # one-sided chance of a false "worse"; some fifty groups are looked at
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate:
+    """A number with its 95 % interval, in the unit of its values."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bin:
+    """One group of samples and the root mean square errors in it, m."""
+
+    label: str
+    at: float  # mean of the sorting quantity, SI; NaN for names
+    count: int
+    baseline: Estimate
+    extended: Estimate
+    worse: bool  # whether the extended model is surely worse here
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Regime:
+    """Errors over one sorting quantity."""
+
+    name: str
+    title: str
+    unit: str  # of `at`; empty: the bins have labels only
+    bins: tuple[Bin, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Blocks:
+    """Which block each sample belongs to, and the blocks that each draw of the bootstrap takes."""
+
+    of: Labels  # shape (n,)
+    drawn: FloatArray  # how often each draw takes each block, shape (DRAWS, blocks)
+
+    @property
+    def count(self) -> int:
+        """Of the blocks."""
+        return int(self.drawn.shape[1])
+
+
+def blocks_of(recording: NDArray[np.int32], tick_s: float, seed: int) -> Blocks:
+    """Blocks of half a second that end with their recording."""
+    n = len(recording)
+    length = max(round(BLOCK_S / tick_s), 1)
+    new = np.ones(n, np.bool_)
+    new[1:] = recording[1:] != recording[:-1]
+    since = np.arange(n) - np.maximum.accumulate(np.where(new, np.arange(n), 0))
+    of = np.cumsum(new | (since % length == 0)) - 1
+    count = int(of[-1]) + 1 if n else 0
+    rng = np.random.default_rng(seed)
+    drawn = rng.multinomial(count, np.full(count, 1.0 / count), size=DRAWS) if count else np.zeros((DRAWS, 0))
+    return Blocks(of=of, drawn=drawn.astype(np.float64))
+
+
+def means(
+    values: FloatArray, labels: Labels, groups: int, blocks: Blocks
+) -> tuple[FloatArray, FloatArray, NDArray[np.int64], NDArray[np.int64]]:
+    """Means by group and their bootstrap.
+
+    Args:
+        values: shape (n,), finite wherever its label is not -1.
+        labels: shape (n,).
+        groups: how many.
+        blocks: of the samples.
+
+    Returns:
+        (means, shape (groups,); drawn means, shape (DRAWS, groups); samples and blocks of each group, shape (groups,)).
+        NaN where a group or a draw of it is empty.
+    """
+    use = labels >= 0
+    place = blocks.of[use] * groups + labels[use]
+    size = blocks.count * groups
+    sums = np.bincount(place, values[use], size).reshape(blocks.count, groups)
+    counts = np.bincount(place, minlength=size).reshape(blocks.count, groups)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = sums.sum(axis=0) / counts.sum(axis=0)
+        drawn = (blocks.drawn @ sums) / (blocks.drawn @ counts.astype(np.float64))
+    return mean, drawn, counts.sum(axis=0), np.count_nonzero(counts, axis=0)
+
+
+def estimate(value: float, drawn: FloatArray) -> Estimate:
+    """With its interval; `drawn`, shape (DRAWS,), may hold NaN of draws in which the group was empty."""
+    known = drawn[np.isfinite(drawn)]
+    low, high = np.quantile(known, CI) if len(known) else (np.nan, np.nan)
+    return Estimate(value=float(value), low=float(low), high=float(high))
+
+
+def solid(samples: NDArray[np.int64], blocks: NDArray[np.int64]) -> BoolArray:
+    """Which groups enough samples and blocks speak for."""
+    return np.asarray((samples >= FEWEST_SAMPLES) & (blocks >= FEWEST_BLOCKS))
+
+
+def error_bins(errors_m: FloatArray, labels: Labels, names: Sequence[str], at: FloatArray, blocks: Blocks) -> list[Bin]:
+    """Root mean square of both models' errors in each group.
+
+    Args:
+        errors_m: baseline and extended, shape (2, n).
+        labels: group of each sample, shape (n,).
+        names: of the groups.
+        at: the sorting quantity, shape (n,).
+        blocks: of the samples.
+    """
+    labels = np.where(np.isfinite(errors_m).all(axis=0), labels, -1)
+    groups = len(names)
+    squares = [means(np.where(labels >= 0, errors**2, 0.0), labels, groups, blocks) for errors in errors_m]
+    where, _, samples, pieces = means(np.where(labels >= 0, at, 0.0), labels, groups, blocks)
+    good = solid(samples, pieces)
+    found = []
+    for group in np.flatnonzero(good).tolist():
+        both = [
+            estimate(float(np.sqrt(mean[group])), np.sqrt(np.maximum(drawn[:, group], 0.0)))
+            for mean, drawn, _, _ in squares
+        ]
+        ratio = squares[1][1][:, group] / np.maximum(squares[0][1][:, group], 1e-300)
+        ratio = ratio[np.isfinite(ratio)]
+        found.append(
+            Bin(
+                label=names[group],
+                at=float(where[group]),
+                count=int(samples[group]),
+                baseline=both[0],
+                extended=both[1],
+                worse=bool(len(ratio)) and float(np.quantile(ratio, SURE)) > 1.0,
+            )
+        )
+    return found
+
+
+def by_edges(values: FloatArray, edges: FloatArray) -> Labels:
+    """Group of each value between ascending edges; -1 outside and for NaN."""
+    labels = np.searchsorted(edges, values, side="right") - 1
+    labels = np.where(values == edges[-1], len(edges) - 2, labels)
+    inside = np.isfinite(values) & (labels >= 0) & (labels < len(edges) - 1)
+    return np.where(inside, labels, -1).astype(np.int64)
+
+
+def even_edges(values: FloatArray, groups: int) -> FloatArray:
+    """Groups of one width over what is usual, the rare ends left out; empty without a spread."""
+    known = values[np.isfinite(values)]
+    if len(known) < FEWEST_SAMPLES:
+        return np.empty(0)
+    low, high = np.quantile(known, (0.005, 0.995))
+    return np.linspace(low, high, groups + 1) if high > low else np.empty(0)
+
+
+def shared_edges(values: FloatArray, shares: Sequence[float]) -> FloatArray:
+    """Groups that hold these cumulative shares of the samples: for quantities that crowd around 0."""
+    known = values[np.isfinite(values)]
+    if len(known) < FEWEST_SAMPLES:
+        return np.empty(0)
+    edges = np.unique(np.quantile(known, shares))
+    return edges if len(edges) > 1 else np.empty(0)

@@ -1,0 +1,61 @@
+"""Spectrum of prediction errors one sample ahead; a right model leaves white noise at the floor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from twin.estimation.record import FloatArray, runs
+
+SEGMENT_S = 1.0
+FEWEST = 4  # segments
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spectrum:
+    """One-sided amplitude densities, m/sqrt(Hz), shape (n,)."""
+
+    frequency_hz: FloatArray
+    baseline: FloatArray
+    extended: FloatArray
+    floor: float
+    spread: tuple[float, float]  # 95 % interval of each value, as factors
+    segments: int
+
+
+def spectrum(errors_m: FloatArray, floor_m: float, tick_s: float) -> Spectrum | None:
+    """Averaged over unbroken segments of a second, Hann window, half overlapped; None with too few of them.
+
+    Args:
+        errors_m: one sample ahead, baseline and extended, shape (2, n), NaN where nothing was predicted.
+        floor_m: root mean square that sensor noise leaves.
+        tick_s: the sampling interval.
+    """
+    length = 2 * max(round(0.5 * SEGMENT_S / tick_s), 8)
+    known = np.asarray(np.isfinite(errors_m).all(axis=0))
+    starts = [
+        start for piece in runs(known, length) for start in range(piece.start, piece.stop - length + 1, length // 2)
+    ]
+    if len(starts) < FEWEST:
+        return None
+    window = np.hanning(length)
+    rows = np.array(starts)[:, None] + np.arange(length)
+    densities = []
+    for errors in errors_m:
+        power = np.abs(np.fft.rfft(errors[rows] * window, axis=1)) ** 2
+        densities.append(np.sqrt(2.0 * tick_s / float(window @ window) * power.mean(axis=0)))
+    # Half-overlapping Hann segments are worth 9 independent ones in 11 [Welch 1967].
+    freedom = 2.0 * len(starts) * 9.0 / 11.0
+    return Spectrum(
+        frequency_hz=np.arange(1, length // 2 + 1) / (length * tick_s),
+        baseline=densities[0][1:],
+        extended=densities[1][1:],
+        floor=floor_m * np.sqrt(2.0 * tick_s),
+        spread=(
+            float(np.sqrt(freedom / chi2.ppf(0.975, freedom))),
+            float(np.sqrt(freedom / chi2.ppf(0.025, freedom))),
+        ),
+        segments=len(starts),
+    )

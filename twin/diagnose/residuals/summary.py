@@ -1,0 +1,254 @@
+"""What the simulation gets wrong, as numbers: over the horizon, by regime, by frequency, as force; before and after.
+
+Rule 1: errors are those of the judge recordings.  Without one, those for fitting stand in, and `judged` is False: what
+        they say is flattering.
+Rule 2: residual force and current are of all recordings: open-loop flights go where closed loop never is.
+Rule 3: baseline and extended are compared on the same samples, drawn in the same blocks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from protocol.campaign import Controller, Plant
+from twin.diagnose.evidence.gather import Evidence
+from twin.diagnose.judge.prediction_gain import Gain, gain, predictions
+from twin.diagnose.residuals.force import Curve, Filtered, current_curves, filtered, force_curves
+from twin.diagnose.residuals.groups import sorted_errors
+from twin.diagnose.residuals.regimes import Blocks, Estimate, Regime, blocks_of, estimate, means
+from twin.diagnose.residuals.spectrum import Spectrum, spectrum
+from twin.diagnose.residuals.state_map import Correction, correction
+from twin.diagnose.residuals.step_response import Steps, step_responses
+from twin.estimation.record import FloatArray, runs
+from twin.model.extended import V
+from twin.validate.source import plant_of
+
+if TYPE_CHECKING:
+    from twin.diagnose.result import Diagnosis
+
+HORIZON_S = 0.02  # the one that regimes are shown at
+PIECE_S = 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ahead:
+    """Root mean square errors of one horizon, m."""
+
+    horizon_s: float
+    baseline: Estimate
+    extended: Estimate
+    floor_m: float
+    ratio: tuple[float, float]  # 95 % interval of extended over baseline
+    removed: float  # share of the mean square above the floor; NaN where there was none
+    count: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Piece:
+    """A stretch of one recording: what x did and what both models had said 20 ms before; shape (n,)."""
+
+    recording: str
+    t_s: FloatArray
+    x_m: FloatArray
+    baseline_m: FloatArray
+    extended_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Show:
+    """Everything that the report draws, beside the diagnosis itself."""
+
+    judged: bool  # whether errors are of judge recordings
+    ahead: tuple[Ahead, ...]
+    piece: Piece | None
+    regimes: tuple[Regime, ...]
+    spectrum: Spectrum | None
+    force: tuple[Curve, ...]
+    current: tuple[Curve, ...]
+    steps: Steps | str  # or why there are none
+    correction: Correction | None
+    floor_m: float  # at HORIZON_S
+
+    def worse(self) -> list[str]:
+        """Where the extended model is surely worse."""
+        return [f"{regime.title}: {one.label}" for regime in self.regimes for one in regime.bins if one.worse]
+
+
+def shown(found: Diagnosis, controller: Controller | None, *, quick: bool = False, seed: int = 0) -> Show:
+    """The numbers of a diagnosis.
+
+    Args:
+        found: of `diagnose`.
+        controller: the law of the closed-loop recordings.
+        quick: without closed-loop simulation and correction.
+        seed: of the bootstrap.
+    """
+    plant = plant_of(found.extended)
+    judge = found.judge_evidence
+    judged = judge is not None and bool(found.gains)
+    evidence = judge if judge is not None and judged else found.fit_evidence
+    gains = found.gains if judged else _on(found, evidence, plant, seed)
+    blocks = blocks_of(evidence.series.recording, found.tick_s, seed)
+    models = _models(found, evidence, plant)
+    at_20 = _nearest(gains, HORIZON_S)
+    bins: tuple[Regime, ...] = ()
+    piece = None
+    if at_20 is not None:
+        bins = sorted_errors(at_20.errors_m, evidence, models[1], blocks)
+        piece = _piece(at_20.errors_m, evidence, found.tick_s)
+    first = _nearest(gains, found.tick_s)
+    return Show(
+        judged=judged,
+        ahead=tuple(_ahead(one, blocks) for one in gains),
+        piece=piece,
+        regimes=bins,
+        spectrum=spectrum(first.errors_m, first.floor_m, found.tick_s) if first is not None else None,
+        **_residuals(found, evidence, models, plant, seed),
+        steps="left out by --quick"
+        if quick
+        else step_responses(evidence.records, found.before, found.after, found.floor, plant, controller, found.tick_s),
+        correction=None if quick or not judged else _corrected(found, at_20, evidence, models[1], blocks, plant, seed),
+        floor_m=at_20.floor_m if at_20 is not None else math.nan,
+    )
+
+
+def to_dict(show: Show) -> dict[str, Any]:
+    """The numbers for diagnosis.json, in SI units; traces are left out, NaN is None."""
+    parts = {name: value for name, value in asdict(show).items() if name != "piece"}
+    if isinstance(show.steps, Steps):
+        figures = [(asdict(first), asdict(second)) for first, second in show.steps.figures]
+        parts["steps"] = {"count": show.steps.count, "baseline_and_extended": figures}
+    else:
+        parts["steps"] = {"not_testable": show.steps}
+    cleaned = _clean(parts)
+    assert isinstance(cleaned, dict)
+    return cleaned
+
+
+def _clean(value: object) -> object:
+    if isinstance(value, dict):
+        return {key: _clean(entry) for key, entry in value.items()}
+    if isinstance(value, np.ndarray | list | tuple):
+        return [_clean(entry) for entry in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, float | np.floating):
+        return float(f"{value:.6g}") if math.isfinite(value) else None
+    return value
+
+
+def _models(found: Diagnosis, evidence: Evidence, plant: Plant) -> tuple[Filtered, Filtered]:
+    return (
+        filtered(evidence, found.before, plant, found.tick_s),
+        filtered(evidence, found.after, plant, found.tick_s),
+    )
+
+
+def _on(found: Diagnosis, evidence: Evidence, plant: Plant, seed: int) -> tuple[Gain, ...]:
+    made = (
+        gain(evidence, found.before, found.after, found.floor, plant, found.tick_s, samples, seed)
+        for samples in sorted({1, max(round(HORIZON_S / found.tick_s), 1)})
+    )
+    return tuple(one for one in made if one is not None)
+
+
+def _nearest(gains: Sequence[Gain], horizon_s: float) -> Gain | None:
+    return min(gains, key=lambda one: abs(one.horizon_s - horizon_s), default=None)
+
+
+def _ahead(one: Gain, blocks: Blocks) -> Ahead:
+    known = np.isfinite(one.errors_m).all(axis=0)
+    labels = np.where(known, 0, -1).astype(np.int64)
+    sides = []
+    for errors in one.errors_m:
+        mean, drawn, _, _ = means(np.where(known, errors**2, 0.0), labels, 1, blocks)
+        sides.append(estimate(float(np.sqrt(mean[0])), np.sqrt(drawn[:, 0])))
+    return Ahead(
+        horizon_s=one.horizon_s,
+        baseline=sides[0],
+        extended=sides[1],
+        floor_m=one.floor_m,
+        ratio=one.ci95_ratio,
+        removed=one.removed,
+        count=one.count,
+    )
+
+
+def _piece(errors_m: FloatArray, evidence: Evidence, tick_s: float) -> Piece | None:
+    """The two seconds in which the baseline was wrong most, of those that were predicted throughout."""
+    s = evidence.series
+    known = np.asarray(np.isfinite(errors_m).all(axis=0))
+    best: tuple[float, slice] | None = None
+    for shorter in (1.0, 0.25):
+        length = max(round(shorter * PIECE_S / tick_s), 2)
+        for piece in runs(known, length):
+            sums = np.concatenate(([0.0], np.cumsum(errors_m[0, piece] ** 2)))
+            totals = sums[length:] - sums[:-length]
+            start = int(np.argmax(totals))
+            if best is None or totals[start] > best[0]:
+                best = float(totals[start]), slice(piece.start + start, piece.start + start + length)
+        if best is not None:
+            break
+    if best is None:
+        return None
+    part = best[1]
+    return Piece(
+        recording=evidence.records[int(s.recording[part.start])].name,
+        t_s=evidence.t[part],
+        x_m=s.x[part],
+        baseline_m=s.x[part] + errors_m[0, part],
+        extended_m=s.x[part] + errors_m[1, part],
+    )
+
+
+def _residuals(
+    found: Diagnosis, evidence: Evidence, models: tuple[Filtered, Filtered], plant: Plant, seed: int
+) -> dict[str, Any]:
+    """Residual curves of all recordings together."""
+    force: tuple[Curve, ...] = ()
+    current: tuple[Curve, ...] = ()
+    fit = found.fit_evidence
+    if len(fit.series):
+        own = models if evidence is fit else _models(found, fit, plant)
+        blocks = blocks_of(fit.series.recording, found.tick_s, seed)
+        force = tuple(force_curves(own, fit, blocks))
+        current = tuple(current_curves(own, fit, found.tick_s, blocks))
+    return {"force": force, "current": current}
+
+
+def _corrected(
+    found: Diagnosis,
+    at_20: Gain | None,
+    evidence: Evidence,
+    model: Filtered,
+    blocks: Blocks,
+    plant: Plant,
+    seed: int,
+) -> Correction | None:
+    """Only where more than noise is left."""
+    if at_20 is None or found.verdict not in ("unknown-cause", "partly-explained"):
+        return None
+    fit = found.fit_evidence
+    x_hat = predictions(fit, found.after, plant, found.tick_s, at_20.samples)
+    own = filtered(fit, found.after, plant, found.tick_s)
+    return correction(
+        (x_hat - fit.series.x, *_begun(fit, own, at_20.samples)),
+        (at_20.errors_m[1], *_begun(evidence, model, at_20.samples)),
+        blocks_of(fit.series.recording, found.tick_s, seed),
+        blocks,
+    )
+
+
+def _begun(evidence: Evidence, model: Filtered, samples: int) -> tuple[FloatArray, FloatArray]:
+    """(reading, speed) where the prediction of each sample began, shape (n,)."""
+    nothing = np.full(samples, np.nan)
+    s = evidence.series
+    return (
+        np.concatenate((nothing, s.x[:-samples]))[: len(s)],
+        np.concatenate((nothing, model.state[:-samples, V]))[: len(s)],
+    )

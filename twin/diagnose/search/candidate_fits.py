@@ -1,0 +1,156 @@
+"""Candidates, fitted one beside the other: all a little, the leading ones to the end.
+
+Rule 1: who is far behind may only have begun to climb at a worse place: none is dropped before his slope says so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from twin.diagnose.inference.fisher_scoring import PASSES, Fit, climb
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.theta import coordinates_of, parameter_of
+from twin.diagnose.search.candidate_starts import start_of
+from twin.diagnose.search.prediction_benefit import removed
+from twin.diagnose.search.score_test import Score
+from twin.model.causes.catalogue import BY_NAME
+
+MARGIN = 4.5  # of log-likelihood: fits that are nearer to each other say the same
+_SHORT = 2  # passes of a first fit
+# Then: passes, least share of the best gain, most candidates that go on.
+_HEATS = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))
+_STEEPER = 8.0  # the likelihood of a cause that is far away rises up to five times as much as its slope promises
+_STEEPER_DELAY = 50.0  # that of a delay is flat where there is none
+SAME = {"sampling-delay": "actuation-delay"}  # in the samples alone: fitted once
+_DOUBT = 0.2  # of the best gain: so much more than its slope promises a candidate may reach in the first heats
+_FAVOURITES = 2  # best of the screen: they go through the first heat, however slowly they begin to climb
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """One candidate, fitted."""
+
+    cause: str
+    fit: Fit
+    gain: float  # of log-likelihood, against the model without it, beyond what the search makes out of noise
+
+
+def fitted(
+    criterion: Criterion,
+    at: Fit,
+    scores: Sequence[Score],
+    wanted: float = 0.0,
+    pays: float = 1.0,
+    beaten: float = -math.inf,
+) -> list[Trial]:
+    """Each candidate fitted, the leading ones to the end; best first.
+
+    Args:
+        criterion: of the recordings for fitting.
+        at: the model without them.
+        scores: the candidates.
+        wanted: the gain below which none will be taken, unless it pays in prediction.
+        pays: share of the mean square error of a prediction that it must remove then.
+        beaten: the gain below which a candidate need not be known any better.
+    """
+    names = [score.cause for score in scores]
+    copies = {same: one for same, one in SAME.items() if one in names and same in names}
+    scores = [score for score in scores if score.cause not in copies]
+    trials = criterion.each(partial(_begun, criterion, at), scores)
+    favourites = {score.cause for score in scores[:_FAVOURITES]}
+    for heat, (passes, hopeless, most) in enumerate(_HEATS):
+        trials.sort(key=lambda trial: -_expected(trial))
+        best = max((trial.gain for trial in trials), default=0.0)
+        last = heat == len(_HEATS) - 1 and bool(trials)
+        overtaken = best - MARGIN if last else (1.0 - _DOUBT) * best - MARGIN
+        if last and all(_promise(trial) < wanted for trial in trials):
+            leader = max(trials, key=lambda trial: trial.gain)
+            least_pay = 0.5 * pays
+            if least_pay >= 0.5 or removed(criterion, at.theta, leader.fit.theta) < least_pay:
+                break
+        going = set()
+        for place, trial in enumerate(trials):
+            goes_on = place < most and _expected(trial) >= hopeless * best and _promise(trial) >= overtaken
+            goes_on = goes_on and _promise(trial) >= beaten
+            if goes_on or (heat == 0 and trial.cause in favourites):
+                going.add(trial.cause)
+        trials = criterion.each(partial(_further, criterion, going, passes), trials)
+    by_name = {trial.cause: trial for trial in trials}
+    trials += [renamed(by_name[one], same) for same, one in copies.items()]
+    trials.sort(key=lambda trial: -trial.gain)
+    return trials
+
+
+def _begun(criterion: Criterion, at: Fit, score: Score) -> Trial:
+    fit = climb(criterion, start_of(criterion, at.theta, score), _with(at.free, score.cause), passes=_SHORT)
+    return Trial(cause=score.cause, fit=fit, gain=fit.loglik - at.loglik - score.chance)
+
+
+def _further(criterion: Criterion, going: set[str], passes: int, trial: Trial) -> Trial:
+    return climbed(criterion, trial, passes) if trial.cause in going and not trial.fit.converged else trial
+
+
+def same_as(cause: str) -> set[str]:
+    """The causes that do exactly the same to the samples."""
+    return {two if cause == one else one for two, one in SAME.items() if cause in (one, two)}
+
+
+def renamed(trial: Trial, cause: str) -> Trial:
+    """The trial of a cause that does exactly the same to the samples."""
+
+    def name(old: str) -> str:
+        return old.replace(f"{trial.cause}.", f"{cause}.", 1) if old.startswith(f"{trial.cause}.") else old
+
+    theta = replace(trial.fit.theta, causes=tuple((name(old), value) for old, value in trial.fit.theta.causes))
+    return Trial(
+        cause=cause,
+        fit=replace(trial.fit, theta=theta, free=tuple(name(old) for old in trial.fit.free)),
+        gain=trial.gain,
+    )
+
+
+def climbed(criterion: Criterion, trial: Trial, passes: int = PASSES) -> Trial:
+    """The same after more passes."""
+    fit = climb(criterion, trial.fit.theta, trial.fit.free, passes=passes)
+    return replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
+
+
+def worth_the_whole(trial: Trial, best: Trial) -> bool:
+    """Whether it is near enough to the best to be fitted to the end."""
+    return trial.gain >= _HEATS[-1][1] * best.gain
+
+
+def _expected(trial: Trial) -> float:
+    """Its gain, were the likelihood a parabola: one that began at a bad place still has most of it ahead."""
+    return trial.gain if trial.fit.converged else trial.gain + trial.fit.ahead
+
+
+def _promise(trial: Trial) -> float:
+    """What a candidate may still reach."""
+    return trial.gain if trial.fit.converged else trial.gain + rises(trial.cause) * trial.fit.ahead
+
+
+def rises(cause: str) -> float:
+    """How far the likelihood may rise above what its slope promises."""
+    return _STEEPER_DELAY if BY_NAME[cause].family == "timing" else _STEEPER
+
+
+def _with(free: tuple[str, ...], cause: str) -> tuple[str, ...]:
+    return free + coordinates_of(cause)
+
+
+def inside(trial: Trial) -> bool:
+    """Whether every parameter of the cause is within its physical range, not at its end."""
+    for name in coordinates_of(trial.cause):
+        parameter = parameter_of(name)
+        value = trial.fit.theta.value(name)
+        if math.isinf(value):
+            return False
+        span = parameter.high - parameter.low
+        ends = [end for end in (parameter.low, parameter.high) if end != parameter.neutral]
+        if any(abs(value - end) < 1e-6 * span for end in ends) and name == coordinates_of(trial.cause)[0]:
+            return False
+    return True

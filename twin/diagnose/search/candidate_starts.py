@@ -1,0 +1,167 @@
+"""Where the fit of a candidate begins.
+
+A wrong model bends its own parameters: under a current limit K_A comes out low and T_A long, and from there the limit
+explains nothing.  So beside the screen's linear step, an amplifier's candidate is tried with a K_A and T_A that few
+samples can bend: the median of i_c / u_c, and the fastest response that any single recording shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from protocol.campaign import Plant
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.theta import NOISES, PARAMETERS, Theta, most_step, moved
+from twin.diagnose.search.probes import FINE, probes_of
+from twin.diagnose.search.score_test import Score, probed
+from twin.estimation.record import Record
+from twin.identify.starting.regression import amplifier_start
+from twin.model.causes.catalogue import BY_NAME
+from twin.model.causes.cause import Cause
+from twin.model.extended import position_of_reading, position_reading
+
+_REACH = 20.0  # probes: farther the signature is another
+_LEAST = 0.05
+_PARTS = (1.0, 0.3, 0.1)  # of the linear step: where the likelihood is far from a parabola the whole one overshoots
+_GRID = (0.5, 0.7, 0.85, 1.0, 1.4, 2.0, 3.0, 5.0)  # of the probes
+_STEADY = 5  # samples of the same u_c
+
+
+def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
+    """The best of the starts by the likelihood itself."""
+    cause = BY_NAME[score.cause]
+    starts = [_linear(criterion, theta, score, cause, part, names) for names in _alone_or_all(score) for part in _PARTS]
+    if cause.family == "amplifier":
+        gains, times = {theta.K_A}, {theta.T_A}
+        robust = robust_gain(criterion.evidence.records)
+        if robust is not None:
+            gains.add(robust)
+        quick = quickest(criterion.evidence.records)
+        if quick is not None:
+            times.add(min(quick, theta.T_A))
+        for K_A in sorted(gains):
+            for T_A in sorted(times):
+                for probe in probes_of(cause, criterion.evidence.series):
+                    starts.append(probed(replace(theta, K_A=K_A, T_A=T_A), cause, probe))
+    starts = _with_stops(criterion.plant, theta, starts, cause)
+    return starts[int(np.argmax(criterion.values(starts)))]
+
+
+def _with_stops(plant: Plant, theta: Theta, starts: list[Theta], cause: Cause) -> list[Theta]:
+    """Of a sensor's cause, also with the stops where everybody thinks they are, and where they show the same as before.
+
+    Without it the model shifts the stops to where the sensor shows them; both at once is wrong twice.  A part of an
+    offset with the stops where they are is wrong by hundreds of standard errors at rest, and nothing else counts then.
+    """
+    if cause.family != "sensing":
+        return starts
+    at_home = [replace(start, stop_low_m=0.0, stop_high_m=0.0) for start in starts]
+    return [*starts, *at_home, *(_shown_alike(plant, theta, start) for start in starts)]
+
+
+def _shown_alike(plant: Plant, theta: Theta, start: Theta) -> Theta:
+    p, before, after = theta.base(plant), theta.vector(), start.vector()
+    low, high = (
+        float(position_of_reading(p, after, position_reading(p, before, stop, 0.0), 0.0))
+        for stop in (theta.stop_low_m, plant.travel_m + theta.stop_high_m)
+    )
+    return replace(start, stop_low_m=low, stop_high_m=high - plant.travel_m)
+
+
+def beside(criterion: Criterion, theta: Theta, own: Cause, rival: Cause) -> Theta:
+    """The best strength of `rival` with the numbers of `theta`, in which it takes the place of `own`.
+
+    From the bent numbers of the model without either, one of two causes that do the same may never get there; two that
+    are measured in the same unit, or in V and in A, may even be of the same size.
+    """
+    strength = rival.strength
+    at = [strength.coordinate(probe) * factor for probe in strength.probes for factor in _GRID]
+    if strength.low < strength.neutral < strength.high:
+        at += [-one for one in at]
+    sizes = [strength.value(one) for one in at]
+    same = {(strength.unit, strength.unit): 1.0, ("V", "A"): theta.K_A, ("A", "V"): 1.0 / theta.K_A}
+    if (own.strength.unit, strength.unit) in same:
+        size = theta.value(f"{own.name}.{own.strength.name}") * same[own.strength.unit, strength.unit]
+        sizes += [one for one in (size, -size) if strength.low <= one <= strength.high]
+    bare = theta.without(own.name)
+    starts = _with_stops(criterion.plant, theta, [probed(bare, rival, one) for one in sizes], rival)
+    return starts[int(np.argmax(criterion.values(starts)))]
+
+
+def robust_gain(records: Sequence[Record]) -> float | None:
+    """K_A as the median of i_c / u_c where u_c has stood still, A/V."""
+    ratios = []
+    for record in records:
+        if record.kind == "equilibria" or not record.has("u_c", "i_c") or len(record.t) < 2 * _STEADY:
+            continue
+        u, i = record.u_c, record.i_c
+        still = np.ones(len(u), np.bool_)
+        for lag in range(1, _STEADY):
+            still[lag:] &= np.abs(u[lag:] - u[:-lag]) <= 0.02 * np.abs(u[lag:])
+        still[:_STEADY] = False
+        good = still & (u > 0.2 * np.nanmax(u)) & np.isfinite(i)
+        if good.sum() >= 20:
+            ratios.append(i[good] / u[good])
+    if not ratios:
+        return None
+    gain = float(np.median(np.concatenate(ratios)))
+    return gain if gain > 0.0 else None
+
+
+def quickest(records: Sequence[Record]) -> float | None:
+    """The shortest T_A that any single recording or capture of steps asks for, s."""
+    found = []
+    for record in records:
+        singles = [
+            replace(
+                record,
+                captures=(capture,),
+                t=record.t[:0],
+                u_c=record.u_c[:0],
+                i_c=record.i_c[:0],
+                x=record.x[:0],
+                x_ref=record.x_ref[:0],
+            )
+            for capture in record.captures
+        ]
+        if record.kind == "amplifier-step" and len(record.t):
+            singles.append(replace(record, captures=()))
+        for single in singles:
+            start = amplifier_start([single])
+            if start is not None and start.K_A > 0.0 and start.share > 0.9:
+                found.append(start.T_A)
+    return min(found) if found else None
+
+
+def _alone_or_all(score: Score) -> list[list[str]]:
+    """What moves with a candidate: the paper's parameters, or all but the noise levels, which find their own way.
+
+    Places of coil, stop and sensor that are one but for bends only move together.  So does a cause in the model that
+    has taken up what the candidate does: without it the candidate begins 10 000 of log-likelihood below.
+    """
+    names = [name for name, _ in score.beside if name not in NOISES]
+    alone = [name for name in names if name in PARAMETERS]
+    together = score.cause in FINE or any("." in name for name in names)
+    return [alone, names] if together else [alone]
+
+
+def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause, part: float, names: Sequence[str]) -> Theta:
+    strength = cause.strength
+    most_reach = _REACH / min(score.fineness, 1.0)
+    reach = min(max(score.step, -most_reach), most_reach)
+    reach = reach if abs(reach) > _LEAST else 0.3
+    shorter = min(
+        [1.0, *(most_step(name) / max(abs(by * reach), 1e-300) for name, by in score.beside if name in names)]
+    )
+    reach *= max(shorter, _LEAST / abs(reach)) * part
+    for name, by in score.beside:
+        if name in names:
+            most = most_step(name)  # what nothing in the data holds would run away
+            theta = moved(theta, name, min(max(by * reach, -most), most), criterion.plant)
+    theta = probed(theta, cause, strength.value(strength.coordinate(score.probe) * reach))
+    for name, value in score.others:
+        theta = theta.having(name, value)
+    return theta

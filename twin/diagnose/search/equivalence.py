@@ -1,0 +1,202 @@
+"""Who could stand in for a cause that was found?  Those are its class.
+
+    each cause: out with it, every other in its place -> who explains more takes it; who explains as much is its class
+
+Rule: causes whose best fits differ by less than MARGIN of log-likelihood are one class: z = sqrt(2 MARGIN) = 3.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from twin.diagnose.inference.fisher_scoring import PASSES, Fit, climb
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.noise_floor import Floor
+from twin.diagnose.inference.theta import roused
+from twin.diagnose.search import periodic
+from twin.diagnose.search.candidate_fits import MARGIN, Trial, fitted, inside, renamed, rises, same_as
+from twin.diagnose.search.candidate_starts import beside
+from twin.diagnose.search.forward_step import THRESHOLD, Say
+from twin.diagnose.search.score_test import screen
+from twin.diagnose.search.state import FEW, MOST_TOGETHER, Selection, material, superfluous, without
+from twin.estimation.record import FloatArray
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.model.causes.cause import Cause
+
+_CLEAR = 60.0  # of log-likelihood: a rival so far behind is out, whatever more he gains
+_COMPARABLE = 0.2  # of the cause's own gain on the screen: what stands in for it shows there, too
+_TURNED = 0.5  # of what a periodic force gains: phases that were 8 degrees off cost a quarter
+_REPHASED = 2  # rivals that get phases of their own
+_ALIKE = 0.8  # of the cause's own gain on the screen: it may do the same, and have begun to climb at a worse place
+
+
+def stand_ins(
+    criterion: Criterion,
+    found: Selection,
+    floor: Floor | None = None,
+    *,
+    candidates: Sequence[Cause] = CATALOGUE,
+    few: int = FEW,
+    quick: bool = False,
+    say: Say = lambda line: None,
+) -> None:
+    """The class of each cause that was found, and who comes next; the arguments are those of `select`.
+
+    With `floor`, where several causes leave more than noise, one of them may be false: the last is asked first, and
+    rivals are fitted however little the screen gives them.  Beside a friction that is not yet right a true cause had
+    a fifteenth of its gain there.
+    """
+
+    def doubtful() -> bool:
+        return floor is not None and len(found.causes) > 1 and material(criterion, found, floor)
+
+    found.classes, found.runner_up = {}, {}
+    if 1 < len(found.causes) <= MOST_TOGETHER and not quick:
+        criterion.each(lambda cause: without(criterion, found, cause), found.causes)
+    for cause in found.causes[::-1] if doubtful() else list(found.causes):
+        if quick and len(found.causes) > 1:
+            found.runner_up[cause] = found.gains[cause]
+            own = Trial(cause=cause, fit=found.fit, gain=found.gains[cause])
+            same = same_as(cause) & {entry.name for entry in candidates}
+            found.classes[cause] = tuple(renamed(own, other) for other in sorted(same))
+        elif _rivals(criterion, found, floor, cause, candidates, few, doubtful(), say):
+            return stand_ins(criterion, found, floor, candidates=candidates, few=few, say=say)
+
+
+def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Trial, say: Say) -> bool:
+    """Whether `trial`, which may stand in for `cause`, explains as much as that and another together; then it does.
+
+    Two that stand in for a third are never superfluous one by one.
+    """
+    least = found.fit.loglik - MARGIN
+    others = sorted(set(found.causes) - {cause, trial.cause}, key=lambda name: found.gains[name])
+
+    def less(other: str) -> Fit:
+        free = tuple(name for name in trial.fit.free if not name.startswith(other + "."))
+        return climb(criterion, roused(trial.fit.theta.without(other)), free)
+
+    for other, fit in zip(others, criterion.each(less, others), strict=True):
+        if fit.loglik > least:
+            if trial.cause == cause:
+                say(f"dropped: {other} ({cause} explains it)")
+            else:
+                say(f"{trial.cause} explains as much as {cause} and {other} together: it takes their place")
+            found.causes = [trial.cause if name == cause else name for name in found.causes if name != other]
+            found.fit, gain = fit, fit.loglik - found.base.loglik
+            found.gains = {name: found.gains.get(name, gain) for name in found.causes}
+            found.remember(fit, criterion)
+            return True
+    return False
+
+
+def _rivals(
+    criterion: Criterion,
+    found: Selection,
+    floor: Floor | None,
+    cause: str,
+    candidates: Sequence[Cause],
+    few: int,
+    everyone: bool,
+    say: Say,
+) -> bool:
+    """Who could stand in for `cause`, the others staying; a rival that explains more takes its place.
+
+    With `everyone`, none is spared for what the screen gives it.
+
+    True where one took the place of `cause` and another, or where it turns out superfluous: all others are to be asked
+    again.
+    """
+    stood = cause
+    if len(found.causes) == 1:
+        at, known = found.base, {trial.cause: trial for trial in found.rounds[0].trials}
+    else:
+        at, known = without(criterion, found, cause), {}
+    own = Trial(cause=cause, fit=found.fit, gain=found.fit.loglik - at.loglik)
+    needless = own.gain < THRESHOLD if floor is None else superfluous(criterion, found, floor, at)
+    if needless and len(found.causes) > 1:
+        found.causes.remove(cause)
+        found.gains.pop(cause)
+        found.fit = at
+        say(f"dropped: {cause} (the others explain it)")
+        return True
+    others = [entry for entry in candidates if entry.name not in found.causes]
+    scores = screen(criterion, at.theta, at.free, [*others, BY_NAME[cause]])
+    shown = {score.cause: score.gain for score in scores}
+    comparable = _COMPARABLE * shown.get(cause, 0.0)
+    alike = {name for name, gain in shown.items() if gain > _ALIKE * shown.get(cause, 0.0)}
+    alike |= {entry.name for entry in candidates if entry.family == BY_NAME[cause].family}
+    same = same_as(cause) & {entry.name for entry in others}
+    scores = [score for score in scores if score.cause not in (*known, cause, *same) and score.testable]
+    scores = [score for score in scores if score.gain > 0.3 * THRESHOLD]
+    if not everyone:
+        scores = [
+            score
+            for score in scores
+            if score.gain > comparable
+            if score.cause in alike or score.gain * rises(score.cause) > own.gain - _CLEAR
+        ][: max(few - len(known), 2)]
+    trials = [trial for trial in known.values() if trial.cause not in (cause, *same)]
+    trials += [renamed(own, other) for other in same]
+    trials += fitted(criterion, at, scores, beaten=-math.inf if everyone else own.gain - _CLEAR)
+    trials = criterion.each(lambda trial: _again(criterion, own, trial) if trial.cause in alike else trial, trials)
+    trials = sorted((trial for trial in trials if inside(trial)), key=lambda trial: -trial.gain)
+    shaken = found.gains.get(periodic.CAUSE.name, 0.0) if periodic.AMPLITUDE in at.free else 0.0
+    shifts = _rephase(criterion, own, trials, alike, shaken)
+    trials.sort(key=lambda trial: -trial.gain)
+    if trials and trials[0].gain > own.gain + MARGIN:
+        own = _again(criterion, trials[0], own)
+        found.fit = own.fit
+    if trials and trials[0].gain > own.gain + MARGIN:
+        say(f"{trials[0].cause} explains more than {cause} beside the others: it takes its place")
+        best = trials[0]
+        criterion.shift_s = shifts.get(best.cause, criterion.shift_s)
+        found.causes[found.causes.index(cause)] = best.cause
+        found.fit, found.gains[best.cause] = best.fit, best.gain
+        if periodic.CAUSE.name in found.causes:
+            found.fit = periodic.rephased(criterion, found.fit, PASSES)
+        found.gains.pop(cause, None)
+        trials = [own, *trials[1:]]
+        own, cause = best, best.cause
+    near = tuple(trial for trial in trials if own.gain - trial.gain < MARGIN)
+    far = [trial.gain for trial in trials if own.gain - trial.gain >= MARGIN]
+    found.classes[cause] = near
+    found.runner_up[cause] = own.gain - max(far, default=0.0)
+    found.gains[cause] = own.gain
+    news = [trial for trial in (own, *near) if trial.cause not in (stood, *same)]
+    return any(_one_for_two(criterion, found, cause, trial, say) for trial in news)
+
+
+def _rephase(
+    criterion: Criterion, own: Trial, trials: list[Trial], alike: set[str], shaken: float
+) -> dict[str, FloatArray]:
+    """Those `alike` that are behind `own` by what phases can make, fitted with phases of their own; their shifts.
+
+    `shaken` is what the periodic force gains.
+
+    A lag of the sensor turns what shakes the ball as it is read, one of the field does not: with the other's phases the
+    right cause of two simulated flights was 990 behind the wrong one, with its own 110 before.
+    """
+    shifts: dict[str, FloatArray] = {}
+    least, most = own.gain - _TURNED * shaken, own.gain + MARGIN
+    behind = [n for n, trial in enumerate(trials) if trial.cause in alike and least < trial.gain < most]
+    for n in behind[:_REPHASED] if shaken > 0.0 else ():
+        before, trial = criterion.shift_s, trials[n]
+        fit = periodic.settled(criterion, periodic.rephased(criterion, trial.fit, PASSES), PASSES)
+        trials[n] = replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
+        shifts[trial.cause], criterion.shift_s = criterion.shift_s, before
+    return shifts
+
+
+def _again(criterion: Criterion, own: Trial, rival: Trial) -> Trial:
+    """Who is behind, fitted from the numbers that came out beside `own`."""
+    if own.gain - rival.gain < MARGIN:
+        return rival
+    start = beside(criterion, own.fit.theta, BY_NAME[own.cause], BY_NAME[rival.cause])
+    if criterion.value(start) <= rival.fit.loglik:
+        return rival
+    fit = climb(criterion, start, rival.fit.free)
+    if fit.loglik <= rival.fit.loglik:
+        return rival
+    return replace(rival, fit=fit, gain=rival.gain + fit.loglik - rival.fit.loglik)

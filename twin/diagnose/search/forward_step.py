@@ -1,0 +1,180 @@
+"""One step forward: which cause earns its place now?
+
+screen all -> fit the best few -> the best, if it earns it
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from twin.diagnose.evidence.dead_time import DELAYS
+from twin.diagnose.inference.fisher_scoring import PASSES, Fit
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.noise_floor import Floor
+from twin.diagnose.search import periodic
+from twin.diagnose.search.candidate_fits import Trial, fitted, inside, rises
+from twin.diagnose.search.prediction_benefit import removed
+from twin.diagnose.search.score_test import Score, probed, screen
+from twin.model.causes import coulomb_friction
+from twin.model.causes.catalogue import BY_NAME
+from twin.model.causes.cause import Cause
+
+THRESHOLD = 10.0  # of log-likelihood: z = 4.5, and more than the most of 30 candidates reaches by chance
+TRIFLE = 0.005  # of what the causes found so far gain together: below, it mends how they are written, not the rig
+BESIDE_NOISE = 0.015  # the same, once what is left is hardly more than noise
+SHARE = 0.2  # of the excess that is left
+PAYS = 0.5  # of the mean square error of x 20 ms ahead: a smaller share will do for a cause that removes so much
+# A ball that is held is predicted well wherever it hovers, by whatever the model lacks: no evidence of what holds it.
+HOLDS = coulomb_friction.CAUSE.name
+_FAR_BEHIND = 0.02  # of the best gain on the screen: such a candidate will not be the best
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Round:
+    """One step forward."""
+
+    scores: tuple[Score, ...]
+    trials: tuple[Trial, ...]  # best first
+    taken: str  # "" where none was
+    why: str
+
+
+def forward(
+    criterion: Criterion,
+    at: Fit,
+    floor: Floor,
+    candidates: Sequence[Cause],
+    few: int,
+    gained: float,
+    least: float,
+    say: Say,
+) -> Round:
+    """The best of the candidates, and whether it is taken.
+
+    Args:
+        criterion: of the recordings for fitting.
+        at: the model so far, at its best.
+        floor: what sensor noise alone leaves.
+        candidates: the causes to try.
+        few: candidates that are fitted.
+        gained: what the causes so far gain together.
+        least: share of what is left that a cause must explain.
+        say: takes lines of progress.
+    """
+    with criterion.budget.question("what else of the catalogue explains what is left"):
+        scores = screen(criterion, at.theta, at.free, candidates)
+        if any(cause.name == periodic.CAUSE.name for cause in candidates):
+            scores = _with_line(criterion, at, scores)
+        scores = _with_dead_time(criterion, at, scores)
+        floor = floor.under(criterion, at.theta)
+    excess, material = floor.excess(at.loglik), floor.material(at.loglik)
+    # What cannot become a fair share is not fitted.
+    wanted = (min(TRIFLE, least) if material else BESIDE_NOISE) * gained
+    if least > SHARE and material:
+        wanted = max(wanted, least * excess)
+    gain_least = max(0.5 * THRESHOLD, _FAR_BEHIND * max((score.gain for score in scores), default=0.0))
+    worth = [
+        score
+        for score in scores
+        if score.testable and score.gain - score.chance > max(gain_least, wanted / rises(score.cause))
+    ][:few]
+    say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
+    names = ", ".join(score.cause for score in worth)
+    with criterion.budget.question(f"the fit of {len(worth)} candidates ({names})"):
+        trials = fitted(criterion, at, worth, least * excess if material else 0.0, _pays(least))
+        before = criterion.shift_s
+        if trials and any(name == periodic.AMPLITUDE for name, _ in at.theta.causes):
+            # What shifts the response shifts the phase of what shakes the ball: with the old one it gains too little.
+            fit = periodic.rephased(criterion, trials[0].fit, PASSES)
+            trials[0] = replace(trials[0], fit=fit, gain=trials[0].gain + fit.loglik - trials[0].fit.loglik)
+        step = decided(criterion, at, floor, scores, trials, gained, least)
+    if not trials or step.taken != trials[0].cause:
+        criterion.shift_s = before
+    return step
+
+
+def decided(
+    criterion: Criterion,
+    at: Fit,
+    floor: Floor,
+    scores: Sequence[Score],
+    trials: list[Trial],
+    gained: float,
+    least: float,
+) -> Round:
+    """Whether the best of the trials earns its place; `floor`: under the model without them."""
+    if not trials:
+        return Round(scores=tuple(scores), trials=(), taken="", why="nothing in the catalogue gains anything")
+    excess, pays = floor.excess(at.loglik), _pays(least)
+    possible = [trial for trial in trials if inside(trial)]
+    best = (possible or trials)[0]
+    share = best.gain / excess if excess > 0.0 else 1.0
+    why = f"log-likelihood +{best.gain:.0f}"
+    taken = ""
+    if best.gain < THRESHOLD:
+        why = f"{best.cause} would be best, with a gain of {best.gain:.1f}: chance does that"
+    elif not possible:
+        why = f"{best.cause} would be best, but outside its physical range"
+    elif best.gain < min(TRIFLE, least) * gained:
+        why = f"{best.cause} would be best, but is a trifle beside what was found"
+    elif not floor.material(at.loglik) and best.gain < BESIDE_NOISE * gained:
+        why = f"{best.cause} would be best, but hardly more than noise is left, and it is a trifle"
+    elif floor.material(at.loglik) and share < least and not _pays_off(criterion, at, best, pays):
+        why = f"{best.cause} would be best, but explains {100 * share:.0f} % of what is left"
+    else:
+        taken = best.cause
+        trials = [best, *(trial for trial in trials if trial is not best)]
+    return Round(scores=tuple(scores), trials=tuple(trials), taken=taken, why=why)
+
+
+def _pays_off(criterion: Criterion, at: Fit, best: Trial, pays: float) -> bool:
+    return best.cause != HOLDS and removed(criterion, at.theta, best.fit.theta) >= pays
+
+
+def _pays(least: float) -> float:
+    """Who asks for more of the whole is not content with a part of x."""
+    return PAYS if least <= SHARE else 1.0
+
+
+def _with_dead_time(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score]:
+    """The scores with what a delay gains at once where the step responses ask for it, if that is more."""
+    asked = [score for score in scores if score.cause in DELAYS and score.testable]
+    found = criterion.late if asked else None
+    if found is None:
+        return scores
+    delay_s, T_A = found
+    better = {}
+    for score in asked:
+        theta = probed(at.theta.having("T_A", T_A), BY_NAME[score.cause], delay_s)
+        gain = criterion.value(theta) - at.loglik
+        if gain > score.gain:
+            better[score.cause] = replace(
+                score, probe=delay_s, gain=gain, step=1.0, z=math.sqrt(2.0 * gain), beside=(), others=(("T_A", T_A),)
+            )
+    return sorted((better.get(score.cause, score) for score in scores), key=lambda found: -found.gain)
+
+
+def _with_line(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score]:
+    """The scores with that of the strongest line among them."""
+    if any(name == periodic.AMPLITUDE for name, _ in at.theta.causes):
+        return scores
+    line = periodic.find_line(criterion, at.theta)
+    if line is None:
+        return scores
+    criterion.shift_s = line.shift_s
+    score = Score(
+        cause=periodic.CAUSE.name,
+        probe=line.amplitude_n,
+        gain=line.gain,
+        step=1.0,
+        z=math.sqrt(2.0 * line.gain),
+        detectable=math.sqrt(2.0 * line.gain) * periodic.CAUSE.strength.probes[0] / max(line.amplitude_n, 1e-12),
+        visible=1.0,
+        beside=(),
+        chance=line.chance,
+        others=((periodic.FREQUENCY, line.frequency_hz),),
+    )
+    return sorted([*scores, score], key=lambda found: -found.gain)

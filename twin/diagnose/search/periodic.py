@@ -1,0 +1,170 @@
+"""A periodic force: its frequency from the spectrum of the innovations, its phase from each recording.
+
+Rule 1: the clock of a periodic force is not the board's: each recording has a phase of its own, which two signatures a
+        quarter of a period apart give by least squares.  They enter the filter as shifts of time.
+Rule 2: a line counts against the spectrum around it, so that coloured innovations of a wrong model are not a line.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.diagnose.inference.fisher_scoring import Fit, climb
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.theta import Theta
+from twin.estimation.innovations import FLIES
+from twin.estimation.record import FloatArray, runs
+from twin.model.causes import periodic_disturbance
+
+CAUSE = periodic_disturbance.CAUSE
+AMPLITUDE, FREQUENCY = (f"{CAUSE.name}.{parameter.name}" for parameter in CAUSE.parameters)
+_PAD = 1 << 16
+_TURNS = 4  # of the phases, at most
+_STEP = 0.1  # rad, to take the slope of a phase by
+_FAR_STEPS = 4.0  # of these at once
+_SETTLED = 4.5  # of log-likelihood: phases that gain less say the same
+_NEIGHBOURS_HZ = 3.0
+_LONG_SAMPLES = 500  # for a spectrum
+_FEW_SAMPLES = 50  # for a phase: with none of its own, a recording would be shaken at a wrong time
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """A candidate for a periodic force."""
+
+    frequency_hz: float
+    amplitude_n: float
+    gain: float  # of log-likelihood
+    chance: float  # of it, that the best of all frequencies and free phases make out of noise
+    shift_s: FloatArray  # of time, for each sample of the series, shape (n,)
+
+
+def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None) -> Line | None:
+    """The strongest line, or the one at `frequency`, as a force; None where no recording is long enough."""
+    series = criterion.evidence.series
+    frequency = frequency or _strongest(criterion, theta)
+    if frequency is None:
+        return None
+    probe = CAUSE.strength.probes[0]
+    at = theta.having(FREQUENCY, frequency).having(AMPLITUDE, probe)
+    quarter = 0.25 / frequency
+    base = criterion.outputs(theta)
+    # Not with the phases of a line that was found before: the two would be no quarter of a period apart.
+    sine, cosine = (criterion.outputs(at, shift_s=np.full(len(series), shift)) for shift in (0.0, quarter))
+    scale = np.sqrt(base[:, 4])
+    residual = base[:, 1] / scale
+    columns = np.column_stack((sine[:, 1] - base[:, 1], cosine[:, 1] - base[:, 1])) / scale[:, None]
+    good = np.isfinite(residual) & np.isfinite(columns).all(axis=1)
+    shift = np.zeros(len(series))
+    gain, weighted, weight, phases = 0.0, 0.0, 0.0, 0
+    for number in np.unique(series.recording):
+        own = series.recording == number
+        use = own & good
+        if use.sum() < _FEW_SAMPLES:
+            continue
+        design = columns[use]
+        normal = design.T @ design
+        if np.linalg.cond(normal) > 1e10:
+            continue
+        pair = np.linalg.solve(normal, design.T @ -residual[use])
+        pair = -pair  # innovation falls where the prediction rises: residual + columns * pair -> 0
+        power = float(pair @ normal @ pair)
+        gain += 0.5 * power
+        phases += 1
+        size = math.hypot(*pair)
+        weighted, weight = weighted + size * float(np.trace(normal)), weight + float(np.trace(normal))
+        pair = -pair
+        by = math.atan2(pair[1], pair[0]) / (2.0 * math.pi * frequency)
+        shift[own] = _about(by, float(criterion.evidence.t[use].mean()), frequency)
+    if weight == 0.0:
+        return None
+    return Line(
+        frequency_hz=frequency,
+        amplitude_n=probe * weighted / weight,
+        gain=gain,
+        chance=math.log(_PAD) + phases,
+        shift_s=shift,
+    )
+
+
+def rephased(criterion: Criterion, fit: Fit, passes: int) -> Fit:
+    """The fit with phases that belong to its own frequency; the old one where they gain nothing."""
+    frequency = fit.theta.value(FREQUENCY)
+    line = find_line(criterion, fit.theta.without(CAUSE.name), frequency)
+    return fit if line is None else _turned(criterion, fit, line.shift_s, passes)
+
+
+def settled(criterion: Criterion, fit: Fit, passes: int) -> Fit:
+    """The fit with the phase of each recording where its own likelihood is largest.
+
+    Those of `rephased` are a linear answer: a ramp in which the force decides when the ball lifts off wants others, and
+    a lag beside them came out 3 % short.
+    """
+    for _ in range(_TURNS):
+        turned = _turned(criterion, fit, _nearer(criterion, fit.theta), passes)
+        gained, fit = turned.loglik - fit.loglik, turned
+        if gained < _SETTLED:
+            break
+    return fit
+
+
+def _turned(criterion: Criterion, fit: Fit, shift_s: FloatArray, passes: int) -> Fit:
+    """The fit with these phases, which then hold; where they gain nothing it and its own."""
+    before, criterion.shift_s = criterion.shift_s, shift_s
+    again = climb(criterion, fit.theta, fit.free, passes=passes)
+    if again.loglik > fit.loglik:
+        return again
+    criterion.shift_s = before
+    return fit
+
+
+def _nearer(criterion: Criterion, theta: Theta) -> FloatArray:
+    """Phases a Newton step nearer to the best of each recording, shape (n,) of s."""
+    series, shift = criterion.evidence.series, criterion.shift_s.copy()
+    step = _STEP / (2.0 * math.pi * theta.value(FREQUENCY))
+    less, here, more = (criterion.white(theta, criterion.shift_s + by)[0] for by in (-step, 0.0, step))
+    for number in np.unique(series.recording):
+        own = series.recording == number
+        slope, curve = float(np.sum((more - less)[own])), float(np.sum((more - 2.0 * here + less)[own]))
+        by = step * float(np.clip(0.5 * slope / curve, -_FAR_STEPS, _FAR_STEPS)) if curve < 0.0 else 0.0
+        middle = float(criterion.evidence.t[own].mean())
+        shift[own] = _about(float(shift[own][0]) - by, middle, theta.value(FREQUENCY))
+    return shift
+
+
+def _about(shift_s: float, middle_s: float, frequency_hz: float) -> float:
+    """The shift less whole periods, so that another frequency turns the phase about the middle of the recording.
+
+    A minute off, a thousandth of a hertz would turn all of it, and phases and frequency hold each other where they are.
+    """
+    return shift_s - round((shift_s + middle_s) * frequency_hz) / frequency_hz
+
+
+def _strongest(criterion: Criterion, theta: Theta) -> float | None:
+    """The frequency whose power stands out most from that of its neighbours, all recordings together."""
+    series = criterion.evidence.series
+    _, white = criterion.white(theta)
+    flying = (series.flags & FLIES != 0) & np.isfinite(white[:, 1])
+    values = np.where(flying, white[:, 1], 0.0)
+    interval = criterion.tick_s
+    frequencies = np.fft.rfftfreq(_PAD, interval)
+    power = np.zeros(len(frequencies))
+    count = 0
+    for number in np.unique(series.recording):
+        own = series.recording == number
+        for piece in runs(own & (np.abs(series.step - interval) < 0.02 * interval), _LONG_SAMPLES):
+            if flying[piece].sum() < _LONG_SAMPLES:
+                continue
+            part = values[piece][:_PAD]
+            power += np.abs(np.fft.rfft(part, _PAD)) ** 2 / flying[piece].sum()
+            count += 1
+    if not count:
+        return None
+    low, high = CAUSE.parameters[1].low, min(CAUSE.parameters[1].high, 0.4 / interval)
+    inside = (frequencies >= low) & (frequencies <= high)
+    width = max(round(_NEIGHBOURS_HZ / float(frequencies[1])), 3)
+    around = np.convolve(power, np.ones(2 * width + 1) / (2 * width + 1), mode="same")
+    return float(frequencies[inside][int(np.argmax((power / np.maximum(around, 1e-12))[inside]))])

@@ -1,0 +1,135 @@
+"""Every cause of the catalogue against what is left of the data: how much would it gain, and can it be seen at all?
+
+The score test of each candidate on the innovations, all recordings together, with what the parameters already in the
+model can take up projected out.  A probe or two of each candidate instead of a fit, with the slopes of the model as it
+is: exact enough for who is worth a fit (tests/twin/diagnose/test_derivatives.py).
+
+Rule 1: the signature of a candidate is a secant to a small value of it, not a derivative: a limit has no derivative
+        where it is not reached.
+Rule 2: a candidate of whose signature less than VISIBLE is its own is not testable here, and said to be so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.diagnose.inference.fisher_scoring import inverse
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.theta import Theta, coordinates_of, derivative_step, moved
+from twin.diagnose.search.probes import probes_of
+from twin.estimation.ekf import ALONE, ALONG
+from twin.estimation.innovations import information
+from twin.model.causes import coulomb_friction
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+from twin.model.causes.cause import Cause
+
+# Of the square of a signature: what must be left of it beside the parameters.  Less is rounding; more would leave out a
+# displaced sensor, which shows most at rest, where the places of the stops take it up.
+VISIBLE = 1e-7
+LEAST_INFORMATION = 1.0  # a signature of less than one standard error at its usual probe cannot be seen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Score:
+    """One candidate."""
+
+    cause: str
+    probe: float  # value of the strength at which the signature was taken
+    gain: float  # estimated increase of the log-likelihood
+    step: float  # of the coordinate towards the maximum, in units of the probe
+    z: float  # how far from absent, in standard errors, signed
+    detectable: float  # standard errors by which the probe itself would show
+    visible: float  # share of the signature that nothing in the model takes up
+    beside: tuple[tuple[str, float], ...]  # moves of the other coordinates that go with a whole step
+    chance: float = 0.0  # gain that the search for the cause's other parameters makes out of nothing
+    others: tuple[tuple[str, float], ...] = ()  # values of the cause's other parameters, where not the usual ones
+
+    @property
+    def testable(self) -> bool:
+        """Whether these data can show it."""
+        return self.visible >= VISIBLE and self.detectable >= LEAST_INFORMATION * min(self.fineness, 1.0)
+
+    @property
+    def fineness(self) -> float:
+        """The probe in units of the cause's usual one."""
+        strength = BY_NAME[self.cause].strength
+        return abs(strength.coordinate(self.probe) / strength.coordinate(strength.probes[0]))
+
+
+def screen(
+    criterion: Criterion, theta: Theta, free: Sequence[str], candidates: Sequence[Cause] = CATALOGUE
+) -> list[Score]:
+    """The candidates' scores at a maximum, best first; those already in the model are left out."""
+    present = {name.partition(".")[0] for name, _ in theta.causes}
+    trials = [
+        (cause, probe)
+        for cause in candidates
+        if cause.name not in present
+        and not cause.not_testable
+        and cause.name not in ("lost-samples", "periodic-disturbance")
+        for probe in probes_of(cause, criterion.evidence.series)
+    ]
+    run = criterion.run(theta)
+    base, by_free = criterion.derivatives(theta, free, run, rough=True)
+    k, count = len(free), len(free) + len(trials)
+    change = np.empty((count, *base.shape))
+    change[:k] = by_free
+    beside = [probed(theta, cause, probe) for cause, probe in trials]
+    # The slopes of a ball that may stick are not those of one that cannot.
+    outs = criterion.beside(
+        beside, run, [ALONE if cause.name == coulomb_friction.CAUSE.name else ALONG for cause, _ in trials]
+    )
+    for place, out in enumerate(outs, k):
+        np.subtract(out, base, out=change[place])
+    del outs
+    fisher, each = np.zeros((count, count)), np.empty((len(base), count))
+    information(base, change, each, fisher)
+    by = [derivative_step(theta, name, criterion.plant) for name in free]
+    moves = [moved(theta, name, step, criterion.plant) for name, step in zip(free, by, strict=True)]
+    score, curvature = criterion.outside_slopes(theta, [*moves, *beside], [*by, *(1.0 for _ in trials)])
+    score, fisher = each.sum(axis=0) + score, fisher + curvature
+    inner = inverse(fisher[:k, :k])
+    best: dict[str, Score] = {}
+    for place, (cause, probe) in enumerate(trials, k):
+        cross = fisher[:k, place]
+        own = float(fisher[place, place])
+        left = own - float(cross @ inner @ cross)
+        slope = float(score[place] - cross @ inner @ score[:k])
+        if not (own > 0.0 and math.isfinite(own)):
+            continue
+        left = max(left, 1e-12 * own)
+        step = slope / left
+        if step < 0.0 and not _two_sided(cause):
+            gain, step = 0.0, 0.0
+        else:
+            gain = 0.5 * slope * slope / left
+        found = Score(
+            cause=cause.name,
+            probe=probe,
+            gain=gain,
+            step=step,
+            z=slope / math.sqrt(left),
+            detectable=math.sqrt(left),
+            visible=left / own,
+            beside=tuple(zip(free, (-(inner @ cross)).tolist(), strict=True)),
+        )
+        if cause.name not in best or found.gain > best[cause.name].gain:
+            best[cause.name] = found
+    return sorted(best.values(), key=lambda found: -found.gain)
+
+
+def probed(theta: Theta, cause: Cause, value: float) -> Theta:
+    """With that strength of a cause, its other parameters at their usual values."""
+    strength, *others = coordinates_of(cause.name)
+    for name, parameter in zip(others, cause.parameters[1:], strict=True):
+        theta = theta.having(name, parameter.neutral)
+    return theta.having(strength, value)
+
+
+def _two_sided(cause: Cause) -> bool:
+    strength = cause.strength
+    return math.isfinite(strength.neutral) and strength.low < strength.neutral < strength.high

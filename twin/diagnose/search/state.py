@@ -1,0 +1,86 @@
+"""What has been selected so far, and everything that was tried on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields, replace
+
+from twin.diagnose.inference.budget import Spent
+from twin.diagnose.inference.fisher_scoring import PASSES, Fit, climb
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.noise_floor import Floor
+from twin.diagnose.inference.theta import roused
+from twin.diagnose.search import periodic
+from twin.diagnose.search.candidate_fits import MARGIN, Trial
+from twin.diagnose.search.forward_step import BESIDE_NOISE, THRESHOLD, Round
+from twin.estimation.record import FloatArray
+
+MOST_TOGETHER = 3
+FEW = 5  # candidates that are fitted in a round
+
+
+@dataclass(slots=True, kw_only=True)
+class Selection:
+    """The causes in the order in which they were taken, and everything that was tried."""
+
+    base: Fit
+    fit: Fit
+    causes: list[str] = field(default_factory=list)
+    gains: dict[str, float] = field(default_factory=dict)
+    classes: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # rivals within MARGIN
+    runner_up: dict[str, float] = field(default_factory=dict)  # lead over the best rival outside the class
+    rounds: list[Round] = field(default_factory=list)
+    # Models of fewer causes by what is free in them, each with the phases of periodic forces that it was fitted with.
+    smaller: dict[frozenset[str], tuple[Fit, FloatArray]] = field(default_factory=dict)
+
+    def become(self, other: Selection) -> None:
+        """What `other` is, from here on."""
+        for one in fields(self):
+            setattr(self, one.name, getattr(other, one.name))
+
+    def remember(self, fit: Fit, criterion: Criterion) -> None:
+        """Keep a fit for `recall`."""
+        self.smaller[frozenset(fit.free)] = fit, criterion.shift_s
+
+    def recall(self, free: Sequence[str], criterion: Criterion) -> Fit | None:
+        """The fit of these numbers, where one is known and its phases are those of today."""
+        fit, shift_s = self.smaller.get(frozenset(free), (None, criterion.shift_s))
+        return fit if shift_s is criterion.shift_s or periodic.AMPLITUDE not in free else None
+
+
+@contextmanager
+def whole(criterion: Criterion, found: Selection) -> Iterator[None]:
+    """A step of the search, undone where the budget does not pay it to its end."""
+    shift_s, before = criterion.shift_s, replace(found, causes=[*found.causes], gains={**found.gains})
+    before.rounds = [*found.rounds]
+    try:
+        yield
+    except Spent:
+        found.become(before)
+        criterion.shift_s = shift_s
+        raise
+
+
+def material(criterion: Criterion, found: Selection, floor: Floor) -> bool:
+    """Whether the model leaves more than noise."""
+    return floor.under(criterion, found.fit.theta).material(found.fit.loglik)
+
+
+def superfluous(criterion: Criterion, found: Selection, floor: Floor, smaller: Fit) -> bool:
+    """Whether `smaller`, the model less one of its causes, does as well: what would not be taken now is not kept."""
+    loss = found.fit.loglik - smaller.loglik
+    trifle = loss < BESIDE_NOISE * (found.fit.loglik - found.base.loglik)
+    return loss < THRESHOLD or (trifle and not floor.under(criterion, smaller.theta).material(smaller.loglik))
+
+
+def without(criterion: Criterion, found: Selection, cause: str, passes: int = PASSES) -> Fit:
+    """The model that was found less one cause; known where the search came that way, or was asked before."""
+    free = tuple(name for name in found.fit.free if not name.startswith(cause + "."))
+    known = found.recall(free, criterion)
+    if known is not None and (known.converged or known.ahead < MARGIN):
+        return known
+    start = roused(found.fit.theta.without(cause)) if known is None else known.theta
+    fit = climb(criterion, start, free, passes=passes)
+    found.remember(fit, criterion)
+    return fit

@@ -1,0 +1,261 @@
+"""From recordings to one series of flagged samples: gaps, contacts with the stops, clipped and wild samples marked.
+
+Rule 1: nothing is interpolated.  What cannot be used is left out of the correction step of the filter, what breaks the
+        chain of known inputs starts a new piece.
+Rule 2: each count that was left out is reported by recording (`Usage`).
+Rule 3: a sawtooth gives lift-off currents (`twin/identify/starting/liftoff.py`); its x does not enter here, because the
+        ball may rest on anything at any height while it waits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from protocol.campaign import Plant
+from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X, Series
+from twin.estimation.record import BoolArray, FloatArray, Record, intervals, runs
+
+CONTACT_SHARE = 0.01  # of the travel: nearer to a stop than this counts as contact
+REST_SHARE = 0.05  # of the travel: a plateau this near to a stop is the stop, as a badly zeroed sensor sees it
+REST_SAMPLES = 25
+REACH = 1.3  # times the last or next change of x: what acceleration may add within an interval
+FLIGHT_SAMPLES = 8  # shorter ones only tell their own initial state
+SPIKE_SCALES = 12.0  # of the robust spread about the neighbours; a flight does not do that, a bit error does
+CLIPPED_RUN = 6  # equal extreme readings in a row: the converter's end, not chance
+CUT_SHARE, CUT_FEWEST = 0.01, 25  # of the samples at the lowest i_c, which then is the converter's end
+CUT_INPUT_SHARE = 0.02  # of the largest u_c: with less, no current is asked for
+BLOCK_SAMPLES = 20_000  # chains are cut here, so that an hour of data needs no more memory than a minute
+_CAPTURE_LEAD = 20  # samples of a capture before the step
+
+
+@dataclass(slots=True, kw_only=True)
+class Usage:
+    """What became of the samples of one recording."""
+
+    name: str
+    kind: str
+    samples: int = 0
+    pieces: int = 0  # chains without a gap
+    flights: int = 0  # stretches away from the stops
+    flight_samples: int = 0
+    contact_samples: int = 0
+    steep_samples: int = 0  # free of the stops, but nearer to x_max than the fit goes
+    clipped: int = 0
+    cut: int = 0  # readings of i_c beside zero, where the converter cuts the noise in half
+    outliers: int = 0
+    gaps: int = 0
+    captures: int = 0
+    input_delay: int = 0  # samples by which u_c acts later than recorded; corrected
+
+
+def prepare(records: list[Record], plant: Plant, *, gap_least_m: float = 0.0) -> tuple[Series, list[Usage]]:
+    """The series of all recordings that have u_c and i_c, and what was done to each.
+
+    Args:
+        records: of `read_campaign`.
+        plant: mass, travel, x_max.
+        gap_least_m: flights end where the ball is nearer to x_max than that.
+    """
+    parts: list[Series] = []
+    usages: list[Usage] = []
+    for number, record in enumerate(records):
+        usage = Usage(name=record.name, kind=record.kind, samples=len(record.t), captures=len(record.captures))
+        usages.append(usage)
+        if record.kind == "equilibria":
+            continue
+        if record.has("u_c", "i_c") and len(record.t) > 1:
+            parts.append(_series(record, plant, usage, number, gap_least_m))
+        parts.extend(_captures(record, number))
+    if not parts:
+        empty = np.empty(0)
+        nothing = np.empty(0, np.uint8)
+        return Series(step=empty, u=empty, i=empty, x=empty, flags=nothing, recording=np.empty(0, np.int32)), usages
+    if len(parts) == 1:
+        return parts[0], usages
+    return Series(
+        step=np.concatenate([part.step for part in parts]),
+        u=np.concatenate([part.u for part in parts]),
+        i=np.concatenate([part.i for part in parts]),
+        x=np.concatenate([part.x for part in parts]),
+        flags=np.concatenate([part.flags for part in parts]),
+        recording=np.concatenate([part.recording for part in parts]),
+    ), usages
+
+
+def flights(record: Record, plant: Plant, *, at_least: int = FLIGHT_SAMPLES) -> list[slice]:
+    """Stretches of a recording in which the ball touches nothing and no sample is missing in time."""
+    _, follows = intervals(record.t)
+    free = in_flight(record.x, plant) & np.isfinite(record.t)
+    return [
+        slice(piece.start + a.start, piece.start + a.stop)
+        for piece in runs(free, at_least)
+        for a in _split(follows[piece], at_least)
+    ]
+
+
+def in_flight(x: FloatArray, plant: Plant) -> BoolArray:
+    """Whether each sample shows the ball free of the stops; a missing x goes with the one before it."""
+    known = np.isfinite(x)
+    if not known.any():
+        return np.zeros(len(x), np.bool_)
+    held = x[np.maximum.accumulate(np.where(known, np.arange(len(x)), np.argmax(known)))]
+    low, high = 0.0, plant.travel_m
+    margin = max(CONTACT_SHARE * plant.travel_m, 8.0 * scatter(held))
+    for side, stop in ((0, 0.0), (1, plant.travel_m)):
+        near = held[np.abs(held - stop) < REST_SHARE * plant.travel_m]
+        if near.size >= REST_SAMPLES:
+            # The quartile on the stop's side: a slow passage near the stop must not move the level.
+            level = float(np.percentile(near, 25 if side == 0 else 75))
+            low, high = (max(low, level), high) if side == 0 else (low, min(high, level))
+    # A fast ball hits and rebounds between two samples that both look free: it is near to a stop if, at its speed, it
+    # could have been there within an interval.
+    jump = np.abs(np.diff(held))
+    reach = np.zeros(len(held))
+    for lag in (-1, 0):
+        own = np.zeros(len(held))
+        own[-lag : len(held) - 1 - lag] = jump
+        reach = np.maximum(reach, own)
+    near_by = margin + REACH * reach
+    free = (held > low + near_by) & (held < high - near_by)
+    free[1:] &= free[:-1].copy()  # the sample next to a contact belongs to it: the impact lies between the two
+    free[:-1] &= free[1:].copy()
+    return np.asarray(free)
+
+
+def _split(follows: BoolArray, at_least: int) -> list[slice]:
+    starts = [0, *(int(n) for n in np.flatnonzero(~follows) if n > 0), len(follows)]
+    return [slice(a, b) for a, b in pairwise(starts) if b - a >= at_least]
+
+
+def scatter(values: FloatArray) -> float:
+    """Noise of a smooth signal: robust scale of its third difference, which passes white noise with gain sqrt(20)."""
+    if len(values) < 8:
+        return 0.0
+    third = np.diff(values, 3)
+    return float(1.4826 * np.median(np.abs(third - np.median(third))) / np.sqrt(20.0))
+
+
+def _series(record: Record, plant: Plant, usage: Usage, number: int, gap_least_m: float) -> Series:
+    step, follows = intervals(record.t)
+    n = len(step)
+    u_known = np.isfinite(record.u_c)
+    use_i, use_x = np.isfinite(record.i_c), np.isfinite(record.x)
+    clipped = _clipped(record.i_c)
+    usage.clipped = int(clipped.sum())
+    cut = _cut(record) & ~clipped
+    usage.cut = int(np.count_nonzero(cut & use_i))
+    use_i &= ~clipped & ~cut
+    broken = clipped | ~u_known  # the coil current after this sample is unknown
+    follows = follows.copy()
+    follows[1:] &= ~broken[:-1]
+    follows[0] = False
+    usage.gaps = int(np.count_nonzero(~follows[1:]))
+    follows[::BLOCK_SAMPLES] = False
+    usage.pieces = int(np.count_nonzero(~follows))
+    flies = np.zeros(n, np.bool_)
+    if record.has("x") and record.kind not in ("sawtooth", "amplifier-step"):
+        wild = spikes(record.x, plant)
+        use_x &= ~wild
+        free = in_flight(np.where(wild, np.nan, record.x), plant)
+        usage.contact_samples = int(np.count_nonzero(~free))
+        steep = np.asarray(plant.x_max_m - np.where(free, record.x, -np.inf) < gap_least_m)
+        steep[1:] |= steep[:-1].copy()  # an interval with one end there is there
+        steep[:-1] |= steep[1:].copy()
+        steep &= free
+        usage.steep_samples = int(np.count_nonzero(steep))
+        free &= ~steep
+        for piece in runs(free, FLIGHT_SAMPLES):
+            for part in _split(follows[piece], FLIGHT_SAMPLES):
+                flies[piece.start + part.start : piece.start + part.stop] = True
+                usage.flights += 1
+        usage.flight_samples = int(flies.sum())
+        usage.outliers = int(np.count_nonzero(wild & flies))
+    flags = FOLLOWS * follows + FLIES * flies + USE_I * use_i + USE_X * (use_x & flies)
+    # A flight that begins right behind another one (cut at a gap) is told apart by the missing FOLLOWS.
+    return Series(
+        step=step,
+        u=np.where(u_known, record.u_c, 0.0),
+        i=np.where(use_i, record.i_c, 0.0),
+        x=np.where(np.isfinite(record.x), record.x, 0.0),
+        flags=flags.astype(np.uint8),
+        recording=np.full(n, number, np.int32),
+    )
+
+
+def _clipped(values: FloatArray) -> BoolArray:
+    clipped = np.zeros(len(values), np.bool_)
+    if not np.isfinite(values).any():
+        return clipped
+    top = np.nanmax(values)
+    spread = np.nanmax(values) - np.nanmin(values)
+    for piece in runs(np.asarray(values >= top), CLIPPED_RUN):
+        # A converter's end is met at speed; a noiseless signal at rest stands still for long and is not clipped.
+        before = values[max(piece.start - 1, 0)]
+        if top - before > 1e-3 * spread and spread > 0:
+            clipped[piece] = True
+    return clipped
+
+
+def _cut(record: Record) -> BoolArray:
+    """Readings of i_c near its lowest value, where that value piles up under an input of zero.
+
+    A converter from 0 V reads noise about 0 A as half a Gaussian: its mean is not zero, and the fit would explain that.
+    """
+    known = np.isfinite(record.i_c) & np.isfinite(record.u_c)
+    if not known.any():
+        return np.zeros(len(record.t), np.bool_)
+    lowest = np.min(record.i_c[known])
+    pile = known & (record.i_c == lowest)
+    idle = np.median(record.u_c[pile]) <= CUT_INPUT_SHARE * max(float(np.max(record.u_c[known])), 0.0)
+    if not idle or np.count_nonzero(pile) < max(CUT_FEWEST, CUT_SHARE * len(record.t)):
+        return np.zeros(len(record.t), np.bool_)
+    reach = 6.0 * scatter(record.i_c[known])
+    return np.asarray(known & (record.i_c <= lowest + reach) & (record.u_c <= np.max(record.u_c[pile])))
+
+
+def spikes(x: FloatArray, plant: Plant) -> BoolArray:
+    """Single readings far off the cubic through their four neighbours, and further off than these neighbours are.
+
+    Not where the ball may be hitting a stop: an impact has a corner, too.
+    """
+    wild = np.zeros(len(x), np.bool_)
+    if len(x) < 16:
+        return wild
+    off = np.zeros(len(x))
+    off[2:-2] = np.abs(x[2:-2] - (4.0 * (x[1:-3] + x[3:-1]) - x[:-4] - x[4:]) / 6.0)
+    off = np.where(np.isfinite(off), off, 0.0)
+    steps = np.abs(np.diff(x))
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    count = float(np.min(steps)) if steps.size else 0.0
+    scale = max(1.4826 * float(np.median(off[off > 0])) if (off > 0).any() else 0.0, count)
+    wild[1:-1] = (off[1:-1] > SPIKE_SCALES * scale) & (off[1:-1] >= off[:-2]) & (off[1:-1] >= off[2:])
+    middle, apart = 0.5 * (x[:-2] + x[2:]), np.abs(x[2:] - x[:-2])
+    clear = apart + 2.0 * CONTACT_SHARE * plant.travel_m
+    wild[1:-1] &= (middle > clear) & (middle < plant.travel_m - clear)
+    return wild
+
+
+def _captures(record: Record, number: int) -> list[Series]:
+    series = []
+    for capture in record.captures:
+        first = max(capture.step_index - _CAPTURE_LEAD, 0)
+        i = capture.i_c_a[first:]
+        n = len(i)
+        u = np.full(n, capture.u_to_v)
+        u[: capture.step_index - first] = capture.u_from_v
+        flags = np.full(n, FOLLOWS + USE_I, np.uint8)
+        flags[0] = USE_I
+        series.append(
+            Series(
+                step=np.full(n, capture.sample_time_s),
+                u=u,
+                i=np.asarray(i, dtype=float),
+                x=np.zeros(n),
+                flags=flags,
+                recording=np.full(n, number, np.int32),
+            )
+        )
+    return series

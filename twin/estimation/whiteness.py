@@ -1,0 +1,67 @@
+"""Are the innovations white and as large as the filter says?  If not, the model is not the whole story."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from twin.estimation.innovations import FLIES, FOLLOWS, Series
+from twin.estimation.record import FloatArray
+
+LAGS = 25
+SMALL = 0.015  # autocorrelation that no length of a record makes important
+LEVEL = 1e-3  # of the Ljung-Box test, below which residuals are called coloured
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Whiteness:
+    """Of whitened innovations."""
+
+    chi2_i: float  # mean square of i_c, 1 under a right model
+    chi2_x: float
+    p_i: float  # Ljung-Box over 25 lags; NaN without data
+    p_x: float
+    worst: float  # largest autocorrelation of the two
+    white: bool
+
+
+def whiteness(series: Series, white: FloatArray) -> Whiteness:
+    """Ljung-Box of both channels over all chains; a pair of samples counts where nothing broke between them."""
+    broken = (series.flags & FOLLOWS) == 0
+    turned = np.diff((series.flags & FLIES).astype(np.int8), prepend=np.int8(0)) != 0
+    results = []
+    for column, edges in ((0, broken), (1, broken | turned)):
+        groups = np.cumsum(edges, dtype=np.int32)
+        values = white[:, column]
+        good = np.isfinite(values)
+        n = int(good.sum())
+        if n < 10 * LAGS:
+            results.append((float(np.nanmean(values**2)) if n else float("nan"), float("nan"), 0.0))
+            continue
+        filled = np.where(good, values, 0.0)
+        power = float(filled @ filled)
+        if power == 0.0:  # simulated without noise, by this very model
+            results.append((0.0, float("nan"), 0.0))
+            continue
+        statistic, worst = 0.0, 0.0
+        for lag in range(1, LAGS + 1):
+            same = good[lag:] & good[:-lag] & (groups[lag:] == groups[:-lag])
+            pairs = int(same.sum())
+            if pairs < 50:
+                continue
+            rho = float(np.sum(filled[lag:] * filled[:-lag] * same)) / power * n / pairs
+            statistic += pairs * rho * rho
+            worst = max(worst, abs(rho))
+        results.append((power / n, float(chi2.sf(statistic, LAGS)), worst))
+    (chi2_i, p_i, worst_i), (chi2_x, p_x, worst_x) = results
+    known = [p for p in (p_i, p_x) if np.isfinite(p)]
+    return Whiteness(
+        chi2_i=chi2_i,
+        chi2_x=chi2_x,
+        p_i=p_i,
+        p_x=p_x,
+        worst=max(worst_i, worst_x),
+        white=min(known, default=1.0) > LEVEL or max(worst_i, worst_x) < SMALL,
+    )

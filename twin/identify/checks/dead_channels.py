@@ -1,0 +1,101 @@
+"""Channels that show nothing: constant ones, and a position that does not answer to the force.
+
+Rule: such a channel is taken out of its recording and said.  Left in, it would be fitted: an x of sensor noise alone,
+      beside a current that swings, gives a K_c that is 5 % off with an interval of 1 %.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from protocol.campaign import Plant
+from twin.estimation.prepare import flights, scatter
+from twin.estimation.record import FloatArray, Record
+from twin.identify.starting.regression import WINDOW_S, force_rows
+
+FLYING = ("prbs", "closed-loop", "free")
+FEWEST = 10  # samples of a channel that is called constant
+STILL = 1.5  # times the sensor's noise: x that spreads no wider does not move
+ANSWER = 0.3  # of what (6) says: a ball that answers less to the force is not the one that the current carries
+SURE = 5.0  # standard errors
+_OVERLAP = 4  # windows begin a quarter of their length apart
+_ABSENT = float("nan")
+
+
+def without_dead(records: list[Record], plant: Plant) -> tuple[list[Record], list[str]]:
+    """(the recordings without channels that show nothing, what was left out and why)."""
+    kept: list[Record] = []
+    said: list[str] = []
+    for record in records:
+        if record.kind != "equilibria":
+            record, constant = _without_constant(record)
+            record, still = _without_still(record, plant)
+            said += constant + still
+        kept.append(record)
+    return kept, said
+
+
+def at_rest(record: Record) -> bool:
+    """Whether nothing was driven: a record of the noise."""
+    return record.kind == "free" and (not record.has("u_c") or _constant(record.u_c))
+
+
+def _constant(values: FloatArray) -> bool:
+    known = values[np.isfinite(values)]
+    return known.size > FEWEST and float(np.ptp(known)) == 0.0
+
+
+def _without_constant(record: Record) -> tuple[Record, list[str]]:
+    if at_rest(record):
+        return record, []
+    said: list[str] = []
+    for channel, unit in (("u_c", "V"), ("i_c", "A"), ("x", "m")):
+        values = getattr(record, channel)
+        if not _constant(values) or (channel == "x" and record.kind == "amplifier-step"):
+            continue
+        said.append(
+            f"{record.name}: {channel} is {values[np.isfinite(values)][0]:g} {unit} throughout; a constant channel "
+            "tells nothing and was left out. Check its column"
+        )
+        absent = np.full(len(values), _ABSENT)
+        if channel == "u_c":
+            record = replace(record, u_c=absent)
+        elif channel == "i_c":
+            record = replace(record, i_c=absent)
+        else:
+            record = replace(record, x=absent)
+    return record, said
+
+
+def _without_still(record: Record, plant: Plant) -> tuple[Record, list[str]]:
+    """An x without motion, while the force on the ball changes."""
+    if record.kind not in FLYING or not record.has("i_c", "x"):
+        return record, []
+    parts = flights(record, plant, at_least=2 * round(WINDOW_S / record.interval_s))
+    if not parts:
+        return record, []
+    spread = float(np.sqrt(np.nanmean(np.concatenate([(record.x[p] - np.nanmean(record.x[p])) ** 2 for p in parts]))))
+    known = record.x[np.isfinite(record.x)]
+    if spread > STILL * scatter(known):
+        return record, []
+    rows = force_rows([record], plant, None, WINDOW_S)
+    if not rows:
+        return record, []
+    left, force, _ = np.concatenate(rows).T
+    whole = float(left.mean() / force.mean())  # K_c / m by the weight alone
+    change = force - force.mean()
+    power = float(change @ change)
+    if power <= 0.0:
+        return record, []
+    answer = float(change @ (left - left.mean())) / power
+    rest = left - left.mean() - answer * change
+    error = float(np.sqrt(_OVERLAP * np.mean(rest**2) / power))
+    if answer > ANSWER * whole or whole - answer < SURE * error:
+        return record, []
+    return replace(record, x=np.full(len(record.x), _ABSENT)), [
+        f"{record.name}: x is noise alone ({spread * 1e6:.3g} um about {np.nanmean(known) * 1e3:.3g} mm), although "
+        f"the force on the ball changes by {100 * float(np.std(force)) / abs(float(force.mean())):.2g} %: the ball is "
+        "held, or the sensor does not see it. x was left out. Check the sensor and its column"
+    ]

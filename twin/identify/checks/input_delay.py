@@ -1,0 +1,69 @@
+"""Does the recorded u_c act when it says it does?  Loops in PCs often log the input one sample before it takes effect.
+
+Rule: decided for each recording by the likelihood of i_c alone (no force model is involved), by a margin that no
+      record of a right clock reaches.  A late input shifts T_A by most of a sampling interval: it is corrected and
+      said.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from protocol.campaign import Plant
+from twin.estimation.innovations import FLIES, USE_X
+from twin.estimation.prepare import prepare
+from twin.estimation.record import Record
+from twin.identify.fit import Likelihood, Point, fit
+from twin.identify.starting.regression import amplifier_start
+
+MOST = 2  # samples
+MARGIN = 50.0  # of log-likelihood
+_SAMPLES = 5_000  # enough by far for that margin
+_FREE = ("K_A", "T_A", "sigma_i_c_a", "process_i_c_a")
+
+
+def input_delay(record: Record, plant: Plant) -> int:
+    """By how many samples u_c acts later than recorded; 0 where that cannot be told, as in a ramp."""
+    if record.kind in ("equilibria", "sawtooth") or not record.has("u_c", "i_c") or len(record.t) < 100:
+        return 0
+    piece = slice(0, _SAMPLES)
+    part = replace(
+        record,
+        t=record.t[piece],
+        u_c=record.u_c[piece],
+        i_c=record.i_c[piece],
+        x=record.x[piece],
+        x_ref=record.x_ref[piece],
+        captures=(),
+    )
+    values = []
+    for samples in range(MOST + 1):
+        late = delayed(part, samples)
+        start = amplifier_start([late])
+        if start is None or start.K_A <= 0:
+            return 0
+        series, _ = prepare([late], plant)
+        alone = replace(series, flags=series.flags & np.uint8(~(FLIES | USE_X) & 0xFF))
+        point = Point(
+            K_A=start.K_A,
+            T_A=start.T_A,
+            K_c=1.0,
+            b=0.0,
+            sigma_i_c_a=start.sigma_i_c_a,
+            sigma_x_m=1e-5,
+            process_i_c_a=0.3 * start.sigma_i_c_a,
+            process_a_m_s2=0.1,
+        )
+        values.append(fit(Likelihood(alone, plant, record.interval_s), point, _FREE, passes=15).loglik)
+    best = int(np.argmax(values))
+    return best if values[best] > values[0] + MARGIN else 0
+
+
+def delayed(record: Record, samples: int) -> Record:
+    """The recording with u_c moved to when it acts."""
+    if samples == 0:
+        return record
+    u = np.concatenate((np.full(samples, record.u_c[0]), record.u_c[:-samples]))
+    return replace(record, u_c=u)

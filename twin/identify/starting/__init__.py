@@ -1,0 +1,1 @@
+"""Estimates without the likelihood: where a fit starts, and what checks it afterwards."""

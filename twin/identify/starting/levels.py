@@ -1,0 +1,297 @@
+"""The amplifier by the paper's graphical method: K_A from steady levels, and whether the way there is first order.
+
+Rule 1: K_A is the slope of the line through (u_c, median of i_c) of all plateaus.  Its offset is reported, not hidden
+        in the gain: a current sensor that is off by 20 mA would otherwise change K_A by 2 %.
+Rule 2: the shape is judged by the residual of the best first-order response against the noise on the plateaus.  A
+        response of another shape leaves K_A as it is, because a steady level does not care how it was reached.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.stats import t as student_t
+
+from twin.estimation.record import FloatArray, Record, intervals, runs
+
+PLATEAU_SAMPLES = 12  # shorter ones have no steady half worth a median
+FLAT_SHARE = 2e-3  # of the range of u_c: smaller changes are the same level
+SHAPE_Z = 5.0  # standard deviations of a chi-square
+SHAPE_RATIO = 1.3  # rms of the residual in the transient over the noise, below which a shape is first order enough
+BEND_Z = 5.0  # standard errors of a level off the line
+RESOLVED = 2.0**-16  # of the range of i_c: no converter of such a rig has more bits, whatever a file says
+TELLING = 100.0  # times the noise; a larger ratio is of how small the noise came out
+_HUBER = 1.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Level:
+    """One plateau."""
+
+    u_v: float
+    i_a: float
+    error_a: float  # standard error of the median
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Levels:
+    """The line through all plateaus."""
+
+    K_A: float
+    K_A_std: float
+    offset_a: float
+    offset_std_a: float
+    scatter_a: float  # of the plateaus about the line
+    levels: tuple[Level, ...]
+    bend_a: float = 0.0  # how far the level furthest off the line is from it, where that is more than chance
+    bend_at_v: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shape:
+    """First-order responses fitted to all steps."""
+
+    T_A: float
+    T_A_std: float
+    steps: int
+    residual_a: float  # rms, in the transients
+    resolution_a: float  # what i_c can show at best: a converter's step, where the noise is below it; else 0
+    ratio: float  # rms residual in the transients over the noise, or over the resolution
+    z: float
+    spread: float  # of T_A from step to step, relative
+    first_order: bool
+    sample_time_s: float
+
+    @property
+    def said(self) -> str:
+        """The residual, with what it is to be compared with."""
+        other = "the resolution" if self.resolution_a else "the noise"
+        many = f"{self.ratio:.1f} times" if self.ratio < TELLING else "far beyond"
+        return f"{self.residual_a * 1e3:.3g} mA rms, {many} {other}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Step:
+    sample_time_s: float
+    i: FloatArray  # i[0] is the last sample before the step acts
+
+
+def find_levels(records: list[Record]) -> Levels | None:
+    """The line through the plateaus of amplifier steps and captures, or where there are none, of all open-loop records.
+
+    None where fewer than two different levels are steady.
+    """
+    chosen = [r for r in records if r.kind == "amplifier-step" or r.captures]
+    levels = [level for record in chosen for level in _plateaus(record)]
+    if len({round(level.u_v, 6) for level in levels}) < 2:
+        others = [r for r in records if r.kind in ("prbs", "free", "sawtooth") and r.has("u_c", "i_c")]
+        levels += [level for record in others for level in _plateaus(record)]
+    if len({round(level.u_v, 6) for level in levels}) < 2:
+        return None
+    u = np.array([level.u_v for level in levels])
+    i = np.array([level.i_a for level in levels])
+    error = np.maximum([level.error_a for level in levels], 1e-9)
+    distinct = len(set(np.round(u, 6)))
+    columns = np.column_stack((u, np.ones(len(u)))) if distinct > 2 or np.min(np.abs(u)) > 0.05 * np.ptp(u) else None
+    if columns is None:  # two levels, one of them zero: the line through both
+        columns = np.column_stack((u, np.ones(len(u))))
+    weight = 1.0 / error
+    solution = np.zeros(2)
+    extra = 0.0
+    for _ in range(30):  # Huber weights: a plateau in the dead zone or at a limit must not tilt the line
+        total = np.sqrt(error**2 + extra**2)
+        row = columns / total[:, None]
+        scaled = weight * error
+        solution = np.linalg.lstsq(row * scaled[:, None], i / total * scaled, rcond=None)[0]
+        residual = i - columns @ solution
+        extra = 1.4826 * float(np.median(np.abs(residual))) if distinct > 2 else 0.0
+        ratio = np.abs(residual) / np.maximum(np.sqrt(error**2 + extra**2), 1e-12)
+        weight = np.where(ratio > _HUBER, np.sqrt(_HUBER / np.maximum(ratio, 1e-12)), 1.0) / error
+    total = np.sqrt(error**2 + extra**2) / np.maximum(weight * error, 1e-6)
+    covariance = np.linalg.inv((columns / total[:, None] ** 2).T @ columns)
+    # Few levels: the scatter itself is uncertain; widen by Student's factor.
+    widen = float(student_t.ppf(0.975, max(len(u) - 2, 1)) / 1.96) if distinct > 2 else 1.0
+    bend, at, systematic = _bend(u, i - columns @ solution, error)
+    return Levels(
+        K_A=float(solution[0]),
+        K_A_std=float(np.hypot(np.sqrt(covariance[0, 0]) * min(widen, 6.5), systematic)),
+        offset_a=float(solution[1]),
+        offset_std_a=float(np.sqrt(covariance[1, 1])) * min(widen, 6.5),
+        scatter_a=extra,
+        levels=tuple(levels),
+        bend_a=bend,
+        bend_at_v=at,
+    )
+
+
+def _bend(u: FloatArray, residual: FloatArray, error: FloatArray) -> tuple[float, float, float]:
+    """(residual of the level furthest off, its u_c, what the bend does to the slope as a standard error).
+
+    Zeros where the levels lie on a line within their errors.  A limit, a dead zone or a coil that heats bends the line:
+    plateaus of one u_c then err together, and their number does not make the slope any surer.
+    """
+    same = np.round(u / max(FLAT_SHARE * float(np.ptp(u)), 1e-12)).astype(int)
+    values = np.unique(same)
+    if len(values) < 3:
+        return 0.0, 0.0, 0.0
+    groups = [same == value for value in values]
+    mean = np.array([residual[g].mean() for g in groups])
+    own = [
+        max(float(np.sqrt(np.mean(error[g] ** 2))), float(residual[g].std()) if g.sum() > 2 else 0.0)
+        / float(np.sqrt(g.sum()))
+        for g in groups
+    ]
+    z = np.abs(mean) / np.maximum(own, 1e-12)
+    if float(np.max(z)) < BEND_Z:
+        return 0.0, 0.0, 0.0
+    k = int(np.argmax(np.abs(mean)))
+    at = np.array([float(u[g].mean()) for g in groups])
+    slope_error = float(np.sqrt(np.sum(mean**2) / (len(mean) - 2) / np.sum((at - at.mean()) ** 2)))
+    return float(mean[k]), float(at[k]), slope_error * float(student_t.ppf(0.975, len(mean) - 2) / 1.96)
+
+
+def _plateaus(record: Record) -> list[Level]:
+    found = []
+    for capture in record.captures:
+        before, after = capture.i_c_a[: capture.step_index], capture.i_c_a[capture.step_index + 1 :]
+        for u, part in ((capture.u_from_v, before), (capture.u_to_v, after[len(after) // 2 :])):
+            level = _level(u, part)
+            if level:
+                found.append(level)
+    if not record.has("u_c", "i_c") or record.kind == "equilibria" or (record.captures and record.kind != "prbs"):
+        return found
+    if record.kind == "closed-loop":
+        return found
+    for piece in _constant_pieces(record):
+        level = _level(float(np.median(record.u_c[piece])), record.i_c[piece][(piece.stop - piece.start) // 2 :])
+        if level:
+            found.append(level)
+    return found
+
+
+def _constant_pieces(record: Record) -> list[slice]:
+    _, follows = intervals(record.t)
+    span = float(np.nanmax(record.u_c) - np.nanmin(record.u_c))
+    still = np.zeros(len(record.t), np.bool_)
+    still[1:] = (np.abs(np.diff(record.u_c)) <= FLAT_SHARE * span) & follows[1:]
+    # A slow ramp changes little from sample to sample: a plateau must hold over its length, too.
+    return [
+        piece
+        for piece in runs(still, PLATEAU_SAMPLES)
+        if float(np.ptp(record.u_c[piece])) <= 2.0 * FLAT_SHARE * max(span, 1e-12) or span == 0.0
+    ]
+
+
+def _level(u: float, i: FloatArray) -> Level | None:
+    """The median of a settled stretch; None where it still moves."""
+    i = i[np.isfinite(i)]
+    n = len(i)
+    if n < PLATEAU_SAMPLES // 2:
+        return None
+    first, last = i[: n // 2], i[n // 2 :]
+    noise = max(1.4826 * float(np.median(np.abs(i - np.median(i)))), float(np.std(np.diff(i))) / np.sqrt(2.0))
+    error = 1.2533 * noise / np.sqrt(n)
+    drift = abs(float(np.mean(last) - np.mean(first)))
+    if drift > 4.0 * 2.0 * noise / np.sqrt(n) and drift > 0.01 * max(abs(float(np.median(i))), 1e-12):
+        return None
+    return Level(u_v=u, i_a=float(np.median(i)), error_a=max(error, drift / 2.0))
+
+
+def find_shape(records: list[Record]) -> Shape | None:
+    """First-order fits of all steps of the fastest sampling there is; None without a usable step."""
+    steps = [step for record in records for step in _captured_steps(record)]
+    if not steps:
+        steps = [step for record in records if record.kind == "amplifier-step" for step in _recorded_steps(record)]
+    if not steps:
+        return None
+    noise = np.array([_tail_noise(step.i) for step in steps])
+    sigma = float(np.sqrt(np.mean(noise**2)))
+    resolution = max(_resolution(step.i) for step in steps)
+    unresolved = sigma < resolution / np.sqrt(12.0)
+    sigma = max(sigma, resolution / np.sqrt(12.0))
+    shortest, longest = steps[0].sample_time_s / 30.0, len(steps[0].i) * steps[0].sample_time_s
+
+    def cost(log_tau: float) -> float:
+        return sum(_first_order(step, float(np.exp(log_tau)))[0] for step in steps)
+
+    grid = np.linspace(np.log(shortest), np.log(longest), 60)
+    values = [cost(g) for g in grid]
+    k = int(np.argmin(values))
+    bounds = (grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)])
+    best = float(minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-7}).x)
+    curvature = (cost(best + 0.02) - 2.0 * cost(best) + cost(best - 0.02)) / 0.02**2
+    T_A = float(np.exp(best))
+    single = []
+    squares, count = 0.0, 0
+    for step in steps:
+        residual = _first_order(step, T_A)[1]
+        last = min(max(int(np.ceil(6.0 * T_A / step.sample_time_s)), 4), len(residual))
+        squares += float(np.sum(residual[1:last] ** 2))
+        count += last - 1
+        own = minimize_scalar(
+            lambda g, step=step: _first_order(step, float(np.exp(g)))[0],
+            bounds=(best - 2.0, best + 2.0),
+            method="bounded",
+        )
+        single.append(float(np.exp(own.x)))
+    chi2 = squares / sigma**2
+    ratio = float(np.sqrt(chi2 / max(count, 1)))
+    # The noise level itself is estimated: its own uncertainty adds to that of the chi-square.
+    z = (chi2 - count) / np.sqrt(2.0 * count + 2.0 * count**2 / max(sum(len(s.i) // 4 for s in steps), 1))
+    return Shape(
+        T_A=T_A,
+        T_A_std=float(T_A * sigma * np.sqrt(2.0 / max(curvature, 1e-300))),
+        steps=len(steps),
+        residual_a=float(np.sqrt(squares / max(count, 1))),
+        resolution_a=resolution if unresolved else 0.0,
+        ratio=ratio,
+        z=float(z),
+        spread=float(np.std(single) / T_A) if len(single) > 1 else 0.0,
+        first_order=not (z > SHAPE_Z and ratio > SHAPE_RATIO),
+        sample_time_s=steps[0].sample_time_s,
+    )
+
+
+def _captured_steps(record: Record) -> list[_Step]:
+    return [
+        _Step(sample_time_s=c.sample_time_s, i=c.i_c_a[c.step_index :])
+        for c in record.captures
+        if c.u_from_v != c.u_to_v and len(c.i_c_a) - c.step_index >= 20
+    ]
+
+
+def _recorded_steps(record: Record) -> list[_Step]:
+    if not record.has("u_c", "i_c"):
+        return []
+    found = []
+    for piece in _constant_pieces(record):
+        start = piece.start - 1  # u_c of this sample is already the new one: i_c here is still the old
+        jump = abs(float(record.u_c[start] - record.u_c[start - 1])) if start > 0 else 0.0
+        i = record.i_c[start : piece.stop]
+        if jump > 10.0 * FLAT_SHARE * float(np.nanmax(np.abs(record.u_c))) and len(i) >= 20 and np.isfinite(i).all():
+            found.append(_Step(sample_time_s=record.interval_s, i=i))
+    return found
+
+
+def _tail_noise(i: FloatArray) -> float:
+    return float(np.std(np.diff(i[-max(len(i) // 4, 8) :]))) / float(np.sqrt(2.0))
+
+
+def _resolution(i: FloatArray) -> float:
+    """The step between the values of a quantised or rounded channel; RESOLVED of the range where there is none."""
+    values = np.unique(i)
+    span = float(np.ptp(values))
+    gaps = np.diff(values)
+    gaps = gaps[gaps > 1e-9 * span]  # nearer ones are the same value, computed twice
+    return max(float(gaps.min()) if gaps.size else 0.0, RESOLVED * span, 1e-9)
+
+
+def _first_order(step: _Step, T_A: float) -> tuple[float, FloatArray]:
+    """(sum of squares, residual) of i = c + a exp(-t/T_A) with both free."""
+    decay = np.exp(-np.arange(len(step.i)) * step.sample_time_s / T_A)
+    columns = np.column_stack((np.ones(len(step.i)), decay))
+    solution, *_ = np.linalg.lstsq(columns, step.i, rcond=None)
+    residual = step.i - columns @ solution
+    return float(residual @ residual), residual

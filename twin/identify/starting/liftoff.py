@@ -1,0 +1,194 @@
+"""K_c without dynamics: from the current at which the ball leaves its rest, and from recorded equilibria.
+
+At rest m g = K_c i^2 / (x_max - x)^2 (8), at whatever x the ball rests.
+
+Rule: the instant of departure is not the first sample at which x has visibly moved: by then the current is higher.
+      Behind the departure t_0 the ball follows x - x_0 = c / w^3 (sinh w tau - w tau), tau = t - t_0, with
+      w^2 = 2 g / gap and c = 2 g (di/dt) / i, the linearised (6) under a rising current; t_0 is what makes this
+      fit the first part of the flight, and i_c(t_0) is read off a straight line through the samples before it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from protocol.campaign import Plant
+from twin.estimation.record import FloatArray, Record, runs
+
+LINE_S = 0.2  # of current before the departure
+FOLLOW_SHARE = 0.06  # of the travel: the part of the flight that the linear solution describes
+MOVED_SCALES = 8.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiftOff:
+    """One departure, or one row of an equilibria file."""
+
+    recording: str
+    t_s: float
+    gap_m: float
+    i_c_a: float
+    K_c: float
+    relative_error: float  # of K_c, one sigma
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceConstant:
+    """K_c from all of them."""
+
+    K_c: float
+    std: float
+    points: tuple[LiftOff, ...]
+    scatter: float  # relative, of the single values
+    shift_m: float | None  # how far above x_max the line of currents reaches zero; None for fewer than 3 heights
+    shift_std_m: float = 0.0
+
+
+def lift_offs(records: list[Record], plant: Plant) -> list[LiftOff]:
+    """Every departure from rest in the sawtooth recordings."""
+    return [point for record in records if record.kind == "sawtooth" for point in _departures(record, plant)]
+
+
+def equilibria(records: list[Record], plant: Plant) -> list[LiftOff]:
+    """Every row of the equilibria recordings."""
+    points = []
+    for record in records:
+        if record.kind != "equilibria":
+            continue
+        for n in range(len(record.x)):
+            gap, i = plant.x_max_m - float(record.x[n]), float(record.i_c[n])
+            if np.isfinite(gap) and gap > 0 and np.isfinite(i) and i > 0:
+                points.append(
+                    LiftOff(
+                        recording=record.name,
+                        t_s=float(record.t[n]),
+                        gap_m=gap,
+                        i_c_a=i,
+                        K_c=_constant(plant, gap, i),
+                        relative_error=0.005,  # retyped readings: three digits
+                    )
+                )
+    return points
+
+
+def force_constant(points: list[LiftOff], plant: Plant) -> ForceConstant | None:
+    """The median of the single values; its error from their scatter and their own errors. None without a point."""
+    if not points:
+        return None
+    values = np.array([point.K_c for point in points])
+    K_c = float(np.median(values))
+    own = float(np.sqrt(np.mean([point.relative_error**2 for point in points])))
+    scatter = 1.4826 * float(np.median(np.abs(values / K_c - 1.0))) if len(values) > 2 else 0.0
+    if len(values) > 2:
+        scatter = max(scatter, float(np.std(values / K_c, ddof=1)) / 2.0)
+    gaps = np.array([point.gap_m for point in points])
+    shift, shift_std = None, 0.0
+    if len(points) >= 3 and np.ptp(gaps) > 0.1 * plant.travel_m:
+        # (8) says that the currents lie on a line through zero at gap = 0.
+        columns = np.column_stack((gaps, np.ones(len(gaps))))
+        currents = np.array([point.i_c_a for point in points])
+        solution, *_ = np.linalg.lstsq(columns, currents, rcond=None)
+        residual = currents - columns @ solution
+        sigma = float(np.sqrt(residual @ residual / max(len(gaps) - 2, 1)))
+        covariance = sigma**2 * np.linalg.inv(columns.T @ columns)
+        shift = float(solution[1] / solution[0])
+        gradient = np.array([-solution[1] / solution[0] ** 2, 1.0 / solution[0]])
+        shift_std = float(np.sqrt(gradient @ covariance @ gradient))
+    return ForceConstant(
+        K_c=K_c,
+        std=K_c * 1.2533 * float(np.hypot(own, scatter)) / float(np.sqrt(len(values))),
+        points=tuple(points),
+        scatter=scatter,
+        shift_m=shift,
+        shift_std_m=shift_std,
+    )
+
+
+def _constant(plant: Plant, gap: float, i: float) -> float:
+    return plant.mass_kg * plant.gravity_m_s2 * gap**2 / i**2
+
+
+def _departures(record: Record, plant: Plant) -> list[LiftOff]:
+    good = np.isfinite(record.x) & np.isfinite(record.i_c) & np.isfinite(record.t)
+    good[1:] &= np.diff(record.t) > 0.0
+    t, x, i = record.t[good], record.x[good], record.i_c[good]
+    if len(t) < 20:
+        return []
+    step = float(np.median(np.diff(t)))
+    width = max(round(0.1 / step), 8)
+    noise = max(1.4826 * float(np.median(np.abs(np.diff(x)))) / np.sqrt(2.0), 1e-7)
+    jump = np.zeros(len(x))
+    jump[width:] = x[width:] - x[:-width]
+    moved = jump > max(0.1 * plant.travel_m, 20.0 * noise)  # a tenth of a second later the ball is far away
+    points: list[LiftOff] = []
+    for rise in runs(np.asarray(moved)):
+        point = _departure(record.name, t, x, i, max(rise.start - 2 * width, 0), rise.start, noise, step, plant)
+        if point is not None and not (points and point.t_s - points[-1].t_s < 5 * width * step):
+            points.append(point)
+    return points
+
+
+def _departure(
+    name: str,
+    t: FloatArray,
+    x: FloatArray,
+    i: FloatArray,
+    first: int,
+    last: int,
+    noise: float,
+    step: float,
+    plant: Plant,
+) -> LiftOff | None:
+    if last - first < 12:
+        return None
+    rest = float(np.median(x[first : first + (last - first) // 2]))
+    still = 1.4826 * float(np.median(np.abs(x[first : first + (last - first) // 2] - rest)))
+    if still > 5.0 * noise + 1e-3 * plant.travel_m:
+        return None  # it was not at rest
+    above = np.flatnonzero(x[first:] > rest + MOVED_SCALES * max(noise, still))
+    if not above.size:
+        return None
+    seen = first + int(above[0])
+    gap = plant.x_max_m - rest
+    if gap <= 0.02 * plant.travel_m:
+        return None
+    begin = max(seen - max(round(LINE_S / step), 10), 0)
+    slope, at_seen = np.polyfit(t[begin:seen] - t[seen], i[begin:seen], 1)
+    scatter_i = float(np.std(i[begin:seen] - at_seen - slope * (t[begin:seen] - t[seen])))
+    if not (slope > 0 and at_seen > 0):
+        return None
+    end = seen
+    while end < len(x) - 1 and x[end] - rest < FOLLOW_SHARE * plant.travel_m and end - seen < 200:
+        end += 1
+    end = max(end, seen + 2)
+    tau, rise = t[begin:end] - t[seen], x[begin:end] - rest
+    w = float(np.sqrt(2.0 * plant.gravity_m_s2 / gap))
+
+    def misfit(t_0: float) -> float:
+        current = at_seen + slope * t_0
+        if current <= 0:
+            return float("inf")
+        c = 2.0 * plant.gravity_m_s2 * slope / current
+        late = np.clip(tau - t_0, 0.0, 40.0 / w)
+        return float(np.sum((rise - c / w**3 * (np.sinh(w * late) - w * late)) ** 2))
+
+    lowest = -min(6.0 / w, -float(tau[0]))
+    grid = np.linspace(lowest, step, 80)
+    k = int(np.argmin([misfit(g) for g in grid]))
+    t_0 = float(
+        minimize_scalar(misfit, bounds=(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]), method="bounded").x
+    )
+    current = at_seen + slope * t_0
+    # Half a sampling interval of doubt in t_0, and the line's own error.
+    error = float(np.hypot(0.5 * step * slope, scatter_i * 2.0 / np.sqrt(max(seen - begin, 1))))
+    return LiftOff(
+        recording=name,
+        t_s=float(t[seen] + t_0),
+        gap_m=gap,
+        i_c_a=float(current),
+        K_c=_constant(plant, gap, float(current)),
+        relative_error=2.0 * error / float(current),
+    )

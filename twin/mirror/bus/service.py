@@ -1,0 +1,293 @@
+"""Mirrors on the bus: subscribe state and parameters, one mirror per board, publish what it says; take other models.
+
+Rule 1: the zenoh callbacks only queue; one worker thread computes and publishes.  The queue is bounded: what does not
+        fit is dropped and counted, and the mirror sees the gap by the ticks, as it sees any other.
+Rule 2: this is the only place of the twin with a clock, and it is used for two things: to notice that a board is
+        silent, and to repeat which model runs and which alarms are active.
+Rule 3: publishing blocks rather than drops (a divergence that vanishes unseen is worse than a late one); behind the
+        queue that costs nobody else anything.
+Rule 4: a model is handed over by a query, `<site>/<board>/twin/command`, which takes its place in the same queue: it
+        falls between two samples, and every sample is answered by one model.  A model that is refused changes nothing.
+        A command for `<site>/*` means every board, those to come too.
+Rule 5: a status that says that samples come, and no samples, means that the bus does not bring them here (seen once in
+        13 starts with a router of its own, until that was restarted; the cause is not known).  Then the twin hears
+        through a new session.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable
+
+import zenoh
+
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import encoding, topics
+from protocol.bus.endpoint import DEFAULT_ENDPOINT, zenoh_config
+from protocol.bus.identity import Identity
+from protocol.errors import ServiceError
+from twin.mirror.bus.handover import Answered, believe, read_command, read_model, refusal
+from twin.mirror.bus.watched import Watched
+from twin.mirror.output import Output
+from twin.mirror.settings import Settings
+from twin.model.parameters import Model
+
+QUEUE_LENGTH = 5000  # ten seconds of one board
+DEAF_S = 5.0  # status comes every second: more than a moment's hold-up, and time for a new session to join
+POLL_S = 0.1  # of the look at the clock where nothing arrives
+_MAY_HAND_OVER = "engineer"  # the role that a guarded bus wants for it; the router has checked who has it
+_REPLY_ENCODING = encoding.zenoh_encoding(pb.CommandReply)
+log = logging.getLogger(__name__)
+
+
+class TwinService:
+    """Runs between `start` and `stop`.
+
+    Args:
+        model: what every twin believes until it is handed another one.
+        site: first chunk of the keys.
+        board: only this one; None: every board of the site.
+        endpoints: where the router listens.
+        identity: of the twin, on a guarded bus; only engineers hand it models then.
+        settings: window, false-alarm rate, longest bridge.
+        on_output: called in the worker thread with each board and output, for a display.
+
+    Raises:
+        DataError: the model cannot be written down for those who ask which one runs.
+
+    The router may come later, go and come back: the zenoh session reconnects by itself and the twin meets a gap.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        *,
+        site: str = topics.DEFAULT_SITE,
+        board: str | None = None,
+        endpoints: tuple[str, ...],
+        identity: Identity | None = None,
+        settings: Settings | None = None,
+        on_output: Callable[[Watched, Output], None] | None = None,
+    ) -> None:
+        self.boards: dict[str, Watched] = {}
+        self.dropped = 0
+        self.malformed = 0
+        self.parameters_heard = 0
+        self._belief = believe(model)  # of boards to come
+        self._answered = Answered()
+        self._site = site
+        self._board = board
+        self._commands = zenoh.KeyExpr(topics.key(site, board or "*", "twin/command"))
+        self._endpoints, self._identity = endpoints, identity
+        self._settings = settings
+        self._on_output = on_output
+        self._queue: queue.Queue[tuple[str, bytes] | zenoh.Query] = queue.Queue(maxsize=QUEUE_LENGTH)
+        self._worker: threading.Thread | None = None
+        self._session: zenoh.Session | None = None
+        self._hearing: zenoh.Session | None = None  # instead of the first one, once that was deaf
+        self._subscriber: zenoh.Subscriber[None] | None = None
+        self.renewed = 0
+        self._heard_s: dict[str, float] = {}  # by board: the latest sample, or when it began to be missed; monotonic
+        self._stopping = threading.Event()
+        self.failure: BaseException | None = None
+
+    def start(self) -> None:
+        """Open the session and begin.  Raises ServiceError where zenoh refuses the configuration."""
+        try:
+            self._session = self._open()
+        except zenoh.ZError as error:
+            raise ServiceError(
+                f"zenoh cannot be opened with {', '.join(self._endpoints)} ({error})", remedy="Check --connect"
+            ) from error
+        self._worker = threading.Thread(target=self._work, name="twin", daemon=True)
+        self._worker.start()
+        # One subscriber for both topics: zenoh keeps the order within a subscriber, not between two, and a sample that
+        # overtakes its board's parameters would be compared under the old ones.
+        self._subscriber = self._hear(self._session)
+        served = f"{self._commands}/{topics.AS}/{_MAY_HAND_OVER}/*" if self._identity is not None else self._commands
+        self._session.declare_queryable(served, self._asked)
+
+    def stop(self) -> None:
+        """Answer what is queued for at most a second, then close.  Idempotent."""
+        self._stopping.set()
+        if self._worker is not None:
+            self._worker.join(timeout=2.0)
+        for session in (self._hearing, self._session):
+            if session is not None:
+                session.close()  # type: ignore[no-untyped-call]  # the stub has no return type
+        self._hearing = self._session = None
+
+    def __enter__(self) -> TwinService:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    @property
+    def running(self) -> bool:
+        """False once the worker has ended, by `stop` or by a failure (then in `failure`)."""
+        return self._worker is not None and self._worker.is_alive()
+
+    def _open(self) -> zenoh.Session:
+        text = zenoh_config("client", connect=self._endpoints, wait_for_router=False, identity=self._identity)
+        return zenoh.open(zenoh.Config.from_json5(text))
+
+    def _hear(self, session: zenoh.Session) -> zenoh.Subscriber[None]:
+        return session.declare_subscriber(f"{self._site}/{self._board or '*'}/*", self._receive)
+
+    # ---- in zenoh's threads
+
+    def _receive(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        if not key.endswith(("/state", "/parameters", "/status")):
+            return
+        try:
+            self._queue.put_nowait((key, sample.payload.to_bytes()))
+        except queue.Full:
+            self.dropped += 1
+
+    def _asked(self, query: zenoh.Query) -> None:
+        try:
+            self._queue.put_nowait(query)
+        except queue.Full:
+            text = "More samples wait than this twin can answer; try again."
+            _reply(query, [(str(query.key_expr), refusal("queue-full", text))])
+
+    # ---- in the worker's thread
+
+    def _work(self) -> None:
+        try:
+            checked = time.monotonic()
+            while True:
+                try:
+                    item = self._queue.get(timeout=POLL_S)
+                except queue.Empty:
+                    item = None
+                now = time.monotonic()
+                if isinstance(item, tuple):
+                    self._take(*item, now)
+                elif item is not None:
+                    _reply(item, self._command(item))
+                elif self._stopping.is_set():
+                    return
+                if now - checked > POLL_S:
+                    checked = now
+                    for watched in self.boards.values():
+                        watched.look_at_the_clock(now)
+                    if self._stopping.is_set() and self._queue.empty():
+                        return
+        except Exception as error:  # a worker that dies silently would leave a service that looks alive
+            self.failure = error
+            log.exception("twin stopped")
+
+    def _take(self, key: str, data: bytes, now: float) -> None:
+        found = topics.split(key)
+        if found is None:
+            return
+        site, board, topic = found
+        if topic == "parameters":
+            parameters = encoding.parse(pb.Parameters, data)
+            if parameters is None:
+                self.malformed += 1
+                return
+            self._watched(site, board).mirror.parameters(parameters)
+            self.parameters_heard += 1
+            return
+        if topic == "status":
+            status = encoding.parse(pb.Status, data)
+            if status is not None:
+                self._judge_hearing(board, status, now)
+            return
+        state = encoding.parse(pb.State, data)
+        if state is None:
+            self.malformed += 1
+            return
+        self._heard_s[board] = now
+        watched = self._watched(site, board)
+        output = watched.take(state, now)
+        if output is not None and self._on_output:
+            self._on_output(watched, output)
+
+    def _judge_hearing(self, board: str, status: pb.Status, now: float) -> None:
+        # A stream that is thinned out may pause for longer than that.
+        comes = status.link == "streaming" and status.samples_per_s * DEAF_S >= 2.0
+        if not comes or now - self._heard_s.setdefault(board, now) < DEAF_S:
+            if not comes:
+                self._heard_s[board] = now
+            return
+        self.renewed += 1
+        self._heard_s.clear()
+        log.warning(
+            "board %s: its gateway sends %.0f samples/s and none came for %g s: hearing through a new session",
+            board, status.samples_per_s, DEAF_S,
+        )  # fmt: skip
+        before, deaf = self._subscriber, self._hearing
+        try:
+            self._hearing = self._open()
+        except zenoh.ZError as error:
+            log.warning("no new session: %s", error)
+            return
+        if before is not None:
+            before.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+        self._subscriber = self._hear(self._hearing)
+        if deaf is not None:
+            deaf.close()  # type: ignore[no-untyped-call]  # the same
+
+    def _watched(self, site: str, board: str) -> Watched:
+        watched = self.boards.get(board)
+        if watched is None:
+            assert self._session is not None
+            watched = Watched(self._session, site, board, self._belief, self._settings, reach=self._reach())
+            self.boards[board] = watched
+            log.info("board %s: twin of model %s", board, watched.belief.title)
+        return watched
+
+    def _reach(self) -> str:
+        """What somebody must give to reach this bus, who reads advice elsewhere: on a page, in a log."""
+        at = "" if self._endpoints == (DEFAULT_ENDPOINT,) else "".join(f" --connect {e}" for e in self._endpoints)
+        return at + (" --identity FOLDER" if self._identity is not None else "")
+
+    def _command(self, query: zenoh.Query) -> list[tuple[str, pb.CommandReply]]:
+        """(key, reply) for each board that the query means; for none, one under the key that was asked."""
+        asked = str(query.key_expr)
+        plain, _, sender = asked.partition(f"/{topics.AS}/")
+        suffix = asked.removeprefix(plain)
+        command = read_command(query.payload.to_bytes() if query.payload is not None else b"")
+        if isinstance(command, pb.CommandReply):
+            return [(asked, command)]
+        if sender:
+            command.who = sender.partition("/")[2]
+        if (before := self._answered.again(asked, command)) is not None:
+            return before
+        boards = zenoh.KeyExpr(plain)
+        own = {topics.key(one.site, one.board, "twin/command"): one for one in self.boards.values()}
+        meant = {key + suffix: one for key, one in own.items() if boards.intersects(zenoh.KeyExpr(key))}
+        everybody = boards.includes(self._commands)
+        if not meant and not everybody:
+            text = f"Not a board of this twin; it has {', '.join(sorted(self.boards)) or 'heard of none yet'}."
+            return [(asked, refusal("unknown-board", text, command_id=command.id))]
+        belief = read_model(command)
+        if isinstance(belief, pb.CommandReply):
+            log.warning("model refused, from %r: %s", command.who, belief.text)
+            replies = [(asked, belief)]
+        else:
+            replies = [(key, one.use(belief)) for key, one in meant.items()]
+            if everybody and all(reply.accepted for _, reply in replies):
+                self._belief = belief
+                text = f"will run on {belief.title}; no board was heard of yet"
+                replies = replies or [(asked, pb.CommandReply(id=command.id, accepted=True, text=text, attempts=1))]
+        self._answered.keep(asked, command, replies)
+        return replies
+
+
+def _reply(query: zenoh.Query, replies: list[tuple[str, pb.CommandReply]]) -> None:
+    try:
+        with query:  # its end: without it the sender would wait for more until the time-out
+            for key, reply in replies:
+                query.reply(key, reply.SerializeToString(), encoding=_REPLY_ENCODING)
+    except zenoh.ZError as error:  # whoever asked is gone; what was done stays done
+        log.warning("a reply was not delivered: %s", error)

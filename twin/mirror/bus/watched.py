@@ -1,0 +1,158 @@
+"""One board on the bus with its twin: publishes what the mirror says, which model it runs on, which alarms are active.
+
+Rule: used by the service's worker thread alone.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+
+import numpy as np
+import zenoh
+from google.protobuf.message import Message
+
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import encoding, topics
+from twin.mirror.bus.handover import Belief, refusal
+from twin.mirror.bus.request import DiagnosisRequest
+from twin.mirror.mirror import SILENT_S, Mirror
+from twin.mirror.output import Output
+from twin.mirror.settings import Settings
+
+REPEAT_S = 5.0  # as the gateway's parameters: a log part or a late subscriber need not wait longer
+_MESSAGES: dict[str, type[Message]] = {
+    "twin/state": pb.TwinState,
+    "twin/divergence": pb.Divergence,
+    "twin/alarm": pb.Alarm,
+    "twin/alarms": pb.TwinAlarms,
+    "twin/model": pb.TwinModel,
+}
+log = logging.getLogger(__name__)
+
+
+class Watched:
+    """A board that was heard of.
+
+    Args:
+        session: open; publishers are declared on it.
+        site: first chunk of the keys.
+        board: second.
+        belief: the model to begin with.
+        settings: of the mirror.
+        reach: options with which another command reaches this bus, each after a space.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        site: str,
+        board: str,
+        belief: Belief,
+        settings: Settings | None,
+        *,
+        reach: str = "",
+    ) -> None:
+        self.site, self.board = site, board
+        self.belief = belief
+        self.mirror = Mirror(belief.model, settings)
+        self.samples = 0
+        self.silent = False
+        self.alarms: dict[str, pb.Alarm] = {}  # those that are active
+        self._publishers = {
+            topic: session.declare_publisher(
+                topics.key(site, board, topic),
+                encoding=encoding.zenoh_encoding(message),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            )
+            for topic, message in _MESSAGES.items()
+        }
+        self._request = DiagnosisRequest(
+            after_s=self.mirror.settings.diagnosis_after_s,
+            command=f"board51 diagnose --live 2 --board {board}"
+            + (f" --site {site}" if site != topics.DEFAULT_SITE else "")
+            + reach
+            + " --out diagnosis",
+        )
+        self._newest: pb.State | None = None
+        self._since: tuple[int, int] | None = None  # session and tick of the first sample under the belief
+        self._heard_s = 0.0  # both monotonic
+        self._told_s = -math.inf
+
+    def take(self, state: pb.State, now_s: float) -> Output | None:
+        """Answer one sample."""
+        self.samples += 1
+        self._heard_s, self.silent, self._newest = now_s, False, state
+        if self._since is None:
+            self._since = (state.session, state.tick)
+            self._repeat(now_s)
+        output = self.mirror.handle(state)
+        if output is None:
+            return None
+        if output.state is not None:
+            self._publish("twin/state", output.state)
+        self._publish("twin/divergence", output.divergence)
+        for alarm in output.alarms:
+            self._alarm(alarm)
+        if (wanted := self._request.sample(state, output.judges)) is not None:
+            self._alarm(wanted)
+        return output
+
+    def use(self, belief: Belief) -> pb.CommandReply:
+        """Run on another model from the next sample on, or say why not."""
+        try:
+            alarms = self.mirror.use(belief.model)
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            log.warning("board %s: model %s refused: %s", self.board, belief.title, error)
+            text = f"No twin can be made of this model with this board's gains and T_s ({error})."
+            return refusal("not-runnable", text, command_id=belief.command_id)
+        was, self.belief = self.belief, belief
+        log.info("board %s: model %s instead of %s, from %r", self.board, belief.title, was.title, belief.who)
+        for alarm in alarms:
+            self._alarm(alarm)
+        newest = self._newest
+        self._since = (newest.session, newest.tick + 1) if newest else None
+        if self._since is not None:
+            self._tell_model()
+        return pb.CommandReply(
+            id=belief.command_id,
+            accepted=True,
+            text=f"runs on {belief.title} instead of {was.title}",
+            tick=self._since[1] if self._since else 0,
+            attempts=1,
+        )
+
+    def look_at_the_clock(self, now_s: float) -> None:
+        """Notice silence; repeat what late subscribers need."""
+        if self.samples and not self.silent and now_s - self._heard_s > SILENT_S:
+            self.silent = True
+            for alarm in self.mirror.silence(f"no sample for {SILENT_S:g} s"):
+                self._alarm(alarm)
+        if self._since is not None and now_s - self._told_s > REPEAT_S:
+            self._repeat(now_s)
+
+    def _repeat(self, now_s: float) -> None:
+        self._told_s = now_s
+        self._tell_model()
+        self._publish("twin/alarms", pb.TwinAlarms(active=self.alarms.values()))
+
+    def _tell_model(self) -> None:
+        assert self._since is not None
+        session, tick = self._since
+        self._publish("twin/model", self.belief.message(session=session, since_tick=tick))
+
+    def _alarm(self, alarm: pb.Alarm) -> None:
+        if self._newest is not None and not alarm.host_time_ns:
+            # Raised between two samples.  Logs go by the gateway's clock, and this may be another host.
+            alarm.host_time_ns = self._newest.host_time_ns
+        log.warning("board %s: alarm %s %s (%s)", self.board, alarm.name, "on" if alarm.active else "off", alarm.text)
+        if alarm.active:
+            self.alarms[alarm.name] = alarm
+        else:
+            self.alarms.pop(alarm.name, None)
+        self._publish("twin/alarm", alarm)
+        if (answered := self._request.heard(alarm)) is not None:
+            self._alarm(answered)
+
+    def _publish(self, topic: str, message: Message) -> None:
+        self._publishers[topic].put(message.SerializeToString())

@@ -1,0 +1,218 @@
+"""Measured against twin: error, normalised error, rolling RMSE and fit per signal, innovations, and what they alarm.
+
+Rule 1: windows hold samples of one uninterrupted time in step; whatever interrupts it empties them.
+Rule 2: sums are kept incrementally and recomputed from the stored values once per window, so rounding never accumulates
+        over more than one window: after a week the figures are those of a fresh start.
+Rule 3: a figure that does not exist is NaN, never 0.
+Rule 4: an alarm lives on evidence.  One that no sample has judged for so long (the innovation: a window; the errors,
+        which a settling twin does not judge: a window and the longest settling) ends without a decision.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.bus import board51_pb2 as pb
+from twin.compiled import kernel
+from twin.mirror.monitor.alarms import PLACES, UNCHANGED, clear_window, decide, end, message
+
+Figures: TypeAlias = tuple[float, float, float, float, bool]  # error, normalised, rolling RMSE, fit %, window full
+
+X, I_C, U_C, NIS = 0, 1, 2, 3  # rows of the windows: errors of three signals, and the NIS
+UNSEEN, HOLD = 4, 7  # in `counts`: samples in a row that did not judge an alarm, one for each; how many end an error's
+ORIGIN = 3  # in `sums`: the signal's first value in the window (squares of values near 0 keep their digits)
+ALARMS = ("innovation", "divergence-x", "divergence-i_c")
+
+
+@kernel
+def push(ring: NDArray[np.float64], sums: NDArray[np.float64], count: int, square: float, y: float) -> None:
+    """Put (square, y, y^2) into slot count % n of `ring`, shape (n, 3), keeping its column `sums`, sums[:3]."""
+    n = ring.shape[0]
+    slot = count % n
+    if count >= n:
+        for column in range(3):
+            sums[column] -= ring[slot, column]
+    ring[slot, 0] = square
+    ring[slot, 1] = y
+    ring[slot, 2] = y * y
+    for column in range(3):
+        sums[column] += ring[slot, column]
+    if slot == n - 1:
+        for column in range(3):
+            total = 0.0
+            for k in range(n):
+                total += ring[k, column]
+            sums[column] = total
+
+
+@kernel
+def rolling_mean(
+    ring: NDArray[np.float64], sums: NDArray[np.float64], counts: NDArray[np.int64], row: int, value: float
+) -> float:
+    """Take one finite value; returns the mean of those so far, at most the window."""
+    push(ring[row], sums[row], counts[row], value, 0.0)
+    counts[row] += 1
+    mean: float = max(sums[row, 0], 0.0) / min(counts[row], ring.shape[1])
+    return mean
+
+
+@kernel
+def figures(
+    ring: NDArray[np.float64],
+    sums: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    totals: NDArray[np.float64],
+    row: int,
+    measured: float,
+    twin: float,
+    std: float,
+    in_step: bool,
+) -> Figures:
+    """Take one sample of one signal, if in step, and return its figures; NaN restarts the signal's window.
+
+    The arrays are those of `Comparison`.
+    """
+    n = ring.shape[1]
+    error = measured - twin
+    if not math.isfinite(error):
+        counts[row] = 0
+        sums[row] = 0.0
+    elif in_step:
+        if counts[row] == 0:
+            sums[row, ORIGIN] = measured
+        push(ring[row], sums[row], counts[row], error * error, measured - sums[row, ORIGIN])
+        counts[row] += 1
+        totals[row, 0] += 1.0
+        totals[row, 1] += error
+        totals[row, 2] += error * error
+    held = min(counts[row], n)
+    full = bool(counts[row] >= n)
+    rmse = math.nan
+    fit = math.nan
+    if held > 0:
+        mean_square = max(sums[row, 0], 0.0) / held
+        rmse = math.sqrt(mean_square)
+        mean = sums[row, 1] / held
+        variance = sums[row, 2] / held - mean * mean
+        if full and variance > 0.0:
+            fit = 100.0 * (1.0 - math.sqrt(mean_square / variance))
+    return error, error / std, rmse, fit, full
+
+
+@kernel
+def unseen(alarm: NDArray[np.float64], counts: NDArray[np.int64], row: int, limit: int) -> int:
+    """What a sample that says nothing about it does to an alarm, row `row` of ALARMS."""
+    counts[UNSEEN + row] += 1
+    return end(alarm) if counts[UNSEEN + row] > limit else UNCHANGED
+
+
+@kernel
+def judge_error(
+    alarm: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    row: int,
+    window: int,
+    normalised: float,
+    on: float,
+    off: float,
+    judged: bool,
+) -> int:
+    """What this error does to its alarm, row `row` of ALARMS; `judged`: the sample is in step and in closed loop."""
+    if not (judged and math.isfinite(normalised)):
+        return unseen(alarm, counts, row, counts[HOLD])
+    counts[UNSEEN + row] = 0
+    return decide(alarm, window, normalised * normalised, on, off)
+
+
+@kernel
+def judge_innovation(
+    ring: NDArray[np.float64],
+    sums: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    totals: NDArray[np.float64],
+    alarm: NDArray[np.float64],
+    n_i: float,
+    n_x: float,
+    nis: float,
+    valid: bool,
+    on: float,
+    off: float,
+) -> tuple[float, int]:
+    """(mean NIS over the window, what this innovation does to its alarm)."""
+    window = ring.shape[1]
+    if not valid:
+        sums[NIS] = 0.0
+        counts[NIS] = 0
+        clear_window(alarm)
+        return math.nan, unseen(alarm, counts, 0, window)
+    counts[UNSEEN] = 0
+    totals[NIS, 0] += 1.0
+    totals[NIS, 1] += n_x * n_x
+    totals[NIS, 2] += n_i * n_i
+    totals[NIS, 3] += nis
+    return rolling_mean(ring, sums, counts, NIS, nis), decide(alarm, window, nis, on, off)
+
+
+class Comparison:
+    """Windows, totals and alarms of one board, as the kernels take them.
+
+    ring, shape (4, window, 3), of (square, y, y^2) by X, I_C, U_C, NIS; sums, shape (4, 4): over the window, and
+    ORIGIN; counts, shape (8,): samples taken since the window was emptied, UNSEEN and HOLD; alarms, shape (3, PLACES).
+    totals, shape (4, 4), over all time: of a signal samples in step, sum of errors, sum of their squares; of the
+    innovations samples, sums of the squares of x and of i_c, sum of the NIS.
+    """
+
+    def __init__(self) -> None:
+        self.totals = np.zeros((4, 4))
+        self.alarms = np.zeros((3, PLACES))
+        self.counts = np.zeros(8, dtype=np.int64)
+        self.start(2, 2)
+
+    def start(self, window: int, hold: int) -> None:
+        """Empty windows of `window` ticks; alarms on errors are held for `hold` samples that do not judge them."""
+        self.ring = np.zeros((4, window, 3))
+        self.sums = np.zeros((4, 4))
+        self.counts[:UNSEEN] = 0
+        self.counts[HOLD] = hold
+        for alarm in self.alarms:
+            clear_window(alarm)
+
+    def interrupt(self) -> None:
+        """The twin is not where it was: nothing before this may be averaged with what comes."""
+        self.sums[:NIS] = 0.0
+        self.counts[:NIS] = 0
+        for alarm in self.alarms[1:]:
+            clear_window(alarm)
+
+    def drop_error_alarms(self) -> list[pb.Alarm]:
+        """The mode has changed: what the free twin did in the mode before is over."""
+        return self.messages((UNCHANGED, *(end(alarm) for alarm in self.alarms[1:])))
+
+    def drop_alarms(self, why: str) -> list[pb.Alarm]:
+        """What was compared is over."""
+        return self.messages(tuple(end(alarm) for alarm in self.alarms), why_ended=why)
+
+    def skip(self) -> list[pb.Alarm]:
+        """A sample with which nothing can be compared."""
+        limits = (self.ring.shape[1], self.counts[HOLD], self.counts[HOLD])
+        return self.messages(
+            tuple(unseen(alarm, self.counts, row, limits[row]) for row, alarm in enumerate(self.alarms))
+        )
+
+    def forget(self, why: str) -> list[pb.Alarm]:
+        """What was compared was another twin's: alarms end, totals begin at zero; the windows are `start`'s."""
+        self.totals[:] = 0.0
+        self.counts[:HOLD] = 0
+        return self.drop_alarms(why)
+
+    def messages(self, changes: tuple[int, ...], *, why_ended: str = "") -> list[pb.Alarm]:
+        """What is said about changes."""
+        return [
+            message(name, alarm, change, why_ended=why_ended)
+            for name, alarm, change in zip(ALARMS, self.alarms, changes, strict=True)
+            if change != UNCHANGED
+        ]

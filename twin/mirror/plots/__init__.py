@@ -1,0 +1,1 @@
+"""Measured against twin as pictures."""

@@ -1,0 +1,1 @@
+"""Recordings from their files: MCAP logs and campaigns of CSV, MATLAB, MCAP."""

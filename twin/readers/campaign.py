@@ -1,0 +1,324 @@
+"""Recordings of a campaign from their files: CSV (also .gz), MATLAB, MCAP.
+
+Rule 1: a bad file is a DataError that names file, column and remedy; a bad cell is NaN and a note.
+Rule 2: `skip_s` is taken off every file alike, after sorting out nothing: the order of the file is the order of time.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from protocol.campaign import CHANNELS, Campaign, Channel, Column, Recording
+from protocol.errors import DataError
+from protocol.files import open_regular
+from protocol.table_file import LONGEST_LINE, REMEDY, check_mat, check_table, read_csv_bytes
+from twin.estimation.record import Capture, FloatArray, Record
+
+_HEAD = 4096  # bytes that tell text from something else
+
+
+def read_campaign(campaign: Campaign, *, use: str = "fit", data: Path | None = None) -> list[Record]:
+    """All recordings of one use (`fit` | `judge`), in the order of the file.
+
+    Raises:
+        DataError: a recording is absent or not readable.
+    """
+    return [
+        read_recording(campaign.path_of(recording, data=data), recording)
+        for recording in campaign.recordings
+        if recording.use == use
+    ]
+
+
+def read_recording(path: Path, recording: Recording) -> Record:
+    """One recording; the format is told by the file's content, not its name.
+
+    Raises:
+        DataError: the file is none of CSV, MATLAB, MCAP, or lacks what its kind needs.
+    """
+    with open_regular(path, remedy=REMEDY) as file:
+        head = file.read(16)
+    if head.startswith(b"\x89MCAP0\r\n"):
+        record = _read_log(path, recording)
+    elif head.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
+        record = _from_columns(path, recording, *_mat_columns(path))
+    else:
+        record = _from_columns(path, recording, _csv_columns(path))
+    return _skip(record, recording.skip_s)
+
+
+def _skip(record: Record, skip_s: float) -> Record:
+    if skip_s <= 0.0 or record.kind == "equilibria" or not len(record.t):
+        return record
+    keep = record.t >= record.t[0] + skip_s
+    if keep.sum() < 2:
+        raise DataError(
+            f"{record.name}: skip_s = {skip_s:g} leaves nothing of {record.t[-1] - record.t[0]:.3g} s",
+            remedy="Give a smaller skip_s",
+        )
+    return _replace(record, keep)
+
+
+def _replace(record: Record, keep: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Record:
+    return Record(
+        name=record.name,
+        kind=record.kind,
+        use=record.use,
+        t=record.t[keep],
+        u_c=record.u_c[keep],
+        i_c=record.i_c[keep],
+        x=record.x[keep],
+        x_ref=record.x_ref[keep],
+        captures=record.captures,
+        lsb=record.lsb,
+        notes=record.notes,
+    )
+
+
+# ---- tables
+
+
+def _csv_columns(path: Path) -> dict[str, FloatArray]:
+    # pyarrow parses 30 MB/s per core into columns; csv + float() took 40 times as long, np.loadtxt 15 times.
+    import pyarrow as pa
+    from pyarrow import csv
+
+    data = read_csv_bytes(path)
+    if not data[:_HEAD].decode("utf-8", errors="ignore").strip():
+        raise DataError(f"{path} is not text", remedy="Name a CSV file in UTF-8, a .mat or an MCAP file")
+    # Bytes all the way: an hour of samples as a list of lines takes half a gigabyte.
+    if data.startswith(b"#") or b"\n#" in data:
+        data = b"\n".join(line for line in data.split(b"\n") if not line.startswith(b"#"))
+    start = len(data) - len(data.lstrip()) if data[:1].isspace() else 0
+    end = data.find(b"\n", start)
+    if end < 0 or not data[end : end + _HEAD].strip():
+        raise DataError(f"{path} holds no rows", remedy="Name a file with a line of column names and rows of numbers")
+    header = data[start:end].decode("utf-8", errors="replace").strip()
+    separator = max(",;\t", key=header.count)
+    names = [cell.strip().strip('"') for cell in header.split(separator)]
+    row = data[end + 1 : end + 1 + LONGEST_LINE].lstrip().partition(b"\n")[0].decode("utf-8", errors="replace")
+    check_table(path, names, row.replace('"', "").split(separator))
+    if len(set(names)) != len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise DataError(f"{path}: column {twice!r} is there twice", remedy="Give each column its own name")
+    options = {
+        "read_options": csv.ReadOptions(column_names=names),
+        "parse_options": csv.ParseOptions(delimiter=separator),
+    }
+    body = memoryview(data)[end + 1 :]
+    try:
+        # In pieces, so that an hour of samples is never in memory as text, as Arrow and as numpy all at once.
+        values = np.empty((len(names), data.count(b"\n", end) + 1))
+        rows = 0
+        for batch in csv.open_csv(pa.BufferReader(body), **options):
+            for n, column in enumerate(batch.columns):
+                values[n, rows : rows + batch.num_rows] = _numbers(column)
+            rows += batch.num_rows
+        columns = {name: values[n, :rows] for n, name in enumerate(names)}
+        pa.default_memory_pool().release_unused()
+        return columns
+    except pa.ArrowInvalid:
+        pass  # a column changes its type on the way: read whole, cell by cell where need be
+    try:
+        table = csv.read_csv(pa.BufferReader(body), **options)
+    except pa.ArrowInvalid as error:
+        where = (
+            str(error).splitlines()[0].partition(": ")[2]
+        )  # "CSV parse error: Row #3: Expected 4 columns, got 2: ROW"
+        where = re.sub(r"(got \d+): .*", r"\1", where)
+        raise DataError(f"{path} is not a table: {where}", remedy="Complete that line") from None
+    return {name: _numbers(table.column(name)) for name in names}
+
+
+def _numbers(column: object) -> FloatArray:
+    import pyarrow as pa
+
+    assert isinstance(column, pa.ChunkedArray | pa.Array)
+    if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
+        return np.asarray(column.cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=float)
+    return np.array([_number(cell) for cell in column.to_pylist()], dtype=float)
+
+
+def _number(cell: object) -> float:
+    try:
+        return float(str(cell))
+    except ValueError:
+        return float("nan")
+
+
+def _mat_columns(path: Path) -> tuple[dict[str, FloatArray], dict[str, str]]:
+    from scipy.io import loadmat
+
+    check_mat(path)
+    try:
+        content = loadmat(path, squeeze_me=True, struct_as_record=False)
+    except NotImplementedError:
+        raise DataError(f"{path} is a MATLAB 7.3 file", remedy="Save it again with: save(name, '-v7')") from None
+    except Exception as error:  # scipy lets through whatever its parser stumbles over, KeyError and zlib.error too
+        raise DataError(f"{path} is not a MATLAB file, or is cut off: {error}", remedy="Save it again") from None
+    columns: dict[str, FloatArray] = {}
+    unusable: dict[str, str] = {}
+    for name, value in content.items():
+        if not name.startswith("__"):
+            _collect(name, value, columns, unusable)
+    if not columns:
+        others = "".join(f"; {name}: {why}" for name, why in unusable.items())
+        raise DataError(f"{path} holds no numeric vectors{others}", remedy="Save t, x, ... as vectors of equal length")
+    return columns, unusable
+
+
+def _collect(name: str, value: object, columns: dict[str, FloatArray], unusable: dict[str, str]) -> None:
+    fields = getattr(value, "_fieldnames", None)
+    if fields is not None:
+        for field in fields:
+            _collect(f"{name}.{field}", getattr(value, field), columns, unusable)
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.ndim == 1 and value.size > 1:
+        columns[name] = value.astype(float)
+    elif isinstance(value, np.ndarray) and value.ndim > 0:
+        shape = " x ".join(str(size) for size in value.shape)
+        unusable[name] = f"it is an array of {shape} {value.dtype.name}, not a vector of real numbers"
+
+
+_NEEDED: dict[str, tuple[Channel, ...]] = {
+    "amplifier-step": ("t", "u_c", "i_c"),
+    "sawtooth": ("t", "i_c", "x"),
+    "prbs": ("t", "u_c", "i_c", "x"),
+    "closed-loop": ("t", "u_c", "i_c", "x"),
+    "equilibria": ("i_c", "x"),
+    "free": ("t",),
+}
+
+
+def _from_columns(
+    path: Path,
+    recording: Recording,
+    columns: dict[str, FloatArray],
+    unusable: Mapping[str, str] = MappingProxyType({}),  # what else there is under a name, and why it is no column
+) -> Record:
+    channels: dict[str, FloatArray] = {}
+    notes = [f"{recording.file}: {name} cannot be used: {why}" for name, why in unusable.items()]
+    for channel in CHANNELS:
+        mapping = recording.column(channel)
+        if mapping.column in columns:
+            channels[channel] = _convert(mapping, columns[mapping.column])
+            bad = int(np.count_nonzero(~np.isfinite(channels[channel])))
+            if bad:
+                notes.append(f"{recording.file}: {bad} cells of {mapping.column} are not numbers and were left out")
+        elif channel in recording.columns or channel in _NEEDED[recording.kind]:
+            raise DataError(
+                f"{path} has no column {mapping.column!r}{_why(mapping.column, unusable)}, which "
+                f"{recording.kind} needs for {channel}",
+                remedy=f"Map {channel} in columns; the file has: {', '.join(columns)}",
+            )
+    lengths = {name: len(values) for name, values in channels.items()}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise DataError(f"{path}: columns differ in length: {listed}", remedy="Save vectors of equal length")
+    n = next(iter(lengths.values()))
+    absent = np.full(n, np.nan)
+    t = channels.get("t", np.arange(n, dtype=float))
+    return Record(
+        name=recording.file,
+        kind=recording.kind,
+        use=recording.use,
+        t=t,
+        u_c=channels.get("u_c", absent),
+        i_c=channels.get("i_c", absent),
+        x=channels.get("x", absent),
+        x_ref=channels.get("x_ref", absent),
+        notes=tuple(notes),
+    )
+
+
+def _why(column: str, unusable: Mapping[str, str]) -> str:
+    return f" ({unusable[column]})" if column in unusable else ""
+
+
+def _convert(mapping: Column, raw: FloatArray) -> FloatArray:
+    if mapping.table:
+        points = np.array(mapping.table)
+        right = np.clip(np.searchsorted(points[:, 0], raw, side="right"), 1, len(points) - 1)
+        (x0, y0), (x1, y1) = points[right - 1].T, points[right].T
+        raw = y0 + (y1 - y0) * ((raw - x0) / (x1 - x0))
+    return np.asarray(mapping.offset + mapping.scale * raw)
+
+
+# ---- logs
+
+
+def _read_log(path: Path, recording: Recording) -> Record:
+    from protocol.bus import board51_pb2 as pb
+    from twin.readers.log import LogReader, parse
+
+    reader = LogReader(path, topics=("state", "capture", "parameters"), board=recording.board or None)
+    rows: list[tuple[float, float, float, float, float]] = []
+    captures: list[Capture] = []
+    nan = float("nan")
+    last: tuple[int, float] | None = None
+    offset, boards, lost = 0.0, set(), 0
+    lsb = (0.0, 0.0)
+    state = pb.State()
+    for entry in reader:
+        boards.add(entry.board)
+        if entry.topic == "state":
+            state.ParseFromString(entry.data)
+            # A new session starts its clock anew: it follows the last one after a pause, which ends a piece.
+            if last is not None and state.session != last[0]:
+                offset = rows[-1][0] + 10.0 - state.t_s
+                rows.append((rows[-1][0] + 5.0, nan, nan, nan, nan))
+            last = (state.session, state.t_s)
+            lost += state.lost_before
+            rows.append(
+                (
+                    state.t_s + offset,
+                    state.u_c_v if state.HasField("u_c_v") else nan,
+                    state.i_c_a if state.HasField("i_c_a") else nan,
+                    state.x_m if state.HasField("x_m") else nan,
+                    state.x_ref_m if state.HasField("x_ref_m") else nan,
+                )
+            )
+        elif entry.topic == "parameters":
+            parameters = parse(pb.Parameters, entry, path)
+            lsb = (abs(parameters.i_lsb_a), abs(parameters.x_lsb_m))
+        else:
+            capture = parse(pb.CaptureRecord, entry, path)
+            if 0 < capture.step_index < len(capture.i_c_a) and capture.sample_time_s > 0:
+                captures.append(
+                    Capture(
+                        sample_time_s=capture.sample_time_s,
+                        u_from_v=capture.u_from_v,
+                        u_to_v=capture.u_to_v,
+                        step_index=capture.step_index,
+                        i_c_a=np.array(capture.i_c_a),
+                    )
+                )
+    if len(boards) > 1:
+        raise DataError(
+            f"{path} holds {len(boards)} boards: {', '.join(sorted(boards))}",
+            remedy='Add board = "..." to its [[recording]]',
+        )
+    if not rows and not captures:
+        wanted = f" of board {recording.board!r}" if recording.board else ""
+        raise DataError(f"{path} holds no samples{wanted}", remedy="Give a log of a gateway that saw its board")
+    table = np.array(rows).reshape(-1, 5)
+    notes = [f"{recording.file}: {lost} samples were lost on the way"] if lost else []
+    if not reader.complete:
+        notes.append(f"{recording.file}: the log was not closed; read as far as it goes")
+    return Record(
+        name=recording.file,
+        kind=recording.kind,
+        use=recording.use,
+        t=table[:, 0],
+        u_c=table[:, 1],
+        i_c=table[:, 2],
+        x=table[:, 3],
+        x_ref=table[:, 4],
+        captures=tuple(captures),
+        lsb=lsb,
+        notes=tuple(notes),
+    )
