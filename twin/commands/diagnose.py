@@ -132,8 +132,8 @@ def run(args: argparse.Namespace) -> int:
             others = ", ".join(member.name for member in cause.indistinguishable_from)
             share = percent(cause.share_of_excess_explained)
             print(
-                f"  {cause.name}: confidence {cause.confidence:.2f}, explains {share}"
-                + (f"; these data cannot tell it from {others}" if others else "")
+                f"  {'' if found.holds(cause) else 'candidate '}{cause.name}: confidence {cause.confidence:.2f},"
+                f" explains {share}" + (f"; these data cannot tell it from {others}" if others else "")
             )
         for trifle in found.trifles:
             print(f"  seen, too small to be named: {trifle.name} ({sizes(trifle.name, trifle.parameters)})")

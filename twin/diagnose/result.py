@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from twin.diagnose.checks.confidence import MOST
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.inference.budget import Budget
 from twin.diagnose.inference.fisher_scoring import Fit
@@ -107,6 +108,10 @@ class Diagnosis:
     budget: Budget = field(default_factory=Budget)
     extra: Mapping[str, Any] = field(default_factory=dict)
 
+    def holds(self, cause: Finding) -> bool:
+        """Whether a name is a cause, not a candidate: beside a rest that nobody knows, only what was counted is."""
+        return self.verdict in ("causes-found", "partly-explained") or cause.confidence > MOST[self.verdict]
+
 
 def to_json(found: Diagnosis) -> dict[str, Any]:
     """The contract of diagnosis.json."""
@@ -114,33 +119,8 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "verdict": found.verdict,
         "sentence": found.sentence,
         "calibrated": not found.quick,
-        "causes": [
-            {
-                "name": cause.name,
-                "sentence": cause.sentence,
-                "parameters": _parameters(cause.parameters),
-                "confidence": round(cause.confidence, 3),
-                "indistinguishable_from": [member.name for member in cause.indistinguishable_from],
-                "alternatives": [
-                    {"name": member.name, "parameters": _parameters(member.parameters)}
-                    for member in cause.indistinguishable_from
-                ],
-                "share_of_excess_explained": _number(cause.share_of_excess_explained),
-                "log_likelihood_gain": _number(cause.loglik_gain),
-                "begins_in": cause.begins_in or None,
-                "ends_after": cause.ends_after or None,
-                "next_experiment": None
-                if cause.next_experiment is None
-                else {
-                    "what": cause.next_experiment.what,
-                    "separation_z": _number(cause.next_experiment.separation_z),
-                    "command": cause.next_experiment.command,
-                    "not_separable_here": list(cause.next_experiment.outside),
-                    "others": [{"name": name, "separation_z": _number(z)} for name, z in cause.next_experiment.others],
-                },
-            }
-            for cause in found.causes
-        ],
+        "causes": [_finding(cause) for cause in found.causes if found.holds(cause)],
+        "candidates": [_finding(cause) for cause in found.causes if not found.holds(cause)],
         "not_testable": [{"name": entry.name, "why": entry.why} for entry in found.not_testable],
         "trifles": [
             {
@@ -167,6 +147,34 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             "unanswered": list(found.budget.unanswered),
         },
         "stages_s": {name: round(seconds, 2) for name, seconds in found.stages_s.items()},
+    }
+
+
+def _finding(cause: Finding) -> dict[str, Any]:
+    proposal = cause.next_experiment
+    return {
+        "name": cause.name,
+        "sentence": cause.sentence,
+        "parameters": _parameters(cause.parameters),
+        "confidence": round(cause.confidence, 3),
+        "indistinguishable_from": [member.name for member in cause.indistinguishable_from],
+        "alternatives": [
+            {"name": member.name, "parameters": _parameters(member.parameters)}
+            for member in cause.indistinguishable_from
+        ],
+        "share_of_excess_explained": _number(cause.share_of_excess_explained),
+        "log_likelihood_gain": _number(cause.loglik_gain),
+        "begins_in": cause.begins_in or None,
+        "ends_after": cause.ends_after or None,
+        "next_experiment": None
+        if proposal is None
+        else {
+            "what": proposal.what,
+            "separation_z": _number(proposal.separation_z),
+            "command": proposal.command,
+            "not_separable_here": list(proposal.outside),
+            "others": [{"name": name, "separation_z": _number(z)} for name, z in proposal.others],
+        },
     }
 
 

@@ -25,12 +25,12 @@ def disagreements(data: Mapping[str, Any]) -> list[str]:
 
 
 def _shares(data: Mapping[str, Any]) -> Iterator[str]:
-    named = [cause["share_of_excess_explained"] for cause in data["causes"]]
+    named = [cause["share_of_excess_explained"] for cause in _listed(data)]
     jointly, left = data["jointly_explained"]["share_of_excess"], data["unexplained"]["share_of_excess"]
     parts = [*named, jointly, left]
     if not all(0.0 <= share <= 1.0 for share in parts):
         yield f"shares are no parts of one whole: {parts}"
-    inferred = any(cause["name"] != COUNTED for cause in data["causes"])
+    inferred = any(cause["name"] != COUNTED for cause in _listed(data))
     whole = 1.0 if inferred or left > 0.0 else 0.0
     if abs(sum(parts) - whole) > _ROUNDING:
         yield f"shares {named}, jointly {jointly} and unexplained {left} sum to {sum(parts):.4f}"
@@ -44,8 +44,10 @@ def _verdict(data: Mapping[str, Any]) -> Iterator[str]:
     verdict, left = data["verdict"], data["unexplained"]["share_of_excess"]
     if (verdict in ("causes-found", "partly-explained")) and not data["causes"]:
         yield f"{verdict} without a cause"
-    if verdict == "model-adequate" and data["causes"]:
+    if verdict == "model-adequate" and _listed(data):
         yield "model-adequate with causes"
+    if verdict in ("unknown-cause", "unfinished") and any(cause["name"] != COUNTED for cause in data["causes"]):
+        yield f"{verdict}, and candidates are listed as causes"
     low = (_judge(data).get("ci95_over_floor") or [None])[0]
     beyond = low is not None and low > TOLERANCE
     static = "static" in data  # points of rest have an unknown noise: an F test decides
@@ -62,14 +64,14 @@ def _verdict(data: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _confidence(data: Mapping[str, Any]) -> Iterator[str]:
-    for cause in data["causes"]:
+    for cause in _listed(data):
         most = 1.0 if cause["name"] == COUNTED else MOST.get(data["verdict"], 0.0)
         if not 0.0 <= cause["confidence"] <= most + _ROUNDING:
             yield f"{cause['name']} is sure to {cause['confidence']} beside {data['verdict']}"
 
 
 def _gains(data: Mapping[str, Any]) -> Iterator[str]:
-    for cause in data["causes"] if "excess" in data else ():
+    for cause in _listed(data) if "excess" in data else ():
         if cause["log_likelihood_gain"] > data["excess"]["explained"] * (1.0 + _ROUNDING):
             yield f"{cause['name']} gains {cause['log_likelihood_gain']}, all together {data['excess']['explained']}"
 
@@ -92,7 +94,7 @@ def _judged(data: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _sentence(data: Mapping[str, Any]) -> Iterator[str]:
-    text, named = data["sentence"], [one for one in data["causes"] if one["share_of_excess_explained"] > 0.0]
+    text, named = data["sentence"], [one for one in _listed(data) if one["share_of_excess_explained"] > 0.0]
     if "static" in data:
         return
     for cause in named:
@@ -106,6 +108,10 @@ def _sentence(data: Mapping[str, Any]) -> Iterator[str]:
     reserved = "stand in" in text or "not all is explained" in text or "none of the known causes" in text
     if reserved != (data["verdict"] in ("partly-explained", "unknown-cause")):
         yield f"{data['verdict']} is not what the sentence says: {text}"
+
+
+def _listed(data: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    return [*data["causes"], *data.get("candidates", ())]
 
 
 def _judge(data: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -169,7 +169,7 @@ def test_the_whole_rig_is_not_explained_and_said_so(tmp_path: Path) -> None:
     found: dict[str, Any] = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
     assert code == 1
     assert found["verdict"] == "unknown-cause"
-    first = found["causes"][0]
+    first = found["candidates"][0]
     assert {first["name"], *first["indistinguishable_from"]} >= {"actuation-delay", "sampling-delay"}
     assert first["parameters"]["delay_s"]["value"] == pytest.approx(1.45e-3, abs=5e-5)
     assert found["unexplained"]["share_of_excess"] > 0.3

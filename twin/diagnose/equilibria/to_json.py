@@ -98,6 +98,7 @@ def to_json(found: StaticDiagnosis) -> dict[str, Any]:
         "sentence": sentence_of(found),
         "calibrated": True,
         "causes": causes,
+        "candidates": [],
         "not_testable": [{"name": name, "why": why} for name, why in not_testable(found)],
         "ruled_out": [{"name": one.name, "why": why_not(found, one)} for one in found.others],
         "jointly_explained": {"share_of_excess": 0.0},

@@ -63,7 +63,9 @@ def to_html(found: Diagnosis, show: Show, *, campaign: Path, out: Path) -> str:
         ranking(found),
     ]
     if found.causes:
-        body += ["<h2>The causes, and what to do</h2>", causes(found)]
+        held = any(found.holds(cause) for cause in found.causes)
+        head = "The causes, and what to do" if held else "Candidates: none of them is sure to be a cause"
+        body += [f"<h2>{head}</h2>", causes(found)]
     body += [
         "<h2>What is left</h2>",
         left(found, show),
