@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import zenoh
 from google.protobuf.message import Message
 
-from gateway.record.reader import LogReader, RawRecord
 from protocol.bus import encoding, topics
 from protocol.errors import ServiceError, UsageError
+from protocol.log.reader import LogReader, RawRecord
 
 SESSIONS_PER_PASS = 100_000  # --loop: nothing is continuous across the seam, so each pass has its own sessions
 DEFAULT_TOPICS = tuple(topic.name for topic in topics.TOPICS if topic.bus and topic.logged and topic.by == "gateway")

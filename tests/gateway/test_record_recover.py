@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 
 import board51
-from gateway.record.reader import LogReader, Record, read
 from gateway.record.recover import recover
 from gateway.record.summary import as_json, summarise
 from gateway.record.writer import Compression, LogError, LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import CHUNK_BYTES
 from protocol.errors import DataError
+from protocol.log.reader import LogReader, Record, read
 
 START_NS = 1_700_000_000_000_000_000
 TICKS = 400

@@ -16,12 +16,12 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from gateway.record.reader import LogReader, Record, read
 from gateway.record.recorder import Recorder
 from gateway.record.recover import recover
 from gateway.record.writer import Compression, LogError, LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import encoding
+from protocol.log.reader import LogReader, Record, read
 from tests.patience import HANG_S
 
 STATE, PARAMETERS = "board51/rig/state", "board51/rig/parameters"

@@ -18,11 +18,11 @@ import pytest
 import zenoh
 
 import board51
-from gateway.record.reader import LogReader, RawRecord
 from gateway.record.replay import SESSIONS_PER_PASS, pace
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
+from protocol.log.reader import LogReader, RawRecord
 from tests.patience import HANG_S
 
 REPO = Path(__file__).parents[2]

@@ -18,12 +18,12 @@ from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.json_format import MessageToJson
 from google.protobuf.message import Message
 
-from gateway.record.reader import LogReader, Record
 from gateway.record.tables.mat import write_mat
 from gateway.record.writer import LogError
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.errors import DataError
+from protocol.log.reader import LogReader, Record
 
 Format = Literal["csv", "mat", "parquet"]
 Cell = float | int | str | None

@@ -11,7 +11,6 @@ from __future__ import annotations
 import logging
 import re
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -20,6 +19,7 @@ from pathlib import Path
 
 from gateway.access.roles import Role, may, refusal_text
 from gateway.access.users import Users
+from gateway.processes.command import words_of
 from gateway.views.account import ACCOUNT
 from gateway.views.feed import Feed
 from gateway.views.hmi.gains import parse_gains, rows
@@ -171,7 +171,7 @@ class Console:
             return f"{entry.bytes / 1e6:.0f} MB take long to read: use `board51 info {entry.path}`."
         try:
             done = subprocess.run(
-                [sys.executable, "-m", "board51", "info", str(entry.path)],
+                words_of("info", str(entry.path)),
                 capture_output=True, text=True, errors="replace", timeout=SUMMARY_S, stdin=subprocess.DEVNULL,
             )  # fmt: skip
         except subprocess.TimeoutExpired:

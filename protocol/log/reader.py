@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 from google.protobuf.message import Message as ProtobufMessage
 
-from gateway.record.scan import Channel, Scan
 from protocol.bus import encoding, topics
 from protocol.errors import DataError
+from protocol.log.scan import Channel, Scan
 
 
 class Record(NamedTuple):

@@ -22,9 +22,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from gateway.record.chunk import CHUNK_HEAD, text, text_map, unpack, unpack_prefix
 from protocol.errors import DataError
 from protocol.files import open_regular
+from protocol.log.chunk import CHUNK_HEAD, text, text_map, unpack, unpack_prefix
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = range(1, 7)
