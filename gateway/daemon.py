@@ -25,12 +25,12 @@ from pathlib import Path
 
 import zenoh
 
-from gateway.access.authorize import Doorkeeper
+from gateway.access.authorize import Authorizer
 from gateway.access.certificates import WARN_DAYS
 from gateway.access.folder import SecurityFolder
 from gateway.access.listeners import check_bus_listeners
-from gateway.bus.command_service import CommandQueryable
-from gateway.bus.publisher import BoardOutlet, Publisher
+from gateway.bus.command_service import CommandService
+from gateway.bus.publisher import BoardSink, Publisher
 from gateway.bus.router_watch import RouterWatch
 from gateway.bus.status import StatusMaker
 from gateway.config import GatewayConfig, LogConfig
@@ -68,19 +68,18 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
         messages = Publisher("publish-messages", MESSAGES_QUEUE)
         replies = Publisher("publish-replies", MESSAGES_QUEUE)
         clock = HostClock()
-        outlets = [
-            BoardOutlet(bus, config.site, board.name, samples=samples, messages=messages, recorder=recorder)
+        sinks = [
+            BoardSink(bus, config.site, board.name, samples=samples, messages=messages, recorder=recorder)
             for board in config.boards
         ]
         log_raw = recorder is not None and config.log.raw
         drivers = [
-            BoardDriver(board, outlet, clock, log_raw=log_raw)
-            for board, outlet in zip(config.boards, outlets, strict=True)
+            BoardDriver(board, sink, clock, log_raw=log_raw) for board, sink in zip(config.boards, sinks, strict=True)
         ]
         link = LinkThread(drivers)
         guarded = bool(config.security.directory)
-        door = Doorkeeper(time.time_ns(), partial(_tell_flood, drivers), guarded=guarded)
-        queryables = [CommandQueryable(bus, config.site, driver, link, replies, door) for driver in drivers]
+        authorizer = Authorizer(time.time_ns(), partial(_tell_flood, drivers), guarded=guarded)
+        queryables = [CommandService(bus, config.site, driver, link, replies, authorizer) for driver in drivers]
         if recorder is not None:
             recorder.on_event = partial(_tell_all, drivers)
             twin = bus.declare_subscriber(f"{config.site}/*/twin/**", _log_twin(recorder))
@@ -90,12 +89,12 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             stack.callback(publisher.stop)
         watch = None
         if config.zenoh.mode == "client":
-            watch = RouterWatch(bus, ", ".join(config.zenoh.connect), outlets, (messages, samples))
+            watch = RouterWatch(bus, ", ".join(config.zenoh.connect), sinks, (messages, samples))
             stack.callback(watch.close)
         link.start()
         stack.callback(link.stop)
         now_s = time.monotonic()
-        makers = [StatusMaker(driver, outlet, now_s) for driver, outlet in zip(drivers, outlets, strict=True)]
+        makers = [StatusMaker(driver, sink, now_s) for driver, sink in zip(drivers, sinks, strict=True)]
         _logger.info("serving %d boards as %s on %s", len(drivers), config.site, _where(config))
         look_s = time.monotonic()
         while not stop.wait(STATUS_S):
@@ -104,12 +103,12 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
                 _tell_all(drivers, change.name, change.severity, change.text)
             step_ns = clock.step_ns()
             if step_ns:
-                door.clock_stepped(step_ns)
+                authorizer.clock_stepped(step_ns)
             if guarded and time.monotonic() >= look_s:
                 look_s += CERTIFICATES_S
                 for text in expiring(config):
                     _tell_all(drivers, "certificate-expires", "warning", text)
-            for driver, outlet, maker in zip(drivers, outlets, makers, strict=True):
+            for driver, sink, maker in zip(drivers, sinks, makers, strict=True):
                 if step_ns:
                     driver.tell(
                         "clock-stepped",
@@ -119,10 +118,10 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
                     )
                 log, now_s = recorder.stats() if recorder is not None else None, time.monotonic()
                 status = maker.make(log, now_s)
-                outlet.send("status", status, status.host_time_ns)
+                sink.send("status", status, status.host_time_ns)
                 alarms = maker.alarms(log, now_s)
                 if alarms is not None:
-                    outlet.send("alarms", alarms, alarms.host_time_ns)
+                    sink.send("alarms", alarms, alarms.host_time_ns)
         _logger.info("ending; the boards follow their host-loss policy")
         del queryables
 

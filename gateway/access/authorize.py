@@ -6,8 +6,8 @@ nobody has a role, and a command may be undated; one that is dated is judged in 
 
 Rule 1: STOP needs a role that may act, and nothing more: no clock, no rate.  A wrong clock must not keep the coil on.
 Rule 2: a command is fresh for MAX_AGE_S after it was issued, or for as long as its sender waits where that is less.
-        The desk remembers ids for longer than that, so that the same bytes are executed once; and what may have been
-        issued before this gateway's start is refused, because it may have been executed by the one before.
+        The command handler remembers ids for longer than that, so that the same bytes are executed once; and what may
+        have been issued before this gateway's start is refused, because it may have been executed by the one before.
 Rule 3: the clocks of sender and gateway may differ by MAX_AHEAD_S.
 """
 
@@ -86,7 +86,7 @@ class Sender:
         return None
 
 
-class Doorkeeper:
+class Authorizer:
     """Of one gateway; any thread.
 
     Args:

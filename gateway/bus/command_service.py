@@ -13,10 +13,10 @@ import time
 
 import zenoh
 
-from gateway.access.authorize import Doorkeeper, Sender
+from gateway.access.authorize import Authorizer, Sender
 from gateway.board.limits import read_command
 from gateway.board.scaling import Refusal
-from gateway.bus.publisher import Channel, Publisher
+from gateway.bus.publisher import Publisher, PublishQueue
 from gateway.link.driver import BoardDriver
 from gateway.link.io_thread import LinkThread
 from protocol.bus import board51_pb2 as pb
@@ -27,7 +27,7 @@ MAX_POSTED = 256  # queries on their way to the serial thread; beyond it only ST
 _ENCODING = zenoh_encoding(pb.CommandReply)
 
 
-class CommandQueryable:
+class CommandService:
     """Serves one board's commands until the zenoh session closes.
 
     Args:
@@ -36,7 +36,7 @@ class CommandQueryable:
         driver: of the board.
         link: the serial thread.
         replies: takes them; not what events wait in while there is no router.
-        door: says who sends.
+        authorizer: says who sends.
     """
 
     def __init__(
@@ -46,19 +46,19 @@ class CommandQueryable:
         driver: BoardDriver,
         link: LinkThread,
         replies: Publisher,
-        door: Doorkeeper,
+        authorizer: Authorizer,
     ) -> None:
         self._key = topics.key(site, driver.config.name, "command")
-        self._driver, self._link, self._replies, self._door = driver, link, replies, door
+        self._driver, self._link, self._replies, self._authorizer = driver, link, replies, authorizer
         self._lock = threading.Lock()  # of _posted: queries come in several threads
         self._posted = 0
-        served = f"{self._key}/{topics.AS}/*/*" if door.guarded else self._key
+        served = f"{self._key}/{topics.AS}/*/*" if authorizer.guarded else self._key
         self._queryable = session.declare_queryable(served, self._on_query)
 
     def _on_query(self, query: zenoh.Query) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""
         asked = str(query.key_expr)
-        sender = self._door.sender(asked, time.time_ns())
+        sender = self._authorizer.sender(asked, time.time_ns())
         if isinstance(sender, Refusal):
             refusal = pb.CommandReply(refused_by="gateway", reason=sender.reason, text=sender.text)
             _Reply(query, asked, self._replies)(refusal)
@@ -83,12 +83,12 @@ class CommandQueryable:
     def _flood(self, payload: bytes, sender: Sender) -> pb.CommandReply | None:
         """The refusal of what is too much, before it costs the serial thread anything; None if it may go on."""
         full = self._posted >= MAX_POSTED
-        if not full and not self._door.guarded:
+        if not full and not self._authorizer.guarded:
             return None
         command, _ = read_command(payload)
         if command.WhichOneof("what") == "stop":
             return None
-        if not full and not self._door.flooded(sender, time.monotonic()):
+        if not full and not self._authorizer.flooded(sender, time.monotonic()):
             return None
         text = "Too many commands at once; STOP alone is exempt."
         return pb.CommandReply(id=command.id, refused_by="gateway", reason="flood", text=text)
@@ -101,7 +101,7 @@ class _Reply:
         self._query, self._key, self._replies = query, key, replies
 
     def __call__(self, answer: pb.CommandReply) -> None:
-        self._replies.put(Channel(self), [answer.SerializeToString()])
+        self._replies.put(PublishQueue(self), [answer.SerializeToString()])
 
     def put(self, payload: bytes, /) -> None:
         with self._query:

@@ -35,7 +35,7 @@ class Target(Protocol):
         """Send it."""
 
 
-class Channel:
+class PublishQueue:
     """A target with its counts.  `latencies_s` of about the last second: from read to handed to zenoh."""
 
     def __init__(self, target: Target) -> None:
@@ -64,7 +64,7 @@ class Publisher:
 
     def __init__(self, name: str, capacity: int) -> None:
         self._capacity = capacity
-        self._queue: deque[tuple[Channel, list[bytes], int]] = deque()
+        self._queue: deque[tuple[PublishQueue, list[bytes], int]] = deque()
         self._depth = 0
         self._condition = threading.Condition(threading.Lock())
         self._held = False
@@ -76,7 +76,7 @@ class Publisher:
         """Begin to put."""
         self._thread.start()
 
-    def put(self, channel: Channel, payloads: list[bytes], read_mono_ns: int = 0) -> None:
+    def put(self, channel: PublishQueue, payloads: list[bytes], read_mono_ns: int = 0) -> None:
         """Queue payloads of one channel; `read_mono_ns` (monotonic) where their latency is of interest."""
         with self._condition:
             idle = not self._queue
@@ -134,7 +134,7 @@ class Publisher:
                 channel.note((time.monotonic_ns() - read_ns) * 1e-9)
 
 
-class BoardOutlet:
+class BoardSink:
     """One board's way out: zenoh publishers, liveliness token, recorder (`gateway/link/sink.py`)."""
 
     def __init__(
@@ -160,10 +160,10 @@ class BoardOutlet:
             if topic.by == "gateway" and topic.bus
         }
         self._states = publishers["state"]
-        self._channels = {name: Channel(publisher) for name, publisher in publishers.items()}
+        self._channels = {name: PublishQueue(publisher) for name, publisher in publishers.items()}
         self.state_channel = self._channels["state"]
         self._state_key, self._raw_key = self._keys["state"], self._keys["raw"]
-        self._alive_channel = Channel(_Token(session, topics.key(site, board, topics.ALIVE)))
+        self._alive_channel = PublishQueue(_Token(session, topics.key(site, board, topics.ALIVE)))
 
     @property
     def wanted(self) -> bool:

@@ -15,14 +15,14 @@ from dataclasses import dataclass
 
 import zenoh
 
-from gateway.bus.publisher import BoardOutlet, Publisher
+from gateway.bus.publisher import BoardSink, Publisher
 
 SETTLE_S = 1.5  # clients look for their router every second at least (protocol/bus/endpoint.py)
 PATIENCE_S = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Change:
+class RouterChange:
     """An event to tell."""
 
     name: str
@@ -36,7 +36,7 @@ class RouterWatch:
     Args:
         session: a client's, or a router's that listens nowhere.
         where: the endpoints that it connects to, for messages.
-        outlets: whose losses are told, and whose subscribers are waited for.
+        sinks: whose losses are told, and whose subscribers are waited for.
         publishers: what is held.
         now_s: monotonic clock.
     """
@@ -45,19 +45,19 @@ class RouterWatch:
         self,
         session: zenoh.Session,
         where: str,
-        outlets: Sequence[BoardOutlet],
+        sinks: Sequence[BoardSink],
         publishers: Sequence[Publisher],
         *,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._where, self._outlets, self._publishers, self._now_s = where, outlets, publishers, now_s
+        self._where, self._sinks, self._publishers, self._now_s = where, sinks, publishers, now_s
         self._lock = threading.Lock()
         self._routers = 0
         self._joined = False  # ever
         self._lost_s: float | None = now_s()  # None where nothing is held
         self._back_s = self._lost_s
         self._told = False
-        self._dropped = 0  # of the outlets, when the hold began
+        self._dropped = 0  # of the sinks, when the hold began
         self._hold(held=True)
         self._listener = session.info.declare_transport_events_listener(self._changed, history=True)
 
@@ -66,7 +66,7 @@ class RouterWatch:
         self._listener.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
         self._hold(held=False)
 
-    def look(self) -> Change | None:
+    def look(self) -> RouterChange | None:
         """Once a second: what has changed, where it is to be told."""
         now_s = self._now_s()
         with self._lock:
@@ -75,18 +75,18 @@ class RouterWatch:
             if not self._told:
                 self._told = True
                 text = f"No router at {self._where}: messages wait, the newest are kept, and the log has them all."
-                return Change(name="bus-lost", severity="warning", text=text)
+                return RouterChange(name="bus-lost", severity="warning", text=text)
             back_s = now_s - self._back_s
-            wanted = back_s >= PATIENCE_S or any(outlet.wanted for outlet in self._outlets)
+            wanted = back_s >= PATIENCE_S or any(sink.wanted for sink in self._sinks)
             if not self._routers or back_s < SETTLE_S or not wanted:
                 return None
             waiting = sum(publisher.waiting for publisher in self._publishers)
-            dropped = sum(outlet.dropped for outlet in self._outlets) - self._dropped
+            dropped = sum(sink.dropped for sink in self._sinks) - self._dropped
             text = f"The router was away for {self._back_s - self._lost_s:.1f} s; {waiting} messages waited and follow"
             text += f", the {dropped} before them are in the log alone." if dropped else "."
             self._lost_s = None
             self._hold(held=False)
-            return Change(name="bus-back", severity="warning" if dropped else "info", text=text)
+            return RouterChange(name="bus-back", severity="warning" if dropped else "info", text=text)
 
     def _changed(self, event: zenoh.TransportEvent) -> None:
         """In zenoh's thread."""
@@ -102,7 +102,7 @@ class RouterWatch:
             self._routers -= 1
             if not self._routers and self._lost_s is None:
                 self._lost_s, self._told = now_s, False
-                self._dropped = sum(outlet.dropped for outlet in self._outlets)
+                self._dropped = sum(sink.dropped for sink in self._sinks)
                 self._hold(held=True)
 
     def _hold(self, *, held: bool) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gateway.board.conditions import LINK, LOG, TO_BOARD, Condition, Standing
-from gateway.bus.publisher import BoardOutlet
+from gateway.bus.publisher import BoardSink
 from gateway.link.driver import BoardDriver
 from gateway.record.recorder import RecorderStats
 from protocol.bus import board51_pb2 as pb
@@ -23,8 +23,8 @@ def percentile(values: list[float], share: float) -> float:
 class StatusMaker:
     """Makes one board's status; rates are over the time since the last call."""
 
-    def __init__(self, driver: BoardDriver, outlet: BoardOutlet, now_s: float) -> None:
-        self._driver, self._outlet = driver, outlet
+    def __init__(self, driver: BoardDriver, sink: BoardSink, now_s: float) -> None:
+        self._driver, self._sink = driver, sink
         self._started_s = self._last_s = now_s
         self._last_samples = self._last_bytes = 0
         self._standing = Standing()
@@ -32,12 +32,12 @@ class StatusMaker:
     def make(self, log: RecorderStats | None, now_s: float) -> pb.Status:
         """The status now; `log` None where no log is written."""
         driver, session = self._driver, self._driver.session
-        counters, unwrapper, counts, desk = session.counters, session.unwrapper, driver.counts, driver.desk
+        counters, unwrapper, counts, handler = session.counters, session.unwrapper, driver.counts, driver.handler
         elapsed_s = max(now_s - self._last_s, 1e-3)
         samples, received = counts.samples, counts.bytes_received
         new_samples, new_bytes = samples - self._last_samples, received - self._last_bytes
         self._last_s, self._last_samples, self._last_bytes = now_s, samples, received
-        latencies_s = self._outlet.state_channel.take_latencies_s()
+        latencies_s = self._sink.state_channel.take_latencies_s()
         status = pb.Status(
             host_time_ns=driver.host_ns(),
             link=driver.link,
@@ -51,17 +51,17 @@ class StatusMaker:
             bytes_sent=counts.bytes_sent,
             reconnects=counts.reconnects,
             board_resets=counters.board_resets,
-            commands_accepted=desk.accepted_count,
-            commands_refused=desk.refused_count,
-            commands_timed_out=desk.timed_out_count,
+            commands_accepted=handler.accepted_count,
+            commands_refused=handler.refused_count,
+            commands_timed_out=handler.timed_out_count,
             latency_p50_ms=percentile(latencies_s, 0.5) * 1e3,
             latency_p99_ms=percentile(latencies_s, 0.99) * 1e3,
-            publish_queue_depth=max(0, self._outlet.waiting),
-            publish_dropped=self._outlet.dropped,
+            publish_queue_depth=max(0, self._sink.waiting),
+            publish_dropped=self._sink.dropped,
             log_state="off",
             line_load=new_bytes * _BITS_PER_BYTE / elapsed_s / driver.config.baud,
-            board_bad_frames=driver.upkeep.board_bad_frames,
-            board_overruns=driver.upkeep.board_overruns,
+            board_bad_frames=driver.keepalive.board_bad_frames,
+            board_overruns=driver.keepalive.board_overruns,
             states=counters.states,
             to_board=driver.to_board.state,
             unanswered_s=driver.to_board.unanswered_s(now_s),
@@ -97,5 +97,5 @@ class StatusMaker:
             )
         if log is not None and log.state not in ("writing", "off"):
             holding[LOG] = Condition(text=f"The log is not written: {log.state}.")
-        seen = driver.desk.notes.acknowledged
+        seen = driver.handler.annotations.acknowledged
         return self._standing.tell(holding, seen, host_ns=driver.host_ns(), now_s=now_s)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.campaign.menu import Burst, Experiment, Wave
-from gateway.campaign.plan import Limits
+from gateway.campaign.plan import CommandLimits
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag
 
@@ -47,10 +47,10 @@ class Problem:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rig:
+class CheckedRig:
     """What the checks know of the rig."""
 
-    limits: Limits
+    limits: CommandLimits
     travel_m: float
     rest_m: float  # what x reads at the ball's rest
     sample_time_s: float
@@ -97,7 +97,7 @@ def check(
     samples: Samples,
     captures: Sequence[pb.CaptureRecord],
     events: Iterable[pb.Event],
-    rig: Rig,
+    rig: CheckedRig,
 ) -> tuple[Problem, ...]:
     """Everything that makes the recording unusable; empty: it is good."""
     broken = _continuity(samples, events, rig)
@@ -123,7 +123,7 @@ def rest_level_m(x_m: Sequence[float]) -> float:
     return float(np.median(x_m)) if len(x_m) else float("nan")
 
 
-def departures_v(samples: Samples, rig: Rig) -> list[float]:
+def departures_v(samples: Samples, rig: CheckedRig) -> list[float]:
     """The inputs at which the ball left its rest, one for each time it did.
 
     Read where x has visibly moved, some 10 ms after the departure: on a ramp of 1 V/s that is 0.01 V too much, which
@@ -138,13 +138,13 @@ def departures_v(samples: Samples, rig: Rig) -> list[float]:
     return found
 
 
-def lift_off_v(samples: Samples, rig: Rig) -> float | None:
+def lift_off_v(samples: Samples, rig: CheckedRig) -> float | None:
     """The lift-off input: median of the departures; None without one."""
     found = departures_v(samples, rig)
     return float(np.median(found)) if found else None
 
 
-def _continuity(s: Samples, events: Iterable[pb.Event], rig: Rig) -> tuple[Problem, ...]:
+def _continuity(s: Samples, events: Iterable[pb.Event], rig: CheckedRig) -> tuple[Problem, ...]:
     if len(s) < 2:
         return (Problem(code="no-samples", text=f"{len(s)} samples came"),)
     if len(np.unique(s.session)) > 1:
@@ -169,7 +169,7 @@ def _continuity(s: Samples, events: Iterable[pb.Event], rig: Rig) -> tuple[Probl
     return ()
 
 
-def _converters(experiment: Experiment, s: Samples, rig: Rig) -> tuple[Problem, ...]:
+def _converters(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Problem, ...]:
     problems = []
     current = float(np.mean((s.flags & Flag.CURRENT_RANGE) != 0))
     if current > CLIPPED_SHARE:
@@ -224,7 +224,7 @@ def _captures(experiment: Experiment, captures: Sequence[pb.CaptureRecord]) -> t
     return ()
 
 
-def _at_rest(experiment: Experiment, s: Samples, rig: Rig) -> tuple[Problem, ...]:
+def _at_rest(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Problem, ...]:
     far = float(np.max(np.abs(s.x_m - rig.rest_m))) / rig.travel_m
     if experiment.expects == "is-clamped":
         far = float(np.ptp(s.x_m)) / rig.travel_m
@@ -235,7 +235,7 @@ def _at_rest(experiment: Experiment, s: Samples, rig: Rig) -> tuple[Problem, ...
     return ()
 
 
-def _lifts(experiment: Experiment, s: Samples, rig: Rig) -> tuple[Problem, ...]:
+def _lifts(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Problem, ...]:
     ramps = sum(int(step.duration_s / step.period_s + 1e-6) for step in experiment.steps if isinstance(step, Wave))
     found = departures_v(s, rig)
     highest = float(np.max(s.x_m)) - rig.rest_m
@@ -263,7 +263,7 @@ def _lifts(experiment: Experiment, s: Samples, rig: Rig) -> tuple[Problem, ...]:
     return ()
 
 
-def _bounces(s: Samples, rig: Rig) -> tuple[Problem, ...]:
+def _bounces(s: Samples, rig: CheckedRig) -> tuple[Problem, ...]:
     x = s.x_m - rig.rest_m
     if float(np.max(x)) < LIFTED_SHARE * rig.travel_m:
         return (Problem(code="never-lifted", cure="raise", text="the ball never left its rest"),)
@@ -282,7 +282,7 @@ def _bounces(s: Samples, rig: Rig) -> tuple[Problem, ...]:
     return ()
 
 
-def _flies(experiment: Experiment, s: Samples, rig: Rig) -> tuple[Problem, ...]:
+def _flies(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Problem, ...]:
     if (s.mode != pb.MODE_CLOSED_LOOP).any():
         return (Problem(code="mode-changed", text="the board left closed loop in between"),)
     x = s.x_m - rig.rest_m

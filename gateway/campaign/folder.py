@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.campaign.menu import BY_NAME, MENU, Experiment
-from gateway.campaign.plan import Limits
+from gateway.campaign.plan import CommandLimits
 from gateway.campaign.subscriber import Recorded
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
@@ -55,7 +55,7 @@ def identity_of(board: str, parameters: pb.Parameters, plant: Plant) -> dict[str
     }
 
 
-def plan_of(experiment: Experiment, limits: Limits, seed: int) -> dict[str, Any]:
+def plan_of(experiment: Experiment, limits: CommandLimits, seed: int) -> dict[str, Any]:
     """What makes two recordings of one name the same experiment."""
     steps = [{"step": type(step).__name__, **asdict(step)} for step in experiment.steps]
     return {"steps": steps, "seed": seed, "limits": asdict(limits)}

@@ -31,7 +31,7 @@ CAPTURE_PRE_S = 0.004  # whole ticks, so that u_c in the states changes where it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
+class CommandLimits:
     """What may be commanded."""
 
     u_min_v: float
@@ -48,7 +48,7 @@ class Limits:
 class Scale:
     """What the menu's shares are shares of."""
 
-    limits: Limits
+    limits: CommandLimits
     travel_m: float
     lift_off_v: float
     seed: int = 1
@@ -93,7 +93,7 @@ class Impossible:
 
 def limits_of(
     parameters: pb.Parameters, *, u_max_v: float | None, x_min_m: float | None, x_max_m: float | None
-) -> Limits:
+) -> CommandLimits:
     """The board's limits, tightened by what the user wants.
 
     Raises:
@@ -115,7 +115,7 @@ def limits_of(
                 f" {bottom * scale:.4g} .. {top * scale:.4g} {unit}",
                 remedy="Give a value inside them; an option only tightens a limit",
             )
-    limits = Limits(
+    limits = CommandLimits(
         u_min_v=board.u_min_v,
         u_max_v=board.u_max_v if u_max_v is None else u_max_v,
         x_min_m=low if x_min_m is None else x_min_m,
@@ -134,7 +134,7 @@ def limits_of(
     return limits
 
 
-def guessed_lift_off_v(parameters: pb.Parameters, plant: Plant, limits: Limits) -> float:
+def guessed_lift_off_v(parameters: pb.Parameters, plant: Plant, limits: CommandLimits) -> float:
     """A first idea of the lift-off input, before it is measured.
 
     By (8) the current that carries the ball is proportional to its distance from x_max, and the operating point (13)

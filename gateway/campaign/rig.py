@@ -18,7 +18,7 @@ import zenoh
 
 from gateway.campaign.checks import AT_STOP_S, STOP_SHARE, Problem, rest_level_m
 from gateway.campaign.plan import CAPTURE_PRE_S, CAPTURE_S, Action, GoTo, Send, Shoot
-from gateway.campaign.subscriber import ID_PREFIX, Tap
+from gateway.campaign.subscriber import ID_PREFIX, BoardSubscriber
 from gateway.client.connection import send
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.identity import Identity
@@ -46,12 +46,12 @@ class Cut(Exception):  # noqa: N818  # an expected outcome of an attempt
         self.problem = problem
 
 
-class Rig:
+class RigControl:
     """One board, through its gateway.
 
     Args:
         session: of the bus.
-        tap: listening to the same board.
+        subscriber: listening to the same board.
         stop: set when the user wants the end.
     """
 
@@ -60,21 +60,21 @@ class Rig:
         session: zenoh.Session,
         site: str,
         board: str,
-        tap: Tap,
+        subscriber: BoardSubscriber,
         stop: threading.Event,
         *,
         who: str,
         travel_m: float,
         identity: Identity | None = None,
     ) -> None:
-        self._session, self._site, self._board, self._tap, self._stop = session, site, board, tap, stop
+        self._session, self._site, self._board, self._subscriber, self._stop = session, site, board, subscriber, stop
         self._who, self._travel_m, self._identity = who, travel_m, identity
         self.rest_m = float("nan")
 
     # --- waiting
 
     def wait(self, ready: Callable[[], bool], *, timeout_s: float | None = None) -> bool:
-        """Until `ready()` (asked after each message, with the tap locked) or the time-out.
+        """Until `ready()` (asked after each message, with the subscriber locked) or the time-out.
 
         Raises:
             Stopped: the user wants the end.
@@ -82,24 +82,24 @@ class Rig:
                 lifted the ball again would be dangerous.
         """
         end_s = None if timeout_s is None else time.monotonic() + timeout_s
-        with self._tap.changed:
+        with self._subscriber.changed:
             while not ready():
                 if self._stop.is_set():
                     raise Stopped
                 self._heed()
-                if self._tap.silence_s() > SILENCE_S:
+                if self._subscriber.silence_s() > SILENCE_S:
                     raise self._lost("No samples")
                 if end_s is not None and time.monotonic() > end_s:
                     return False
-                self._tap.changed.wait(0.05)
+                self._subscriber.changed.wait(0.05)
         if self._stop.is_set():
             raise Stopped
         return True
 
     def _heed(self) -> None:
-        if self._tap.stopped_by is not None:
+        if self._subscriber.stopped_by is not None:
             raise ServiceError(
-                f"{self._tap.stopped_by} stopped the board",
+                f"{self._subscriber.stopped_by} stopped the board",
                 remedy="When it is safe again, the same command goes on where this ended",
             )
 
@@ -115,14 +115,14 @@ class Rig:
         Raises:
             ServiceError: the board is not there.
         """
-        self.wait(lambda: self._tap.state is not None)
-        if not self.wait(lambda: self._tap.parameters is not None, timeout_s=8.0):
+        self.wait(lambda: self._subscriber.state is not None)
+        if not self.wait(lambda: self._subscriber.parameters is not None, timeout_s=8.0):
             raise ServiceError(
                 f"{self._site}/{self._board} streams but does not say its parameters", remedy="Restart its gateway"
             )
-        assert self._tap.state is not None
-        assert self._tap.parameters is not None
-        return self._tap.state, self._tap.parameters
+        assert self._subscriber.state is not None
+        assert self._subscriber.parameters is not None
+        return self._subscriber.state, self._subscriber.parameters
 
     def hold(self, duration_s: float, *, from_tick: int | None = None) -> None:
         """Let that much of the board's time pass.
@@ -162,12 +162,12 @@ class Rig:
         return state.HasField("x_m") and not STOP_SHARE < height < 1.0 - STOP_SHARE
 
     def _newest(self) -> pb.State:
-        assert self._tap.state is not None
-        return self._tap.state
+        assert self._subscriber.state is not None
+        return self._subscriber.state
 
     def _sample_time_s(self) -> float:
-        assert self._tap.parameters is not None
-        return self._tap.parameters.sample_time_s
+        assert self._subscriber.parameters is not None
+        return self._subscriber.parameters.sample_time_s
 
     # --- commands
 
@@ -221,21 +221,21 @@ class Rig:
         level = pb.Excite(shape=pb.SHAPE_NONE, offset=shot.u_from_v)
         tick = self.command(pb.Command(excite=level))
         self.hold(shot.lead_s, from_tick=tick)
-        with self._tap.changed:
-            before, session = self._tap.captures, self._newest().session
+        with self._subscriber.changed:
+            before, session = self._subscriber.captures, self._newest().session
         capture = pb.Capture(u_from_v=shot.u_from_v, u_to_v=shot.u_to_v, duration_s=CAPTURE_S, pre_s=CAPTURE_PRE_S)
         self.command(pb.Command(capture=capture))
 
         def arrived() -> bool:
             self._watch(self._newest(), session)
-            return self._tap.captures > before
+            return self._subscriber.captures > before
 
         if not self.wait(arrived, timeout_s=CAPTURE_LIMIT_S):
             raise Cut(Problem(code="captures-missing", text="the samples of a capture did not come"))
 
     def go_to(self, x_ref_m: float) -> None:
         """Move the reference, in steps that the board's allowance takes."""
-        parameters = self._tap.parameters
+        parameters = self._subscriber.parameters
         assert parameters is not None
         step_m, count_m = 0.95 * parameters.x_ref_step_max_m, abs(parameters.x_lsb_m)
         while True:
@@ -285,10 +285,10 @@ class Rig:
 
     def measure_rest(self) -> None:
         """Learn what x reads at rest; the coil is off."""
-        with self._tap.changed:
-            self._tap.recent.clear()
-        self.wait(lambda: len(self._tap.recent) >= 50)
-        self.rest_m = rest_level_m([state.x_m for state in self._tap.recent if state.HasField("x_m")])
+        with self._subscriber.changed:
+            self._subscriber.recent.clear()
+        self.wait(lambda: len(self._subscriber.recent) >= 50)
+        self.rest_m = rest_level_m([state.x_m for state in self._subscriber.recent if state.HasField("x_m")])
 
     def land(self) -> None:
         """End an experiment: excitation ended, ball down, coil off, still."""
@@ -310,7 +310,7 @@ class Rig:
     def put_back(self, x_ref_m: float, *, stream_divider: int) -> str:
         """Reference and stream as they were found; "" or why not."""
         self._stop = threading.Event()  # the wish to end has been heard,
-        self._tap.stopped_by = None  # and so has the other's STOP
+        self._subscriber.stopped_by = None  # and so has the other's STOP
         try:
             self.go_to(x_ref_m)
             if stream_divider != 1:

@@ -19,9 +19,9 @@ from gateway.campaign.menu import LIFT_OFF, Experiment
 from gateway.campaign.outcome import Outcome, Summary, Wishes
 from gateway.campaign.plan import (
     Action,
+    CommandLimits,
     GoTo,
     Impossible,
-    Limits,
     Scale,
     Send,
     actions_of,
@@ -30,8 +30,8 @@ from gateway.campaign.plan import (
     needs_lift_off,
     raised,
 )
-from gateway.campaign.rig import Cut, Rig, Stopped
-from gateway.campaign.subscriber import Recorded, Tap, is_foreign
+from gateway.campaign.rig import Cut, RigControl, Stopped
+from gateway.campaign.subscriber import BoardSubscriber, Recorded, is_foreign
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import Board51Error, ServiceError
 
@@ -48,11 +48,17 @@ class Runner:
     """
 
     def __init__(
-        self, rig: Rig, tap: Tap, folder: Folder, board: str, wishes: Wishes, say: Callable[[str], None]
+        self,
+        rig: RigControl,
+        subscriber: BoardSubscriber,
+        folder: Folder,
+        board: str,
+        wishes: Wishes,
+        say: Callable[[str], None],
     ) -> None:
-        self._rig, self._tap, self._folder, self._board = rig, tap, folder, board
+        self._rig, self._subscriber, self._folder, self._board = rig, subscriber, folder, board
         self._wishes, self._say = wishes, say
-        self._limits: Limits
+        self._limits: CommandLimits
         self._parameters: pb.Parameters
         self._x_ref_m: float | None = None
 
@@ -202,14 +208,14 @@ class Runner:
         try:
             if e.closed_loop:
                 self._rig.lift(_start_m(plan))
-            self._tap.begin()
+            self._subscriber.begin()
             for action in plan:
                 if not e.closed_loop and not _is_idle(action):
                     self._rig.mode(pb.MODE_OPEN_LOOP)
                 self._rig.act(action)
         except Cut as problem:
             cut = (problem.problem,)
-        recorded = self._tap.end()
+        recorded = self._subscriber.end()
         with contextlib.suppress(Cut):  # a reset while landing: the next experiment meets it again, or it is over
             self._rig.land()  # also the place where somebody's STOP ends the run
         if cut:
@@ -223,8 +229,8 @@ class Runner:
             self._folder.lift_off_v = checks.lift_off_v(samples, known)
         return problems, recorded
 
-    def _known(self) -> checks.Rig:
-        return checks.Rig(
+    def _known(self) -> checks.CheckedRig:
+        return checks.CheckedRig(
             limits=self._limits,
             travel_m=self._wishes.plant.travel_m,
             rest_m=self._rig.rest_m,
@@ -249,7 +255,7 @@ class Runner:
     # --- the end
 
     def _leave(self, summary: Summary) -> None:
-        self._tap.end()
+        self._subscriber.end()
         summary.parked = self._rig.park()
         if summary.parked:
             return

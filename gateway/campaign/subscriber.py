@@ -45,7 +45,7 @@ def is_foreign(record: pb.CommandRecord) -> bool:
     return record.reply.accepted and not record.command.id.startswith(ID_PREFIX)
 
 
-class Tap:
+class BoardSubscriber:
     """Listens to one board until the session closes."""
 
     def __init__(self, session: zenoh.Session, site: str, board: str) -> None:

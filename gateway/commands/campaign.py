@@ -92,9 +92,9 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
     from gateway.campaign.folder import CE152, Folder
     from gateway.campaign.menu import LIFT_OFF, chosen
     from gateway.campaign.outcome import Wishes
-    from gateway.campaign.rig import Rig
+    from gateway.campaign.rig import RigControl
     from gateway.campaign.runner import Runner
-    from gateway.campaign.subscriber import Tap
+    from gateway.campaign.subscriber import BoardSubscriber
     from protocol.campaign import load_plant
 
     plant = load_plant(args.plant) if args.plant is not None else CE152
@@ -103,8 +103,10 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
     stop = threading.Event()
     identity = find_identity(args.identity)
     with open_bus(args.connect, identity) as session:
-        tap = Tap(session, args.site, args.board)
-        rig = Rig(session, args.site, args.board, tap, stop, who=args.who, identity=identity, travel_m=plant.travel_m)
+        subscriber = BoardSubscriber(session, args.site, args.board)
+        rig = RigControl(
+            session, args.site, args.board, subscriber, stop, who=args.who, identity=identity, travel_m=plant.travel_m
+        )
         wishes = Wishes(
             experiments=experiments, plant=plant, lift_off=chosen((LIFT_OFF,), quick=args.quick)[0],
             seed=args.seed, u_max_v=args.u_max,
@@ -114,7 +116,7 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
         )  # fmt: skip
         handlers = {n: signal.signal(n, lambda *_: stop.set()) for n in (signal.SIGINT, signal.SIGTERM)}
         try:
-            summary = Runner(rig, tap, Folder(args.folder), args.board, wishes, _say).run()
+            summary = Runner(rig, subscriber, Folder(args.folder), args.board, wishes, _say).run()
         finally:
             for number, handler in handlers.items():
                 signal.signal(number, handler)

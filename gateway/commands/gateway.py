@@ -123,13 +123,14 @@ def run(args: argparse.Namespace) -> int:
         print(documented_toml())
         return 0
     from gateway import daemon  # zenoh and foxglove take their time; --help and --print-config answer at once
-    from gateway.views import supervisor
+    from gateway.processes.supervisor import running
+    from gateway.views.launch import views_for
 
     config = configuration(args)
-    views = supervisor.views_for(config)
+    views = views_for(config)
     if args.check:
         daemon.check(config)
         print(f"{len(config.boards)} boards: {', '.join(f'{b.name} at {b.port}' for b in config.boards)}")
         return 0
-    with supervisor.running(views) if views else nullcontext():
+    with running(views) if views else nullcontext():
         return daemon.serve(config)

@@ -20,7 +20,7 @@ from protocol.bus.identity import Identity
 from protocol.errors import UsageError
 
 if TYPE_CHECKING:  # asyncua takes a second to import: --help answers at once
-    from gateway.views.opcua.server import Settings
+    from gateway.views.opcua.server import OpcuaSettings
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     from gateway.access.listeners import is_loopback
     from gateway.access.roles import Role
     from gateway.views.opcua.security import Security
-    from gateway.views.opcua.server import Settings
+    from gateway.views.opcua.server import OpcuaSettings
 
     host, port = listener(args, "OPC UA", remedy="Give --security DIR, made by `board51 security init DIR`")
     served = changed(OpcuaConfig(), "--rate", rate_hz=args.rate)
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
             f"--anonymous {word} would let everybody in the network command",
             remedy="Listen on 127.0.0.1, or give people names with `board51 security add-user`",
         )
-    settings = Settings(
+    settings = OpcuaSettings(
         host=host,
         port=port,
         rate_hz=served.rate_hz,
@@ -92,7 +92,7 @@ def anonymous(host: str, *, secured: bool, guarded: bool) -> str:
     return "engineer" if is_loopback(host) and not guarded else "viewer"
 
 
-async def _serve(args: argparse.Namespace, settings: Settings, identity: Identity | None) -> int:
+async def _serve(args: argparse.Namespace, settings: OpcuaSettings, identity: Identity | None) -> int:
     from gateway.views.feed import Feed
     from gateway.views.opcua.server import serve
 

@@ -19,13 +19,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from gateway.access.listeners import check_bus_listeners
-from gateway.record.reader import LogReader, RawRecord
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import parse
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, Mode, check_endpoint, zenoh_config
 from protocol.bus.identity import HELP, find_identity
 from protocol.errors import DataError, ServiceError, UsageError
+from protocol.log.reader import LogReader, RawLogRecord
 
 SETTLE_S = 0.1  # a subscription that has just appeared takes up to 60 ms until data flows to it (measured)
 
@@ -116,7 +116,7 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
         stop.wait(SETTLE_S)
         progress = _Progress(quiet=args.json)
 
-        def send(record: RawRecord) -> None:
+        def send(record: RawLogRecord) -> None:
             replay.send(record)
             progress.at(record.time_ns, reader.start_ns)
 

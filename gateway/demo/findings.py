@@ -12,9 +12,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from gateway.record.reader import read
 from protocol.bus import board51_pb2 as pb
 from protocol.files import parse_json
+from protocol.log.reader import read
 
 REST_SAMPLES = 250  # the last half second at a reference: at rest, so that only the balance of forces is compared
 NOTABLE_A = 5e-3  # the noise of i_c is 2 mA a sample, 0.1 mA in a mean over REST_SAMPLES

@@ -10,31 +10,26 @@ import contextlib
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from gateway.processes.command import end, words_of
 from protocol.errors import ServiceError
 
 START_LIMIT_S = 90.0  # compiling the kernels for the first time takes a while on a slow machine
 STOP_LIMIT_S = 15.0
 
 
-def board51() -> list[str]:
-    """The command of this interpreter."""
-    return [sys.executable, "-m", "board51"]
-
-
 @contextlib.contextmanager
 def running(out: Path, name: str, *words: str) -> Iterator[subprocess.Popen[bytes]]:
     """A service, or background work, talking into OUT/NAME.log; stopped, after 15 s killed, on the way out."""
     with (out / f"{name}.log").open("wb") as log:
-        process = subprocess.Popen([*board51(), name, *words], stdout=log, stderr=log, start_new_session=True)
+        process = subprocess.Popen(words_of(name, *words), stdout=log, stderr=log, start_new_session=True)
     try:
         yield process
     finally:
-        _stop(process, signal.SIGTERM)
+        end([process], signal.SIGTERM, STOP_LIMIT_S)
 
 
 def call(
@@ -54,7 +49,7 @@ def call(
         ServiceError: it ended with an exit code that is not `good`; says its last line.
     """
     process = subprocess.Popen(
-        [*board51(), name, *words],
+        words_of(name, *words),
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -71,13 +66,9 @@ def call(
                 tell(line)
             code = process.wait()
         finally:
-            _stop(process, signal.SIGINT)  # as a person would: a campaign parks the ball, and says so
+            end([process], signal.SIGINT, STOP_LIMIT_S)  # as a person would: a campaign parks the ball, and says so
             file.write(process.stdout.read())
-    if code not in good:
-        raise ServiceError(
-            f"board51 {name} ended with exit code {code}: {lines[-1] if lines else 'it said nothing'}".rstrip("."),
-            remedy=f"All it said is in {path}",
-        )
+    _check(code, good, name, lines, path)
     return code, lines
 
 
@@ -95,38 +86,28 @@ def finish(process: subprocess.Popen[bytes], out: Path, name: str, *, good: tupl
             f"board51 {name} is not done after {limit_s:.0f} s more",
             remedy=f"What it did so far is in {path}; run it alone on the same campaign",
         ) from None
+    _check(code, good, name, path.read_text(encoding="utf-8", errors="replace").splitlines(), path)
+    return code
+
+
+def _check(code: int, good: tuple[int, ...], name: str, lines: list[str], path: Path) -> None:
     if code not in good:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
         raise ServiceError(
             f"board51 {name} ended with exit code {code}: {lines[-1] if lines else 'it said nothing'}".rstrip("."),
             remedy=f"All it said is in {path}",
         )
-    return code
-
-
-def _stop(process: subprocess.Popen[bytes] | subprocess.Popen[str], with_signal: signal.Signals) -> None:
-    if process.poll() is None:
-        process.send_signal(with_signal)
-    try:
-        process.wait(timeout=STOP_LIMIT_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-    except BaseException:  # somebody is in a hurry: a second Ctrl-C must not leave it behind
-        process.kill()
-        raise
 
 
 def wait(ready: Callable[[], bool], process: subprocess.Popen[bytes], what: str) -> None:
     """Until `ready`.  Raises ServiceError where the process ends first, or does not get there in time."""
-    end = time.monotonic() + START_LIMIT_S
+    end_s = time.monotonic() + START_LIMIT_S
     while not ready():
         if process.poll() is not None:
             raise ServiceError(
                 f"{what} ended with exit code {process.returncode}",
                 remedy="Its messages are in the .log files of --out",
             )
-        if time.monotonic() > end:
+        if time.monotonic() > end_s:
             raise ServiceError(
                 f"{what} did not appear within {START_LIMIT_S:.0f} s",
                 remedy="Its messages are in the .log files of --out",

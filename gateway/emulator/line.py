@@ -14,7 +14,7 @@ from gateway.emulator.faults import EVENTS, Fault, FaultyLine
 from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.firmware.flash import T_S_US
 from gateway.emulator.firmware.uart import Pacer
-from gateway.emulator.ports import Port
+from gateway.emulator.ports import EmulatedPort
 from protocol.wire.messages import EventCode
 
 _T_S = T_S_US * 1e-6
@@ -44,7 +44,7 @@ class BoardLine:
     """
 
     def __init__(
-        self, firmware: Firmware, port: Port, *, baud: int = 115200, faults: Iterable[Fault] = (), seed: int = 0
+        self, firmware: Firmware, port: EmulatedPort, *, baud: int = 115200, faults: Iterable[Fault] = (), seed: int = 0
     ) -> None:
         self.firmware = firmware
         self.port = port

@@ -22,7 +22,7 @@ from protocol.errors import ServiceError, UsageError
 _SEND_BUFFER = 16384  # bytes; a stalled host shall lose bytes here, as on a serial line, not find them minutes later
 
 
-class Port(Protocol):
+class EmulatedPort(Protocol):
     """One end of a board's line."""
 
     @property

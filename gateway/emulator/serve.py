@@ -28,8 +28,8 @@ from gateway.emulator.faults import Fault, parse
 from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.firmware.flash import T_S_US
 from gateway.emulator.line import BoardLine, LineCounts
-from gateway.emulator.plant.levitation import Plant
-from gateway.emulator.ports import Port, PtyPort, TcpPort
+from gateway.emulator.plant.levitation import EmulatedPlant
+from gateway.emulator.ports import EmulatedPort, PtyPort, TcpPort
 from protocol.errors import ServiceError
 
 _T_NS = T_S_US * 1000
@@ -172,7 +172,7 @@ class Emulator:
         if not tcp and pty is None:
             self._folder = tempfile.TemporaryDirectory(prefix="board51-")
             pty = Path(self._folder.name) / "board"
-        ports: list[Port] = (
+        ports: list[EmulatedPort] = (
             [TcpPort("127.0.0.1", 0) for _ in range(boards)] if pty is None or tcp else list(pty_ports(pty, boards))
         )
         self._server = Server(
@@ -242,20 +242,20 @@ class Emulator:
             raise failures[0]
 
 
-def pty_ports(link: Path, boards: int) -> list[Port]:
+def pty_ports(link: Path, boards: int) -> list[EmulatedPort]:
     """PATH for one board, PATH-1, PATH-2, ... for several."""
     if boards == 1:
         return [PtyPort(link)]
     return [PtyPort(link.with_name(f"{link.name}-{n}")) for n in range(1, boards + 1)]
 
 
-def tcp_ports(host: str, port: int, boards: int) -> list[Port]:
+def tcp_ports(host: str, port: int, boards: int) -> list[EmulatedPort]:
     """Consecutive ports from `port` on; free ones where it is 0."""
     return [TcpPort(host, port + n if port else 0) for n in range(boards)]
 
 
 def build_lines(
-    ports: Iterable[Port],
+    ports: Iterable[EmulatedPort],
     *,
     effects: Mapping[str, float] = _NO_EFFECTS,
     faults: Iterable[str | Fault] = (),
@@ -273,7 +273,7 @@ def build_lines(
     lines: list[BoardLine] = []
     try:
         for n, port in enumerate(ports):
-            firmware = Firmware(Plant(effects=effects, seed=seed + n), board_id=board_id + n)
+            firmware = Firmware(EmulatedPlant(effects=effects, seed=seed + n), board_id=board_id + n)
             lines.append(BoardLine(firmware, port, baud=baud, faults=parsed, seed=seed + n))
     except BaseException:
         for line in lines:

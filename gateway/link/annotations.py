@@ -8,18 +8,18 @@ Rule 2: the latest of each name is kept and repeated in `alarms`, for views that
 
 from __future__ import annotations
 
-from gateway.link.sink import Outlet
+from gateway.link.sink import Sink
 from protocol.bus import board51_pb2 as pb
 
 MAX_KEPT = 64
 KINDS = ("mark", "acknowledge")
 
 
-class Notes:
+class Annotations:
     """Of one board.  Written by the serial thread, read by any."""
 
-    def __init__(self, outlet: Outlet) -> None:
-        self._outlet = outlet
+    def __init__(self, sink: Sink) -> None:
+        self._sink = sink
         self.acknowledged: tuple[pb.Acknowledgement, ...] = ()  # replaced, never changed
 
     def take(self, command: pb.Command, host_ns: int, *, tick: int, session: int) -> pb.CommandReply:
@@ -34,7 +34,7 @@ class Notes:
         text = "".join(c if c.isprintable() else " " for c in f"{who}: {said}")
         event = pb.Event(host_time_ns=host_ns, tick=tick, session=session, source="gateway", severity="info")
         event.name, event.text = name, text
-        self._outlet.send("event", event, host_ns)
+        self._sink.send("event", event, host_ns)
         return pb.CommandReply(id=command.id, accepted=True, tick=tick)
 
     def _keep(self, seen: pb.Acknowledge, who: str, host_ns: int) -> None:

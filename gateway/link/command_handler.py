@@ -25,9 +25,9 @@ from gateway.access.authorize import Sender
 from gateway.board.limits import BoardView, Gate, bumpless, read_command
 from gateway.board.scaling import Refusal, Scaling, WireCommand, to_wire
 from gateway.config import LimitsConfig
-from gateway.link.annotations import KINDS, Notes
+from gateway.link.annotations import KINDS, Annotations
 from gateway.link.event_text import mode_name
-from gateway.link.sink import Outlet, Reply
+from gateway.link.sink import Reply, Sink
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.events import Answer, Sample
 from protocol.wire.messages import Flag, Message, Mode, Reason
@@ -91,14 +91,14 @@ class _Kept:
     at_ns: int
 
 
-class CommandDesk:
+class CommandHandler:
     """The commands of one board.
 
     Args:
         limits: of this board.
         session: where accepted commands go.
         known: what the board has said; the driver keeps it up to date.
-        outlet: for the records.
+        sink: for the records.
         accepted: called with wire command, bus command and ACK of what the board accepted.
     """
 
@@ -107,13 +107,13 @@ class CommandDesk:
         limits: LimitsConfig,
         session: Session,
         known: Known,
-        outlet: Outlet,
+        sink: Sink,
         accepted: Callable[[WireCommand, pb.Command, Message], None],
     ) -> None:
         self.accepted_count = self.refused_count = self.timed_out_count = 0
-        self.notes = Notes(outlet)
+        self.annotations = Annotations(sink)
         self._gate = Gate(limits)
-        self._session, self._known, self._outlet, self._on_accepted = session, known, outlet, accepted
+        self._session, self._known, self._sink, self._on_accepted = session, known, sink, accepted
         self._pending: dict[int, _Pending] = {}
         self._kept: OrderedDict[str, _Kept] = OrderedDict()
         self._x_ref_m: float | None = None  # commanded, not yet seen in a state
@@ -241,7 +241,7 @@ class CommandDesk:
         """What the gateway itself does; the board need not be there."""
         tick = self._known.sample.tick if self._known.sample is not None else 0
         session = self._session.number if self._session.is_open else 0
-        answer = self.notes.take(asked.command, asked.received_ns, tick=tick, session=session)
+        answer = self.annotations.take(asked.command, asked.received_ns, tick=tick, session=session)
         self.accepted_count += 1
         self._finish(asked, answer, asked.received_ns, keep=True)
 
@@ -295,7 +295,7 @@ class CommandDesk:
                     break
                 self._kept.popitem(last=False)
         record = pb.CommandRecord(received_ns=asked.received_ns, answered_ns=answered_ns, command=command, reply=answer)
-        self._outlet.send("command/record", record, answered_ns)
+        self._sink.send("command/record", record, answered_ns)
         for reply in asked.replies:
             reply(answer)
 

@@ -22,10 +22,10 @@ from gateway.board.scaling import StateEncoder, WireCommand, parameters_message,
 from gateway.config import BoardConfig
 from gateway.link.capture import CaptureReader
 from gateway.link.clock import HostClock
-from gateway.link.command_handler import CommandDesk, Known
+from gateway.link.command_handler import CommandHandler, Known
 from gateway.link.event_text import describe
-from gateway.link.keepalive import Upkeep
-from gateway.link.sink import Outlet, Reply
+from gateway.link.keepalive import Keepalive
+from gateway.link.sink import Reply, Sink
 from gateway.link.to_board import ANSWERING, UNANSWERED, UNANSWERED_S, ToBoard
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.events import Answer, BoardEvent, Event, Opened, Restarted, Sample, VersionRefused
@@ -56,12 +56,12 @@ class BoardDriver:
 
     Args:
         config: of this board.
-        outlet: where samples, events and records go.
+        sink: where samples, events and records go.
         clock: the host's time.
-        log_raw: whether raw bytes are worth handing to the outlet.
+        log_raw: whether raw bytes are worth handing to the sink.
     """
 
-    def __init__(self, config: BoardConfig, outlet: Outlet, clock: HostClock, *, log_raw: bool = True) -> None:
+    def __init__(self, config: BoardConfig, sink: Sink, clock: HostClock, *, log_raw: bool = True) -> None:
         self.config = config
         self.counts = LinkCounts()
         self.link = "connecting"
@@ -79,13 +79,13 @@ class BoardDriver:
             first_number=int(time.time()) & 0x7FFFFFFF,
         )
         self.known = Known()
-        self.desk = CommandDesk(config.limits, self.session, self.known, outlet, self._accepted)
-        self._outlet, self._clock, self._log_raw = outlet, clock, log_raw
+        self.handler = CommandHandler(config.limits, self.session, self.known, sink, self._accepted)
+        self._sink, self._clock, self._log_raw = sink, clock, log_raw
         self._offset_ns = clock.offset_ns()
         self.since_ns = self.host_ns()  # Unix time: streaming, or not, since then
         self._encoder: StateEncoder | None = None
         self._capture: CaptureReader | None = None
-        self.upkeep = Upkeep(config, self.session, self._got_parameters)
+        self.keepalive = Keepalive(config, self.session, self._got_parameters)
         self.to_board = ToBoard(self._to_board_is)
         self.unanswered: pb.Event | None = None  # while the board answers nothing
         self._last_valid_s = self._last_state_s = self._opened_s = 0.0
@@ -132,7 +132,7 @@ class BoardDriver:
         host_ns = now_ns + self._offset_ns
         self.counts.bytes_received += len(data)
         if self._log_raw:
-            self._outlet.raw(data, host_ns, to_board=False)
+            self._sink.raw(data, host_ns, to_board=False)
         session = self.session
         counters = session.counters
         valid, states, late = counters.valid_frames, counters.states, counters.late_answers
@@ -178,7 +178,7 @@ class BoardDriver:
         if self.link == "handshake":
             self._explain(now_s)
         if self.session.is_open:
-            self.upkeep.poll(now_s)
+            self.keepalive.poll(now_s)
         if self._capture is not None:
             self._capture.poll(now_s)
         self._set_deadline()
@@ -186,7 +186,7 @@ class BoardDriver:
     def command(self, payload: bytes, reply: Reply, now_s: float, sender: Sender) -> None:
         """A query from the bus."""
         self._now_s = now_s
-        self.desk.take(payload, reply, now_s, self.host_ns(), link=self.link, reason=self.reason, sender=sender)
+        self.handler.take(payload, reply, now_s, self.host_ns(), link=self.link, reason=self.reason, sender=sender)
         self._drain(now_s)
         self._set_deadline()
 
@@ -200,7 +200,7 @@ class BoardDriver:
     def wrote(self, count: int) -> None:
         """The port has taken so much of it: that is sent, and logged."""
         if count and self._log_raw:
-            self._outlet.raw(self.session.output()[:count], self.host_ns(), to_board=True)
+            self._sink.raw(self.session.output()[:count], self.host_ns(), to_board=True)
         self.counts.bytes_sent += count
         self.session.wrote(count)
 
@@ -219,12 +219,12 @@ class BoardDriver:
             name=name,
             text=text,
         )
-        self._outlet.send("event", event, event.host_time_ns)
+        self._sink.send("event", event, event.host_time_ns)
         return event
 
     def _hand_on(self, payloads: list[bytes], host_ns: int, now_ns: int) -> None:
         self.counts.samples += len(payloads)
-        self._outlet.states(payloads, host_ns, now_ns)
+        self._sink.states(payloads, host_ns, now_ns)
 
     # -- what the session says
 
@@ -280,7 +280,7 @@ class BoardDriver:
         self.known.identity, self.known.scaling = opened.identity, scaling
         self._encoder = StateEncoder(scaling, opened.session)
         self._last_state_s = now_s
-        self.upkeep.begin(now_s)
+        self.keepalive.begin(now_s)
 
     def _refuse_board(self, kind: str, text: str, now_s: float) -> None:
         for event in self.session.disconnect():
@@ -292,17 +292,17 @@ class BoardDriver:
     def _end_session(self, why: str) -> None:
         self._encoder = None
         self.known.identity = self.known.scaling = self.known.parameters = self.known.sample = None
-        self.upkeep.end()
-        self.desk.session_ended()
+        self.keepalive.end()
+        self.handler.session_ended()
         if self._capture is not None:
             self._capture.interrupt(why)
 
     def _answered(self, answer: Answer, now_s: float) -> None:
-        if self.desk.answered(answer, self.host_ns()):
+        if self.handler.answered(answer, self.host_ns()):
             return
         if self._capture is not None and self._capture.answered(answer, now_s):
             return
-        self.upkeep.answered(answer, now_s)
+        self.keepalive.answered(answer, now_s)
 
     def _got_parameters(self, message: Message) -> None:
         identity, scaling = self.known.identity, self.known.scaling
@@ -314,7 +314,7 @@ class BoardDriver:
             parameters = parameters_message(
                 message, identity, scaling, session=self.session.number, host_time_ns=host_ns
             )
-            self._outlet.send("parameters", parameters, host_ns)
+            self._sink.send("parameters", parameters, host_ns)
 
     def _accepted(self, wire: WireCommand, command: pb.Command, message: Message) -> None:
         if wire.name == "CAPTURE" and self.known.scaling is not None:
@@ -332,9 +332,9 @@ class BoardDriver:
         elif wire.name in ("STOP", "SET_MODE") and self._capture is not None:
             self._capture.interrupt("STOP" if wire.name == "STOP" else "a change of mode")
         elif wire.name == "SET_HOST_LOSS":
-            self.upkeep.host_loss_is(int(wire.values["timeout"]), self._now_s)
+            self.keepalive.host_loss_is(int(wire.values["timeout"]), self._now_s)
         if wire.name in ("SET_GAINS", "SET_STREAM", "SET_HOST_LOSS"):
-            self.upkeep.read_parameters(self._now_s)
+            self.keepalive.read_parameters(self._now_s)
 
     def _capture_ended(self, result: pb.CaptureRecord | str) -> None:
         self._capture = None
@@ -342,7 +342,7 @@ class BoardDriver:
             self.tell("capture-failed", "warning", result)
         else:
             result.host_time_ns = self.host_ns()
-            self._outlet.send("capture", result, result.host_time_ns)
+            self._sink.send("capture", result, result.host_time_ns)
 
     def _board_event(self, event: BoardEvent, now_s: float) -> None:
         if event.missed:
@@ -432,7 +432,7 @@ class BoardDriver:
         self._change("handshake", kind, text, severity="warning")
 
     def _set_deadline(self) -> None:
-        deadline = min(self.session.deadline_s, self.upkeep.deadline_s, self.to_board.deadline_s)
+        deadline = min(self.session.deadline_s, self.keepalive.deadline_s, self.to_board.deadline_s)
         if self.link == "streaming":
             missing_s = self._last_state_s + self._states_limit_s()
             deadline = min(deadline, self._last_valid_s + self.config.stale_s, missing_s)
@@ -451,7 +451,7 @@ class BoardDriver:
         alive = link == "streaming"
         if alive != self._alive:
             self._alive, self.since_ns = alive, self.host_ns()
-            self._outlet.alive(alive=alive)
+            self._sink.alive(alive=alive)
         self.tell(kind, severity, text)
         c = self.session.counters
         level = {"info": logging.INFO, "warning": logging.WARNING}.get(severity, logging.ERROR)

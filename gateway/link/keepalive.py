@@ -23,7 +23,7 @@ _POLICIES = {"keep": HostLoss.KEEP, "coil-off": HostLoss.COIL_OFF, "hold": HostL
 _NEVER = float("inf")
 
 
-class Upkeep:
+class Keepalive:
     """Of one board.
 
     Args:

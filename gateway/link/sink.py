@@ -12,7 +12,7 @@ from protocol.bus import board51_pb2 as pb
 Reply = Callable[[pb.CommandReply], None]  # answers one query; called once, from the serial thread
 
 
-class Outlet(Protocol):
+class Sink(Protocol):
     """One board's way to the bus and the log."""
 
     def states(self, payloads: list[bytes], host_time_ns: int, read_mono_ns: int) -> None:

@@ -2,5 +2,5 @@
 
 Reading order: `writer` (one file), `recorder` (queue, thread, rotation, full disk), `scan` with `chunk` (bytes of a
 file into messages), `reader` (messages into records); then what is built on them: `recover`, `summary`, `replay` (onto
-the bus), `byte_replay` and `byte_port` (into a gateway), `table`, `mat` and `table_import` (into a log), `export`.
+the bus), `byte_replay` and `byte_port` (into a gateway), `tables` (CSV, MATLAB and Parquet, both ways).
 """

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
-from gateway.record.reader import LogReader
-from gateway.record.scan import Damage
 from gateway.record.summary import Gap, SampleGaps
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import encoding
 from protocol.errors import DataError
+from protocol.log.reader import LogReader
+from protocol.log.scan import Damage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import zenoh
 from google.protobuf.message import Message
 
-from gateway.record.reader import LogReader, RawRecord
 from protocol.bus import encoding, topics
 from protocol.errors import ServiceError, UsageError
+from protocol.log.reader import LogReader, RawLogRecord
 
 SESSIONS_PER_PASS = 100_000  # --loop: nothing is continuous across the seam, so each pass has its own sessions
 DEFAULT_TOPICS = tuple(topic.name for topic in topics.TOPICS if topic.bus and topic.logged and topic.by == "gateway")
@@ -37,11 +37,11 @@ class ReplayReport:
 
 
 def pace(
-    records: Iterable[RawRecord],
+    records: Iterable[RawLogRecord],
     *,
     speed: float,
     stop: threading.Event,
-    send: Callable[[RawRecord], None],
+    send: Callable[[RawLogRecord], None],
     now_s: Callable[[], float] = time.monotonic,
 ) -> tuple[int, float]:
     """Send each record when its time has come.
@@ -127,7 +127,7 @@ class BusReplay:
         """Somebody subscribes to something that was announced."""
         return any(publisher.matching_status for publisher in self._publishers.values())
 
-    def send(self, record: RawRecord) -> None:
+    def send(self, record: RawLogRecord) -> None:
         """Publish one record."""
         data = record.data
         if self.session_offset:

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from gateway.record.reader import LogReader
 from protocol.bus import board51_pb2 as pb
+from protocol.log.reader import LogReader
 
 CHANNELS = ("i_c_a", "x_m", "u_c_v", "x_ref_m")
 GAPS_KEPT = 1000  # a list is for reading; the sums go on

@@ -22,9 +22,9 @@ from typing import Literal
 from foxglove import Channel, Context, Schema, open_mcap
 from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 
-from gateway.record.chunk import channel_records
 from protocol.bus import encoding, topics
 from protocol.errors import ServiceError
+from protocol.log.chunk import channel_records
 
 Compression = Literal["zstd", "lz4", "none"]
 DESCRIBE_BYTES = 1 << 16  # of the file, between two descriptions of its channels, 60 bytes for each

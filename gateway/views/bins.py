@@ -15,7 +15,7 @@ from gateway.views.decimate import Bin, Decimator
 from protocol.bus import board51_pb2 as pb
 
 
-class Tap:
+class TopicBins:
     """Bins of one topic of one board for one reader."""
 
     def __init__(self, message: type[Message], decimator_of: Callable[[], Decimator], lock: threading.Lock) -> None:

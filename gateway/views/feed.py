@@ -34,7 +34,7 @@ from google.protobuf.message import Message
 from gateway.board.conditions import LINK
 from gateway.client.connection import send
 from gateway.views.alarms import Alarm, AlarmBook
-from gateway.views.bins import Tap, channels
+from gateway.views.bins import TopicBins, channels
 from gateway.views.decimate import Decimator
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
@@ -91,7 +91,7 @@ class BoardFeed:
         self._at_s: dict[str, float] = {}
         self._events: deque[pb.Event] = deque(maxlen=KEPT_EVENTS)
         self._commands: deque[pb.CommandRecord] = deque(maxlen=KEPT_EVENTS)
-        self._taps: dict[str, list[Tap]] = {}
+        self._taps: dict[str, list[TopicBins]] = {}
         self._book = AlarmBook(name)
         self._alive = True  # the gateway's token; until one was seen, its absence says nothing
         self._period_s = 0.0
@@ -151,7 +151,7 @@ class BoardFeed:
         with self._lock:
             return tuple(self._commands)
 
-    def tap(self, message: type[Message], *, width_s: float, keep: int = 256) -> Tap:
+    def tap(self, message: type[Message], *, width_s: float, keep: int = 256) -> TopicBins:
         """Bins of pb.State, pb.TwinState or pb.Divergence; `width_s` is rounded to whole ticks, 1 at least."""
 
         def decimator() -> Decimator:
@@ -159,12 +159,12 @@ class BoardFeed:
             period_s = parameters.sample_time_s if parameters is not None and parameters.sample_time_s > 0 else 2e-3
             return Decimator(channels(message), max(1, round(width_s / period_s)), keep=keep)
 
-        tap = Tap(message, decimator, self._lock)
+        tap = TopicBins(message, decimator, self._lock)
         with self._lock:
             self._taps.setdefault(message.DESCRIPTOR.full_name, []).append(tap)
         return tap
 
-    def untap(self, tap: Tap) -> None:
+    def untap(self, tap: TopicBins) -> None:
         """The reader is gone."""
         with self._lock:
             self._taps[tap.message.DESCRIPTOR.full_name].remove(tap)

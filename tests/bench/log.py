@@ -15,10 +15,10 @@ from typing import Any
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from gateway.record.reader import LogReader
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import encoding
+from protocol.log.reader import LogReader
 
 KEY = "board51/rig/state"
 START_NS = 1_700_000_000_000_000_000

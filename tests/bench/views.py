@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from gateway.record.reader import read
 from protocol.bus import board51_pb2 as pb
+from protocol.log.reader import read
 from tests.bench.gateway import TAIL_S, WINDOW_S, Result, result
 from tests.bench.line import processes as line
 from tests.bench.line.browsers import CHROMIUM

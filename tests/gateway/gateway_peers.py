@@ -1,4 +1,4 @@
-"""What stands around a gateway in its tests: a scripted board on a real pty, a collecting outlet, a running daemon."""
+"""What stands around a gateway in its tests: a scripted board on a real pty, a collecting sink, a running daemon."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def anybody() -> Sender:
 
 
 class Collector:
-    """An outlet that keeps what it is given."""
+    """A sink that keeps what it is given."""
 
     def __init__(self) -> None:
         self.samples: list[pb.State] = []

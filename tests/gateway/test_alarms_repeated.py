@@ -8,8 +8,8 @@ import pytest
 
 from gateway.board.conditions import EVERY_S, LINK, TO_BOARD, Condition, Standing
 from gateway.emulator.serve import Emulator
-from gateway.record.reader import read
 from protocol.bus import board51_pb2 as pb
+from protocol.log.reader import read
 from protocol.wire.messages import EventCode, Flag
 from tests.gateway.gateway_peers import (
     Bus,

@@ -8,17 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.campaign.checks import Problem, Rig, Samples, check, lift_off_v, rest_level_m, samples_of
+from gateway.campaign.checks import CheckedRig, Problem, Samples, check, lift_off_v, rest_level_m, samples_of
 from gateway.campaign.menu import BY_NAME, Burst
-from gateway.campaign.plan import Limits
+from gateway.campaign.plan import CommandLimits
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Flag
 
 T_S = 2e-3
 TRAVEL = 5.7e-3
 REST = 0.2e-3  # a sensor that is not zero at the ball's rest
-LIMITS = Limits(u_min_v=0.0, u_max_v=5.0, x_min_m=0.3e-3, x_max_m=5.2e-3, step_m=2.5e-3, slew_m_s=20e-3, u_lsb_v=1.2e-3)
-RIG = Rig(limits=LIMITS, travel_m=TRAVEL, rest_m=REST, sample_time_s=T_S)
+LIMITS = CommandLimits(
+    u_min_v=0.0, u_max_v=5.0, x_min_m=0.3e-3, x_max_m=5.2e-3, step_m=2.5e-3, slew_m_s=20e-3, u_lsb_v=1.2e-3
+)
+RIG = CheckedRig(limits=LIMITS, travel_m=TRAVEL, rest_m=REST, sample_time_s=T_S)
 Change = Callable[[Samples], Samples]
 
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from gateway.campaign.menu import BY_NAME, MENU, Experiment, chosen
 from gateway.campaign.plan import (
+    CommandLimits,
     GoTo,
     Impossible,
-    Limits,
     Scale,
     Send,
     Shoot,
@@ -26,7 +26,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Plant
 from protocol.errors import UsageError
 
-CE152 = Limits(
+CE152 = CommandLimits(
     u_min_v=0.0, u_max_v=4.99878, x_min_m=0.3e-3, x_max_m=5.2e-3, step_m=2.5e-3, slew_m_s=20e-3,
     u_lsb_v=5 / 4096, x_lsb_m=1.4e-6,
 )  # fmt: skip

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from gateway.record.reader import LogReader
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import load
+from protocol.log.reader import LogReader
 from tests.gateway.campaign_line import emulated_line, standings, summary
 from tests.gateway.gateway_peers import wait_for
 from tests.patience import HANG_S

@@ -16,7 +16,7 @@ from gateway.access.roles import Role
 from gateway.board.limits import MAX_STOP
 from gateway.board.scaling import scaling_of
 from gateway.config import LimitsConfig
-from gateway.link.command_handler import KEPT_IDS, KEPT_S, CommandDesk, Known
+from gateway.link.command_handler import KEPT_IDS, KEPT_S, CommandHandler, Known
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.events import Answer, Opened
@@ -29,14 +29,14 @@ START_NS = 1_700_000_000 * S
 
 
 class Rig:
-    """A desk, its session, and a board that the test plays."""
+    """A command handler, its session, and a board that the test plays."""
 
     def __init__(self, **limits: Any) -> None:
         self.now_s = 100.0
-        self.outlet, self.known = Collector(), Known()
+        self.sink, self.known = Collector(), Known()
         self.session = Session(choose_session=lambda: 7)
         options = {"commands_per_s": 1000.0, **limits}
-        self.desk = CommandDesk(LimitsConfig(**options), self.session, self.known, self.outlet, lambda *_: None)
+        self.handler = CommandHandler(LimitsConfig(**options), self.session, self.known, self.sink, lambda *_: None)
         self.wire: list[Message] = []
         self.ends: list[Answer] = []
         self.tick = 5000
@@ -57,13 +57,13 @@ class Rig:
 
     @property
     def records(self) -> list[pb.CommandRecord]:
-        return self.outlet.messages["command/record"]
+        return self.sink.messages["command/record"]
 
     def ask(self, payload: bytes, *, role: Role | None = None, link: str = "streaming") -> list[pb.CommandReply]:
         """The replies so far to a query; the board has had its say."""
         replies: list[pb.CommandReply] = []
         sender = Sender(name="ben", role=role, arrived_ns=self.now_ns, started_ns=START_NS)
-        self.desk.take(payload, replies.append, self.now_s, self.now_ns, link=link, reason="", sender=sender)
+        self.handler.take(payload, replies.append, self.now_s, self.now_ns, link=link, reason="", sender=sender)
         self.settle()
         return replies
 
@@ -72,11 +72,11 @@ class Rig:
         return reply
 
     def settle(self) -> None:
-        """What the desk sends, answered until there is nothing more to say."""
+        """What the handler sends, answered until there is nothing more to say."""
         while True:
             for event in self.session.take_outcomes():
                 assert isinstance(event, Answer)
-                self.desk.answered(event, self.now_ns)
+                self.handler.answered(event, self.now_ns)
             heard = [m for m in StreamDecoder().feed(self.session.take_output()) if isinstance(m, Message)]
             self.wire += heard
             if not heard or not self.answering:
@@ -85,7 +85,7 @@ class Rig:
                 self.tick += 1
                 for event in self.session.feed(self._answer(message), self.now_s):
                     if isinstance(event, Answer):
-                        self.desk.answered(event, self.now_ns)
+                        self.handler.answered(event, self.now_ns)
 
     def _answer(self, message: Message) -> bytes:
         number = message.int("id")
@@ -100,7 +100,7 @@ class Rig:
             self.now_s = min(end_s, max(self.now_s + 0.01, min(self.session.deadline_s, end_s)))
             for event in self.session.poll(self.now_s):
                 assert isinstance(event, Answer)
-                self.desk.answered(event, self.now_ns)
+                self.handler.answered(event, self.now_ns)
             self.settle()
 
     def sent(self, name: str) -> int:
@@ -171,7 +171,7 @@ def test_a_stop_beside_a_stop_that_is_not_answered_has_its_own_answer() -> None:
     replies: list[pb.CommandReply] = []
     sender = Sender(name="", role=None, arrived_ns=rig.now_ns, started_ns=START_NS)
     for _ in range(2):
-        rig.desk.take(first, replies.append, rig.now_s, rig.now_ns, link="streaming", reason="", sender=sender)
+        rig.handler.take(first, replies.append, rig.now_s, rig.now_ns, link="streaming", reason="", sender=sender)
     rig.answering = True
     rig.settle()
 
@@ -185,7 +185,7 @@ def test_every_stop_of_a_flood_is_answered_and_recorded() -> None:
     sender = Sender(name="", role=None, arrived_ns=rig.now_ns, started_ns=START_NS)
     for n in range(1000):
         payload = pb.Command(id=str(n), stop=pb.Stop()).SerializeToString()
-        rig.desk.take(payload, replies.append, rig.now_s, rig.now_ns, link="streaming", reason="", sender=sender)
+        rig.handler.take(payload, replies.append, rig.now_s, rig.now_ns, link="streaming", reason="", sender=sender)
     rig.settle()
 
     assert len(replies) == len(rig.records) == 1000
@@ -270,7 +270,7 @@ def test_a_reply_says_whether_a_byte_went_out_and_what_never_did_may_be_tried_ag
     held: list[pb.CommandReply] = []
     sender = Sender(name="", role=None, arrived_ns=rig.now_ns, started_ns=START_NS)
     later = pb.Command(id="b", set_mode=pb.SetMode(mode=pb.MODE_OPEN_LOOP)).SerializeToString()
-    rig.desk.take(later, held.append, rig.now_s, rig.now_ns, link="streaming", reason="", sender=sender)
+    rig.handler.take(later, held.append, rig.now_s, rig.now_ns, link="streaming", reason="", sender=sender)
     rig.wait(3.0)
 
     first, second = rig.records
@@ -291,7 +291,7 @@ def test_a_command_does_not_outlive_the_patience_of_its_sender() -> None:
     replies: list[pb.CommandReply] = []
     sender = Sender(name="", role=None, arrived_ns=rig.now_ns, started_ns=START_NS)
     command = pb.Command(id="a", issued_ns=rig.now_ns, valid_s=0.3, set_mode=CLOSED).SerializeToString()
-    rig.desk.take(command, replies.append, rig.now_s, rig.now_ns, link="streaming", reason="", sender=sender)
+    rig.handler.take(command, replies.append, rig.now_s, rig.now_ns, link="streaming", reason="", sender=sender)
 
     rig.wait(0.31)
     rig.answering = True
@@ -388,7 +388,7 @@ def test_bytes_of_any_kind_are_answered_and_recorded() -> None:
         rig.now_s += 0.01
 
         rig.ask(bytes(data))
-        rig.desk._kept.clear()
+        rig.handler._kept.clear()
 
         assert len(rig.records) == n + 1
         assert rig.records[-1].reply.reason != "internal-error"

@@ -20,11 +20,11 @@ import zenoh
 from gateway.config import GatewayConfig, ZenohConfig
 from gateway.daemon import open_bus
 from gateway.emulator.serve import Emulator
-from gateway.record.reader import read
-from gateway.record.scan import Scan
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
 from protocol.errors import ServiceError
+from protocol.log.reader import read
+from protocol.log.scan import Scan
 from tests.gateway.gateway_peers import (
     Bus,
     ScriptedBoard,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 
-from gateway.bus.publisher import Channel, Publisher
+from gateway.bus.publisher import Publisher, PublishQueue
 from gateway.bus.status import percentile
 from tests.gateway.gateway_peers import wait_for
 from tests.patience import HANG_S
@@ -31,7 +31,7 @@ def payloads(start: int, end: int) -> list[bytes]:
 
 def test_a_stalled_bus_costs_the_oldest_and_the_caller_nothing() -> None:
     target, publisher = Gated(), Publisher("test", capacity=100)
-    channel = Channel(target)
+    channel = PublishQueue(target)
     publisher.start()
     publisher.put(channel, payloads(0, 1))
     assert target.entered.wait(HANG_S)
@@ -50,7 +50,7 @@ def test_a_stalled_bus_costs_the_oldest_and_the_caller_nothing() -> None:
 
 def test_latency_is_from_the_read_to_the_last_put_of_that_read() -> None:
     target, publisher = Gated(), Publisher("test", capacity=100)
-    channel = Channel(target)
+    channel = PublishQueue(target)
     publisher.start()
     publisher.put(channel, payloads(0, 3), time.monotonic_ns() - 50_000_000)
     target.gate.set()
@@ -66,7 +66,7 @@ def test_latency_is_from_the_read_to_the_last_put_of_that_read() -> None:
 def test_what_waits_is_put_before_the_end() -> None:
     target, publisher = Gated(), Publisher("test", capacity=1000)
     target.gate.set()
-    publisher.put(Channel(target), payloads(0, 500))
+    publisher.put(PublishQueue(target), payloads(0, 500))
 
     publisher.start()
     publisher.stop(patience_s=10.0)
@@ -77,7 +77,7 @@ def test_what_waits_is_put_before_the_end() -> None:
 def test_a_stalled_bus_does_not_hold_up_the_end() -> None:
     target, publisher = Gated(), Publisher("test", capacity=1000)
     publisher.start()
-    publisher.put(Channel(target), payloads(0, 5))
+    publisher.put(PublishQueue(target), payloads(0, 5))
 
     assert target.entered.wait(HANG_S)
     publisher.stop(patience_s=0.2)

@@ -9,8 +9,8 @@ from dataclasses import replace
 import pytest
 
 from gateway.emulator.plant.effects import EFFECTS, HEATING_TIME_CONSTANT_S, MAX_DELAY_S, check, listing, parse
-from gateway.emulator.plant.levitation import STEP_S, Plant
-from gateway.emulator.plant.rig import CE152, Rig
+from gateway.emulator.plant.levitation import STEP_S, EmulatedPlant
+from gateway.emulator.plant.rig import CE152, PlantConstants
 from protocol.errors import UsageError
 
 CATALOGUE = """
@@ -28,10 +28,10 @@ K_A, T_A = QUIET.amplifier_gain_a_v, QUIET.amplifier_time_constant_s
 
 
 def rig_with(
-    rig: Rig = QUIET, /, *, x_m: float = 0.0, v_m_s: float = 0.0, i_c_a: float = 0.0, **effect: float
-) -> Plant:
+    rig: PlantConstants = QUIET, /, *, x_m: float = 0.0, v_m_s: float = 0.0, i_c_a: float = 0.0, **effect: float
+) -> EmulatedPlant:
     """A noiseless plant, placed; keyword arguments name the effect with underscores."""
-    plant = Plant(rig, {name.replace("_", "-"): value for name, value in effect.items()})
+    plant = EmulatedPlant(rig, {name.replace("_", "-"): value for name, value in effect.items()})
     plant.place(x_m, v_m_s=v_m_s, i_c_a=i_c_a)
     return plant
 
@@ -312,7 +312,7 @@ CONSEQUENCES: Mapping[str, Callable[[float], None]] = {
 
 def journey(effects: Mapping[str, float]) -> list[tuple[float, ...]]:
     """Readings and truth over lift-off, a knock at the top, a fall and rebounds."""
-    plant = Plant(effects=effects, seed=1)
+    plant = EmulatedPlant(effects=effects, seed=1)
     seen: list[tuple[float, ...]] = []
     for u in (3.6, 5.0, 1.5, 0.0, 4.0):
         for _ in range(20):
@@ -400,17 +400,17 @@ def test_a_strength_out_of_range_is_refused_with_the_range(name: str, outside: s
     value = {"low": effect.low - 0.01, "high": effect.high * 1.01, "nan": math.nan}[outside]
 
     with pytest.raises(UsageError, match=f"{name}.*{effect.low:g} .. {effect.high:g}"):
-        Plant(effects={name: value})
+        EmulatedPlant(effects={name: value})
 
 
 def test_an_unknown_effect_is_refused_with_the_names() -> None:
     with pytest.raises(UsageError, match=r"'quadratic-drug'.*quadratic-drag"):
-        Plant(effects={"quadratic-drug": 1.0})
+        EmulatedPlant(effects={"quadratic-drug": 1.0})
 
 
 def test_a_gap_that_closes_is_refused_on_a_rig_with_less_room() -> None:
     with pytest.raises(UsageError, match="air-gap-offset"):
-        Plant(replace(CE152, coil_plane_above_stop_m=1e-3), {"air-gap-offset": -1e-3})
+        EmulatedPlant(replace(CE152, coil_plane_above_stop_m=1e-3), {"air-gap-offset": -1e-3})
 
 
 def test_delays_fit_the_memory_of_the_plant() -> None:

@@ -19,11 +19,11 @@ from gateway.emulator.firmware.flash import (
     OPERATING_POINT,
     POSITION,
     T_S_US,
-    Scaling,
+    ConverterScale,
     gains_in_counts,
 )
 from gateway.emulator.firmware.law import ControlLaw
-from gateway.emulator.plant.levitation import Plant
+from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.messages import COUNTS_MAX, Law
 from tests.gateway.board_host import Host
 
@@ -155,7 +155,7 @@ REFERENCES_M = (2.85e-3, 1.0e-3, 3.0e-3, 4.5e-3, 2.5e-3, 1.0e-3)
 
 @pytest.mark.parametrize("law", [Law.LQI, Law.PID], ids=["lqi", "pid"])
 def test_the_ball_is_lifted_from_the_bottom_stop_and_follows_references(law: Law) -> None:
-    plant = Plant(seed=7)
+    plant = EmulatedPlant(seed=7)
     host = Host(plant)
     if law is Law.PID:
         gains = PID_GAINS
@@ -196,7 +196,7 @@ def test_the_speed_is_zero_at_the_first_tick_of_closed_loop() -> None:
 
 
 def test_flash_holds_the_measured_rig_at_its_operating_point() -> None:
-    plant = Plant()
+    plant = EmulatedPlant()
     i_0_a, x_0_m, u_0_v = OPERATING_POINT
 
     # Three digits are given: half a unit of the last one.
@@ -205,6 +205,6 @@ def test_flash_holds_the_measured_rig_at_its_operating_point() -> None:
 
 
 @pytest.mark.parametrize("scaling", [CURRENT, POSITION, INPUT], ids=["i_c", "x", "u_c"])
-def test_every_count_comes_back_from_its_si_value(scaling: Scaling) -> None:
+def test_every_count_comes_back_from_its_si_value(scaling: ConverterScale) -> None:
     assert all(scaling.to_count(scaling.to_si(n)) == n for n in range(4096))
     assert [scaling.to_count(value) for value in (-1e9, 1e9, math.nan)] == [0, 4095, 0]

@@ -11,7 +11,7 @@ import pytest
 
 from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.firmware.flash import BOOT_TICKS, CURRENT, GAINS, INPUT, LIMITS, POSITION, WATCHDOG_TICKS
-from gateway.emulator.plant.levitation import Plant
+from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import EventCode, Flag, HostLoss, Message, Mode, Reason, unpack_pair
@@ -712,7 +712,7 @@ def test_rule_11_a_current_still_at_the_top_is_a_fault_again_at_the_tick_after_s
 
 
 def test_rule_12_a_capture_records_the_step_at_25_khz() -> None:
-    plant = Plant()
+    plant = EmulatedPlant()
     host = Host(plant)
     u_from, u_to, pre, count = 400, 1600, 30, 200
 

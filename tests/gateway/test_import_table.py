@@ -15,13 +15,13 @@ import pytest
 from scipy.io import loadmat, savemat
 
 import board51
-from gateway.record.reader import LogReader, read
 from gateway.record.tables.export import Format, export
 from gateway.record.tables.table_import import ImportReport, import_recording
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import CHANNELS, Channel, Column, Kind, Recording
 from protocol.errors import DataError
+from protocol.log.reader import LogReader, read
 
 REPO = Path(__file__).parents[2]
 DATA = Path(os.environ.get("BOARD51_DATA", REPO.parent / "shared" / "data"))

@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from gateway.config import BoardConfig
-from gateway.link.keepalive import Upkeep
+from gateway.link.keepalive import Keepalive
 from protocol.wire.events import Answer
 from protocol.wire.messages import Value
 from protocol.wire.session import WAIT_S, Session
@@ -29,16 +29,16 @@ class Noted(Session):
 @pytest.mark.parametrize("timeout_s", [0.2, 0.5, 1.0, 4.0])
 def test_a_ping_is_due_at_least_every_quarter_of_the_host_loss_timeout(timeout_s: float) -> None:
     session = Noted()
-    upkeep = Upkeep(BoardConfig(name="rig", port="x", host_loss_timeout_s=timeout_s), session, lambda _: None)
+    keepalive = Keepalive(BoardConfig(name="rig", port="x", host_loss_timeout_s=timeout_s), session, lambda _: None)
 
-    upkeep.begin(0.0)
-    upkeep.host_loss_is(round(timeout_s * 1e3), 0.0)
-    while upkeep.deadline_s < 5.0 * timeout_s:
-        now_s = upkeep.deadline_s
-        upkeep.poll(now_s)
+    keepalive.begin(0.0)
+    keepalive.host_loss_is(round(timeout_s * 1e3), 0.0)
+    while keepalive.deadline_s < 5.0 * timeout_s:
+        now_s = keepalive.deadline_s
+        keepalive.poll(now_s)
         name, when_s, token = session.submitted[-1]
         assert when_s == now_s, "nothing was due"
-        upkeep.answered(Answer(token=token, outcome="timed-out" if name == "PING" else "ack", attempts=1), now_s)
+        keepalive.answered(Answer(token=token, outcome="timed-out" if name == "PING" else "ack", attempts=1), now_s)
 
     pings_s = [0.0, *(when_s for name, when_s, _ in session.submitted if name == "PING"), 5.0 * timeout_s]
     assert max(b - a for a, b in itertools.pairwise(pings_s)) <= timeout_s / 4.0 + 1e-9

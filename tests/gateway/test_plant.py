@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.emulator.plant.levitation import STEP_S, Plant
-from gateway.emulator.plant.rig import CE152, MEASURED_EQUILIBRIA, Rig
+from gateway.emulator.plant.levitation import STEP_S, EmulatedPlant
+from gateway.emulator.plant.rig import CE152, MEASURED_EQUILIBRIA, PlantConstants
 from protocol.errors import ConfigError, UsageError
 from tests.patience import HANG_S
 
@@ -32,7 +32,7 @@ def balance_current_a(x_m: float) -> float:
     low, high = 0.0, CE152.current_max_a
     for _ in range(40):
         middle = 0.5 * (low + high)
-        plant = Plant(QUIET)
+        plant = EmulatedPlant(QUIET)
         plant.place(x_m, i_c_a=middle)
         plant.advance(middle / CE152.amplifier_gain_a_v, 0.001)
         low, high = (low, middle) if plant.v_m_s > 0 else (middle, high)
@@ -73,7 +73,7 @@ def test_eq_3_with_its_pole_at_the_top_stop_misses_the_table_whatever_its_consta
 
 
 def test_the_ball_lifts_off_just_above_the_input_of_its_equilibrium_at_the_bottom() -> None:
-    below, above = Plant(QUIET), Plant(QUIET)
+    below, above = EmulatedPlant(QUIET), EmulatedPlant(QUIET)
 
     below.advance(LIFT_OFF_V * 0.999, 0.5)
     above.advance(LIFT_OFF_V * 1.001, 0.5)
@@ -83,7 +83,7 @@ def test_the_ball_lifts_off_just_above_the_input_of_its_equilibrium_at_the_botto
 
 
 def test_free_fall_is_half_g_t_squared() -> None:
-    plant = Plant(FRICTIONLESS)
+    plant = EmulatedPlant(FRICTIONLESS)
     plant.place(5e-3)
 
     for _ in range(15):
@@ -95,7 +95,7 @@ def test_free_fall_is_half_g_t_squared() -> None:
 
 
 def test_a_fall_with_drag_follows_its_exponential() -> None:
-    plant = Plant(QUIET)
+    plant = EmulatedPlant(QUIET)
     plant.place(5e-3)
 
     plant.advance(0.0, 0.03)
@@ -106,7 +106,7 @@ def test_a_fall_with_drag_follows_its_exponential() -> None:
 
 def test_without_drag_a_steady_current_conserves_energy() -> None:
     current = FRICTIONLESS.equilibrium_current_a(3e-3)
-    plant = Plant(FRICTIONLESS)
+    plant = EmulatedPlant(FRICTIONLESS)
     plant.place(2e-3, v_m_s=0.08, i_c_a=current)
 
     def energy_j() -> float:
@@ -127,7 +127,7 @@ def test_without_drag_a_steady_current_conserves_energy() -> None:
 @pytest.mark.parametrize("duration_s", [0.02, 0.06], ids=["in flight", "through a bounce"])
 def test_halving_the_step_divides_the_error_by_sixteen(duration_s: float) -> None:
     def end_m(step_s: float) -> float:
-        plant = Plant(QUIET, step_s=step_s)
+        plant = EmulatedPlant(QUIET, step_s=step_s)
         plant.place(4e-3, v_m_s=0.02, i_c_a=1.0)
         plant.advance(1.2, duration_s)
         return plant.x_m
@@ -141,7 +141,7 @@ def test_halving_the_step_divides_the_error_by_sixteen(duration_s: float) -> Non
 
 
 def test_a_bounce_keeps_the_restitution_share_of_the_speed() -> None:
-    plant = Plant(FRICTIONLESS)
+    plant = EmulatedPlant(FRICTIONLESS)
     plant.place(4e-3)
     plant.advance(0.0, 0.028)
     assert plant.v_m_s < 0
@@ -155,7 +155,7 @@ def test_a_bounce_keeps_the_restitution_share_of_the_speed() -> None:
 
 
 def test_rebounds_get_lower_and_end_at_rest_without_chatter() -> None:
-    plant = Plant(FRICTIONLESS)
+    plant = EmulatedPlant(FRICTIONLESS)
     plant.place(4e-3)
     heights = []
     previous = plant.v_m_s
@@ -175,7 +175,7 @@ def test_rebounds_get_lower_and_end_at_rest_without_chatter() -> None:
 
 
 def test_the_ball_is_held_at_the_top_stop_exactly() -> None:
-    plant = Plant(QUIET)
+    plant = EmulatedPlant(QUIET)
     plant.advance(5.0, 0.5)
 
     for _ in range(100):
@@ -187,7 +187,7 @@ def test_the_ball_is_held_at_the_top_stop_exactly() -> None:
 
 
 def test_a_ball_on_the_bottom_without_current_never_moves() -> None:
-    plant = Plant()
+    plant = EmulatedPlant()
 
     for _ in range(500):
         plant.advance(0.0, TICK_S)
@@ -195,7 +195,7 @@ def test_a_ball_on_the_bottom_without_current_never_moves() -> None:
 
 
 def test_the_current_rises_exponentially_with_the_amplifiers_time_constant() -> None:
-    plant = Plant(QUIET)
+    plant = EmulatedPlant(QUIET)
 
     for n in range(1, 51):
         plant.advance(2.0, 40e-6)
@@ -205,7 +205,7 @@ def test_the_current_rises_exponentially_with_the_amplifiers_time_constant() -> 
 
 @pytest.mark.parametrize(("u_v", "same_as_v"), [(9.0, 5.0), (-3.0, 0.0), (math.inf, 5.0)])
 def test_the_amplifier_limits_its_input(u_v: float, same_as_v: float) -> None:
-    beyond, limit = Plant(QUIET), Plant(QUIET)
+    beyond, limit = EmulatedPlant(QUIET), EmulatedPlant(QUIET)
 
     beyond.advance(u_v, 0.01)
     limit.advance(same_as_v, 0.01)
@@ -214,7 +214,7 @@ def test_the_amplifier_limits_its_input(u_v: float, same_as_v: float) -> None:
 
 
 def test_the_current_stays_within_its_range() -> None:
-    plant = Plant(replace(QUIET, amplifier_gain_a_v=0.4))
+    plant = EmulatedPlant(replace(QUIET, amplifier_gain_a_v=0.4))
 
     plant.advance(5.0, 0.01)
     assert plant.i_c_a == pytest.approx(1.5, rel=1e-9)
@@ -224,7 +224,7 @@ def test_the_current_stays_within_its_range() -> None:
 
 
 def test_cutting_a_tick_into_capture_samples_changes_nothing() -> None:
-    whole, pieces = Plant(seed=5), Plant(seed=5)
+    whole, pieces = EmulatedPlant(seed=5), EmulatedPlant(seed=5)
     inputs = np.random.default_rng(8).uniform(0.0, 5.0, 200).tolist()
 
     for u in inputs:
@@ -238,7 +238,7 @@ def test_cutting_a_tick_into_capture_samples_changes_nothing() -> None:
 
 
 def test_the_seed_decides_the_noise_and_nothing_else() -> None:
-    plants = {name: Plant(seed=seed) for name, seed in (("a", 1), ("again", 1), ("other", 2))}
+    plants = {name: EmulatedPlant(seed=seed) for name, seed in (("a", 1), ("again", 1), ("other", 2))}
     readings: dict[str, list[tuple[float, float]]] = {name: [] for name in plants}
     for name, plant in plants.items():
         for _ in range(50):
@@ -252,7 +252,7 @@ def test_the_seed_decides_the_noise_and_nothing_else() -> None:
 
 def test_sensor_noise_has_the_rigs_standard_deviation_and_no_bias() -> None:
     count = 20_000
-    plant = Plant(seed=3)
+    plant = EmulatedPlant(seed=3)
     plant.place(3e-3, i_c_a=0.5)
 
     i, x = np.array([plant.sense() for _ in range(count)]).T
@@ -263,7 +263,7 @@ def test_sensor_noise_has_the_rigs_standard_deviation_and_no_bias() -> None:
 
 
 def test_asking_for_lost_frames_leaves_the_noise_alone() -> None:
-    asked, silent = Plant(seed=4), Plant(seed=4)
+    asked, silent = EmulatedPlant(seed=4), EmulatedPlant(seed=4)
 
     drops = [asked.drop_sample() for _ in range(100)]
 
@@ -274,12 +274,12 @@ def test_asking_for_lost_frames_leaves_the_noise_alone() -> None:
 @pytest.mark.parametrize(("u_v", "duration_s"), [(1.0, -0.002), (1.0, 3e-6), (math.nan, 0.002), (1.0, math.inf)])
 def test_an_impossible_advance_is_refused_with_its_values(u_v: float, duration_s: float) -> None:
     with pytest.raises(UsageError, match=f"{duration_s} s with u = {u_v} V"):
-        Plant().advance(u_v, duration_s)
+        EmulatedPlant().advance(u_v, duration_s)
 
 
 def test_the_ball_is_placed_within_its_travel_only() -> None:
     with pytest.raises(UsageError, match=r"x = 0\.01 m"):
-        Plant().place(0.01)
+        EmulatedPlant().place(0.01)
 
 
 @pytest.mark.parametrize(("key", "value"), [("mass_kg", 0.0), ("restitution", 1.0), ("travel_m", math.nan)])
@@ -300,7 +300,7 @@ def test_without_a_compiler_the_same_numbers_come_out() -> None:
     done = subprocess.run(
         [sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=HANG_S, check=True
     )
-    plant = Plant(effects={"coulomb-friction": 0.002, "eddy-current-lag": 0.001}, seed=1)
+    plant = EmulatedPlant(effects={"coulomb-friction": 0.002, "eddy-current-lag": 0.001}, seed=1)
     plant.advance(5.0, 0.03)
     plant.advance(0.0, 0.03)
 
@@ -310,8 +310,8 @@ def test_without_a_compiler_the_same_numbers_come_out() -> None:
 
 
 def test_a_rig_of_other_numbers_is_a_plant_too() -> None:
-    heavy: Rig = replace(QUIET, mass_kg=0.02, current_max_a=3.0, input_max_v=10.0)
-    plant = Plant(heavy)
+    heavy: PlantConstants = replace(QUIET, mass_kg=0.02, current_max_a=3.0, input_max_v=10.0)
+    plant = EmulatedPlant(heavy)
 
     plant.advance(heavy.equilibrium_input_v(0.0) * 0.99, 0.1)
     assert plant.x_m == 0.0

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 
 import board51
-from gateway.record.reader import LogReader, Record, read
 from gateway.record.recover import recover
 from gateway.record.summary import as_json, summarise
 from gateway.record.writer import Compression, LogError, LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import CHUNK_BYTES
 from protocol.errors import DataError
+from protocol.log.reader import LogReader, LogRecord, read
 
 START_NS = 1_700_000_000_000_000_000
 TICKS = 400
@@ -180,7 +180,7 @@ def test_a_cut_log_gives_everything_and_then_says_how_far(tmp_path: Path) -> Non
     log = tmp_path / "a.mcap"
     write_log(log)
     log.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
-    records: list[Record] = []
+    records: list[LogRecord] = []
 
     with pytest.raises(DataError, match=r"damaged at byte \d+ of \d+.*readable to 0\.\d+ s.*board51 recover"):
         records.extend(read(log))

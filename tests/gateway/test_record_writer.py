@@ -16,12 +16,12 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from gateway.record.reader import LogReader, Record, read
 from gateway.record.recorder import Recorder
 from gateway.record.recover import recover
 from gateway.record.writer import Compression, LogError, LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import encoding
+from protocol.log.reader import LogReader, LogRecord, read
 from tests.patience import HANG_S
 
 STATE, PARAMETERS = "board51/rig/state", "board51/rig/parameters"
@@ -55,7 +55,7 @@ def until(condition: Callable[[], bool], *, seconds: float = HANG_S) -> None:
         time.sleep(0.005)
 
 
-def ticks(records: Iterator[Record]) -> list[int]:
+def ticks(records: Iterator[LogRecord]) -> list[int]:
     found = []
     for record in records:
         assert isinstance(record.message, pb.State)

@@ -18,11 +18,11 @@ import pytest
 import zenoh
 
 import board51
-from gateway.record.reader import LogReader, RawRecord
 from gateway.record.replay import SESSIONS_PER_PASS, pace
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import zenoh_config
+from protocol.log.reader import LogReader, RawLogRecord
 from tests.patience import HANG_S
 
 REPO = Path(__file__).parents[2]
@@ -116,7 +116,7 @@ class Clock(threading.Event):
 
 @pytest.mark.parametrize("speed", [1.0, 4.0])
 def test_time_is_kept(speed: float) -> None:
-    records = [RawRecord("k", "s", "b", "state", b"", START_NS + n * 10_000_000) for n in range(41)]
+    records = [RawLogRecord("k", "s", "b", "state", b"", START_NS + n * 10_000_000) for n in range(41)]
     sent: list[float] = []
     clock = Clock()
 
@@ -130,7 +130,7 @@ def test_time_is_kept(speed: float) -> None:
 
 def test_a_retained_message_of_before_does_not_delay_the_rest() -> None:
     times = [0, 5_000_000_000, 1_000_000_000, 5_001_000_000]
-    records = [RawRecord("k", "s", "b", "state", b"", START_NS + at) for at in times]
+    records = [RawLogRecord("k", "s", "b", "state", b"", START_NS + at) for at in times]
     sent: list[int] = []
 
     pace(records, speed=100.0, stop=threading.Event(), send=lambda record: sent.append(record.time_ns - START_NS))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import zenoh
 
 from gateway.views.feed import Feed
-from gateway.views.opcua.server import Settings as ServerSettings
+from gateway.views.opcua.server import OpcuaSettings
 from protocol.bus import topics
 from tests.gateway.gateway_peers import client, wait_for
 from tests.gateway.views.bus_peers import played_gateway
@@ -60,7 +60,7 @@ def test_a_late_view_lists_the_alarms_of_the_twin_that_last_until_they_end() -> 
 
             late = Feed(other.session)
             listed = wait_for(lambda: active(late), "an alarm in a view that came late")
-            with Served(gateway, ServerSettings(port=0)) as server:
+            with Served(gateway, OpcuaSettings(port=0)) as server:
                 shown = asyncio.run(shown_by(server.port, lambda lines: LASTS <= names(lines)))
                 wait_for(lambda: len(early.messages["rig/twin/alarms"]) >= 3, "repeats")
                 board = late.board(BOARD)

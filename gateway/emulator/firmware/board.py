@@ -17,8 +17,8 @@ from typing import Protocol
 
 from gateway.emulator.firmware.commands import (
     HANDLERS,
-    Answer,
-    Refusal,
+    Acceptance,
+    Nack,
     acknowledge,
     identity,
     parameters,
@@ -93,7 +93,7 @@ class Firmware:
         self.next_tick = 0
         self.outbox.clear()
         self._inbox = Inbox()
-        self._pending: deque[tuple[bytes, Message | None, Refusal | None]] = deque()
+        self._pending: deque[tuple[bytes, Message | None, Nack | None]] = deque()
         self._session: int | None = None
         self._kept: deque[tuple[int, int, bytes, Priority]] = deque(maxlen=KEPT_IDS)  # id, type, frame
         self._divider = 1
@@ -201,9 +201,9 @@ class Firmware:
         message = decoded if isinstance(decoded, Message) else None
         refusal = None
         if decoded == "type":
-            refusal = Refusal(Reason.UNKNOWN_TYPE)
+            refusal = Nack(Reason.UNKNOWN_TYPE)
         elif decoded == "length":
-            refusal = Refusal(Reason.BAD_LENGTH)
+            refusal = Nack(Reason.BAD_LENGTH)
         elif message is None:
             refusal = refuse_range(body)
         if message is not None and message.name == "STOP":
@@ -213,7 +213,7 @@ class Firmware:
             self.loop.switch_off()
             self._answer(body, acknowledge(body[0], self.next_tick))
         elif len(self._pending) >= PENDING_COMMANDS:
-            self._answer(body, Refusal(Reason.BUSY), keep=False)
+            self._answer(body, Nack(Reason.BUSY), keep=False)
         else:
             self._pending.append((body, message, refusal))
 
@@ -227,22 +227,22 @@ class Firmware:
             if kept is not None and kept[1] == body[0]:
                 self.outbox.put(kept[2], kept[3])
             elif kept is not None:
-                self._answer(body, Refusal(Reason.BUSY), keep=False)
+                self._answer(body, Nack(Reason.BUSY), keep=False)
             elif message is None:
                 # Not kept: noise at the end of a good frame may leave the CRC right and the length wrong, and the
                 # repetition of that command must not meet the noise again.
-                self._answer(body, refusal or Refusal(Reason.OUT_OF_RANGE), keep=False)
+                self._answer(body, refusal or Nack(Reason.OUT_OF_RANGE), keep=False)
             elif self._session is None and message.name not in _WITHOUT_SESSION:
-                self._answer(body, Refusal(Reason.NO_SESSION), keep=False)
+                self._answer(body, Nack(Reason.NO_SESSION), keep=False)
             else:
                 self._answer(body, self._execute(message))
 
-    def _execute(self, message: Message) -> Answer | Refusal:
+    def _execute(self, message: Message) -> Acceptance | Nack:
         row, tick = BY_NAME[message.name], self.next_tick
         match message.name:
             case "PING":
                 values: dict[str, Value] = {"tick": tick, "bad_frames": self.bad_frames, "overruns": self._overruns}
-                return Answer("PONG", values)
+                return Acceptance("PONG", values)
             case "SET_STREAM":
                 self._divider = message.int("divider")
             case "SET_HOST_LOSS":
@@ -256,10 +256,10 @@ class Firmware:
                 return HANDLERS[message.name](self.loop, message, tick)
         return acknowledge(row.type, tick)
 
-    def _answer(self, body: bytes, answer: Answer | Refusal, *, keep: bool = True) -> None:
-        if isinstance(answer, Refusal):
+    def _answer(self, body: bytes, answer: Acceptance | Nack, *, keep: bool = True) -> None:
+        if isinstance(answer, Nack):
             values = {"command": body[0], "reason": int(answer.reason), "detail": answer.detail}
-            answer = Answer("NACK", values)
+            answer = Acceptance("NACK", values)
         frame = encode_frame(encode_body(answer.name, id=body[1], **answer.values))
         priority = _PRIORITY.get(answer.name, Priority.ANSWER)
         if keep:
@@ -267,9 +267,9 @@ class Firmware:
             self._kept.append((body[1], body[0], frame, priority))
         self.outbox.put(frame, priority)
 
-    def _hello(self, message: Message) -> Answer | Refusal:
+    def _hello(self, message: Message) -> Acceptance | Nack:
         if not message.int("version_min") <= VERSION <= message.int("version_max"):
-            return Refusal(Reason.VERSION, VERSION)
+            return Nack(Reason.VERSION, VERSION)
         if message.int("session") != self._session:
             self._session = message.int("session")
             self._kept.clear()

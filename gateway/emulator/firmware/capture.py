@@ -13,7 +13,7 @@ from gateway.emulator.firmware.flash import CAPTURE_SETTLE_US, CAPTURE_US, T_S_U
 from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES, pack_pair
 
 
-class Capture:
+class FirmwareCapture:
     """One capture, from the command on; knows its input, is told the samples."""
 
     def __init__(self, *, u_from: int, u_to: int, pre: int, count: int, tick: int) -> None:

@@ -1,6 +1,6 @@
 """What each command does to the loop, and why it may be refused: rules 6 to 8, 12 and 15 of protocol/README.md.
 
-A handler gets the loop, the message and the tick that comes next, and returns a `Refusal` or the `Answer`.  It changes
+A handler gets the loop, the message and the tick that comes next, and returns a `Nack` or the `Acceptance`.  It changes
 something only when it does not refuse.  The commands of session, stream and host loss are executed in `firmware.py`.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 
-from gateway.emulator.firmware.capture import Capture
+from gateway.emulator.firmware.capture import FirmwareCapture
 from gateway.emulator.firmware.control_loop import TARGET_U, ControlLoop
 from gateway.emulator.firmware.excitation import Excitation, Signal
 from gateway.emulator.firmware.flash import (
@@ -29,7 +29,7 @@ from protocol.wire.messages import BY_TYPE, VERSION, EventCode, HostLoss, Messag
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
+class Nack:
     """A NACK: why, and the bound or the mode in the way."""
 
     reason: Reason
@@ -37,22 +37,22 @@ class Refusal:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class Acceptance:
     """The message that answers, without its id."""
 
     name: str
     values: Mapping[str, Value]
 
 
-Handler = Callable[[ControlLoop, Message, int], Refusal | Answer]
+Handler = Callable[[ControlLoop, Message, int], Nack | Acceptance]
 
 
-def acknowledge(message_type: int, tick: int) -> Answer:
+def acknowledge(message_type: int, tick: int) -> Acceptance:
     """The plain ACK: in force from `tick` on."""
-    return Answer("ACK", {"command": message_type, "tick": tick})
+    return Acceptance("ACK", {"command": message_type, "tick": tick})
 
 
-def refuse_range(body: bytes) -> Refusal:
+def refuse_range(body: bytes) -> Nack:
     """The refusal of a command with a field outside its row's range, the nearest bound as detail.
 
     Fields are looked at one by one, as a firmware does that knows the offsets: the row's own decoder only says that
@@ -65,14 +65,14 @@ def refuse_range(body: bytes) -> Refusal:
         at += size
         for bound, outside in ((field.low, value < (field.low or 0)), (field.high, value > (field.high or 0))):
             if bound is not None and outside:
-                return Refusal(Reason.OUT_OF_RANGE, int(abs(bound)))
-    return Refusal(Reason.OUT_OF_RANGE)
+                return Nack(Reason.OUT_OF_RANGE, int(abs(bound)))
+    return Nack(Reason.OUT_OF_RANGE)
 
 
-def identity(board_id: int, tick: int, reset_cause: EventCode) -> Answer:
+def identity(board_id: int, tick: int, reset_cause: EventCode) -> Acceptance:
     """The answer to HELLO: who this is and what a count is worth (rule 14)."""
     major, minor = FIRMWARE
-    return Answer(
+    return Acceptance(
         "IDENTITY",
         {
             "version": VERSION,
@@ -97,7 +97,7 @@ def identity(board_id: int, tick: int, reset_cause: EventCode) -> Answer:
     )
 
 
-def parameters(loop: ControlLoop, divider: int, policy: HostLoss, timeout_ms: int) -> Answer:
+def parameters(loop: ControlLoop, divider: int, policy: HostLoss, timeout_ms: int) -> Acceptance:
     """The answer to GET_PARAMETERS: what is in force."""
     gains = loop.law.gains
     values: dict[str, Value] = {"law": gains.law, "i_0": gains.i_0, "x_0": gains.x_0, "u_0": gains.u_0}
@@ -105,31 +105,31 @@ def parameters(loop: ControlLoop, divider: int, policy: HostLoss, timeout_ms: in
         values |= {f"k{n}_mantissa": mantissa, f"k{n}_shift": shift}
     values |= asdict(loop.limits)
     values |= {"divider": divider, "policy": int(policy), "timeout": timeout_ms, "tick": loop.gains_tick}
-    return Answer("PARAMETERS", values)
+    return Acceptance("PARAMETERS", values)
 
 
-def _set_mode(loop: ControlLoop, message: Message, tick: int) -> Refusal | Answer:
+def _set_mode(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
     mode = Mode(message.int("mode"))
     if loop.capturing and mode != Mode.IDLE:
-        return Refusal(Reason.BUSY)
+        return Nack(Reason.BUSY)
     loop.fault = False
     loop.set_mode(mode)
     return acknowledge(0x03, tick)
 
 
-def _set_reference(loop: ControlLoop, message: Message, tick: int) -> Refusal | Answer:
+def _set_reference(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
     x_ref, limits, reference = message.int("x_ref"), loop.limits, loop.reference
     if x_ref < limits.x_ref_min:
-        return Refusal(Reason.OUT_OF_RANGE, limits.x_ref_min)
+        return Nack(Reason.OUT_OF_RANGE, limits.x_ref_min)
     if x_ref > limits.x_ref_max:
-        return Refusal(Reason.OUT_OF_RANGE, limits.x_ref_max)
+        return Nack(Reason.OUT_OF_RANGE, limits.x_ref_max)
     if abs(x_ref - reference.x_ref) > reference.allowance:
-        return Refusal(Reason.SLEW, reference.allowance)
+        return Nack(Reason.SLEW, reference.allowance)
     loop.set_reference(x_ref)
     return acknowledge(0x04, tick)
 
 
-def _set_gains(loop: ControlLoop, message: Message, tick: int) -> Refusal | Answer:
+def _set_gains(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
     numbers = range(1, 5)
     m1, m2, m3, m4 = (message.int(f"k{n}_mantissa") for n in numbers)
     s1, s2, s3, s4 = (message.int(f"k{n}_shift") for n in numbers)
@@ -145,49 +145,51 @@ def _set_gains(loop: ControlLoop, message: Message, tick: int) -> Refusal | Answ
     return acknowledge(0x05, tick)
 
 
-def _excite(loop: ControlLoop, message: Message, tick: int) -> Refusal | Answer:
+def _excite(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
     target, amplitude, offset = message.int("target"), abs(message.int("amplitude")), message.int("offset")
     wanted = Mode.OPEN_LOOP if target == TARGET_U else Mode.CLOSED_LOOP
     low, high = (0, loop.limits.u_max) if target == TARGET_U else (loop.limits.x_ref_min, loop.limits.x_ref_max)
     if loop.fault:
-        return Refusal(Reason.FAULT_ACTIVE)
+        return Nack(Reason.FAULT_ACTIVE)
     if loop.capturing:
-        return Refusal(Reason.BUSY)
+        return Nack(Reason.BUSY)
     if loop.mode != wanted:
-        return Refusal(Reason.WRONG_MODE, loop.mode)
+        return Nack(Reason.WRONG_MODE, loop.mode)
     if offset - amplitude < low:
-        return Refusal(Reason.OUT_OF_RANGE, low)
+        return Nack(Reason.OUT_OF_RANGE, low)
     if offset + amplitude > high:
-        return Refusal(Reason.OUT_OF_RANGE, high)
+        return Nack(Reason.OUT_OF_RANGE, high)
     if message.int("shape") == Shape.CHIRP and message.int("duration") == 0:
-        return Refusal(Reason.OUT_OF_RANGE, 1)
+        return Nack(Reason.OUT_OF_RANGE, 1)
     fields = ("shape", "target", "amplitude", "offset", "period", "period_end", "seed", "duration")
     loop.excite(Excitation(Signal(**{name: message.int(name) for name in fields})))
     return acknowledge(0x06, tick)
 
 
-def _capture(loop: ControlLoop, message: Message, tick: int) -> Refusal | Answer:
+def _capture(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
     u_from, u_to = message.int("u_from"), message.int("u_to")
     if loop.fault:
-        return Refusal(Reason.FAULT_ACTIVE)
+        return Nack(Reason.FAULT_ACTIVE)
     if loop.capturing:
-        return Refusal(Reason.BUSY)
+        return Nack(Reason.BUSY)
     if loop.mode == Mode.CLOSED_LOOP:
-        return Refusal(Reason.WRONG_MODE, loop.mode)
+        return Nack(Reason.WRONG_MODE, loop.mode)
     if max(u_from, u_to) > loop.limits.u_max:
-        return Refusal(Reason.OUT_OF_RANGE, loop.limits.u_max)
-    loop.capture = Capture(u_from=u_from, u_to=u_to, pre=message.int("pre"), count=message.int("count"), tick=tick)
+        return Nack(Reason.OUT_OF_RANGE, loop.limits.u_max)
+    loop.capture = FirmwareCapture(
+        u_from=u_from, u_to=u_to, pre=message.int("pre"), count=message.int("count"), tick=tick
+    )
     return acknowledge(0x08, tick)
 
 
-def _read_capture(loop: ControlLoop, message: Message, tick: int) -> Refusal | Answer:
+def _read_capture(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptance:
     if loop.capturing:
-        return Refusal(Reason.BUSY)
+        return Nack(Reason.BUSY)
     index = message.int("index")
     if loop.capture is None or index >= loop.capture.total:
-        return Refusal(Reason.NOT_AVAILABLE)
+        return Nack(Reason.NOT_AVAILABLE)
     capture = loop.capture
-    return Answer(
+    return Acceptance(
         "CAPTURE_BLOCK",
         {"index": index, "total": capture.total, "tick": capture.began_tick, "samples": capture.block(index)},
     )

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from gateway.emulator.firmware.capture import Capture
+from gateway.emulator.firmware.capture import FirmwareCapture
 from gateway.emulator.firmware.excitation import Excitation
-from gateway.emulator.firmware.flash import GAINS, LIMITS, TICKS_PER_S, Limits
+from gateway.emulator.firmware.flash import GAINS, LIMITS, TICKS_PER_S, FlashLimits
 from gateway.emulator.firmware.law import ControlLaw
 from protocol.wire.messages import COUNTS_MAX, EventCode, Flag, Mode
 
@@ -28,7 +28,7 @@ class Reference:
     The allowance is kept in counts times ticks per second, so that refilling it is one addition of an integer.
     """
 
-    def __init__(self, x_ref: int, limits: Limits) -> None:
+    def __init__(self, x_ref: int, limits: FlashLimits) -> None:
         self.x_ref = x_ref
         self._limits = limits
         self._full = limits.x_ref_step * TICKS_PER_S
@@ -77,7 +77,7 @@ class ControlLoop:
         self.overrun = False
         self.gains_tick = 0
         self.excitation: Excitation | None = None
-        self.capture: Capture | None = None
+        self.capture: FirmwareCapture | None = None
         self._emit = emit
         self._open_loop_u = 0
         self._u = 0  # what the mode says

@@ -32,7 +32,7 @@ BOOT_TICKS = 5  # 10 ms from reset to tick 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scaling:
+class ConverterScale:
     """SI value = offset + lsb * count, in the unit of the channel."""
 
     offset: float
@@ -57,15 +57,15 @@ _SENSOR_V_PER_M = 855.0
 _TOP_STOP_V = 4.92
 _TRAVEL_M = 5.7e-3
 _CODES = 1 << ADC_BITS
-CURRENT = Scaling(offset=0.0, lsb=2.0 / _CODES)  # A: a 0..2 A input, twice what the rig ever needs
-POSITION = Scaling(
+CURRENT = ConverterScale(offset=0.0, lsb=2.0 / _CODES)  # A: a 0..2 A input, twice what the rig ever needs
+POSITION = ConverterScale(
     offset=-(_TOP_STOP_V - _SENSOR_V_PER_M * _TRAVEL_M) / _SENSOR_V_PER_M, lsb=5.0 / _CODES / _SENSOR_V_PER_M
 )  # m, up from the bottom stop
-INPUT = Scaling(offset=0.0, lsb=5.0 / _CODES)  # V
+INPUT = ConverterScale(offset=0.0, lsb=5.0 / _CODES)  # V
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
+class FlashLimits:
     """What the board refuses to be commanded beyond, in counts (rules 7 and 8)."""
 
     x_ref_min: int
@@ -75,7 +75,7 @@ class Limits:
     u_max: int
 
 
-LIMITS = Limits(
+LIMITS = FlashLimits(
     x_ref_min=POSITION.to_count(0.3e-3),
     x_ref_max=POSITION.to_count(5.2e-3),
     x_ref_step=POSITION.span(2.5e-3),

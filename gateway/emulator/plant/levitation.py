@@ -19,15 +19,15 @@ from types import MappingProxyType
 import numpy as np
 
 from gateway.emulator.plant.effects import DISTURBANCE_FREQUENCY_HZ, HEATING_TIME_CONSTANT_S, MAX_DELAY_S, check
-from gateway.emulator.plant.physics import Constants, State, advance, reading
-from gateway.emulator.plant.rig import CE152, Rig
+from gateway.emulator.plant.physics import Constants, PlantState, advance, reading
+from gateway.emulator.plant.rig import CE152, PlantConstants
 from protocol.errors import UsageError
 
 STEP_S = 20e-6  # divides the tick (2 ms) and the capture period (40 us)
 _NO_EFFECTS: Mapping[str, float] = MappingProxyType({})
 
 
-class Plant:
+class EmulatedPlant:
     """The 'real' rig, from rest: ball on the bottom stop, no current, cold.
 
     Args:
@@ -41,7 +41,12 @@ class Plant:
     """
 
     def __init__(
-        self, rig: Rig = CE152, effects: Mapping[str, float] = _NO_EFFECTS, *, seed: int = 0, step_s: float = STEP_S
+        self,
+        rig: PlantConstants = CE152,
+        effects: Mapping[str, float] = _NO_EFFECTS,
+        *,
+        seed: int = 0,
+        step_s: float = STEP_S,
     ) -> None:
         self.rig = rig
         self.step_s = step_s
@@ -106,7 +111,7 @@ class Plant:
                 remedy=f"Give x within 0 .. {self.rig.travel_m} m, i_c within 0 .. {self.rig.current_max_a} A",
             )
         s = reading(x_m, i_c_a, self._constants)
-        self._state = State(i=i_c_a, f=i_c_a, x=x_m, v=v_m_s, w=0.0, s=s)
+        self._state = PlantState(i=i_c_a, f=i_c_a, x=x_m, v=v_m_s, w=0.0, s=s)
         self._sensed[:] = i_c_a, s
 
     def advance(self, u_v: float, duration_s: float) -> None:
@@ -126,7 +131,7 @@ class Plant:
                 remedy=f"Give a number of volts and a multiple of {self.step_s:g} s",
             )
         u = min(max(float(u_v), 0.0), self.rig.input_max_v)
-        self._state = State(
+        self._state = PlantState(
             *advance(self._state, self._steps, count, self.step_s, u, self._constants, self._inputs, self._sensed)
         )
         self._steps += count
@@ -145,7 +150,7 @@ class Plant:
         return bool(self._loss.random() < self._loss_probability)
 
 
-def _constants(rig: Rig, strength: Mapping[str, float], step_s: float) -> Constants:
+def _constants(rig: PlantConstants, strength: Mapping[str, float], step_s: float) -> Constants:
     return Constants(
         mass=rig.mass_kg,
         travel=rig.travel_m,

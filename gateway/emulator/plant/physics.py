@@ -33,7 +33,7 @@ _EVENTS_PER_STEP = 20  # a hop above REST_SPEED_M_S lasts 9 us even under the fu
 _BISECTIONS = 40  # locates an event to 20 us * 2^-40 = 2e-17 s
 
 
-class State(NamedTuple):
+class PlantState(NamedTuple):
     """What the rig remembers."""
 
     i: float  # coil current, A
@@ -102,7 +102,7 @@ def reading(x: float, i: float, c: Constants) -> float:
 
 
 @_compiled
-def pull(y: State, t: float, c: Constants) -> float:
+def pull(y: PlantState, t: float, c: Constants) -> float:
     """Force on the ball without dry friction, N: magnetic (3), weight (4), drag (5), disturbances."""
     field = y.f + c.residual
     if c.inverse_saturation > 0.0:
@@ -118,7 +118,7 @@ def pull(y: State, t: float, c: Constants) -> float:
 
 
 @_compiled
-def _rates(y: State, t: float, u: float, free: bool, direction: float, c: Constants) -> State:
+def _rates(y: PlantState, t: float, u: float, free: bool, direction: float, c: Constants) -> PlantState:
     """Time derivative of the state; `direction` of the motion is given, so that dry friction is smooth in a step."""
     target = c.K_A * (1.0 - c.gain_loss * y.w) * max(u - c.dead_zone, 0.0) + c.current_offset
     target = min(max(target, 0.0), c.current_max)
@@ -138,16 +138,16 @@ def _rates(y: State, t: float, u: float, free: bool, direction: float, c: Consta
     dv = (pull(y, t, c) - direction * c.friction) / c.mass if free else 0.0
     dw = (y.i * y.i - y.w) / c.heating_time
     ds = (reading(y.x, y.i, c) - y.s) / c.x_lag if c.x_lag > 0.0 else 0.0
-    return State(di, df, dx, dv, dw, ds)
+    return PlantState(di, df, dx, dv, dw, ds)
 
 
 @_compiled
-def _along(y: State, k: State, h: float) -> State:
-    return State(y.i + h * k.i, y.f + h * k.f, y.x + h * k.x, y.v + h * k.v, y.w + h * k.w, y.s + h * k.s)
+def _along(y: PlantState, k: PlantState, h: float) -> PlantState:
+    return PlantState(y.i + h * k.i, y.f + h * k.f, y.x + h * k.x, y.v + h * k.v, y.w + h * k.w, y.s + h * k.s)
 
 
 @_compiled
-def _runge_kutta(y: State, t: float, h: float, u: float, free: bool, direction: float, c: Constants) -> State:
+def _runge_kutta(y: PlantState, t: float, h: float, u: float, free: bool, direction: float, c: Constants) -> PlantState:
     k1 = _rates(y, t, u, free, direction, c)
     k2 = _rates(_along(y, k1, 0.5 * h), t + 0.5 * h, u, free, direction, c)
     k3 = _rates(_along(y, k2, 0.5 * h), t + 0.5 * h, u, free, direction, c)
@@ -155,17 +155,17 @@ def _runge_kutta(y: State, t: float, h: float, u: float, free: bool, direction: 
     z = _along(_along(_along(_along(y, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
     f = z.f if c.eddy > 0.0 else z.i
     s = z.s if c.x_lag > 0.0 else reading(z.x, z.i, c)
-    return State(z.i, f, z.x, z.v, z.w, s)
+    return PlantState(z.i, f, z.x, z.v, z.w, s)
 
 
 @_compiled
-def _event(y: State, direction: float, c: Constants) -> bool:
+def _event(y: PlantState, direction: float, c: Constants) -> bool:
     """Whether the ball has passed a stop, or dry friction has turned it round."""
     return y.x < 0.0 or y.x > c.travel or (c.friction > 0.0 and y.v * direction < 0.0)
 
 
 @_compiled
-def _land(y: State, c: Constants) -> State:
+def _land(y: PlantState, c: Constants) -> PlantState:
     """The state just after an event: on the stop with the speed reversed, or at rest."""
     x, v = y.x, y.v
     if x < 0.0 or x > c.travel:
@@ -178,7 +178,7 @@ def _land(y: State, c: Constants) -> State:
     else:
         v = 0.0
     s = y.s if c.x_lag > 0.0 else reading(x, y.i, c)
-    return State(y.i, y.f, x, v, y.w, s)
+    return PlantState(y.i, y.f, x, v, y.w, s)
 
 
 @_compiled
@@ -187,7 +187,7 @@ def _sign(value: float) -> float:
 
 
 @_compiled
-def step(y: State, t: float, h: float, u: float, c: Constants) -> State:
+def step(y: PlantState, t: float, h: float, u: float, c: Constants) -> PlantState:
     """One step of length h with the input u held; stops and dry friction resolved inside it."""
     for _ in range(_EVENTS_PER_STEP):
         direction = _sign(y.v)
@@ -218,7 +218,7 @@ def step(y: State, t: float, h: float, u: float, c: Constants) -> State:
 
 @_compiled
 def advance(
-    y: State,
+    y: PlantState,
     first: int,
     count: int,
     h: float,
@@ -226,7 +226,7 @@ def advance(
     c: Constants,
     inputs: FloatArray,
     sensed: FloatArray,
-) -> State:
+) -> PlantState:
     """`count` steps with the input u held from step number `first` on.
 
     Args:

@@ -32,7 +32,7 @@ MEASURED_EQUILIBRIA = ((4.5848e-3, 0.85239), (3.4152e-3, 0.69498), (2.2456e-3, 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rig:
+class PlantConstants:
     """Coil, ball, and position sensor below.  x is up from the sensor: 0 at the bottom stop, `travel_m` at the top."""
 
     mass_kg: float
@@ -73,7 +73,7 @@ class Rig:
         return self.equilibrium_current_a(x_m) / self.amplifier_gain_a_v
 
 
-CE152 = Rig(
+CE152 = PlantConstants(
     mass_kg=8.28e-3,  # measured
     travel_m=5.7e-3,  # measured
     gravity_m_s2=9.81,

@@ -1,1 +1,1 @@
-"""Logs to and from tables: CSV, MATLAB, Parquet."""
+"""Tables into logs (`table`, `mat`, `table_import`) and logs into tables (`export`): CSV, MATLAB, Parquet."""

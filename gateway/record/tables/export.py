@@ -18,12 +18,12 @@ from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.json_format import MessageToJson
 from google.protobuf.message import Message
 
-from gateway.record.reader import LogReader, Record
 from gateway.record.tables.mat import write_mat
 from gateway.record.writer import LogError
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.errors import DataError
+from protocol.log.reader import LogReader, LogRecord
 
 Format = Literal["csv", "mat", "parquet"]
 Cell = float | int | str | None
@@ -88,13 +88,13 @@ def export(
     return files
 
 
-def _names(record: Record, getters: dict[str, Getter]) -> list[str]:
+def _names(record: LogRecord, getters: dict[str, Getter]) -> list[str]:
     if isinstance(record.message, pb.CaptureRecord):
         return ["t_s", "i_c_a", "u_c_v", "session", "capture_tick"]
     return ["t_s", *(name for name in getters if name != "t_s")]
 
 
-def _rows(record: Record, getters: dict[str, Getter], *, start_ns: int) -> Iterator[list[Cell]]:
+def _rows(record: LogRecord, getters: dict[str, Getter], *, start_ns: int) -> Iterator[list[Cell]]:
     message = record.message
     if isinstance(message, pb.CaptureRecord):
         for index, i_c_a in enumerate(message.i_c_a):

@@ -11,7 +11,6 @@ from __future__ import annotations
 import logging
 import re
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -20,12 +19,13 @@ from pathlib import Path
 
 from gateway.access.roles import Role, may, refusal_text
 from gateway.access.users import Users
+from gateway.processes.command import words_of
 from gateway.views.account import ACCOUNT
 from gateway.views.feed import Feed
 from gateway.views.hmi.gains import parse_gains, rows
 from gateway.views.hmi.jobs import Jobs
-from gateway.views.hmi.library import Entry, Library
-from gateway.views.hmi.sessions import Session, Sessions
+from gateway.views.hmi.library import Library, LibraryFile
+from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.errors import Board51Error
@@ -58,7 +58,7 @@ class Routes:
         return ["--connect", self.replay, "--as-site", REPLAY_SITE]
 
 
-class Console:
+class Actions:
     """The acts.
 
     Args:
@@ -77,7 +77,7 @@ class Console:
         self,
         feed: Feed,
         replayed: Feed,
-        sessions: Sessions,
+        sessions: LoginSessions,
         users: Users | None,
         *,
         jobs: Jobs,
@@ -91,32 +91,32 @@ class Console:
         self.jobs, self.logs, self.reports = jobs, logs, reports
         self._data, self._routes, self._clock = data, routes, clock
 
-    def role(self, session: Session) -> Role:
+    def role(self, session: LoginSession) -> Role:
         """The role of now: a changed users file counts at once."""
         if self.users is not None:
             user = self.users.find(session.name)
             session.role = Role.VIEWER if user is None else user.role  # None: the session is over, too
         return session.role
 
-    def may(self, session: Session, act: str) -> bool:
+    def may(self, session: LoginSession, act: str) -> bool:
         """Whether a control is shown; each act asks again."""
         return may(self.role(session), act)
 
-    def command(self, session: Session, board: str, what: pb.Command) -> pb.CommandReply:
+    def command(self, session: LoginSession, board: str, what: pb.Command) -> pb.CommandReply:
         """Send a command to a board and wait for what becomes of it."""
         refused = self._refused(session, str(what.WhichOneof("what")))
         if refused is not None:
             return refused
         return self._sent(session, board, lambda who, role: self.feed.command(board, what, who=who, role=role))
 
-    def stop(self, session: Session, board: str) -> dict[str, pb.CommandReply]:
+    def stop(self, session: LoginSession, board: str) -> dict[str, pb.CommandReply]:
         """Coil off at once, of one board or ("*") of every board of the site; what became of each."""
         boards = self.feed.boards() if board == "*" else (board,)
         with ThreadPoolExecutor(max(1, len(boards))) as pool:  # a board that does not answer must not hold up the next
             replies = pool.map(lambda name: self.command(session, name, pb.Command(stop=pb.Stop())), boards)
             return dict(zip(boards, replies, strict=True))
 
-    def _sent(self, session: Session, board: str, send: Callable[[str, str], pb.CommandReply]) -> pb.CommandReply:
+    def _sent(self, session: LoginSession, board: str, send: Callable[[str, str], pb.CommandReply]) -> pb.CommandReply:
         if self.feed.board(board) is None:
             return _refusal("no-board", f"Nothing has been heard of a board {board[:32]!r}.")
         try:
@@ -125,7 +125,7 @@ class Console:
             _logger.warning("command of %s to %s: %s", session.name, board, error)
             return _refusal("not-delivered", f"The bus did not take the command: {error}.")
 
-    def acknowledge(self, session: Session, board: str, alarm: str) -> pb.CommandReply:
+    def acknowledge(self, session: LoginSession, board: str, alarm: str) -> pb.CommandReply:
         """Somebody has seen an alarm."""
         refused = self._refused(session, "acknowledge")
         if refused is not None:
@@ -143,21 +143,21 @@ class Console:
         gains = parse_gains(data, parameters)
         return gains, rows(gains, parameters)
 
-    def start_recording(self, session: Session, board: str, title: str) -> pb.CommandReply:
+    def start_recording(self, session: LoginSession, board: str, title: str) -> pb.CommandReply:
         """Log this board's bus into files of their own, beside the gateway's log."""
         name = slug(title)[:16] or "rec"
         words = ["record", "--out", str(self._data / "recordings"), "--prefix", f"{name}-{board}"[:32].rstrip("-_"),
                  "--board", board, *self._routes.live(ACCOUNT)]  # fmt: skip
         return self._start(session, "recording", "record", board, words, title=title or "recording")
 
-    def start_campaign(self, session: Session, board: str, *, quick: bool) -> pb.CommandReply:
+    def start_campaign(self, session: LoginSession, board: str, *, quick: bool) -> pb.CommandReply:
         """The paper's experiments into a new folder."""
         folder = self._data / "campaigns" / f"{board}-{time.strftime('%Y%m%d-%H%M%S')}"
         words = ["campaign", "run", str(folder), "--board", board, "--who", session.name, *["--quick"] * quick,
                  *self._routes.live(session.name)]  # fmt: skip
         return self._start(session, "campaign", "campaign", board, words, title=folder.name)
 
-    def start_replay(self, session: Session, log: str, speed: float) -> pb.CommandReply:
+    def start_replay(self, session: LoginSession, log: str, speed: float) -> pb.CommandReply:
         """A log onto the replay site, with everything that travelled on the bus."""
         entry = self.logs.find(log)
         if entry is None:
@@ -165,20 +165,20 @@ class Console:
         words = ["replay", str(entry.path), "--speed", f"{speed:g}", *self._routes.replayed(), *_EVERYTHING]
         return self._start(session, "read", "replay", "*", words, title=entry.name)
 
-    def summary(self, entry: Entry) -> str:
+    def summary(self, entry: LibraryFile) -> str:
         """What a log holds, as `board51 info` says it."""
         if entry.bytes > SUMMARY_MAX_BYTES:
             return f"{entry.bytes / 1e6:.0f} MB take long to read: use `board51 info {entry.path}`."
         try:
             done = subprocess.run(
-                [sys.executable, "-m", "board51", "info", str(entry.path)],
+                words_of("info", str(entry.path)),
                 capture_output=True, text=True, errors="replace", timeout=SUMMARY_S, stdin=subprocess.DEVNULL,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             return f"It takes too long to read: use `board51 info {entry.path}`."
         return (done.stdout or done.stderr).replace(str(entry.path), entry.name)[:SUMMARY_CHARACTERS]
 
-    def stop_job(self, session: Session, kind: str, board: str) -> pb.CommandReply:
+    def stop_job(self, session: LoginSession, kind: str, board: str) -> pb.CommandReply:
         """Interrupt a job; a campaign parks the ball."""
         act = {"record": "recording", "campaign": "stop", "replay": "read"}.get(kind, "")
         refused = self._refused(session, act)
@@ -189,7 +189,7 @@ class Console:
         return _refusal("not-running", "Nothing of that kind is running.")
 
     def _start(
-        self, session: Session, act: str, kind: str, board: str, words: list[str], *, title: str
+        self, session: LoginSession, act: str, kind: str, board: str, words: list[str], *, title: str
     ) -> pb.CommandReply:
         refused = self._refused(session, act)
         if refused is not None:
@@ -207,7 +207,7 @@ class Console:
         _logger.info("%s started a %s of %s: %s", session.name, kind, board, title)
         return pb.CommandReply(accepted=True, text=f"{title}: started")
 
-    def _refused(self, session: Session, act: str) -> pb.CommandReply | None:
+    def _refused(self, session: LoginSession, act: str) -> pb.CommandReply | None:
         """Why not; None where it is allowed.  An act is what a person does: the idle time begins anew."""
         now_s = self._clock()
         if not self.sessions.is_open(session, now_s):

@@ -27,14 +27,14 @@ from starlette.types import ASGIApp
 from gateway.access.roles import Role
 from gateway.access.users import Users
 from gateway.views.feed import Feed
-from gateway.views.hmi.actions import REPLAY_SITE, Console, Routes
+from gateway.views.hmi.actions import REPLAY_SITE, Actions, Routes
 from gateway.views.hmi.guard import MAX_BODY, Guard
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.library import Library
-from gateway.views.hmi.live import STUCK_S, Live, Pictures
+from gateway.views.hmi.live import STUCK_S, Live, Snapshots
 from gateway.views.hmi.pages import REPLAY, Pages
 from gateway.views.hmi.requests import Requests
-from gateway.views.hmi.sessions import Session, Sessions
+from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from protocol.errors import ServiceError
 
 STATIC = Path(__file__).parent / "static"
@@ -103,12 +103,12 @@ def _nothing(number: int, frame: FrameType | None) -> None:
 def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGIApp:
     """The application, without a server around it."""
     users = settings.users
-    sessions = Sessions(
+    sessions = LoginSessions(
         idle_s=settings.idle_s,
         lifetime_s=settings.lifetime_s,
         known=lambda name: users is None or users.find(name) is not None,
     )
-    console = Console(
+    actions = Actions(
         feed,
         replayed,
         sessions,
@@ -119,11 +119,11 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
         data=settings.data,
         routes=settings.routes,
     )
-    live, replay = Pictures(feed), Pictures(replayed)
+    live, replay = Snapshots(feed), Snapshots(replayed)
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        pumps = [asyncio.create_task(pictures.pump()) for pictures in (live, replay)]
+        pumps = [asyncio.create_task(snapshots.pump()) for snapshots in (live, replay)]
         yield
         for pump in pumps:
             pump.cancel()
@@ -131,14 +131,14 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
                 await pump
 
     sockets: list[BaseRoute] = []
-    for prefix, pictures in (("/live", live), (REPLAY, replay)):
-        readers = Live(pictures, sessions, jobs)
+    for prefix, snapshots in (("/live", live), (REPLAY, replay)):
+        readers = Live(snapshots, sessions, jobs)
         sockets.append(WebSocketRoute(prefix, readers.overview))
         sockets.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
-    requests = Requests(console, users)
+    requests = Requests(actions, users)
     static = Mount("/static", StaticFiles(directory=STATIC))
     guard = Guard(
-        Starlette(lifespan=lifespan, routes=[static, *sockets, *requests.routes(), *Pages(console).routes()]),
+        Starlette(lifespan=lifespan, routes=[static, *sockets, *requests.routes(), *Pages(actions).routes()]),
         sessions,
         newcomer=None if users is not None else lambda: _local(sessions),
         loopback=settings.loopback,
@@ -153,7 +153,7 @@ def _recorded(settings: HmiSettings) -> dict[str, Path]:
     return {"logs": settings.logs, **made}
 
 
-def _local(sessions: Sessions) -> Session:
+def _local(sessions: LoginSessions) -> LoginSession:
     """Whoever sits at this machine, as for `board51 send`."""
     try:
         name = getpass.getuser()

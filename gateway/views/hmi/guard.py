@@ -24,7 +24,7 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from gateway.views.hmi.sessions import Session, Sessions
+from gateway.views.hmi.sessions import LoginSession, LoginSessions
 
 COOKIE = "board51_session"  # with the port: see `cookie_name`
 TOKEN_HEADER = "x-board51-token"
@@ -58,7 +58,13 @@ class Guard:
     """
 
     def __init__(
-        self, app: ASGIApp, sessions: Sessions, *, newcomer: Callable[[], Session] | None, loopback: bool, https: bool
+        self,
+        app: ASGIApp,
+        sessions: LoginSessions,
+        *,
+        newcomer: Callable[[], LoginSession] | None,
+        loopback: bool,
+        https: bool,
     ) -> None:
         self._app, self._sessions, self._newcomer = app, sessions, newcomer
         self._loopback, self._https = loopback, https
@@ -77,7 +83,7 @@ class Guard:
             await self._http(scope, receive, send, headers, session)
 
     async def _http(
-        self, scope: Scope, receive: Receive, send: Send, headers: dict[str, str], session: Session | None
+        self, scope: Scope, receive: Receive, send: Send, headers: dict[str, str], session: LoginSession | None
     ) -> None:
         path, reads = scope["path"], scope["method"] in ("GET", "HEAD")
         public = path.startswith(PUBLIC)
@@ -116,7 +122,7 @@ class Guard:
             await refusal(413, "oversize", f"At most {MAX_BODY} bytes.")(scope, receive, send)
 
     async def _websocket(
-        self, scope: Scope, receive: Receive, send: Send, headers: dict[str, str], session: Session | None
+        self, scope: Scope, receive: Receive, send: Send, headers: dict[str, str], session: LoginSession | None
     ) -> None:
         good = session is not None and self._host_is_ours(headers) and self._same_origin(headers)
         if good:
@@ -147,7 +153,7 @@ class Guard:
         scheme = "https" if self._https else "http"
         return headers.get("origin", "") == f"{scheme}://{headers.get('host', '')}"
 
-    def _with_headers(self, send: Send, opened: Session | None, host: str) -> Send:
+    def _with_headers(self, send: Send, opened: LoginSession | None, host: str) -> Send:
         async def sender(message: Message) -> None:
             if message["type"] == "http.response.start":
                 there = {name.lower() for name, _ in message["headers"]}
@@ -158,7 +164,7 @@ class Guard:
 
         return sender
 
-    def cookie(self, session: Session | None, host: str) -> str:
+    def cookie(self, session: LoginSession | None, host: str) -> str:
         """The Set-Cookie of a session for a browser that asked `host`; a session of None ends it."""
         secure = "; Secure" if self._https else ""
         value, age_s = (session.token, round(self._sessions.lifetime_s)) if session is not None else ("", 0)
@@ -206,7 +212,7 @@ def _cookie(headers: dict[str, str]) -> str:
     return jar[name].value if name in jar else ""
 
 
-def _bears_token(given: str, session: Session | None) -> bool:
+def _bears_token(given: str, session: LoginSession | None) -> bool:
     return session is not None and hmac.compare_digest(given.encode(), session.csrf.encode())
 
 

@@ -11,13 +11,13 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from gateway.processes.command import end, words_of
 from protocol.bus.identity import VARIABLE as IDENTITY_VARIABLE
 from protocol.errors import UsageError
 
@@ -77,7 +77,7 @@ class Jobs:
             if present is not None and present.running:
                 raise UsageError(f"A {kind} of {board} runs already, begun by {present.who}", remedy="Stop it first")
             process = subprocess.Popen(
-                [sys.executable, "-m", "gateway.views.child", *words],
+                words_of(*words, child=True),
                 stdin=subprocess.PIPE,  # its end is the end of the job
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
@@ -108,16 +108,7 @@ class Jobs:
 
     def close(self) -> None:
         """End them all."""
-        running = [job for job in self._jobs.values() if job.running]
-        for job in running:
-            job.process.send_signal(signal.SIGINT)
-        end_s = time.monotonic() + END_S
-        for job in running:
-            try:
-                job.process.wait(max(0.0, end_s - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                job.process.kill()
-                job.process.wait()
+        end([job.process for job in self._jobs.values()], signal.SIGINT, END_S)
         for job in self._jobs.values():
             job.listener.join(1.0)
 

@@ -16,7 +16,7 @@ MAX_FILES = 500  # the newest are listed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
+class LibraryFile:
     """One file."""
 
     name: str  # folder of the scan, slash, path within it
@@ -47,16 +47,16 @@ class Library:
         """Where it looks."""
         return list(self._roots.values())
 
-    def entries(self) -> list[Entry]:
+    def entries(self) -> list[LibraryFile]:
         """The newest first."""
         found = {entry.name: entry for entry in self._scan()}
         return sorted(found.values(), key=lambda e: -e.changed_s)[:MAX_FILES]
 
-    def find(self, name: str) -> Entry | None:
+    def find(self, name: str) -> LibraryFile | None:
         """The file of that name, None where there is none to show."""
         return next((entry for entry in self.entries() if entry.name == name), None)
 
-    def _scan(self) -> Iterator[Entry]:
+    def _scan(self) -> Iterator[LibraryFile]:
         for root_name, root in self._roots.items():
             for pattern in self._patterns:
                 for path in root.rglob(pattern):
@@ -68,7 +68,7 @@ class Library:
                     except OSError:
                         continue
                     if path.is_file() and real.is_relative_to(root):
-                        yield Entry(
+                        yield LibraryFile(
                             name=f"{root_name}/{inside.as_posix()}",
                             path=real,
                             bytes=stat.st_size,

@@ -24,7 +24,7 @@ from gateway.views.feed import BoardFeed, Feed
 from gateway.views.hmi import snapshot
 from gateway.views.hmi.guard import PROTOCOL, SESSION_OVER
 from gateway.views.hmi.jobs import Jobs
-from gateway.views.hmi.sessions import Session, Sessions
+from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from gateway.views.hmi.traces import Traces
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
@@ -38,7 +38,7 @@ MAX_READERS = 64
 _MARGIN = 1.1  # of the drawing above the highest reference, where nobody told the travel
 
 
-class Pictures:
+class Snapshots:
     """One feed, prepared for any number of browsers: the traces of its boards, pumped once for all.
 
     Args:
@@ -88,13 +88,13 @@ class Live:
     """Serves the WebSockets of one feed.
 
     Args:
-        pictures: what to show.
+        snapshots: what to show.
         sessions: who may look.
         jobs: what is said of them.
     """
 
-    def __init__(self, pictures: Pictures, sessions: Sessions, jobs: Jobs) -> None:
-        self._pictures, self._sessions, self._jobs = pictures, sessions, jobs
+    def __init__(self, snapshots: Snapshots, sessions: LoginSessions, jobs: Jobs) -> None:
+        self._snapshots, self._sessions, self._jobs = snapshots, sessions, jobs
         self._readers = 0
 
     async def board(self, socket: WebSocket) -> None:
@@ -106,15 +106,15 @@ class Live:
 
         def frame(now_s: float) -> dict[str, Any]:
             nonlocal board, cursor, looked_s
-            board = board or self._pictures.feed.board(name)
+            board = board or self._snapshots.feed.board(name)
             if board is None:
                 return {}
-            rows, cursor = self._pictures.traces(board).since(cursor)
+            rows, cursor = self._snapshots.traces(board).since(cursor)
             made: dict[str, Any] = {"now": snapshot.now(board), "rows": rows}
             if now_s - looked_s >= REST_S:
                 looked_s = now_s
                 jobs = {job.kind: snapshot.job(job) for job in self._jobs.of(name)}
-                for part, content in (("rest", self._pictures.rest(board)), ("jobs", jobs)):
+                for part, content in (("rest", self._snapshots.rest(board)), ("jobs", jobs)):
                     text = json.dumps(content)
                     if text != sent.get(part):
                         sent[part], made[part] = text, content
@@ -124,7 +124,7 @@ class Live:
 
     async def overview(self, socket: WebSocket) -> None:
         """A line of each board."""
-        feed = self._pictures.feed
+        feed = self._snapshots.feed
 
         def frame(_: float) -> dict[str, Any]:
             boards = [board for board in map(feed.board, feed.boards()) if board is not None]
@@ -133,7 +133,7 @@ class Live:
         await self._serve(socket, frame, OVERVIEW_S)
 
     async def _serve(self, socket: WebSocket, frame: Callable[[float], dict[str, Any]], period_s: float) -> None:
-        session: Session = socket.scope["board51_session"]
+        session: LoginSession = socket.scope["board51_session"]
         if self._readers >= MAX_READERS:
             await socket.close(1013)
             return
@@ -161,7 +161,7 @@ class Live:
             with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
                 await listener
 
-    async def _listen(self, socket: WebSocket, session: Session) -> None:
+    async def _listen(self, socket: WebSocket, session: LoginSession) -> None:
         while True:
             await socket.receive_text()  # "acted", whatever it says
             self._sessions.acted(session, time.monotonic())

@@ -17,11 +17,11 @@ from starlette.routing import Route
 
 from gateway.access.roles import LEAST_ROLE
 from gateway.views.hmi import controls
-from gateway.views.hmi.actions import Console
+from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.guard import refusal
-from gateway.views.hmi.library import Entry
+from gateway.views.hmi.library import LibraryFile
 from gateway.views.hmi.markup import Markup, join, tag
-from gateway.views.hmi.sessions import Session
+from gateway.views.hmi.sessions import LoginSession
 
 REPLAY = "/live-replay"  # where the frames of replays come from
 REPORTS_SHOWN = 20
@@ -35,10 +35,10 @@ _ICON = Markup('<svg viewBox="0 0 24 24" aria-hidden="true"><path d="M8 1h8l7 7v
 
 
 class Pages:
-    """The pages of one console."""
+    """The pages of one server."""
 
-    def __init__(self, console: Console) -> None:
-        self._console = console
+    def __init__(self, actions: Actions) -> None:
+        self._actions = actions
 
     def routes(self) -> list[Route]:
         """Where they are."""
@@ -59,8 +59,8 @@ class Pages:
     async def rig(self, request: Request) -> Response:
         """One rig, with what this session may do."""
         board, session = request.path_params["board"], _session(request)
-        reports = await asyncio.to_thread(self._console.reports.entries)
-        cards = controls.cards(lambda act: self._console.may(session, act))
+        reports = await asyncio.to_thread(self._actions.reports.entries)
+        cards = controls.cards(lambda act: self._actions.may(session, act))
         body = join(
             tag("main", _measured(), tag("div", _list("Alarms", "alarms"), *cards, _last(reports), class_="side"),
                 class_="rig"),
@@ -85,8 +85,8 @@ class Pages:
 
     async def logs(self, request: Request) -> Response:
         """Files."""
-        logs = await asyncio.to_thread(self._console.logs.entries)
-        reports = await asyncio.to_thread(self._console.reports.entries)
+        logs = await asyncio.to_thread(self._actions.logs.entries)
+        reports = await asyncio.to_thread(self._actions.reports.entries)
         body = tag(
             "main",
             _card("Diagnosis reports", *map(_report_row, reports[:REPORTS_SHOWN]), empty=self._how_to_report()),
@@ -99,18 +99,18 @@ class Pages:
 
     async def report(self, request: Request) -> Response:
         """A report within a page of ours, which has STOP; the report itself runs no script."""
-        entry = await asyncio.to_thread(self._console.reports.find, request.path_params["name"])
+        entry = await asyncio.to_thread(self._actions.reports.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-report", "There is no such report.")
         frame = tag("iframe", src=f"/report-file/{entry.name}", title="Report", sandbox="allow-same-origin")
         return self._page(request, f"Report of {entry.changed}", tag("main", frame, class_="report"), live="/live")
 
     def _how_to_report(self) -> str:
-        folder = self._console.reports.folders[0]
+        folder = self._actions.reports.folders[0]
         return f"None yet. `board51 diagnose CAMPAIGN --model MODEL --out {folder}/NAME` writes one."
 
     def _replay_banner(self) -> Markup:
-        job = self._console.jobs.get("replay", "*")
+        job = self._actions.jobs.get("replay", "*")
         what = job.title if job is not None else "nothing was replayed yet: choose a log under Logs"
         end = controls.job("End replay", "replay", "stop") if job is not None and job.running else ""
         return tag("div", tag("span", f"\u25b6 REPLAY of a recording, NOT LIVE: {what}"), end, class_="replay-banner")
@@ -126,7 +126,7 @@ class Pages:
         chips: bool = False,
     ) -> Response:
         session, replayed = _session(request), live.startswith(REPLAY)
-        role = self._console.role(session)
+        role = self._actions.role(session)
         stops = board if board and not replayed else "*"
         head = join(
             tag("meta", charset="utf-8"),
@@ -136,7 +136,7 @@ class Pages:
             tag("link", rel="stylesheet", href="/static/hmi.css"),
             tag("meta", name="board51", data_board=board, data_token=session.csrf, data_live=live, data_prefix=prefix,
                 data_replay="yes" if replayed else "", data_stops=stops, data_now=f"{time.monotonic():.3f}",
-                data_may=" ".join(act for act in LEAST_ROLE if self._console.may(session, act))),
+                data_may=" ".join(act for act in LEAST_ROLE if self._actions.may(session, act))),
             tag("script", type="module", src="/static/hmi.js"),
         )  # fmt: skip
         links = [tag("a", text, href=to) for text, to in (("Rigs", "/"), ("Logs", "/logs"), ("Replay", "/replay/"))]
@@ -146,7 +146,7 @@ class Pages:
             tag("h1", title, class_="title"),
             tag("nav", *links),
             tag("span", f"{session.name}, {role.word}", class_="who"),
-            tag("button", "Log out", type="button", data_act="log-out", class_="plain") if self._console.users else "",
+            tag("button", "Log out", type="button", data_act="log-out", class_="plain") if self._actions.users else "",
             class_="bar-row",
         )
         shown = tag("div", *(_live(name, class_="chip") for name in _CHIPS), class_="chips") if chips else ""
@@ -162,8 +162,8 @@ class Pages:
         return HTMLResponse(text, headers={"cache-control": "no-store"})
 
 
-def _session(request: Request) -> Session:
-    session: Session = request.scope["board51_session"]  # the guard has seen to it
+def _session(request: Request) -> LoginSession:
+    session: LoginSession = request.scope["board51_session"]  # the guard has seen to it
     return session
 
 
@@ -219,19 +219,19 @@ def _list(title: str, name: str) -> Markup:
     return tag("section", tag("h2", title, class_="card-title"), entries, class_=f"card list {name}")
 
 
-def _last(reports: list[Entry]) -> Markup:
+def _last(reports: list[LibraryFile]) -> Markup:
     if not reports:
         return Markup()
     link = tag("a", f"Last report, {reports[0].changed}", href=f"/report/{reports[0].name}", target="_blank")
     return tag("section", tag("h2", "Diagnosis", class_="card-title"), link, class_="card")
 
 
-def _report_row(entry: Entry) -> Markup:
+def _report_row(entry: LibraryFile) -> Markup:
     link = tag("a", f"{entry.path.parent.name}/{entry.path.name}", href=f"/report/{entry.name}", target="_blank")
     return tag("div", link, tag("span", entry.changed, class_="at"), class_="file")
 
 
-def _log_row(entry: Entry) -> Markup:
+def _log_row(entry: LibraryFile) -> Markup:
     acts = (
         tag("button", "Summary", type="button", class_="plain", data_act="summary", data_log=entry.name),
         controls.job("Replay", "replay", "start", log=entry.name, then="/replay/"),

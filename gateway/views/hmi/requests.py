@@ -34,9 +34,9 @@ from starlette.routing import Route
 
 from gateway.access.logins import Logins, TooMany
 from gateway.access.users import Users
-from gateway.views.hmi.actions import Console
+from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.guard import Guard, cookie_name, own_page, refusal
-from gateway.views.hmi.sessions import Session
+from gateway.views.hmi.sessions import LoginSession
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
 
@@ -56,12 +56,12 @@ class Requests:
     """The endpoints.
 
     Args:
-        console: does what is asked.
+        actions: does what is asked.
         users: who may log in; None: nobody needs to.
     """
 
-    def __init__(self, console: Console, users: Users | None) -> None:
-        self._console = console
+    def __init__(self, actions: Actions, users: Users | None) -> None:
+        self._actions = actions
         self._logins = Logins(users) if users is not None else None
         self._stops = ThreadPoolExecutor(STOPS, thread_name_prefix="stop")
         self.guard: Guard | None = None  # makes the cookies; set once it stands
@@ -92,7 +92,7 @@ class Requests:
         """Coil off at once."""
         board, session = request.path_params["board"], _session(request)
         loop = asyncio.get_running_loop()
-        replies = await loop.run_in_executor(self._stops, self._console.stop, session, board)
+        replies = await loop.run_in_executor(self._stops, self._actions.stop, session, board)
         if board != "*":
             return _answer(replies[board])
         boards = {name: _body(reply) for name, reply in replies.items()}
@@ -112,13 +112,13 @@ class Requests:
         if command.WhichOneof("what") is None:
             return refusal(400, "empty-command", "The command says not what to do.")
         board = request.path_params["board"]
-        return await self._act(request, lambda session: self._console.command(session, board, command))
+        return await self._act(request, lambda session: self._actions.command(session, board, command))
 
     async def gains(self, request: Request) -> Response:
         """What a file would set."""
         board, data = request.path_params["board"], await request.body()
         try:
-            command, rows = await asyncio.to_thread(self._console.gains, board, data)
+            command, rows = await asyncio.to_thread(self._actions.gains, board, data)
         except DataError as error:
             return refusal(409, "bad-file", str(error))
         sent = MessageToDict(command, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
@@ -128,20 +128,20 @@ class Requests:
     async def job(self, request: Request) -> Response:
         """Start or stop a recording, a campaign or a replay."""
         table = await _json(request) or {}
-        kind, act, board, console = table.get("kind"), table.get("act"), request.path_params["board"], self._console
+        kind, act, board, actions = table.get("kind"), table.get("act"), request.path_params["board"], self._actions
         if kind not in ("record", "campaign", "replay") or act not in ("start", "stop"):
             return refusal(
                 400, "malformed", 'Give {"kind": "record" | "campaign" | "replay", "act": "start" | "stop"}.'
             )
 
-        def do(session: Session) -> pb.CommandReply:
+        def do(session: LoginSession) -> pb.CommandReply:
             if act == "stop":
-                return console.stop_job(session, str(kind), "*" if kind == "replay" else board)
+                return actions.stop_job(session, str(kind), "*" if kind == "replay" else board)
             if kind == "record":
-                return console.start_recording(session, board, str(table.get("title") or ""))
+                return actions.start_recording(session, board, str(table.get("title") or ""))
             if kind == "campaign":
-                return console.start_campaign(session, board, quick=table.get("quick") is True)
-            return console.start_replay(session, str(table.get("log") or ""), 1.0)
+                return actions.start_campaign(session, board, quick=table.get("quick") is True)
+            return actions.start_replay(session, str(table.get("log") or ""), 1.0)
 
         return await self._act(request, do)
 
@@ -152,27 +152,27 @@ class Requests:
         if not isinstance(name, str):
             return refusal(400, "malformed", 'Give {"name": "..."}.')
         board = request.path_params["board"]
-        return await self._act(request, lambda session: self._console.acknowledge(session, board, name))
+        return await self._act(request, lambda session: self._actions.acknowledge(session, board, name))
 
     async def session(self, request: Request) -> Response:
         """Who asks, and for how long still."""
         session = _session(request)
-        left_s = self._console.sessions.left_s(session, time.monotonic())
+        left_s = self._actions.sessions.left_s(session, time.monotonic())
         return JSONResponse(
-            {"name": session.name, "role": self._console.role(session).word, "left_s": round(left_s)},
+            {"name": session.name, "role": self._actions.role(session).word, "left_s": round(left_s)},
             headers={"cache-control": "no-store"},
         )
 
     async def log(self, request: Request) -> Response:
         """One MCAP file."""
-        entry = await asyncio.to_thread(self._console.logs.find, request.path_params["name"])
+        entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-log", "There is no such log.")
         return FileResponse(entry.path, media_type="application/octet-stream", filename=entry.path.name)
 
     async def report(self, request: Request) -> Response:
         """One page of a diagnosis."""
-        entry = await asyncio.to_thread(self._console.reports.find, request.path_params["name"])
+        entry = await asyncio.to_thread(self._actions.reports.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-report", "There is no such report.")
         own = {"content-security-policy": _REPORT_POLICY, "x-frame-options": "SAMEORIGIN"}
@@ -180,10 +180,10 @@ class Requests:
 
     async def summary(self, request: Request) -> Response:
         """What a log holds, in words."""
-        entry = await asyncio.to_thread(self._console.logs.find, request.path_params["name"])
+        entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-log", "There is no such log.")
-        return JSONResponse({"accepted": True, "text": await asyncio.to_thread(self._console.summary, entry)})
+        return JSONResponse({"accepted": True, "text": await asyncio.to_thread(self._actions.summary, entry)})
 
     async def login_form(self, request: Request) -> Response:
         """The form."""
@@ -200,14 +200,14 @@ class Requests:
         name, password, asked = (fields.get(field, [""])[0] for field in ("name", "password", "next"))
         then = own_page(asked)
         host = request.client.host if request.client is not None else ""
-        browser = self._console.sessions.held(request.cookies.get(cookie_name(_host(request)), ""), name)
+        browser = self._actions.sessions.held(request.cookies.get(cookie_name(_host(request)), ""), name)
         user = await self._logins.login(name, password, host, browser=browser)
         if isinstance(user, TooMany):
             said = f"Too many passwords from your address. Try again in {user.wait_s:.0f} s."
             return _form(said, then, status=429)
         if user is None:
             return _form("The name or the password is wrong.", then, status=401)
-        session = self._console.sessions.open(user.name, user.role, time.monotonic())
+        session = self._actions.sessions.open(user.name, user.role, time.monotonic())
         return RedirectResponse(
             then, status_code=303, headers={"set-cookie": self.guard.cookie(session, _host(request))}
         )
@@ -215,10 +215,10 @@ class Requests:
     async def logout(self, request: Request) -> Response:
         """End the session."""
         assert self.guard is not None
-        self._console.sessions.close(_session(request))
+        self._actions.sessions.close(_session(request))
         return JSONResponse({"accepted": True}, headers={"set-cookie": self.guard.cookie(None, _host(request))})
 
-    async def _act(self, request: Request, do: Callable[[Session], pb.CommandReply]) -> Response:
+    async def _act(self, request: Request, do: Callable[[LoginSession], pb.CommandReply]) -> Response:
         late = _late(request)
         return late if late is not None else _answer(await asyncio.to_thread(do, _session(request)))
 
@@ -226,8 +226,8 @@ class Requests:
 _WHAT = [field.name for field in pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields]
 
 
-def _session(request: Request) -> Session:
-    session: Session = request.scope["board51_session"]  # the guard has seen to it
+def _session(request: Request) -> LoginSession:
+    session: LoginSession = request.scope["board51_session"]  # the guard has seen to it
     return session
 
 

@@ -21,7 +21,7 @@ MAX_SESSIONS = 256
 
 
 @dataclass(slots=True, kw_only=True)
-class Session:
+class LoginSession:
     """One login of one person."""
 
     name: str
@@ -32,7 +32,7 @@ class Session:
     csrf: str = field(default_factory=lambda: secrets.token_urlsafe(32))
 
 
-class Sessions:
+class LoginSessions:
     """All that are open.
 
     Args:
@@ -45,16 +45,16 @@ class Sessions:
         self, *, idle_s: float, lifetime_s: float, known: Callable[[str], bool] = lambda name: bool(name)
     ) -> None:
         self.idle_s, self.lifetime_s, self._known = idle_s, lifetime_s, known
-        self._open: dict[str, Session] = {}
+        self._open: dict[str, LoginSession] = {}
         self._names: OrderedDict[str, str] = OrderedDict()  # by token, also of sessions that are over
 
-    def open(self, name: str, role: Role, now_s: float) -> Session:
+    def open(self, name: str, role: Role, now_s: float) -> LoginSession:
         """A new session; the caller has checked who it is."""
         for token in [t for t, s in self._open.items() if self.left_s(s, now_s) <= 0.0]:
             del self._open[token]
         if len(self._open) >= MAX_SESSIONS:
             del self._open[min(self._open.values(), key=lambda s: s.acted_s).token]
-        session = Session(name=name, role=role, opened_s=now_s, acted_s=now_s)
+        session = LoginSession(name=name, role=role, opened_s=now_s, acted_s=now_s)
         self._open[session.token] = session
         self._names[session.token] = name
         if len(self._names) > MAX_SESSIONS:
@@ -65,7 +65,7 @@ class Sessions:
         """The token if it is, or was, of a session of `name`, else ""."""
         return token if self._names.get(token) == name else ""
 
-    def get(self, token: str, now_s: float) -> Session | None:
+    def get(self, token: str, now_s: float) -> LoginSession | None:
         """The session of a cookie, None where there is none or it is over."""
         session = self._open.get(token)
         if session is not None and (self.left_s(session, now_s) <= 0.0 or not self._known(session.name)):
@@ -73,18 +73,18 @@ class Sessions:
             return None
         return session
 
-    def is_open(self, session: Session, now_s: float) -> bool:
+    def is_open(self, session: LoginSession, now_s: float) -> bool:
         """Whether it still counts."""
         return self.get(session.token, now_s) is session
 
-    def acted(self, session: Session, now_s: float) -> None:
+    def acted(self, session: LoginSession, now_s: float) -> None:
         """A person did something: the idle time begins anew."""
         session.acted_s = max(session.acted_s, now_s)
 
-    def left_s(self, session: Session, now_s: float) -> float:
+    def left_s(self, session: LoginSession, now_s: float) -> float:
         """Until it is over, if nothing is done."""
         return min(session.acted_s + self.idle_s, session.opened_s + self.lifetime_s) - now_s
 
-    def close(self, session: Session) -> None:
+    def close(self, session: LoginSession) -> None:
         """Log out."""
         self._open.pop(session.token, None)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from gateway.views.bins import Tap
+from gateway.views.bins import TopicBins
 from gateway.views.decimate import Bin
 from gateway.views.feed import BoardFeed
 from protocol.bus import board51_pb2 as pb
@@ -38,7 +38,7 @@ class Traces:
         self._board = board
         self._rows: deque[Row] = deque(maxlen=MAX_ROWS)
         self._count = 0  # rows so far: the cursor of one who has read all
-        self._taps: list[Tap] = []
+        self._taps: list[TopicBins] = []
 
     def pump(self) -> None:
         """Take in what came since the last call; call it about 30 times a second."""

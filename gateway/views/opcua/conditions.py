@@ -19,7 +19,7 @@ from asyncua.common.event_objects import AlarmCondition, BaseEvent
 from gateway.views.alarms import Alarm
 from gateway.views.feed import BoardFeed
 from gateway.views.opcua.address_space.values import datetime_of
-from gateway.views.opcua.sessions import Condition, GuardedServer
+from gateway.views.opcua.sessions import ConditionNode, GuardedServer
 from protocol.bus import board51_pb2 as pb
 
 SEVERITY = {"info": 100, "warning": 500, "fault": 800}
@@ -34,7 +34,7 @@ class Conditions:
         self._server, self._feed, self._node = server, feed, node
         self._revision = -1
         self._sent: dict[str, Alarm] = {}  # those that are retained
-        self._known: dict[str, tuple[Condition, Alarm]] = {}  # with what was said last, also of those that are over
+        self._known: dict[str, tuple[ConditionNode, Alarm]] = {}  # with what was said last, also of those that are over
         self._last_event = self._newest(feed.events())
         self._last_command = self._newest(feed.commands())
 
@@ -73,7 +73,7 @@ class Conditions:
     async def _say(self, alarm: Alarm, *, retain: bool, came: bool = False, switched: bool = False) -> None:
         """Tell of a condition; of a disabled one, only that it has been switched."""
         node = ua.NodeId(f"{alarm.board}/alarm/{alarm.name}", self._server.namespace)
-        condition = self._server.conditions.setdefault(node, Condition(alarm.board, alarm.name))
+        condition = self._server.conditions.setdefault(node, ConditionNode(alarm.board, alarm.name))
         self._known[alarm.name] = condition, alarm
         if came:  # the events and comments of before are over
             condition.event_ids.clear()
@@ -104,7 +104,7 @@ class Conditions:
         return kept[place + 1 :]
 
 
-def _condition_event(alarm: Alarm, condition: Condition, *, retain: bool) -> Any:
+def _condition_event(alarm: Alarm, condition: ConditionNode, *, retain: bool) -> Any:
     event: Any = AlarmCondition(message=alarm.text, severity=SEVERITY[alarm.severity])
     event.ConditionName, event.ConditionClassId = alarm.name, _PROCESS
     event.ConditionClassName = ua.LocalizedText("ProcessConditionClassType")

@@ -67,7 +67,7 @@ def code_of(reply: pb.CommandReply) -> int:
     return int(_CODES.get(reply.reason, S.BadRequestNotAllowed))
 
 
-class Desk:
+class Operations:
     """Sends the commands of all sessions."""
 
     def __init__(self, feed: Feed) -> None:

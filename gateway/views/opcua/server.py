@@ -24,7 +24,7 @@ from gateway.views.opcua.address_space.history import Historian, RingHistory
 from gateway.views.opcua.address_space.nodes import BoardNodes
 from gateway.views.opcua.capabilities import describe
 from gateway.views.opcua.conditions import Conditions
-from gateway.views.opcua.operations import Desk, Visitor
+from gateway.views.opcua.operations import Operations, Visitor
 from gateway.views.opcua.security import Security
 from gateway.views.opcua.sessions import GuardedServer, Reception
 from protocol.errors import ServiceError
@@ -43,7 +43,7 @@ _logger = logging.getLogger("gateway.opcua")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
+class OpcuaSettings:
     """How the rigs are served."""
 
     host: str = "127.0.0.1"
@@ -54,7 +54,7 @@ class Settings:
     security: Security | None = None
 
 
-async def serve(feed: Feed, settings: Settings, stop: asyncio.Event, ready: Callable[[int], None]) -> None:
+async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready: Callable[[int], None]) -> None:
     """Serve until `stop` is set.
 
     Args:
@@ -75,7 +75,7 @@ async def serve(feed: Feed, settings: Settings, stop: asyncio.Event, ready: Call
             return anonymous
         return security.identify(name, password, certificate, host) if security is not None else None
 
-    inner = GuardedServer(Reception(identify), Desk(feed), secured=security is not None)
+    inner = GuardedServer(Reception(identify), Operations(feed), secured=security is not None)
     server = Server(iserver=inner)
     await server.init()
     server.set_endpoint(f"opc.tcp://{settings.host}:{settings.port}/board51/")
@@ -111,7 +111,7 @@ async def serve(feed: Feed, settings: Settings, stop: asyncio.Event, ready: Call
 
 
 async def _keep_up(
-    feed: Feed, inner: GuardedServer, history: RingHistory, settings: Settings, stop: asyncio.Event
+    feed: Feed, inner: GuardedServer, history: RingHistory, settings: OpcuaSettings, stop: asyncio.Event
 ) -> None:
     builder = Builder(inner, inner.namespace)
     site = builder.folder(ua.NodeId(ua.ObjectIds.ObjectsFolder), feed.site, "the site", events=False)
@@ -150,7 +150,7 @@ async def _keep_up(
             continue
 
 
-def _check_free(settings: Settings) -> None:
+def _check_free(settings: OpcuaSettings) -> None:
     """Look first: the address space takes seconds to build, and asyncua tells of a taken port with a traceback."""
     try:
         family, kind, _, _, address = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0]
@@ -162,7 +162,7 @@ def _check_free(settings: Settings) -> None:
         raise _taken(settings, error) from None
 
 
-def _taken(settings: Settings, error: OSError) -> ServiceError:
+def _taken(settings: OpcuaSettings, error: OSError) -> ServiceError:
     return ServiceError(
         f"OPC UA cannot listen on {settings.host}:{settings.port}: {error.strerror or error}",
         remedy="End the program that uses the port, or give another one with --listen HOST:PORT",

@@ -1,4 +1,4 @@
-"""Who is at the door, and what a session may do.  asyncua's server with its open ends closed.
+"""Who has come, and what a session may do.  asyncua's server with its open ends closed.
 
 Rule 1: on a secured server a session without an encrypted channel is refused, whatever its credentials: asyncua
         accepts an unencrypted channel even where no endpoint offers one.
@@ -25,7 +25,7 @@ from asyncua.server.internal_session import InternalSession
 from gateway.access.roles import may
 from gateway.views.opcua.address_space import timestamps
 from gateway.views.opcua.address_space.model import methods
-from gateway.views.opcua.operations import NOBODY, SETPOINTS, Desk, Visitor, called, code_of, is_of, written
+from gateway.views.opcua.operations import NOBODY, SETPOINTS, Operations, Visitor, called, code_of, is_of, written
 from gateway.views.opcua.subscriptions import BoundedSubscriptions
 from protocol.bus import board51_pb2 as pb
 
@@ -60,7 +60,7 @@ class Guest(User):  # type: ignore[misc]  # asyncua's class is untyped
 
 
 @dataclass
-class Condition:
+class ConditionNode:
     """What a condition's node stands for, and what clients did to it; conditions.py tells of it."""
 
     board: str
@@ -98,16 +98,16 @@ class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes 
 
     Args:
         reception: decides who may in.
-        desk: carries out what they command.
+        operations: carries out what they command.
         secured: whether sessions need an encrypted channel.
     """
 
-    def __init__(self, reception: Reception, desk: Desk, *, secured: bool) -> None:
+    def __init__(self, reception: Reception, operations: Operations, *, secured: bool) -> None:
         super().__init__(user_manager=reception)
         self.reception = reception
-        self.desk, self.secured = desk, secured
+        self.operations, self.secured = operations, secured
         self.namespace = 0
-        self.conditions: dict[ua.NodeId, Condition] = {}
+        self.conditions: dict[ua.NodeId, ConditionNode] = {}
         self.subscription_service = BoundedSubscriptions(self.aspace, iserver=self)
         self.isession.subscription_service = self.subscription_service
         self.allow_remote_admin = False
@@ -281,7 +281,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         command = written(name, item.Value)
         if isinstance(command, int):
             return command
-        return code_of(await self.iserver.desk.command(self.visitor, board, *command))
+        return code_of(await self.iserver.operations.command(self.visitor, board, *command))
 
     async def _call(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
         result = ua.CallMethodResult()
@@ -297,7 +297,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         elif name in _METHODS:
             command = called(_METHODS[name], inputs)
             if isinstance(command, pb.Command):
-                reply = await self.iserver.desk.command(self.visitor, board, _METHODS[name].act, command)
+                reply = await self.iserver.operations.command(self.visitor, board, _METHODS[name].act, command)
                 result.StatusCode = ua.StatusCode(code_of(reply))
                 result.OutputArguments = _outputs(reply)
             else:
@@ -333,7 +333,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         said = ((values[1].Text if values[1] is not None else None) or "")[:LONGEST_COMMENT]
         if name == "acknowledge":
             seen = pb.Command(acknowledge=pb.Acknowledge(alarm=condition.alarm, comment=said))
-            code = code_of(await self.iserver.desk.command(self.visitor, condition.board, name, seen))
+            code = code_of(await self.iserver.operations.command(self.visitor, condition.board, name, seen))
             condition.comment = condition.comment if code != S.Good else None  # its comment is the newer one
             return code, []
         code = await self._remark(condition, f"{condition.alarm}: {said}")
@@ -341,7 +341,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
             condition.comment, condition.is_changed = (said, self.visitor.name), True
         return code, []
 
-    async def _enable(self, condition: Condition, *, enabled: bool) -> int:
+    async def _enable(self, condition: ConditionNode, *, enabled: bool) -> int:
         if condition.enabled == enabled:
             return int(S.BadConditionAlreadyEnabled if enabled else S.BadConditionAlreadyDisabled)
         if not may(self.visitor.role, "disable_alarm"):  # the bus knows no such command: it is judged here
@@ -352,10 +352,10 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
             condition.enabled, condition.is_changed = enabled, True
         return code
 
-    async def _remark(self, condition: Condition, text: str) -> int:
+    async def _remark(self, condition: ConditionNode, text: str) -> int:
         """Into the log and every view; what nobody records does not happen."""
         remark = pb.Command(mark=pb.Mark(text=text[:LONGEST_COMMENT]))
-        return code_of(await self.iserver.desk.command(self.visitor, condition.board, "mark", remark))
+        return code_of(await self.iserver.operations.command(self.visitor, condition.board, "mark", remark))
 
 
 def _outputs(reply: pb.CommandReply) -> list[ua.Variant]:

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from gateway.emulator.firmware.board import Firmware
-from gateway.emulator.plant.levitation import Plant
+from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import Message, encode_body
@@ -33,7 +33,7 @@ STAGGER = 4  # groups of boards within a period
 
 def recorded_states(count: int) -> list[State]:
     """States of an emulated board in closed loop, after it has lifted the ball."""
-    board = Firmware(Plant(seed=51), board_id=1)
+    board = Firmware(EmulatedPlant(seed=51), board_id=1)
     board.feed(encode_frame(encode_body("HELLO", id=1, session=1, version_min=1, version_max=1)))
     board.feed(encode_frame(encode_body("SET_MODE", id=2, mode=2)))
     decoder, states = StreamDecoder(), list[State]()

@@ -14,8 +14,8 @@ import zenoh
 from gateway.access.authorize import BURST, COMMANDS_PER_S, MAX_AGE_S, MAX_AHEAD_S
 from gateway.access.bus_rules import LARGEST_COMMAND, LARGEST_MESSAGE
 from gateway.access.folder import SecurityFolder
-from gateway.record.reader import read
 from protocol.bus import board51_pb2 as pb
+from protocol.log.reader import read
 from tests.gateway.access.access_peers import Client, GuardedRig, fresh, guarded_rig
 from tests.gateway.gateway_peers import ScriptedBoard, gateway_and_client, gateway_config, wait_for
 from tests.patience import HANG_S

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from gateway.access.authorize import BURST, COMMANDS_PER_S, MAX_AGE_S, MAX_AHEAD_S, MAX_SENDERS, Doorkeeper, Sender
+from gateway.access.authorize import BURST, COMMANDS_PER_S, MAX_AGE_S, MAX_AHEAD_S, MAX_SENDERS, Authorizer, Sender
 from gateway.access.roles import Role
 from gateway.board.limits import Gate
 from gateway.board.scaling import Refusal
@@ -54,26 +54,26 @@ def test_what_the_gateway_before_may_have_executed_is_refused() -> None:
 
 
 def test_a_clock_set_back_does_not_shut_everybody_out() -> None:
-    door = Doorkeeper(START_NS, lambda *_: None)
+    authorizer = Authorizer(START_NS, lambda *_: None)
     now_ns = START_NS - 3600 * S  # as a host without a battery finds after its first contact with a time server
     command = pb.Command(id="1", issued_ns=now_ns, ping=pb.Ping())
 
-    before = door.sender("board51/rig/command/as/operator/ben", now_ns)
+    before = authorizer.sender("board51/rig/command/as/operator/ben", now_ns)
     assert isinstance(before, Sender)
     assert before.fresh(command) is not None
 
-    door.clock_stepped(-3700 * S)
-    after = door.sender("board51/rig/command/as/operator/ben", now_ns)
+    authorizer.clock_stepped(-3700 * S)
+    after = authorizer.sender("board51/rig/command/as/operator/ben", now_ns)
     assert isinstance(after, Sender)
     assert after.fresh(command) is None
 
 
 def test_a_clock_set_forward_does_not_let_in_what_is_older_than_the_gateway() -> None:
     """A host that boots without a clock finds the time after its gateway has started."""
-    door, step_s = Doorkeeper(START_NS, lambda *_: None), 3600
-    door.clock_stepped(step_s * S)
+    authorizer, step_s = Authorizer(START_NS, lambda *_: None), 3600
+    authorizer.clock_stepped(step_s * S)
     now_ns = START_NS + (step_s + 5) * S  # 5 s after the start
-    found = door.sender("board51/rig/command/as/operator/ben", now_ns)
+    found = authorizer.sender("board51/rig/command/as/operator/ben", now_ns)
 
     assert isinstance(found, Sender)
     assert found.fresh(pb.Command(id="1", issued_ns=now_ns - 6 * S, ping=pb.Ping())) is not None
@@ -84,8 +84,8 @@ def test_a_clock_set_forward_does_not_let_in_what_is_older_than_the_gateway() ->
 def test_on_a_bus_that_is_not_guarded_a_command_may_be_undated_and_nobody_has_a_role(
     issued_ns: int, fresh: bool
 ) -> None:
-    door = Doorkeeper(START_NS, lambda *_: None, guarded=False)
-    found = door.sender("board51/rig/command", START_NS + 100 * S)
+    authorizer = Authorizer(START_NS, lambda *_: None, guarded=False)
+    found = authorizer.sender("board51/rig/command", START_NS + 100 * S)
     command = pb.Command(id="1", who="eve", role="engineer", issued_ns=issued_ns, set_gains=pb.SetGains())
 
     assert isinstance(found, Sender)
@@ -129,30 +129,30 @@ def test_many_commands_do_not_make_the_desk_forget_one_that_is_still_fresh() -> 
 
 def test_one_sender_has_a_share_and_gets_it_back() -> None:
     told: list[tuple[str, int]] = []
-    door = Doorkeeper(START_NS, lambda who, count: told.append((who, count)))
+    authorizer = Authorizer(START_NS, lambda who, count: told.append((who, count)))
     ben, ana = sender(), sender(name="ana")
 
-    refused = [door.flooded(ben, 0.0) for _ in range(round(BURST) + 50)]
+    refused = [authorizer.flooded(ben, 0.0) for _ in range(round(BURST) + 50)]
 
     assert refused.count(False) == BURST
-    assert not door.flooded(ana, 0.0)
-    assert door.flooded(ben, 0.0)
-    assert not door.flooded(ben, 1.0 / COMMANDS_PER_S + 1e-6)
+    assert not authorizer.flooded(ana, 0.0)
+    assert authorizer.flooded(ben, 0.0)
+    assert not authorizer.flooded(ben, 1.0 / COMMANDS_PER_S + 1e-6)
     assert told == [("ben", 1)]  # once a second, not once a command
-    door.flooded(ben, 1.0)
+    authorizer.flooded(ben, 1.0)
     for _ in range(round(BURST) + 50):
-        door.flooded(ben, 1.5)
+        authorizer.flooded(ben, 1.5)
     assert [who for who, _ in told] == ["ben", "ben"]
     assert told[1][1] > 50
 
 
 def test_invented_names_do_not_fill_the_memory() -> None:
-    door = Doorkeeper(START_NS, lambda *_: None)
+    authorizer = Authorizer(START_NS, lambda *_: None)
 
     for n in range(3 * MAX_SENDERS):
-        door.flooded(sender(name=f"eve{n}"), 0.0)
+        authorizer.flooded(sender(name=f"eve{n}"), 0.0)
 
-    assert len(door._floods) == MAX_SENDERS
+    assert len(authorizer._floods) == MAX_SENDERS
 
 
 @pytest.mark.parametrize(
@@ -162,7 +162,7 @@ def test_invented_names_do_not_fill_the_memory() -> None:
      "board51/rig/command/as/OPERATOR/ben"],
 )  # fmt: skip
 def test_a_key_that_does_not_say_who_and_role_is_nobodys(key: str) -> None:
-    found = Doorkeeper(START_NS, lambda *_: None).sender(key, START_NS)
+    found = Authorizer(START_NS, lambda *_: None).sender(key, START_NS)
 
     assert isinstance(found, Refusal)
     assert found.reason == "not-allowed"
@@ -170,12 +170,12 @@ def test_a_key_that_does_not_say_who_and_role_is_nobodys(key: str) -> None:
 
 def test_looking_at_a_sender_costs_little() -> None:
     """A flood is judged in zenoh's threads; a slow look would be felt by the others."""
-    door = Doorkeeper(START_NS, lambda *_: None)
+    authorizer = Authorizer(START_NS, lambda *_: None)
     begin_s = time.thread_time()
     for n in range(1000):
-        found = door.sender("board51/rig/command/as/operator/ben", START_NS)
+        found = authorizer.sender("board51/rig/command/as/operator/ben", START_NS)
         assert isinstance(found, Sender)
-        door.flooded(found, float(n))
+        authorizer.flooded(found, float(n))
 
     assert time.thread_time() - begin_s < 0.1  # 100 us each; measured: some 5
 

@@ -13,7 +13,7 @@ from asyncua import Client, ua
 from asyncua.ua.uaerrors import UaStatusCodeError
 
 from gateway.views.feed import Feed
-from gateway.views.opcua.server import Settings, serve
+from gateway.views.opcua.server import OpcuaSettings, serve
 from tests.gateway.gateway_peers import wait_for
 from tests.gateway.views.bus_peers import PlayedGateway, feed_of
 from tests.patience import HANG_S
@@ -25,7 +25,7 @@ NAMESPACE = "urn:board51:board51"
 class Served:
     """A server in a thread of its own, as in a process of its own: clients' loops do not slow it."""
 
-    def __init__(self, gateway: PlayedGateway, settings: Settings) -> None:
+    def __init__(self, gateway: PlayedGateway, settings: OpcuaSettings) -> None:
         self.gateway, self._settings = gateway, settings
         self.port = 0
         self._loop: asyncio.AbstractEventLoop | None = None

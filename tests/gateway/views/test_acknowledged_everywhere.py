@@ -6,8 +6,8 @@ import asyncio
 import time
 from pathlib import Path
 
-from gateway.record.reader import read
 from protocol.bus import board51_pb2 as pb
+from protocol.log.reader import read
 from tests.gateway.gateway_peers import ScriptedBoard, client, free_port, gateway_config, running, wait_for
 from tests.gateway.views.hmi_peers import Page, Process, hmi, users_file
 from tests.gateway.views.opcua_peers import peer, until

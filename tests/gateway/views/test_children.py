@@ -14,9 +14,10 @@ from pathlib import Path
 import pytest
 
 from gateway.config import BoardConfig, GatewayConfig, HmiConfig, OpcuaConfig, SecurityConfig, ZenohConfig
-from gateway.views import supervisor
-from gateway.views.child import NICER
-from gateway.views.supervisor import View, running, views_for
+from gateway.processes import supervisor
+from gateway.processes.child import NICER
+from gateway.processes.supervisor import Service, running
+from gateway.views.launch import views_for
 from protocol.errors import ConfigError
 from tests.gateway.gateway_peers import free_port, wait_for
 
@@ -32,9 +33,9 @@ def listening(port: int) -> Callable[[], bool]:
     return look
 
 
-def router(port: int) -> View:
+def router(port: int) -> Service:
     """A command that shows that it runs: its port is open."""
-    return View(name="router", arguments=("--listen", f"tcp/127.0.0.1:{port}"))
+    return Service(name="router", arguments=("--listen", f"tcp/127.0.0.1:{port}"))
 
 
 def children_of(pid: int) -> list[int]:
@@ -75,7 +76,7 @@ def test_a_view_that_hangs_is_killed_and_started_again(monkeypatch: pytest.Monke
 
 def test_a_view_of_a_gateway_in_real_time_runs_as_any_process_and_gives_way() -> None:
     port = free_port()
-    words = ["-m", "gateway.views.child", "router", "--listen", f"tcp/127.0.0.1:{port}"]
+    words = ["-m", "gateway.processes.child", "router", "--listen", f"tcp/127.0.0.1:{port}"]
     before = "import os, sys; os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))\n"
     before += "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
     view = subprocess.Popen(
@@ -104,7 +105,7 @@ def view_at(port: int) -> int:
             words = Path(f"/proc/{pid}/cmdline").read_bytes()
         except OSError:
             continue
-        if str(port).encode() in words and b"gateway.views.child" in words:
+        if str(port).encode() in words and b"gateway.processes.child" in words:
             return pid
     return 0
 
@@ -114,7 +115,7 @@ def test_a_view_with_a_wrong_option_is_not_started_again(
 ) -> None:
     monkeypatch.setattr(supervisor, "FIRST_WAIT_S", 0.05)
 
-    with running([View(name="foxglove", arguments=("--listen", "nowhere"))]):
+    with running([Service(name="foxglove", arguments=("--listen", "nowhere"))]):
         wait_for(lambda: "not started again" in caplog.text, "verdict")
 
     errors = [line for line in capfd.readouterr().err.splitlines() if line]
@@ -124,8 +125,8 @@ def test_a_view_with_a_wrong_option_is_not_started_again(
 def test_no_view_outlives_a_gateway_that_is_killed() -> None:
     port = free_port()
     code = (
-        "from gateway.views.supervisor import View, running\nimport time\n"
-        f"with running([View(name='router', arguments=('--listen', 'tcp/127.0.0.1:{port}'))]): time.sleep(60)"
+        "from gateway.processes.supervisor import Service, running\nimport time\n"
+        f"with running([Service(name='router', arguments=('--listen', 'tcp/127.0.0.1:{port}'))]): time.sleep(60)"
     )
     gateway = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.DEVNULL)
     wait_for(listening(port), "view")
@@ -147,7 +148,7 @@ def test_a_view_joins_the_bus_of_its_gateway() -> None:
 
     opcua, hmi = views_for(config)
 
-    assert opcua == View(
+    assert opcua == Service(
         name="opcua",
         arguments=(
             "--listen", "127.0.0.1:4840", "--connect", "tcp/127.0.0.1:7447", "--site", "lab",

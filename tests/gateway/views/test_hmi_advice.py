@@ -17,7 +17,8 @@ from tests.gateway.views.bus_peers import feed_of, played_gateway
 
 ROOT = Path(__file__).parents[3]
 # The page itself, and whoever writes what its lists show: alarms, events, replies.
-SHOWN = ("gateway/views/hmi", "gateway/views", "gateway/record", "gateway/link", "gateway", "twin/mirror")
+ROOMS = ("views/hmi", "views", "record", "record/tables", "link", "bus", "board", "client", "")
+SHOWN = (*(f"gateway/{room}" for room in ROOMS), "twin/mirror")
 OF_THE_PAGE = "gateway/views/hmi"
 COMMAND = re.compile(r"\bboard51 ([a-z]+)\b([^`\n]*)")
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")

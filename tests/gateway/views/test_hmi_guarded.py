@@ -11,9 +11,9 @@ import pytest
 from playwright.sync_api import Browser, expect
 from playwright.sync_api import Page as Tab
 
-from gateway.record.reader import read
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import load
+from protocol.log.reader import read
 from tests.gateway.access.access_peers import PASSWORD, guarded_rig, made_folder
 from tests.gateway.gateway_peers import free_port, wait_for
 from tests.gateway.views.chromium import ABSENT, CHROMIUM, chromium

@@ -16,7 +16,7 @@ from gateway.views.hmi.jobs import LINES, WIDTH, Jobs
 from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import travel_of
 from gateway.views.hmi.markup import tag
-from gateway.views.hmi.sessions import MAX_SESSIONS, Sessions
+from gateway.views.hmi.sessions import MAX_SESSIONS, LoginSessions
 from gateway.views.hmi.snapshot import describe, rest
 from gateway.views.hmi.traces import MAX_ROWS, Traces
 from protocol.bus import board51_pb2 as pb
@@ -34,7 +34,7 @@ FILE = {
 
 
 def test_a_session_ends_by_idleness_and_by_age() -> None:
-    sessions = Sessions(idle_s=10.0, lifetime_s=25.0)
+    sessions = LoginSessions(idle_s=10.0, lifetime_s=25.0)
     session = sessions.open("ben", Role.OPERATOR, 0.0)
 
     assert sessions.get(session.token, 9.9) is session
@@ -47,7 +47,7 @@ def test_a_session_ends_by_idleness_and_by_age() -> None:
 
 
 def test_sessions_are_bounded_and_the_idlest_makes_room() -> None:
-    sessions = Sessions(idle_s=1e6, lifetime_s=1e6)
+    sessions = LoginSessions(idle_s=1e6, lifetime_s=1e6)
     first = sessions.open("first", Role.VIEWER, 0.0)
     second = sessions.open("second", Role.VIEWER, 1.0)
     sessions.acted(first, 2.0)

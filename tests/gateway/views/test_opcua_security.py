@@ -30,7 +30,7 @@ from gateway.access.roles import Role
 from gateway.access.tries import BURST
 from gateway.access.users import User
 from gateway.views.opcua.security import Security
-from gateway.views.opcua.server import Settings
+from gateway.views.opcua.server import OpcuaSettings
 from protocol.errors import ConfigError
 from tests.gateway.views.bus_peers import played_gateway, ticking
 from tests.gateway.views.opcua_peers import NAMESPACE, Peer, Served
@@ -58,7 +58,7 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
         folder.add_user(User(name=name, role=role), PASSWORD[name])
     with played_gateway() as gateway, ticking(gateway, "rig"):
         security = Security(path)
-        with Served(gateway, Settings(port=0, anonymous=None, security=security)) as server:
+        with Served(gateway, OpcuaSettings(port=0, anonymous=None, security=security)) as server:
             yield Plant(folder=path, server=server, security=security)
 
 

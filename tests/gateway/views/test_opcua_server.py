@@ -12,7 +12,7 @@ import pytest
 from asyncua import ua
 
 from gateway.access.roles import Role
-from gateway.views.opcua.server import Settings
+from gateway.views.opcua.server import OpcuaSettings
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import ServiceError
 from protocol.wire.messages import Flag
@@ -28,7 +28,7 @@ def server() -> Iterator[Served]:
     """At 50 Hz; anonymous clients may command, as on a loopback that somebody opened."""
     with played_gateway() as gateway:
         gateway.answer = answer
-        with Served(gateway, Settings(port=0, rate_hz=50.0, anonymous=Role.ENGINEER)) as served:
+        with Served(gateway, OpcuaSettings(port=0, rate_hz=50.0, anonymous=Role.ENGINEER)) as served:
             yield served
 
 
@@ -410,7 +410,7 @@ def test_a_client_that_wants_everything_at_1_ms_gets_a_bounded_service(server: S
 
 def test_a_port_in_use_is_said_in_one_line(server: Served) -> None:
     with pytest.raises(ServiceError, match="cannot listen on") as said:
-        with Served(server.gateway, Settings(port=server.port)):
+        with Served(server.gateway, OpcuaSettings(port=server.port)):
             pass
 
     assert "--listen" in str(said.value)

@@ -15,7 +15,7 @@ from asyncua.ua.uaerrors import UaStatusCodeError
 from gateway.access.roles import Role
 from gateway.views.opcua.capabilities import FACETS, TRANSPORT
 from gateway.views.opcua.items import is_news
-from gateway.views.opcua.server import Settings
+from gateway.views.opcua.server import OpcuaSettings
 from protocol.bus import board51_pb2 as pb
 from tests.gateway.views.bus_peers import played_gateway, ticking
 from tests.gateway.views.opcua_peers import Kept, Peer, Served, monitor, peer, received, until
@@ -37,7 +37,7 @@ def server() -> Iterator[Served]:
     """At 50 Hz; anonymous clients may all."""
     with (
         played_gateway() as gateway,
-        Served(gateway, Settings(port=0, rate_hz=50.0, anonymous=Role.ENGINEER)) as served,
+        Served(gateway, OpcuaSettings(port=0, rate_hz=50.0, anonymous=Role.ENGINEER)) as served,
     ):
         yield served
 
@@ -445,7 +445,7 @@ def test_only_who_may_disables_a_condition() -> None:
     with (
         played_gateway() as gateway,
         ticking(gateway, "rig"),
-        Served(gateway, Settings(port=0, anonymous=Role.OPERATOR)) as server,
+        Served(gateway, OpcuaSettings(port=0, anonymous=Role.OPERATOR)) as server,
     ):
         asyncio.run(ask(server))
 

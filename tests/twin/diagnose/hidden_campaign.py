@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.emulator.firmware.flash import CURRENT, INPUT, POSITION
-from gateway.emulator.plant.rig import CE152, Rig
+from gateway.emulator.plant.rig import CE152, PlantConstants
 from protocol.wire.messages import Mode, Shape
 from tests.twin.identify.emulated_campaign import TICK_S, Lab, random_rig
 
@@ -93,14 +93,14 @@ class Recorded:
     rows: FloatArray
 
 
-def designed_gains(rig: Rig) -> tuple[float, float, float, float]:
+def designed_gains(rig: PlantConstants) -> tuple[float, float, float, float]:
     """K_LQI for this rig, as its designer would give it: the CE 152's for another force per volt."""
     per_volt = CE152.equilibrium_current_a(MIDDLE_M) / rig.equilibrium_current_a(MIDDLE_M)
     gain = per_volt * CE152.amplifier_gain_a_v / rig.amplifier_gain_a_v
     return (0.49, 1700.0 / gain, 17.7 / gain, -17600.0 / gain)
 
 
-def draw_rig(seed: int, plant: PlantName = "emulator") -> Rig:
+def draw_rig(seed: int, plant: PlantName = "emulator") -> PlantConstants:
     """The rig of this seed: a CE 152 of another day, and for the second plant one of another make."""
     rng = np.random.default_rng([_RIG, seed])
     rig = replace(
@@ -117,7 +117,7 @@ def draw_rig(seed: int, plant: PlantName = "emulator") -> Rig:
     )
 
 
-def believed_rig(rig: Rig, seed: int) -> Rig:
+def believed_rig(rig: PlantConstants, seed: int) -> PlantConstants:
     """What the designer of the loop took the rig for: a few percent off, so that his gains do not tell the truth."""
     rng = np.random.default_rng([_BELIEF, seed])
     return replace(
@@ -230,14 +230,19 @@ def play(
     return recorded
 
 
-def contact_share(recorded: list[Recorded], rig: Rig) -> float:
+def contact_share(recorded: list[Recorded], rig: PlantConstants) -> float:
     """Share of the closed-loop samples that are at a stop, 0 to 1."""
     x = np.concatenate([one.rows[:, 3] for one in recorded if one.kind == "closed-loop"])
     return float(np.mean((x < 0.03 * rig.travel_m) | (x > 0.97 * rig.travel_m)))
 
 
 def write_campaign(
-    folder: Path, rig: Rig, believed: Rig, recorded: list[Recorded], *, x_max: Literal["true", "travel"] = "true"
+    folder: Path,
+    rig: PlantConstants,
+    believed: PlantConstants,
+    recorded: list[Recorded],
+    *,
+    x_max: Literal["true", "travel"] = "true",
 ) -> None:
     """The folder: campaign.toml with what a user knows of the rig, and one CSV.gz per recording."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -266,7 +271,9 @@ def write_campaign(
 class EmulatedBench:
     """The emulated board in process: its own firmware, converters and commands."""
 
-    def __init__(self, rig: Rig, effects: Mapping[str, float], *, seed: int, believed: Rig) -> None:
+    def __init__(
+        self, rig: PlantConstants, effects: Mapping[str, float], *, seed: int, believed: PlantConstants
+    ) -> None:
         self._lab = Lab(rig, effects=dict(effects), seed=seed)
         self._lab.rig = believed  # whose gains `fly` loads
         self._next = 0  # first tick of the next recording

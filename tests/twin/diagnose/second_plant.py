@@ -25,7 +25,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.emulator.plant.rig import Rig
+from gateway.emulator.plant.rig import PlantConstants
 from tests.twin.diagnose.hidden_campaign import (
     CAPTURE_COUNT,
     CAPTURE_PRE,
@@ -341,11 +341,11 @@ class SecondBench:
 
     def __init__(
         self,
-        rig: Rig,
+        rig: PlantConstants,
         effects: Mapping[str, float],
         *,
         seed: int,
-        believed: Rig,
+        believed: PlantConstants,
         outside: Mapping[str, float] | None = None,
     ) -> None:
         self._rig, self._believed = rig, believed
@@ -436,7 +436,9 @@ class SecondBench:
         return out[kept]
 
 
-def numbers(rig: Rig, effects: Mapping[str, float], outside: Mapping[str, float], own: np.random.Generator) -> Numbers:
+def numbers(
+    rig: PlantConstants, effects: Mapping[str, float], outside: Mapping[str, float], own: np.random.Generator
+) -> Numbers:
     """The constants of the equations; `own` draws what is the rig's own."""
     unknown = set(effects) - NAMES
     assert not unknown, unknown

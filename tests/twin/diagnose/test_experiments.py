@@ -8,7 +8,7 @@ import pytest
 
 from gateway.campaign import menu as campaign_menu
 from gateway.emulator.firmware.flash import POSITION
-from gateway.emulator.plant.rig import CE152, Rig
+from gateway.emulator.plant.rig import CE152, PlantConstants
 from protocol.campaign import Controller, OperatingPoint, Plant
 from protocol.wire.messages import Shape
 from tests.twin.diagnose.simulated_rig import (
@@ -319,7 +319,7 @@ class Bench:
         )
 
 
-def _gains_of(rig: Rig) -> Controller:
+def _gains_of(rig: PlantConstants) -> Controller:
     i_0, u_0 = rig.equilibrium_current_a(MIDDLE_M), rig.equilibrium_input_v(MIDDLE_M)
     gain = CE152.equilibrium_current_a(MIDDLE_M) / i_0 * CE152.amplifier_gain_a_v / rig.amplifier_gain_a_v
     return Controller(

@@ -15,8 +15,8 @@ import numpy as np
 
 from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.firmware.flash import CURRENT, INPUT, POSITION, gains_in_counts
-from gateway.emulator.plant.levitation import Plant
-from gateway.emulator.plant.rig import CE152, Rig
+from gateway.emulator.plant.levitation import EmulatedPlant
+from gateway.emulator.plant.rig import CE152, PlantConstants
 from protocol.campaign import Campaign, Kind, parse
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
@@ -27,7 +27,7 @@ TICK_S = 2e-3
 TRUTHS = ("K_A", "T_A", "K_c", "b")
 
 
-def random_rig(rng: np.random.Generator) -> Rig:
+def random_rig(rng: np.random.Generator) -> PlantConstants:
     """A CE 152 of another day: every parameter of the fit, the noise and the bounce are drawn."""
     return replace(
         CE152,
@@ -41,7 +41,7 @@ def random_rig(rng: np.random.Generator) -> Rig:
     )
 
 
-def truth(rig: Rig) -> dict[str, float]:
+def truth(rig: PlantConstants) -> dict[str, float]:
     return {
         "K_A": rig.amplifier_gain_a_v,
         "T_A": rig.amplifier_time_constant_s,
@@ -50,7 +50,7 @@ def truth(rig: Rig) -> dict[str, float]:
     }
 
 
-def campaign_of(rig: Rig, extra: str = "") -> Campaign:
+def campaign_of(rig: PlantConstants, extra: str = "") -> Campaign:
     """The campaign file that describes the rig; x_max makes (3) exact for it."""
     text = (
         f'[plant]\nname = "ce152"\nmass_kg = {rig.mass_kg}\ntravel_m = {rig.travel_m}\n'
@@ -63,9 +63,9 @@ def campaign_of(rig: Rig, extra: str = "") -> Campaign:
 class Lab:
     """A board with a rig on it, and a host that records."""
 
-    def __init__(self, rig: Rig, *, effects: dict[str, float] | None = None, seed: int = 0) -> None:
+    def __init__(self, rig: PlantConstants, *, effects: dict[str, float] | None = None, seed: int = 0) -> None:
         self.rig = rig
-        self.plant = Plant(rig, effects or {}, seed=seed)
+        self.plant = EmulatedPlant(rig, effects or {}, seed=seed)
         self.firmware = Firmware(self.plant)
         self._decoder = StreamDecoder()
         self._id = 0
@@ -165,7 +165,7 @@ class Lab:
 
 
 def run_campaign(
-    rig: Rig, *, seed: int, flight_s: float = 20.0, effects: dict[str, float] | None = None
+    rig: PlantConstants, *, seed: int, flight_s: float = 20.0, effects: dict[str, float] | None = None
 ) -> list[Record]:
     """Amplifier captures at three levels, a sawtooth to lift-off, multisine and PRBS on the reference."""
     lab = Lab(rig, effects=effects, seed=seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from gateway.emulator.plant.rig import CE152, Rig
+from gateway.emulator.plant.rig import CE152, PlantConstants
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Model, model_from_dict
 
@@ -29,7 +29,7 @@ def cause(name: str, strength: float) -> dict[str, Any]:
     return {"name": name, "parameters": parameters | {one.name: entry(one.neutral, one.unit) for one in others}}
 
 
-def true_model(rig: Rig = CE152, effects: Mapping[str, float] | None = None) -> Model:
+def true_model(rig: PlantConstants = CE152, effects: Mapping[str, float] | None = None) -> Model:
     """A model that knows rig and effects; without effects the paper's model with x_max at the coil's plane."""
     data = {
         "plant": {

@@ -17,7 +17,7 @@ from typing import Any
 from asyncua import ua
 from asyncua.server.internal_server import InternalServer
 
-from gateway.views.bins import Tap
+from gateway.views.bins import TopicBins
 from gateway.views.decimate import Bin
 from gateway.views.feed import BoardFeed
 from gateway.views.opcua.address_space import quality
@@ -79,7 +79,7 @@ class BoardNodes:
         self.name = feed.name
         self._server, self._builder = server, builder
         self._clock = StampClock()
-        self._taps: dict[str, Tap] = {
+        self._taps: dict[str, TopicBins] = {
             topic: feed.tap(message, width_s=1.0 / rate_hz) for topic, message in _TAPPED.items()
         }
         self._bins: dict[str, Bin] = {}

@@ -16,12 +16,12 @@ from typing import NamedTuple
 
 from google.protobuf.message import Message as ProtobufMessage
 
-from gateway.record.scan import Channel, Scan
 from protocol.bus import encoding, topics
 from protocol.errors import DataError
+from protocol.log.scan import McapChannel, Scan
 
 
-class Record(NamedTuple):
+class LogRecord(NamedTuple):
     """One message of the log."""
 
     key: str  # <site>/<board>/<topic>
@@ -32,7 +32,7 @@ class Record(NamedTuple):
     time_ns: int  # when it was logged, Unix time; imported recordings count from 0
 
 
-class RawRecord(NamedTuple):
+class RawLogRecord(NamedTuple):
     """The same, not parsed."""
 
     key: str
@@ -92,7 +92,7 @@ class LogReader:
         boards: Sequence[str] | None = None,
         start_s: float = 0.0,
         end_s: float | None = None,
-    ) -> Iterator[RawRecord]:
+    ) -> Iterator[RawLogRecord]:
         """Unparsed records; damage is noted in `scans` and otherwise passed over.
 
         Args:
@@ -105,7 +105,7 @@ class LogReader:
         low_ns = self.start_ns + round(start_s * 1e9) if start_s > 0 else 0
         high_ns = 1 << 64 if end_s is None else self.start_ns + round(end_s * 1e9)
         for scan in self.scans:
-            known: dict[Channel, tuple[str, str, str] | None] = {}
+            known: dict[McapChannel, tuple[str, str, str] | None] = {}
             for channel, time_ns, data in scan.messages(start_ns=low_ns, end_ns=high_ns):
                 if channel not in known:
                     known[channel] = _ours(channel)
@@ -115,7 +115,7 @@ class LogReader:
                     continue
                 site, board, topic = parts
                 if (topics_ is None or topic in topics_) and (boards is None or board in boards):
-                    yield RawRecord(channel.topic, site, board, topic, data, time_ns)
+                    yield RawLogRecord(channel.topic, site, board, topic, data, time_ns)
 
     def records(
         self,
@@ -124,7 +124,7 @@ class LogReader:
         boards: Sequence[str] | None = None,
         start_s: float = 0.0,
         end_s: float | None = None,
-    ) -> Iterator[Record]:
+    ) -> Iterator[LogRecord]:
         """Parsed records; like `raw`.  A message that does not parse is counted in `unparsable`."""
         self.unparsable.clear()
         for key, site, board, topic, data, time_ns in self.raw(
@@ -134,7 +134,7 @@ class LogReader:
             if message is None:
                 self.unparsable[key] += 1
             else:
-                yield Record(key, site, board, topic, message, time_ns)
+                yield LogRecord(key, site, board, topic, message, time_ns)
 
     def check(self, *, last_ns: int | None) -> None:
         """After a pass: raise what it came upon.
@@ -173,7 +173,7 @@ def read(
     boards: Sequence[str] | None = None,
     start_s: float = 0.0,
     end_s: float | None = None,
-) -> Iterator[Record]:
+) -> Iterator[LogRecord]:
     """The records of a log; what most callers need.
 
     Args:
@@ -198,7 +198,7 @@ def read(
     reader.check(last_ns=last_ns)
 
 
-def _ours(channel: Channel) -> tuple[str, str, str] | None:
+def _ours(channel: McapChannel) -> tuple[str, str, str] | None:
     parts = topics.split(channel.topic)
     if parts is None or channel.message_encoding != encoding.MESSAGE_ENCODING:
         return None

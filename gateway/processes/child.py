@@ -1,4 +1,4 @@
-"""Runs one `board51` command as a child of the gateway: `python -m gateway.views.child opcua --listen ...`.
+"""Runs one `board51` command as a child of the gateway: `python -m gateway.processes.child opcua --listen ...`.
 
 It ends when its standard input does: with the gateway, however that ended.  It gives way to the gateway on a busy
 machine (NICER, and never in real time, as a gateway may run), and starts without what the gateway's process has grown:

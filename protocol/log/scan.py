@@ -22,9 +22,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from gateway.record.chunk import CHUNK_HEAD, text, text_map, unpack, unpack_prefix
 from protocol.errors import DataError
 from protocol.files import open_regular
+from protocol.log.chunk import CHUNK_HEAD, text, text_map, unpack, unpack_prefix
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = range(1, 7)
@@ -35,7 +35,7 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _FOOTER_BYTES = _RECORD.size + 20 + len(MAGIC)
 
 
-class Schema(NamedTuple):
+class McapSchema(NamedTuple):
     """Name, encoding and description of a message type."""
 
     name: str
@@ -43,20 +43,20 @@ class Schema(NamedTuple):
     data: bytes
 
 
-class Channel(NamedTuple):
+class McapChannel(NamedTuple):
     """A topic of the file."""
 
     id: int
     topic: str
     message_encoding: str
     schema_id: int  # 0: it has none
-    schema: Schema | None  # None also where its description is lost
+    schema: McapSchema | None  # None also where its description is lost
 
 
-class Message(NamedTuple):
+class McapMessage(NamedTuple):
     """As stored: not parsed."""
 
-    channel: Channel
+    channel: McapChannel
     time_ns: int
     data: bytes
 
@@ -91,8 +91,8 @@ class Scan:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, McapSchema] = {}
+        self.channels: dict[int, McapChannel] = {}
         self.metadata: dict[str, Mapping[str, str]] = {}
         self.damages: list[Damage] = []
         self.finished = False
@@ -112,7 +112,7 @@ class Scan:
         tail = self._tail
         return None if tail is None or tail.first_ns is None or tail.last_ns is None else (tail.first_ns, tail.last_ns)
 
-    def messages(self, *, start_ns: int = 0, end_ns: int = 1 << 64) -> Iterator[Message]:
+    def messages(self, *, start_ns: int = 0, end_ns: int = 1 << 64) -> Iterator[McapMessage]:
         """All messages with start_ns <= log time < end_ns, in the order of the file."""
         self.damages.clear()
         self.unknown_channel = 0
@@ -165,7 +165,7 @@ class Scan:
                     self._take(opcode, content, at)
                 at = end
 
-    def _cut_chunk(self, content: bytes, at: int) -> Iterator[Message]:
+    def _cut_chunk(self, content: bytes, at: int) -> Iterator[McapMessage]:
         plain = unpack_prefix(content)
         kept = 0
         for message in self._inside(plain, cut=True):
@@ -175,7 +175,7 @@ class Scan:
             at, self.size - at, f"the file ends within a chunk ({kept} messages of it are whole)", chunk=content
         )
 
-    def _inside(self, plain: bytes, *, cut: bool = False) -> Iterator[Message]:
+    def _inside(self, plain: bytes, *, cut: bool = False) -> Iterator[McapMessage]:
         """The messages among the records in `plain`."""
         at, size = 0, len(plain)
         unpack_record, unpack_message, channels = _RECORD.unpack_from, _MESSAGE_HEAD.unpack_from, self.channels
@@ -192,7 +192,7 @@ class Scan:
                 if channel is None:
                     self.unknown_channel += 1
                 else:
-                    yield Message(channel, time_ns, plain[at + 22 : at + length])
+                    yield McapMessage(channel, time_ns, plain[at + 22 : at + length])
             else:
                 self._take(opcode, plain[at : at + length], at)
             at += length
@@ -204,12 +204,14 @@ class Scan:
                 (schema_id,) = struct.unpack_from("<H", content)
                 name, next_at = text(content, 2)
                 encoding, next_at = text(content, next_at)
-                self.schemas[schema_id] = Schema(name, encoding, content[next_at + 4 :])
+                self.schemas[schema_id] = McapSchema(name, encoding, content[next_at + 4 :])
             elif opcode == _CHANNEL:
                 channel_id, schema_id = struct.unpack_from("<HH", content)
                 topic, next_at = text(content, 4)
                 encoding, _ = text(content, next_at)
-                self.channels[channel_id] = Channel(channel_id, topic, encoding, schema_id, self.schemas.get(schema_id))
+                self.channels[channel_id] = McapChannel(
+                    channel_id, topic, encoding, schema_id, self.schemas.get(schema_id)
+                )
             elif opcode == _METADATA:
                 name, next_at = text(content, 0)
                 self.metadata[name] = text_map(content, next_at)

@@ -1,0 +1,125 @@
+"""Child processes that are kept running: started again when they die, ended with this process.
+
+Rule 1: a child's trouble is the child's: it is logged, and everything else goes on.
+Rule 2: what died is started again after 1 s, 2 s, ... at most 30 s; after a minute without trouble, from 1 s again.
+Rule 3: exit code 2 is a wrong option or file, which another start does not mend: it stays ended.
+Rule 4: what hangs is killed and started again: each child beats (child.py), and HUNG_S without a beat is a hang.
+Rule 5: no child outlives this process, also not after kill -9 (see child.py).
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import select
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from gateway.processes.child import BEAT_VARIABLE
+from gateway.processes.command import Process, end, words_of
+
+FIRST_WAIT_S = 1.0
+LONGEST_WAIT_S = 30.0
+CALM_S = 60.0
+END_S = 5.0  # to end by itself before it is killed
+HUNG_S = 20.0  # far beyond what a busy machine keeps a process waiting
+_USAGE = 2
+_logger = logging.getLogger("gateway.views")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Service:
+    """A `board51` command to keep running."""
+
+    name: str
+    arguments: tuple[str, ...]
+
+
+@contextmanager
+def running(services: Sequence[Service]) -> Iterator[None]:
+    """Keep the services running within the block."""
+    keepers = [_Keeper(service) for service in services]
+    try:
+        yield
+    finally:
+        last = {process: keeper for keeper in keepers if (process := keeper.stop()) is not None}
+        for process in end(list(last), signal.SIGTERM, END_S):
+            _logger.warning("%s does not end and is killed", last[process].name)
+        for keeper in keepers:
+            keeper.join()
+
+
+class _Keeper:
+    """Keeps one service running, in a thread of its own."""
+
+    def __init__(self, service: Service) -> None:
+        self.name = service.name
+        self._words = words_of(service.name, *service.arguments, child=True)
+        self._stop = threading.Event()
+        self._lock = threading.Lock()  # a stop must not slip between a look at it and a start
+        self._process: Process | None = None
+        self._beats = -1  # read end of its pipe
+        self._thread = threading.Thread(target=self._work, name=f"view-{service.name}", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> Process | None:
+        """Start nothing any more; the process that is to be ended."""
+        with self._lock:
+            self._stop.set()
+            return self._process
+
+    def join(self) -> None:
+        """Wait for the thread; its process has ended."""
+        self._thread.join()
+
+    def _work(self) -> None:
+        wait_s = FIRST_WAIT_S
+        while (process := self._start()) is not None:
+            began_s = time.monotonic()
+            code = self._end_of(process)
+            if process.stdin is not None:
+                process.stdin.close()
+            if self._stop.is_set():
+                return
+            if code == _USAGE:
+                _logger.error("%s: see its message; it is not started again", self.name)
+                return
+            if time.monotonic() - began_s > CALM_S:
+                wait_s = FIRST_WAIT_S
+            _logger.warning("%s ended with code %d; started again in %g s", self.name, code, wait_s)
+            if self._stop.wait(wait_s):
+                return
+            wait_s = min(2 * wait_s, LONGEST_WAIT_S)
+
+    def _end_of(self, process: Process) -> int:
+        """Its exit code, once it has ended, or was killed because it hangs."""
+        beats, poll = self._beats, select.poll()
+        poll.register(beats, select.POLLIN)
+        try:
+            while poll.poll(HUNG_S * 1e3):
+                if not os.read(beats, 4096):
+                    return process.wait()  # the other end is closed: it has ended
+            _logger.warning("%s hangs: no sign of life for %g s; it is killed", self.name, HUNG_S)
+            process.kill()
+            return process.wait()
+        finally:
+            os.close(beats)
+
+    def _start(self) -> Process | None:
+        with self._lock:
+            if self._stop.is_set():
+                return None
+            self._beats, theirs = os.pipe()
+            environment = os.environ | {BEAT_VARIABLE: str(theirs)}
+            try:
+                self._process = subprocess.Popen(
+                    self._words, stdin=subprocess.PIPE, pass_fds=(theirs,), env=environment
+                )
+            finally:
+                os.close(theirs)
+            return self._process

@@ -1,0 +1,49 @@
+"""The views that a configuration asks for, as commands to keep running (processes/supervisor.py)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gateway.access.folder import SecurityFolder
+from gateway.access.listeners import check_listener, nearest
+from gateway.config import GatewayConfig
+from gateway.processes.supervisor import Service
+from gateway.views.account import ACCOUNT
+from gateway.views.listen import address
+
+
+def views_for(config: GatewayConfig) -> list[Service]:
+    """The commands that serve the views of `config`, on its bus.
+
+    Raises:
+        ConfigError: an address that is none, or a view that would be open to the network without protection.
+    """
+    z = config.zenoh
+    endpoints = z.listen if z.mode == "router" else z.connect
+    bus: tuple[str, ...] = ("--connect", nearest(endpoints), "--site", config.site)
+    insecure = ("--insecure",) if config.security.insecure else ()
+    folder = SecurityFolder(Path(config.security.directory)) if config.security.directory else None
+    if folder is not None:
+        bus += ("--identity", str(folder.identity_path(ACCOUNT)))
+    views: list[Service] = []
+    wanted = {"opcua": config.opcua.listen, "hmi": config.hmi.listen, "foxglove": config.foxglove.listen}
+    for name, listen in wanted.items():
+        if not listen:
+            continue
+        host, port = address(listen, where=f"--{name} or [{name}] listen:")
+        guarded = folder is not None and name in ("opcua", "hmi")
+        own: tuple[str, ...] = ("--security", config.security.directory) if guarded else ()
+        shown = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+        check_listener(
+            host,
+            protected=guarded,
+            insecure=config.security.insecure,
+            what=f"--{name} {shown}",
+            remedy="Foxglove has no login: use an ssh tunnel" if name == "foxglove" else "Give --security DIR",
+        )
+        if name == "hmi" and config.log.enabled:
+            own += ("--log-dir", config.log.directory)
+        if name == "opcua":
+            own += ("--rate", f"{config.opcua.rate_hz:g}", "--history", f"{config.opcua.history_s:g}")
+        views.append(Service(name=name, arguments=("--listen", shown, *bus, *own, *insecure)))
+    return views

@@ -1,0 +1,1 @@
+"""A log: MCAP files with the messages of the bus, read whatever became of them."""
