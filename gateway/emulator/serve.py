@@ -4,8 +4,9 @@
         gateway.open(emulator.urls[0])     # socket://127.0.0.1:PORT
         emulator.inject("stall=0.5")
 
-Rule 1: deadlines are absolute: tick k of every board is due at start + k * T_s / speed.  A late tick is made up for at
-        once and counted, so the boards' clocks never drift from the wall's.
+Rule 1: deadlines are absolute: tick k of every board is due at start + k * T_s / speed.  Late ticks are counted and
+        made up for, so the boards' clocks never drift from the wall's: a tenth of a second at once, more than that at
+        twice the speed.  At once, a host would have no time to answer, and its boards would call it lost.
 Rule 2: one thread runs all boards; other threads only hand it work (`call`).
 Rule 3: with speed 0 nothing is due: time stands until a host is connected, and a host that reads slowly slows the
         boards instead of losing bytes.
@@ -33,7 +34,8 @@ from gateway.emulator.ports import EmulatedPort, PtyPort, TcpPort
 from protocol.errors import ServiceError
 
 _T_NS = T_S_US * 1000
-_BURST = 50  # ticks made up for at most before other threads and signals are heard
+_BURST = 50  # ticks made up for at once at most
+_CATCH_UP = 2.0  # times the speed, where more is late
 _PATIENCE_S = 1.0  # speed 0: how long a host may leave its buffer full before bytes are lost
 _NO_EFFECTS: Mapping[str, float] = MappingProxyType({})
 
@@ -97,14 +99,19 @@ class Server:
     def _run_in_time(self, ticks: int | None) -> None:
         period_ns = _T_NS / self._speed
         start_ns = time.monotonic_ns()
-        done = 0
+        done, allowed, before_ns = 0, 0.0, start_ns
         while not self._stopped and done != ticks:
-            behind_ns = time.monotonic_ns() - start_ns - int((done + 1) * period_ns)
-            self._rest(-behind_ns * 1e-9 if behind_ns < 0 else 0.0)
-            if behind_ns < 0:
+            now_ns = time.monotonic_ns()
+            allowed = min(allowed + _CATCH_UP * (now_ns - before_ns) / period_ns, _BURST)
+            before_ns = now_ns
+            behind_ns = now_ns - start_ns - int((done + 1) * period_ns)
+            early_ns = max(-behind_ns, (1.0 - allowed) * period_ns / _CATCH_UP)
+            self._rest(max(early_ns, 0.0) * 1e-9)
+            if early_ns > 0:
                 continue
             due = 1 + int(behind_ns / period_ns)
-            now = min(due, _BURST, ticks - done if ticks is not None else due)
+            now = min(due, int(allowed), ticks - done if ticks is not None else due)
+            allowed -= now
             if due > 1:
                 self.late_ticks += min(due - 1, now)
                 self.worst_lateness_s = max(self.worst_lateness_s, behind_ns * 1e-9)

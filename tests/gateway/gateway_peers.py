@@ -80,6 +80,7 @@ class ScriptedBoard:
         self.streaming = streaming
         self.reading = True
         self.flags = 0
+        self.not_taken: list[int] = []  # ticks whose STATE found the pty full
         self._answers = answers
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, daemon=True)
@@ -94,9 +95,11 @@ class ScriptedBoard:
         os.close(self.master)
         os.close(self.slave)
 
-    def send(self, data: bytes) -> None:
-        if select.select([], [self.master], [], 0.0)[1]:  # a full pty drops, as a wire would
-            os.write(self.master, data)
+    def send(self, data: bytes) -> bool:
+        if not select.select([], [self.master], [], 0.0)[1]:  # a full pty drops, as a wire would
+            return False
+        os.write(self.master, data)
+        return True
 
     def names(self) -> list[str]:
         return [message.name for message in self.heard]
@@ -111,7 +114,9 @@ class ScriptedBoard:
                         self._answer(message)
             if self.streaming:
                 self.tick += 1
-                self.send(frame("STATE", sequence=self.tick & 0xFFFF, i_c=1, x=2, u_c=3, x_ref=4, flags=self.flags))
+                state = frame("STATE", sequence=self.tick & 0xFFFF, i_c=1, x=2, u_c=3, x_ref=4, flags=self.flags)
+                if not self.send(state):
+                    self.not_taken.append(self.tick)
 
     def _answer(self, message: Message) -> None:
         scripted = self._answers(message)

@@ -11,15 +11,18 @@ import socket
 import subprocess
 import sys
 import termios
+import threading
 import time
 from collections.abc import Callable, Iterator
+from itertools import combinations
 from pathlib import Path
 from typing import Self
 
 import pytest
 
 import board51
-from gateway.emulator.serve import Emulator
+from gateway.emulator.ports import TcpPort
+from gateway.emulator.serve import Emulator, Server, build_lines
 from protocol.errors import ServiceError, UsageError
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
 from protocol.wire.messages import EventCode, Message
@@ -218,6 +221,38 @@ def test_real_time_is_kept() -> None:
         until(lambda: time.monotonic() - start_s - ran_s() < 0.1)
 
     assert most_s < wall_s + 0.01
+
+
+def test_what_a_busy_machine_held_up_is_not_caught_up_at_once() -> None:
+    """All at once, a board would see no frame of its host for the whole time, and call it lost."""
+    server = Server(build_lines([TcpPort("127.0.0.1", 0)]))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    held_up, readings = threading.Event(), list[tuple[float, float, float]]()
+
+    def board_s() -> float:
+        return server.lines[0].counts.time_s
+
+    def hold_up() -> None:
+        time.sleep(1.0)
+        held_up.set()
+
+    def caught_up() -> bool:
+        readings.append((time.monotonic(), board_s(), time.monotonic()))
+        return board_s() > 3.0
+
+    try:
+        until(lambda: board_s() > 0.1)
+        server.call(hold_up)
+        until(held_up.is_set)
+        until(caught_up)
+    finally:
+        server.stop()
+        thread.join()
+        server.close()
+
+    for (begin_s, first_s, _), (_, last_s, end_s) in combinations(readings[::50], 2):
+        assert last_s - first_s <= 2.0 * (end_s - begin_s) + 0.11
 
 
 def test_speed_runs_the_board_faster() -> None:

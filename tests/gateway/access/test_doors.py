@@ -132,6 +132,7 @@ def test_a_password_with_the_certificate_of_somebody_else_gets_nothing(
 
             assert client.states == []
         with join(rig.endpoint, ben) as himself:
+            wait_for(lambda: (r := himself.command(ping=pb.Ping())) is not None and r.accepted, "an accepted command")
             assert (reply := himself.command(stop=pb.Stop())) is not None
             assert reply.accepted
         assert rig.board.names().count("STOP") == 1

@@ -126,14 +126,16 @@ def judge(plant: Plant, tmp_path: Path, name: str, *, seconds: float = 1.0, **op
 def expect_no_loss(found: dict[str, Any]) -> None:
     """Each interval of the board's time came: a lost one would show as 40 ms.
 
-    How many came per second of this machine's time is the emulated board's affair on a busy machine; half of them at
-    least, or nothing was tested.
+    How many came per second of this machine's time, and whether none came for so long that it is said, is the emulated
+    board's affair on a busy machine; half of them at least, or nothing was tested.
     """
     assert len(found["series"]) == 20
+    assert found["longest_board_s"] < 1.5e-3 * INTERVAL_MS
+    counts = [series["count"] for series in found["series"].values()]
+    assert max(counts) - min(counts) <= 2  # read while values arrive
     for path, series in found["series"].items():
-        assert series["longest_ms"] < 1.5 * INTERVAL_MS, (path, series)
         assert series["count"] > 0.5 * found["seconds"] * 1000.0 / INTERVAL_MS, (path, series)
-        assert set(series["statuses"]) == {"Good"}, (path, series)
+        assert set(series["statuses"]) <= {"Good", "UncertainLastUsableValue"}, (path, series)
 
 
 def test_an_operator_sees_20_variables_at_50_hz_and_commands_within_limits(plant: Plant, tmp_path: Path) -> None:

@@ -405,7 +405,7 @@ def test_a_disabled_condition_is_silent_until_it_is_enabled(server: Served) -> N
             came = await condition(server, client, kept, "disabled")
             assert await of_condition(client, came, enable) == S.BadConditionAlreadyEnabled
             assert await of_condition(client, came, disable) == S.Good
-            off = await until(lambda: with_enabled(kept, enabled=False), "disabled condition")
+            off = await until(lambda: with_enabled(kept, came, enabled=False), "disabled condition")
             assert off.Retain is False
             assert await of_condition(client, came, disable) == S.BadConditionAlreadyDisabled
             comment = ua.Variant(ua.LocalizedText("late"))
@@ -424,7 +424,7 @@ def test_a_disabled_condition_is_silent_until_it_is_enabled(server: Served) -> N
             assert [e for e in kept.events[told:] if "off" in (e.Message.Text or "")] == []
             kept.events.clear()
             assert await of_condition(client, came, enable) == S.Good
-            on = await until(lambda: with_enabled(kept, enabled=True), "enabled condition")
+            on = await until(lambda: with_enabled(kept, came, enabled=True), "enabled condition")
             assert (on.Retain, on.Message.Text) == (True, "x is further off")
 
     server.gateway.commands.clear()
@@ -467,8 +467,9 @@ async def condition(server: Served, client: Peer, kept: Kept, board: str) -> Any
     return await until(came, "condition")
 
 
-async def with_enabled(kept: Kept, *, enabled: bool) -> Any:
-    return next((e for e in kept.events if getattr(e, "EnabledState/Id", None) is enabled), None)
+async def with_enabled(kept: Kept, came: Any, *, enabled: bool) -> Any:
+    of_it = [e for e in kept.events if getattr(e, "ConditionName", None) == came.ConditionName]
+    return next((e for e in of_it if getattr(e, "EnabledState/Id", None) is enabled), None)
 
 
 async def of_condition(client: Peer, event: Any, method: int, *inputs: ua.Variant) -> int:

@@ -86,7 +86,7 @@ const subscription = await session.createSubscription2({
 const filter = new DataChangeFilter({
   trigger: DataChangeTrigger.StatusValueTimestamp, deadbandType: DeadbandType.None, deadbandValue: 0,
 });
-const items = [];
+const items = [], board_s = [];
 for (const path of variables) {
   const series = (found.series[path] = { count: 0, gaps: [], statuses: {}, last_ms: null });
   const item = await subscription.monitor(
@@ -100,15 +100,18 @@ for (const path of variables) {
     const at_ms = value.sourceTimestamp ? value.sourceTimestamp.getTime() + (value.sourcePicoseconds ?? 0) / 1e9 : null;
     if (series.last_ms !== null && at_ms !== null) series.gaps.push(at_ms - series.last_ms);
     series.last_ms = at_ms;
+    if (path === "state/t_s") board_s.push(value.value.value);
     series.count += 1;
   });
   items.push(item);
 }
 await sleep(300);
 for (const series of Object.values(found.series)) Object.assign(series, { count: 0, gaps: [] });
+board_s.length = 0;
 const start = performance.now();
 await sleep(seconds * 1000);
 found.seconds = (performance.now() - start) / 1000;
+found.longest_board_s = Math.max(...board_s.slice(1).map((t, n) => t - board_s[n]));
 await subscription.terminate();
 for (const [path, series] of Object.entries(found.series)) {
   const gaps = series.gaps;
