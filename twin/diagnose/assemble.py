@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 
 from protocol.campaign import Campaign, Plant
-from twin.diagnose.checks.change_point import Change, late_finding
+from twin.diagnose.checks.change_point import Change
 from twin.diagnose.checks.confidence import confidence_of
 from twin.diagnose.checks.consistency import beginnings, contradictions
 from twin.diagnose.evidence.gather import Evidence
@@ -23,12 +23,12 @@ from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.pace import pace_of
 from twin.diagnose.inference.theta import Theta
-from twin.diagnose.judge.account import Account, Verdict, account_of, beyond_floor, beyond_sentence, verdict_of
+from twin.diagnose.judge.account import Account, Verdict, account_of, beyond_floor, verdict_of
 from twin.diagnose.judge.given_model import off_sentence, theta_of
 from twin.diagnose.judge.prediction_gain import HORIZONS_S, Gain, gain
 from twin.diagnose.report.model_file import model_of
 from twin.diagnose.report.other_causes import missing_channels, not_testable, ruled_out, trifles_of
-from twin.diagnose.report.sentences import finding_sentence, summary_sentence
+from twin.diagnose.report.sentences import beyond_sentence, finding_sentence, summary_sentence
 from twin.diagnose.result import (
     Diagnosis,
     Finding,
@@ -135,7 +135,7 @@ def told(
     verdict = verdict_of(named=bool(found.causes) or lost is not None, fine=done.fine, finished=finished, gain=at_20_ms)
     findings = _findings(found, account, spread, proposals, verdict, asked.quick, lost)
     if done.change is not None:
-        findings = [late_finding(one, done.change) for one in findings]
+        findings = [_late(one, done.change) for one in findings]
     if not done.fine:
         warnings.append(done.why_not)
     elif at_20_ms is not None and beyond_floor(at_20_ms):
@@ -250,6 +250,15 @@ def _findings(
             )
         )
     return findings
+
+
+def _late(finding: Finding, change: Change) -> Finding:
+    """A finding with the place where it begins or ends."""
+    if finding.name not in change.selection.causes:
+        return finding
+    if change.begins:
+        return replace(finding, sentence=f"{finding.sentence}, from {change.after} on", begins_in=change.after)
+    return replace(finding, sentence=f"{finding.sentence}, up to {change.before}", ends_after=change.before)
 
 
 def _names(findings: Sequence[Finding]) -> set[str]:

@@ -25,7 +25,6 @@ from twin.diagnose.inference.fisher_scoring import PASSES, climb, inverse
 from twin.diagnose.inference.likelihood import Criterion, Run
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import Theta, derivative_step, moved
-from twin.diagnose.result import Finding
 from twin.diagnose.search.equivalence import stand_ins
 from twin.diagnose.search.probes import probes_of
 from twin.diagnose.search.score_test import LEAST_INFORMATION, VISIBLE, probed
@@ -65,14 +64,6 @@ class Change:
             return list(others)
         edge = next(float(record.t[0]) for record in records if record.name == self.after)
         return [record for record in others if (float(record.t[0]) >= edge) == self.begins]
-
-    @property
-    def sentence(self) -> str:
-        """For people."""
-        names = " and ".join(self.selection.causes)
-        if self.begins:
-            return f"{names} begins in {self.after}: it is absent up to {self.before}"
-        return f"{names} ends after {self.before}: it is absent from {self.after} on"
 
 
 class Switched(Criterion):
@@ -165,15 +156,6 @@ def find_change(
                 )
         switched.close()
     return None
-
-
-def late_finding(finding: Finding, change: Change) -> Finding:
-    """A finding with the place where it begins or ends."""
-    if finding.name not in change.selection.causes:
-        return finding
-    if change.begins:
-        return replace(finding, sentence=f"{finding.sentence}, from {change.after} on", begins_in=change.after)
-    return replace(finding, sentence=f"{finding.sentence}, up to {change.before}", ends_after=change.before)
 
 
 def in_time(records: Sequence[Record]) -> list[int]:

@@ -21,8 +21,8 @@ from twin.estimation.rollout import SETTLE_S, predict_ahead, within_reach
 from twin.estimation.rollout_periodic import has_phase, predict_in_phase
 from twin.model.extended import position_reading
 from twin.model.extension import base, vector
-from twin.model.parameters import Model
-from twin.validate.source import plant_of, point_of, source_of
+from twin.model.parameters import Model, plant_of
+from twin.validate.source import point_of, source_of
 
 NEEDED = ("u_c", "i_c", "x")
 
