@@ -41,7 +41,6 @@ _AHEAD = 1.2  # of the gain without a change
 _SHARE = 0.4  # of what is left, of each cause: nothing but noise may remain
 _SAME = 0.01  # of the gain
 _TRIED = 2  # places with a search of their own
-_PERIODIC = "periodic-disturbance"  # its phase is each recording's own anyway
 _NO_STATE = np.empty((0, STATES))
 
 
@@ -128,7 +127,8 @@ def find_change(
     if criterion.evidence.statics or len(records) < 2:
         return None
     order = in_time(records)
-    candidates = [cause for cause in candidates if cause.name != _PERIODIC]
+    # The phase of a periodic force is each recording's own anyway.
+    candidates = [cause for cause in candidates if cause.found_by != "spectral-line"]
     for place, begins in _places(criterion, found, candidates, order):
         first, second = order[:place], order[place:]
         names = records[first[-1]].name, records[second[0]].name
