@@ -17,8 +17,8 @@ from protocol.campaign import Campaign, Recording, load
 from protocol.errors import DataError, UsageError
 
 if TYPE_CHECKING:
-    from twin.diagnose.judge.predict import Prediction
     from twin.model.parameters import Model
+    from twin.prediction import Prediction
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -46,9 +46,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Predict, write, print."""
     # Imported here: --help must not wait for numba and scipy.
-    from twin.diagnose.judge.predict import predict
     from twin.model.nominal import SHIPPED, nominal
     from twin.model.parameters import load_model
+    from twin.prediction import predict
     from twin.readers.campaign import read_recording
 
     if args.horizon < 1:

@@ -29,6 +29,7 @@ from twin.design.loop import (
 )
 from twin.design.margins import Margins, margins
 from twin.design.robust import Robustness, over_intervals, plant_at, stable_range_m
+from twin.model.causes.catalogue import with_trait
 from twin.model.extension import sentences
 from twin.model.linear import delay_s
 from twin.model.parameters import Model
@@ -160,7 +161,7 @@ def _changes(
         + f"; on this model their largest |pole| is {radius(plant, backward(without, sample_time_s)):.4f},"
         + f" that of the design {radius(plant, backward(K, sample_time_s)):.4f}"
     )
-    if any(cause.name == "coulomb-friction" for cause in model.causes):
+    if any(cause.name in with_trait("sticks") for cause in model.causes):
         said.append("dry friction is left out of the linear design: at rest it holds the ball, in motion it brakes")
     return tuple(said)
 

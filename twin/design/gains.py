@@ -18,12 +18,12 @@ from protocol.errors import UsageError
 from twin.control import c2d, discrete, equilibrium, linearise
 from twin.design.loop import Gains, Plant, backward, closed_loop
 from twin.mirror.monitor.expected import discrete_lyapunov
+from twin.model.causes.catalogue import with_trait
 from twin.model.parameters import Model
 
 Law = Literal["lqi", "pid"]
 LARGEST_X_SHARE = 0.1  # of the travel
 LARGEST_U_SHARE = 0.5  # of u_c0
-LAGS = ("actuation-delay", "sampling-delay", "eddy-current-lag", "position-sensor-lag")  # states nobody measures
 TIME_CONSTANTS = 4.0  # of the unstable pole: how long an error of position may last
 
 
@@ -156,7 +156,7 @@ def design_gains(
 
 def without_lags(model: Model) -> Model:
     """The model without the causes that add states and delays; itself where it has none.  Equilibria are the same."""
-    prompt = tuple(cause for cause in model.causes if cause.name not in LAGS)
+    prompt = tuple(cause for cause in model.causes if cause.name not in with_trait("hidden-state"))
     return model if len(prompt) == len(model.causes) else replace(model, causes=prompt)
 
 

@@ -10,9 +10,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 
 from protocol.campaign import Campaign, Plant
-from twin.diagnose.checks.change_point import Change, late_finding
+from twin.diagnose.checks.change_point import Change
 from twin.diagnose.checks.confidence import confidence_of
 from twin.diagnose.checks.consistency import beginnings, contradictions
+from twin.diagnose.evidence import sample_loss
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.evidence.sample_loss import Lost, lost_samples
 from twin.diagnose.experiments.design import propose
@@ -21,14 +22,13 @@ from twin.diagnose.inference.budget import Budget, Spent
 from twin.diagnose.inference.fisher_scoring import Fit, spreads
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
-from twin.diagnose.inference.pace import pace_of
 from twin.diagnose.inference.theta import Theta
-from twin.diagnose.judge.account import Account, Verdict, account_of, beyond_floor, beyond_sentence, verdict_of
+from twin.diagnose.judge.account import Account, Verdict, account_of, beyond_floor, verdict_of
 from twin.diagnose.judge.given_model import off_sentence, theta_of
 from twin.diagnose.judge.prediction_gain import HORIZONS_S, Gain, gain
 from twin.diagnose.report.model_file import model_of
 from twin.diagnose.report.other_causes import missing_channels, not_testable, ruled_out, trifles_of
-from twin.diagnose.report.sentences import finding_sentence, summary_sentence
+from twin.diagnose.report.sentences import beyond_sentence, finding_sentence, summary_sentence
 from twin.diagnose.result import (
     Diagnosis,
     Finding,
@@ -40,13 +40,12 @@ from twin.diagnose.search.candidate_fits import Trial
 from twin.diagnose.search.forward_step import SHARE
 from twin.diagnose.search.prediction_benefit import HORIZON_S
 from twin.diagnose.search.state import Selection
+from twin.estimation.pace import pace_of
 from twin.estimation.record import Record
-from twin.model.causes.catalogue import CATALOGUE
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 from twin.model.parameters import Model, Parameter
 
-LOST = "lost-samples"
-PERIODIC = "periodic-disturbance"
 Say = Callable[[str], None]
 
 
@@ -89,7 +88,7 @@ def testable_causes(records: Sequence[Record]) -> tuple[Cause, ...]:
     return tuple(
         cause
         for cause in CATALOGUE
-        if not cause.not_testable and cause.name != LOST and not missing_channels(cause, records)
+        if not cause.not_testable and cause.found_by != "gaps" and not missing_channels(cause, records)
     )
 
 
@@ -114,7 +113,7 @@ def told(
         where = "" if done.fine else where_left(criterion, found.fit, under)
         spread = spreads(criterion, found.fit)
         warnings += contradictions(criterion, found.fit)
-        always = [name for name in found.causes if name != PERIODIC and done.change is None]
+        always = [name for name in found.causes if BY_NAME[name].found_by != "spectral-line" and done.change is None]
         warnings += [
             f"{late.cause} is not there from the start: it begins in {late.recording} at about {late.t_s:.0f} s"
             for late in beginnings(criterion, found.fit, always)
@@ -135,7 +134,7 @@ def told(
     verdict = verdict_of(named=bool(found.causes) or lost is not None, fine=done.fine, finished=finished, gain=at_20_ms)
     findings = _findings(found, account, spread, proposals, verdict, asked.quick, lost)
     if done.change is not None:
-        findings = [late_finding(one, done.change) for one in findings]
+        findings = [_late(one, done.change) for one in findings]
     if not done.fine:
         warnings.append(done.why_not)
     elif at_20_ms is not None and beyond_floor(at_20_ms):
@@ -240,9 +239,9 @@ def _findings(
         value = Parameter(value=lost.probability, unit="", ci95=lost.ci95, verdict="identified", method="gaps counted")
         findings.append(
             Finding(
-                name=LOST,
+                name=sample_loss.CAUSE.name,
                 sentence=f"{100 * lost.probability:.2g} % of the samples are missing, most in {lost.worst}",
-                parameters={"probability": value},
+                parameters={sample_loss.CAUSE.strength.name: value},
                 confidence=0.99,
                 indistinguishable_from=(),
                 share_of_excess_explained=0.0,
@@ -250,6 +249,15 @@ def _findings(
             )
         )
     return findings
+
+
+def _late(finding: Finding, change: Change) -> Finding:
+    """A finding with the place where it begins or ends."""
+    if finding.name not in change.selection.causes:
+        return finding
+    if change.begins:
+        return replace(finding, sentence=f"{finding.sentence}, from {change.after} on", begins_in=change.after)
+    return replace(finding, sentence=f"{finding.sentence}, up to {change.before}", ends_after=change.before)
 
 
 def _names(findings: Sequence[Finding]) -> set[str]:

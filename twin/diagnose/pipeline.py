@@ -33,6 +33,7 @@ from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import floor_of
 from twin.diagnose.inference.theta import BASE, STOPS, Theta
 from twin.diagnose.judge.given_model import check_plant
+from twin.diagnose.report.sentences import change_sentence
 from twin.diagnose.result import Diagnosis
 from twin.diagnose.search.forward_step import SHARE
 from twin.diagnose.search.stepwise import select
@@ -164,7 +165,7 @@ def diagnose_records(
                 return without_odd(replace(rest, budget=budget), odd)
         if (change := done.change) is not None:
             closing.callback(done.criterion.close)
-            warnings.append(change.sentence)
+            warnings.append(change_sentence(change))
             stops = evidence.low_m, evidence.high_m
             evidence = gather([one for one in records if one.name in change.recordings], plant, stops)
             if judge is not None and (later := change.of(judges)):

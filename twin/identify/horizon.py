@@ -10,24 +10,17 @@ Rule 1: a predicted ball stays between the stops, as the rig's does, and stands 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.campaign import Campaign, Plant
+from protocol.campaign import Plant
 from twin.compiled import Packed, kernel
 from twin.estimation.innovations import FLIES, FOLLOWS, USE_X
 from twin.estimation.prepare import prepare
 from twin.estimation.record import Record
 from twin.estimation.transition import Physics, moments, transit
-from twin.identify.checks.input_delay import delayed, input_delay
 from twin.identify.fit import Likelihood, Point, physics
-from twin.readers.campaign import read_campaign
-
-if TYPE_CHECKING:
-    from twin.identify.pipeline import Identification
 
 HORIZONS_S = (2e-3, 10e-3, 20e-3, 40e-3)
 
@@ -116,17 +109,3 @@ def horizons(
             )
         )
     return result
-
-
-def on_judges(campaign: Campaign, found: Identification, *, data: Path | None = None) -> dict[str, list[Horizon]]:
-    """Errors of an identified model on each flight that is kept for judging, by recording.
-
-    A late input is taken out of them as it was of the recordings for fitting.
-    """
-    rows = {}
-    for record in read_campaign(campaign, use="judge", data=data):
-        if found.fit is None or record.kind not in ("closed-loop", "prbs", "free"):
-            continue
-        late = delayed(record, input_delay(record, campaign.plant))
-        rows[record.name] = horizons([late], campaign.plant, found.fit.point, found.tick_s)
-    return rows

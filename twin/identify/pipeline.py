@@ -11,7 +11,7 @@ Rule 2: a number always comes with its standing; what could not be estimated is 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,7 @@ from twin.identify.checks.plausibility import inspect
 from twin.identify.fit import FLOORS, NAMES, NOISES, PARAMETERS, Fit, Likelihood, Point, fit, gate, most_drag, sandwich
 from twin.identify.horizon import Horizon, horizons
 from twin.identify.intervals import Interval, quadratic_or_profile
+from twin.identify.result import Identification, noise_of, provenance_of
 from twin.identify.starting.levels import Levels, Shape, find_levels, find_shape
 from twin.identify.starting.liftoff import ForceConstant, equilibria, force_constant, lift_offs
 from twin.identify.starting.regression import AmplifierStart, BallStart, amplifier_start, ball_start
@@ -48,29 +49,6 @@ HAC_S = 0.1  # memory of the residuals that the sandwich covers
 # all its error counts as noise of the position sensor (250 um instead of 4).
 _NOISE_START = {"sigma_x_m": 1e-5, "process_a_m_s2": 5.0}
 _TICK_S = 2e-3
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Identification:
-    """The model and everything that was found on the way."""
-
-    model: Model
-    converged: bool
-    warnings: tuple[str, ...]
-    usages: tuple[Usage, ...]
-    levels: Levels | None
-    shape: Shape | None
-    force: ForceConstant | None
-    fit: Fit | None
-    whiteness: Whiteness | None
-    ahead: Horizon | None  # prediction over AHEAD_S on these recordings, where the residuals are coloured
-    tick_s: float  # interval that the process noise refers to
-
-    @property
-    def usable(self) -> bool:
-        """Whether a twin can run on it: the fit converged, K_A and K_c are known."""
-        known = all(self.model.parameters[name].verdict in ("identified", "weak") for name in ("K_A", "K_c"))
-        return self.converged and known
 
 
 def identify(
@@ -318,7 +296,6 @@ def _model(
     shape: Shape | None,
     force: ForceConstant | None,
 ) -> Model:
-    from twin.identify.result import noise_of, provenance_of
     from twin.model import parameters as file
 
     p = campaign.plant

@@ -3,22 +3,43 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from protocol.campaign import Campaign
 from twin.estimation.prepare import Usage
 from twin.estimation.record import Record
 from twin.estimation.whiteness import Whiteness
 from twin.identify.fit import FLOORS, Fit
+from twin.identify.horizon import Horizon
 from twin.identify.starting.levels import Levels, Shape
 from twin.identify.starting.liftoff import ForceConstant
-from twin.model.parameters import NOISE, Noise
-
-if TYPE_CHECKING:
-    from twin.identify.pipeline import Identification
+from twin.model.parameters import NOISE, Model, Noise
 
 _ASSUMED = Noise(sigma_x_m=5e-6, sigma_i_c_a=2e-3, process_a_m_s2=0.02, process_i_c_a=1e-4)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identification:
+    """The model and everything that was found on the way."""
+
+    model: Model
+    converged: bool
+    warnings: tuple[str, ...]
+    usages: tuple[Usage, ...]
+    levels: Levels | None
+    shape: Shape | None
+    force: ForceConstant | None
+    fit: Fit | None
+    whiteness: Whiteness | None
+    ahead: Horizon | None  # prediction over AHEAD_S on these recordings, where the residuals are coloured
+    tick_s: float  # interval that the process noise refers to
+
+    @property
+    def usable(self) -> bool:
+        """Whether a twin can run on it: the fit converged, K_A and K_c are known."""
+        known = all(self.model.parameters[name].verdict in ("identified", "weak") for name in ("K_A", "K_c"))
+        return self.converged and known
 
 
 def noise_of(found: Fit | None, records: list[Record]) -> Noise:

@@ -104,6 +104,12 @@ def position_reading(p: Base, c: Vector, x: float, i: float) -> float:
 
 
 @kernel
+def sensor_lag_s(c: Vector) -> float:
+    """The time constant of the position sensor, s; 0 where it shows what is there."""
+    return c[position_sensor_lag.TAU]
+
+
+@kernel
 def current_reading(c: Vector, i: float) -> float:
     """What the current sensor shows, A."""
     return current_sensor_offset.shifted(c, current_sensor_gain.scaled(c, i))

@@ -3,19 +3,21 @@
 Rule 1: strict.  A missing key, another unit, a number that is not finite or not physical is refused by name: a twin
         that runs on a guessed parameter accuses the rig of its own mistake.
 Rule 2: units are the ones below, always; there is no conversion.
-Rule 3: `causes` are of the catalogue, each with all its parameters (`extension.py`); [] is the paper's model.
+Rule 3: `causes` are of the catalogue, each with all its parameters, in its unit and within its physical
+        range: a half-known cause is none; [] is the paper's model.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from protocol.campaign import PLANT_BOUNDS
+from protocol import campaign
 from protocol.files import parse_json, read_small
+from twin.model.causes.cause import CauseParameter
 from twin.model.checks import finite, number, refuse, table
 
 VERDICTS = ("identified", "weak", "not-identifiable", "assumed")  # assumed: taken from a source, not from a record
@@ -28,7 +30,7 @@ PARAMETERS: dict[str, tuple[str, float, float]] = {
     "K_c": ("N m^2/A^2", 1e-9, 1e-1),
     "b": ("N s/m", 0.0, 10.0),
 }
-PLANT: dict[str, tuple[float, float]] = {key: (low, high) for key, (low, high, _) in PLANT_BOUNDS.items()}
+PLANT: dict[str, tuple[float, float]] = {key: (low, high) for key, (low, high, _) in campaign.PLANT_BOUNDS.items()}
 NOISE: dict[str, tuple[float, float]] = {
     "sigma_x_m": (1e-9, 1e-2),
     "sigma_i_c_a": (1e-7, 1.0),
@@ -112,6 +114,14 @@ class Model:
         return self.parameters["b"].value
 
 
+def plant_of(model: Model) -> campaign.Plant:
+    """The constants of the model as the estimators take them."""
+    p = model.plant
+    return campaign.Plant(
+        name=p.name, mass_kg=p.mass_kg, travel_m=p.travel_m, x_max_m=p.x_max_m, gravity_m_s2=p.gravity_m_s2
+    )
+
+
 def load_model(path: str | Path) -> Model:
     """Read a model file.
 
@@ -141,10 +151,7 @@ def model_from_dict(data: object, *, where: str) -> Model:
     noise = table(top["noise"], where, "noise", tuple(NOISE))
     causes: tuple[ModelCause, ...] = ()
     if top["causes"] != []:
-        # Only here: the catalogue is made of kernels, and most models need none of them.
-        from twin.model.extension import causes_from
-
-        causes = causes_from(top["causes"], where=where)
+        causes = _causes_from(top["causes"], where=where)
     return Model(
         plant=Plant(name=plant["name"], **constants),
         parameters={
@@ -153,6 +160,47 @@ def model_from_dict(data: object, *, where: str) -> Model:
         causes=causes,
         noise=Noise(**{key: number(noise[key], where, f"noise.{key}", *bounds) for key, bounds in NOISE.items()}),
         provenance=table(top["provenance"], where, "provenance", ()),
+    )
+
+
+def _causes_from(data: object, *, where: str) -> tuple[ModelCause, ...]:
+    """The causes of a model file, from their JSON form; `where` names the file in errors.
+
+    Raises:
+        DataError: not a list, a cause or a parameter that the catalogue does not have, one that lacks, a wrong unit,
+            a value out of its physical range.
+    """
+    # Only here: the catalogue is made of kernels, and most models need none of them.
+    from twin.model.causes.catalogue import BY_NAME
+
+    if not isinstance(data, list):
+        refuse(where, "causes is not a list", "Write [] for the paper's model")
+    causes: list[ModelCause] = []
+    for n, entry in enumerate(data):
+        key = f"causes[{n}]"
+        name = table(entry, where, key, ("name", "parameters"))["name"]
+        if not isinstance(name, str) or name not in BY_NAME:
+            refuse(where, f"{key} is {name!r}, not in the catalogue", f"Use one of {', '.join(BY_NAME)}")
+        if any(cause.name == name for cause in causes):
+            refuse(where, f"{key} is {name}, which is there already", "Name each cause once")
+        causes.append(_cause(name, BY_NAME[name].parameters, entry["parameters"], where, f"{key} ({name})"))
+    return tuple(causes)
+
+
+def _cause(name: str, known: Sequence[CauseParameter], data: object, where: str, key: str) -> ModelCause:
+    entries = table(data, where, f"{key}.parameters", tuple(parameter.name for parameter in known))
+    for parameter in entries:
+        if parameter not in [one.name for one in known]:
+            listed = ", ".join(one.name for one in known)
+            refuse(where, f"{key} has no parameter {parameter!r}", f"It has {listed}")
+    return ModelCause(
+        name=name,
+        parameters={
+            one.name: parameter_from(
+                entries[one.name], where, f"{key}.parameters.{one.name}", one.unit, one.low, one.high
+            )
+            for one in known
+        },
     )
 
 

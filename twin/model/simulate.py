@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from twin.compiled import Packed, kernel
 from twin.model.causes import actuation_delay, periodic_disturbance, sampling_delay
+from twin.model.causes.catalogue import BY_NAME
 from twin.model.extended import (
     FIELD,
     I_C,
@@ -83,11 +84,8 @@ def _ticks(delay_s: float, sample_time_s: float) -> tuple[int, float]:
 
 def left_out(model: Model) -> list[str]:
     """What of the model a simulation does without, and why."""
-    why = {
-        "periodic-disturbance": "its phase is not known",
-        "lost-samples": "it is the line's, not the rig's",
-    }
-    return [f"{cause.name} is not simulated: {why[cause.name]}" for cause in model.causes if cause.name in why]
+    why = {cause.name: BY_NAME[cause.name].not_simulated for cause in model.causes}
+    return [f"{name} is not simulated: {reason}" for name, reason in why.items() if reason]
 
 
 def places(plant: PlantNumbers) -> int:

@@ -9,10 +9,10 @@ from itertools import pairwise
 import numpy as np
 
 from twin.estimation.record import FloatArray, intervals, runs
+from twin.estimation.step_figures import FIGURES, SMALLEST_SIGMAS, Compared, Step, compared, measure, settling_band
 from twin.model.parameters import Model
 from twin.validate.extended import current
 from twin.validate.source import Source, chosen
-from twin.validate.steps import FIGURES, SMALLEST_SIGMAS, Compared, Step, compared, measure, settling_band
 
 FEWEST = 20  # samples of a level
 REALISATIONS = 8  # of the sensor's noise on (1)

@@ -19,10 +19,10 @@ from twin.identify.fit import FLOORS, physics
 from twin.identify.horizon import HORIZONS_S, predict
 from twin.model.extended import SENSOR
 from twin.model.extension import base
-from twin.model.parameters import Model
+from twin.model.parameters import Model, plant_of
 from twin.model.simulate import over, plant_numbers, rig_at
 from twin.validate.extended import predictions, window
-from twin.validate.source import Filtered, plant_of
+from twin.validate.source import Filtered
 
 SETTLE_S = 0.1  # the filter's own start
 WINDOW_S = 0.04

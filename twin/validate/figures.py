@@ -11,12 +11,11 @@ from matplotlib.figure import Figure
 from scipy.stats import t as student
 
 from twin.estimation.record import FloatArray
+from twin.estimation.step_figures import LoopRun, Response
 from twin.mirror.plots.traces import MEASURED, REFERENCE, TWIN
 from twin.validate.amplifier import Amplifier, AmplifierTrace
 from twin.validate.ball import Ahead, Windows
-from twin.validate.loop import LoopRun
 from twin.validate.residuals import Channel
-from twin.validate.steps import Response
 
 SHOWN_S = 4.0  # of a closed loop
 MOST_TRACES = 3

@@ -7,42 +7,25 @@ Rule 2: a law that does not reproduce the recorded u_c from the recorded samples
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, integral_behind, law
-from twin.estimation.record import FloatArray, runs
+from twin.estimation.record import runs
+from twin.estimation.step_figures import LoopRun
 from twin.identify.checks.control_law import law_gap
 from twin.mirror.monitor.expected import STABLE, autocovariance, error_dynamics
 from twin.model.extended import I_C, Base, V, X
-from twin.model.parameters import Model
+from twin.model.parameters import Model, plant_of
 from twin.model.simulate import I_READ, X_READ, PlantNumbers, hold, plant_numbers, rig_at
 from twin.validate.ball import SETTLE_S
-from twin.validate.source import Filtered, Source, plant_of
+from twin.validate.source import Filtered, Source
 
 SHORTEST_S = 0.5
 UNEXPLAINED = 0.25  # of the changes of u_c that the law may leave open: rounding, not another law
 REALISATIONS = 8
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoopRun:
-    """One flight in closed loop; all of shape (n,) but the simulations, (realisations, n)."""
-
-    name: str
-    t_s: FloatArray
-    x_ref_m: FloatArray
-    x_m: FloatArray
-    i_c_a: FloatArray
-    u_c_v: FloatArray
-    simulated_x_m: FloatArray
-    simulated_i_c_a: FloatArray
-    simulated_u_c_v: FloatArray
-    quiet_x_m: FloatArray  # simulated without noise
-    expected_std_m: float  # of measured - quiet under a right model; NaN where the model's loop is unstable
 
 
 @kernel

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.estimation.step_figures import FIGURES, Compared, definition
 from twin.page import bullets, image, mark, paragraph, table, untested, whole
 from twin.validate.amplifier import CURRENT_FIGURES
 from twin.validate.figures import (
@@ -21,7 +22,6 @@ from twin.validate.figures import (
     step_figure,
 )
 from twin.validate.residuals import Channel
-from twin.validate.steps import FIGURES, Compared, definition
 from twin.validate.verdict import ClosedLoop, Validation
 
 MOST_LOOPS = 3

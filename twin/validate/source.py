@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from protocol.bus import board51_pb2 as pb
-from protocol.campaign import Campaign, Controller, Plant
+from protocol.campaign import Campaign, Controller
 from protocol.files import open_regular
 from twin.control import LawNumbers, law_numbers
 from twin.estimation.innovations import FLIES, USE_I, USE_X, Series
@@ -27,7 +27,7 @@ from twin.identify.checks.input_delay import delayed, input_delay
 from twin.identify.checks.plausibility import inspect
 from twin.identify.fit import Likelihood, Point, gate
 from twin.identify.pipeline import grouped
-from twin.model.parameters import Model
+from twin.model.parameters import Model, plant_of
 from twin.readers.campaign import read_recording
 from twin.readers.log import LogReader, parse
 from twin.validate.extended import as_shown, filter_extended
@@ -65,12 +65,6 @@ class Filtered:
     point: Point
     wild: int  # readings left out
     full: FloatArray | None = None  # corrected states of `extended.py`, shape (n, 6), of a model with causes
-
-
-def plant_of(model: Model) -> Plant:
-    """The constants of the model as the estimators take them."""
-    p = model.plant
-    return Plant(name=p.name, mass_kg=p.mass_kg, travel_m=p.travel_m, x_max_m=p.x_max_m, gravity_m_s2=p.gravity_m_s2)
 
 
 def sources_of(campaign: Campaign, model: Model, *, data: Path | None = None) -> tuple[list[Source], list[str]]:

@@ -13,23 +13,24 @@ import numpy as np
 
 from protocol.campaign import Campaign
 from protocol.errors import DataError
-from twin.model.parameters import Model
-from twin.model.simulate import left_out
-from twin.validate.amplifier import Amplifier, amplifier, fit_percent
-from twin.validate.ball import Ahead, Windows, multi_step, windows
-from twin.validate.loop import LoopRun, closed_loops, measured_only
-from twin.validate.residuals import Channel, residuals
-from twin.validate.source import FLYING, Filtered, Source, chosen, filtered, sources_of
-from twin.validate.steps import (
+from twin.estimation.step_figures import (
     FIGURES,
     Alone,
     Compared,
+    LoopRun,
     Response,
     compare_steps,
     definition,
     responses,
     rig_alone,
 )
+from twin.model.parameters import Model
+from twin.model.simulate import left_out
+from twin.validate.amplifier import Amplifier, amplifier, fit_percent
+from twin.validate.ball import Ahead, Windows, multi_step, windows
+from twin.validate.loop import closed_loops, measured_only
+from twin.validate.residuals import Channel, residuals
+from twin.validate.source import FLYING, Filtered, Source, chosen, filtered, sources_of
 
 RMSE_TOLERANCE = 1.5  # of a simulation's error over what noise alone leaves: below it, nobody sees it in the figure
 

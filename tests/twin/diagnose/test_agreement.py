@@ -16,10 +16,10 @@ from tests.twin.diagnose.agreement import disagreements
 from tests.twin.diagnose.known_diagnosis import QUIET, diagnosis, fit_of
 from tests.twin.diagnose.simulated_rig import controller
 from twin.diagnose.checks.confidence import MOST
-from twin.diagnose.judge.account import account_of, beyond_sentence, verdict_of
+from twin.diagnose.judge.account import account_of, verdict_of
 from twin.diagnose.judge.prediction_gain import FEWEST_BLOCKS, Gain, bootstrap
 from twin.diagnose.report.page import to_html
-from twin.diagnose.report.sentences import summary_sentence
+from twin.diagnose.report.sentences import beyond_sentence, summary_sentence
 from twin.diagnose.residuals.summary import shown
 from twin.diagnose.result import Diagnosis, to_json
 from twin.diagnose.search.state import Selection

@@ -24,12 +24,12 @@ from twin.diagnose.inference.budget import MILLION, QUICK, Budget, Spent
 from twin.diagnose.inference.fisher_scoring import climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import floor_of
-from twin.diagnose.inference.pace import pace_of
 from twin.diagnose.inference.theta import BASE, Theta
 from twin.diagnose.pipeline import diagnose
 from twin.diagnose.search.periodic import AMPLITUDE, CAUSE, FREQUENCY
 from twin.diagnose.search.state import Selection
 from twin.diagnose.search.stepwise import select
+from twin.estimation.pace import pace_of
 from twin.model.causes.catalogue import BY_NAME
 
 SHORT = 12.0 * MILLION  # the rounds of the small foreign campaign take more

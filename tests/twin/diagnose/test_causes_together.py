@@ -150,7 +150,7 @@ def test_a_ball_that_is_held_is_well_predicted_and_that_proves_no_friction(monke
         floor_excess = floor.excess(base.loglik)
         trial = Trial(cause="coulomb-friction", fit=rubs, gain=0.1 * floor_excess)
         held = forward.decided(criterion, base, floor, [], [trial], 0.0, forward.SHARE)
-        monkeypatch.setattr(forward, "HOLDS", "")
+        monkeypatch.setattr(forward, "HOLDS", frozenset())
         other = forward.decided(criterion, base, floor, [], [trial], 0.0, forward.SHARE)
     finally:
         criterion.close()

@@ -15,13 +15,13 @@ from twin.diagnose.evidence.gather import gather
 from twin.diagnose.evidence.lost_rows import bridged
 from twin.diagnose.experiments.virtual_recordings import Schedule, simulate
 from twin.diagnose.inference.theta import Theta
-from twin.diagnose.judge.predict import predict
 from twin.diagnose.search.forward_step import THRESHOLD
 from twin.diagnose.search.score_test import screen
 from twin.estimation.ekf import LOST
 from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X
 from twin.estimation.record import BoolArray, Record
 from twin.estimation.rollout import SETTLE_S, predict_ahead
+from twin.prediction import predict
 
 NOISY = replace(THETA, T_A=9e-4, sigma_x_m=8e-6, sigma_i_c_a=1.6e-3)
 

@@ -20,13 +20,12 @@ from protocol.bus.topics import key
 from protocol.wire.messages import Shape
 from tests.twin.identify.emulated_campaign import TICK_S, Lab
 from tests.twin.model.true_model import true_model
-from twin.diagnose.judge.predict import predict
 from twin.estimation.record import Record
 from twin.identify.fit import Point
 from twin.identify.horizon import horizons
-from twin.model.parameters import model_to_dict
+from twin.model.parameters import model_to_dict, plant_of
+from twin.prediction import predict
 from twin.readers.log import TwinLog
-from twin.validate.source import plant_of
 
 NAMES = ("t", "u_c", "i_c", "x", "x_ref")
 AHEAD = 10

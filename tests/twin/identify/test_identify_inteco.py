@@ -7,9 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from protocol.campaign import load
-from twin.identify.horizon import on_judges
+from protocol.campaign import Campaign, load
+from twin.identify.checks.input_delay import delayed, input_delay
+from twin.identify.horizon import Horizon, horizons
 from twin.identify.pipeline import identify
+from twin.identify.result import Identification
+from twin.readers.campaign import read_campaign
 
 ROOT = Path(__file__).parents[3]
 DATA = Path(os.environ.get("BOARD51_DATA", ROOT.parent / "shared" / "data"))
@@ -31,6 +34,17 @@ def test_one_model_of_the_inteco_rig_and_what_is_wrong_with_it() -> None:
     assert found.model.parameters["b"].verdict == "not-identifiable"
     late = {usage.name for usage in found.usages if usage.input_delay == 1}
     assert len([name for name in late if "/cl_" in name]) == 3
-    errors = on_judges(campaign, found, data=DATA)
+    errors = _on_judges(campaign, found)
     assert len(errors) == 3
     assert all(rows[0].rmse_m < 35e-6 for rows in errors.values())  # 2 ms: two sigma of the sensor
+
+
+def _on_judges(campaign: Campaign, found: Identification) -> dict[str, list[Horizon]]:
+    """Errors on each flight that is kept for judging; a late input is taken out of them as it was for fitting."""
+    rows = {}
+    for record in read_campaign(campaign, use="judge", data=DATA):
+        if found.fit is None or record.kind not in ("closed-loop", "prbs", "free"):
+            continue
+        late = delayed(record, input_delay(record, campaign.plant))
+        rows[record.name] = horizons([late], campaign.plant, found.fit.point, found.tick_s)
+    return rows

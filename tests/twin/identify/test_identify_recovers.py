@@ -13,7 +13,8 @@ from tests.twin.identify.emulated_campaign import TRUTHS, Lab, campaign_of, rand
 from tests.twin.identify.independent_plant import Ball, wandering
 from twin.estimation.prepare import BLOCK_SAMPLES, prepare
 from twin.estimation.record import Record
-from twin.identify.pipeline import Identification, identify_records
+from twin.identify.pipeline import identify_records
+from twin.identify.result import Identification
 
 TICKS = 4000
 BALL = Ball()

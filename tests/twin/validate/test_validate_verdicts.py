@@ -12,12 +12,12 @@ import pytest
 from protocol.campaign import Controller, OperatingPoint
 from tests.twin.identify.independent_plant import Ball
 from twin.estimation.record import Capture, Record
+from twin.estimation.step_figures import FIGURES, find_steps, measure
 from twin.model.parameters import PARAMETERS, Model, Noise, Parameter, Plant
 from twin.validate.ball import Ahead
 from twin.validate.figures import ahead_axes
 from twin.validate.report import to_html
 from twin.validate.source import Source, source_of
-from twin.validate.steps import FIGURES, find_steps, measure
 from twin.validate.verdict import Validation, validate_sources
 
 BALL = Ball()

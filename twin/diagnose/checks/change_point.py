@@ -25,7 +25,6 @@ from twin.diagnose.inference.fisher_scoring import PASSES, climb, inverse
 from twin.diagnose.inference.likelihood import Criterion, Run
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import Theta, derivative_step, moved
-from twin.diagnose.result import Finding
 from twin.diagnose.search.equivalence import stand_ins
 from twin.diagnose.search.probes import probes_of
 from twin.diagnose.search.score_test import LEAST_INFORMATION, VISIBLE, probed
@@ -42,7 +41,6 @@ _AHEAD = 1.2  # of the gain without a change
 _SHARE = 0.4  # of what is left, of each cause: nothing but noise may remain
 _SAME = 0.01  # of the gain
 _TRIED = 2  # places with a search of their own
-_PERIODIC = "periodic-disturbance"  # its phase is each recording's own anyway
 _NO_STATE = np.empty((0, STATES))
 
 
@@ -65,14 +63,6 @@ class Change:
             return list(others)
         edge = next(float(record.t[0]) for record in records if record.name == self.after)
         return [record for record in others if (float(record.t[0]) >= edge) == self.begins]
-
-    @property
-    def sentence(self) -> str:
-        """For people."""
-        names = " and ".join(self.selection.causes)
-        if self.begins:
-            return f"{names} begins in {self.after}: it is absent up to {self.before}"
-        return f"{names} ends after {self.before}: it is absent from {self.after} on"
 
 
 class Switched(Criterion):
@@ -137,7 +127,8 @@ def find_change(
     if criterion.evidence.statics or len(records) < 2:
         return None
     order = in_time(records)
-    candidates = [cause for cause in candidates if cause.name != _PERIODIC]
+    # The phase of a periodic force is each recording's own anyway.
+    candidates = [cause for cause in candidates if cause.found_by != "spectral-line"]
     for place, begins in _places(criterion, found, candidates, order):
         first, second = order[:place], order[place:]
         names = records[first[-1]].name, records[second[0]].name
@@ -165,15 +156,6 @@ def find_change(
                 )
         switched.close()
     return None
-
-
-def late_finding(finding: Finding, change: Change) -> Finding:
-    """A finding with the place where it begins or ends."""
-    if finding.name not in change.selection.causes:
-        return finding
-    if change.begins:
-        return replace(finding, sentence=f"{finding.sentence}, from {change.after} on", begins_in=change.after)
-    return replace(finding, sentence=f"{finding.sentence}, up to {change.before}", ends_after=change.before)
 
 
 def in_time(records: Sequence[Record]) -> list[int]:

@@ -23,11 +23,12 @@ from twin.diagnose.inference.fisher_scoring import PASSES, Fit, climb, inverse
 from twin.diagnose.inference.initial_guess import no_better, start_theta
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor, expected
-from twin.diagnose.inference.theta import BASE, FLOORS, roused
+from twin.diagnose.inference.theta import BASE, FLOORS, coordinates_of, roused
 from twin.estimation.innovations import FLIES, information
 from twin.estimation.record import runs
+from twin.model.causes.catalogue import CATALOGUE
+from twin.model.causes.cause import Cause
 
-GAP = "air-gap-offset.d_m"
 CLEAR = 50.0  # of log-likelihood, by numbers of its own
 _FLOWN = 500  # samples in flight: fewer do not fix four numbers
 _FEWEST = 4  # recordings: of two that disagree nobody knows which is the odd one
@@ -90,7 +91,8 @@ def odd_one(criterion: Criterion, base: Fit, floor: Floor) -> Odd | None:
     others = Criterion(gather(rest, plant, stops), plant, criterion.tick_s, budget=budget)
     try:
         # Another rig has its coil at another height, too.
-        fit = climb(alone, start.having(GAP, 0.0), (*BASE, GAP), passes=2 * PASSES)
+        (coil,) = (name for cause in CATALOGUE if _moves_coil(cause) for name in coordinates_of(cause.name))
+        fit = climb(alone, start.having(coil, 0.0), (*BASE, coil), passes=2 * PASSES)
         agreed = climb(others, roused(base.theta), base.free)
         # With the noise of its own sensors: another rig has others.
         quiet = replace(
@@ -107,3 +109,7 @@ def odd_one(criterion: Criterion, base: Fit, floor: Floor) -> Odd | None:
         others.close()
     large = tuple((name, math.expm1(by)) for name, by in moves.items() if abs(by) > MATTERS[name])
     return Odd(recording=number, name=record.name, moves=large) if large else None
+
+
+def _moves_coil(cause: Cause) -> bool:
+    return cause.family == "force" and "displaces" in cause.traits

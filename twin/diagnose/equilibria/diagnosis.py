@@ -20,11 +20,10 @@ from scipy.stats import t as t_distribution
 from protocol.campaign import Campaign, Plant
 from protocol.errors import DataError
 from twin.diagnose.equilibria.points import (
-    AMPLIFIER,
-    BALANCE,
     LEVEL,
     Points,
     StaticFit,
+    added_current,
     computed_current,
     f_test,
     fit_static,
@@ -41,7 +40,7 @@ from twin.diagnose.inference.theta import Theta
 from twin.estimation.record import FloatArray, Record
 from twin.model import parameters as file
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
-from twin.model.extended import magnetic_force, position_of_reading
+from twin.model.extended import current_of_reading, magnetic_force, position_of_reading
 from twin.model.nominal import nominal
 
 ABSORBED = 1e-4  # of what (3) leaves: a cause that takes away less beside K_c is K_c under another name
@@ -124,7 +123,8 @@ def diagnose_points(
     base = fit_static(points, plant)
     say(f"{len(points)} points of rest; (3) alone is off by {1e3 * base.std_a:.3g} mA")
     computed = computed_current(points)
-    names = [*BALANCE, *(AMPLIFIER if computed is not None else ())]
+    tested = ("balance",) if computed is None else ("balance", "amplifier")
+    names = [cause.name for kind in tested for cause in CATALOGUE if cause.at_rest == kind]
     explained, absorbed = [], []
     for name in names:
         say(f"trying {name}")
@@ -175,8 +175,7 @@ def pole(theta: Theta, plant: Plant, reading_m: float) -> float:
     """The unstable pole of the ball at rest where x is read, 1/s: (14) without drag; NaN where it is stable."""
     p, c = theta.base(plant), theta.vector()
     i_read = float(holding_currents(theta, plant, np.array([reading_m]))[0])
-    shift = theta.value("amplifier-offset.offset_a") - theta.K_A * theta.value("amplifier-dead-zone.width_v")
-    i = i_read + shift - theta.value("current-sensor-offset.offset_a")
+    i = float(current_of_reading(c, i_read + added_current(theta)))
     x = position_of_reading(p, c, reading_m, i)
     slope = (magnetic_force(p, c, i, x + 1e-6) - magnetic_force(p, c, i, x - 1e-6)) / 2e-6
     return math.sqrt(slope / plant.mass_kg) if slope > 0.0 else math.nan

@@ -24,23 +24,10 @@ from protocol.errors import DataError
 from twin.compiled import Packed, kernel
 from twin.diagnose.inference.theta import Theta, parameter_of
 from twin.estimation.record import FloatArray, Record
-from twin.model.causes.catalogue import BY_NAME
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Vector
 from twin.model.extended import Base, acceleration, current_reading, position_of_reading
 
-BALANCE = (
-    "air-gap-offset",
-    "force-exponent",
-    "core-saturation",
-    "residual-magnetism",
-    "constant-force",
-    "position-sensor-offset",
-    "position-sensor-gain",
-    "position-sensor-nonlinearity",
-    "sensor-crosstalk",
-    "current-sensor-offset",
-)
-AMPLIFIER = ("amplifier-offset", "amplifier-dead-zone")  # where i_c is not a measurement, but K_A u_c
 FEWEST = 3  # points: K_c, one cause, and one to be wrong about
 LEVEL = 0.05
 _MOST_A = 1e3
@@ -159,9 +146,17 @@ def _holding(base: Packed, c: Vector, reading: float) -> float:
 def holding_currents(theta: Theta, plant: Plant, x_m: FloatArray) -> FloatArray:
     """The i_c that is read while the ball rests where x is read, A, shape (n,); NaN where no current holds it."""
     p, c = theta.base(plant), theta.vector()
-    # What an amplifier adds flows, but a current computed as K_A u_c has none of it.
-    shift = theta.value("amplifier-offset.offset_a") - theta.K_A * theta.value("amplifier-dead-zone.width_v")
+    shift = added_current(theta)
     return np.array([current_reading(c, _holding(tuple(p), c, float(x))) - shift for x in x_m])
+
+
+def added_current(theta: Theta) -> float:
+    """What an amplifier adds, A: it flows, but a current that was computed as K_A u_c has none of it."""
+    return sum(
+        cause.added_a(theta.value(_coordinate(cause.name)), theta.K_A)
+        for cause in CATALOGUE
+        if cause.added_a is not None
+    )
 
 
 def fit_static(points: Points, plant: Plant, cause: str = "") -> StaticFit:

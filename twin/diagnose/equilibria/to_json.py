@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.equilibria.diagnosis import Explanation, StaticDiagnosis, parameters_of, proposal_for
-from twin.diagnose.equilibria.points import AMPLIFIER
 from twin.diagnose.report.sentences import quantity
 from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
@@ -148,7 +147,7 @@ def not_testable(found: StaticDiagnosis) -> list[tuple[str, str]]:
             why = cause.not_testable
         elif cause.name in found.absorbed:
             why = "at rest K_c does what it does"
-        elif cause.name in AMPLIFIER:
+        elif cause.at_rest == "amplifier":
             why = "i_c was measured: what the amplifier makes of u_c does not matter to the force balance"
         else:
             why = f"nothing moves in these data ({', '.join(cause.shows_in) or 'no experiment'} would show it)"

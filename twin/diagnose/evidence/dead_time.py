@@ -17,7 +17,6 @@ from twin.estimation.record import Record
 from twin.identify.checks.input_delay import delayed
 from twin.identify.starting.regression import amplifier_start
 
-DELAYS = ("actuation-delay", "sampling-delay")
 _FAST_S = 2e-4  # sampling interval of a step response that shows both
 _LONGEST_S = 6e-3
 _COARSE_S = 2e-4

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.estimation.record import Record
+from twin.model.causes.catalogue import found_by
 
+CAUSE = found_by("gaps")
 FEWEST = 5  # gaps: one or two are an interruption, not a habit
 LEAST_SHARE = 5e-4
 LONGEST = 50  # intervals: a longer gap is a pause

@@ -22,8 +22,7 @@ from twin.diagnose.experiments.equilibrium import carrying_current
 from twin.diagnose.inference.theta import Theta
 from twin.estimation.ekf import drive_over
 from twin.estimation.record import FloatArray, Record
-from twin.model.causes import position_sensor_lag
-from twin.model.extended import I_C, SENSOR, Base, V, X, current_reading, position_reading
+from twin.model.extended import I_C, SENSOR, Base, V, X, current_reading, position_reading, sensor_lag_s
 
 _NO_LAW: Packed = tuple(LawNumbers(*[0.0] * len(LawNumbers._fields)))
 
@@ -140,7 +139,7 @@ def play(
     """
     p = Base(*base)
     numbers = LawNumbers(*law_)
-    lag_s = c[position_sensor_lag.TAU]
+    lag_s = sensor_lag_s(c)
     u = out[:, 0]
     x_prev = 0.0
     for n in range(len(t)):

@@ -40,12 +40,12 @@ from twin.diagnose.search.candidate_fits import MARGIN, Trial
 from twin.estimation.ekf import RESTS_HIGH, RESTS_LOW
 from twin.estimation.innovations import information
 from twin.estimation.record import FloatArray, Record
+from twin.model.causes.catalogue import with_trait
 
 ENOUGH_Z = math.sqrt(2.0 * MARGIN)  # from here on two causes are no longer one class
 CONTACT_MOST = 0.05  # of an experiment's samples: more, and the loop does not hold the ball
 _NEAR_STOP = 0.02  # of the travel
 _SEED = 1
-_WARMS = "amplifier-gain-drift"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,7 +154,7 @@ def rank(
     held = [_tied(fit, member) for member in members]
     ranked = []
     for item in MENU:
-        if item.warms and _WARMS not in causes:
+        if item.warms and not causes & with_trait("warms"):
             continue
         schedule, times = schedule_of(item, lift_off_v=lift_off_v, travel_m=plant.travel_m, tick_s=criterion.tick_s)
         if not np.isfinite(schedule.command).all() or not np.isfinite(schedule.bursts).all():

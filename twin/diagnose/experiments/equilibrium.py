@@ -20,7 +20,7 @@ from twin.control import LawNumbers
 from twin.design.gains import LARGEST_U_SHARE, LARGEST_X_SHARE, TIME_CONSTANTS, augmented
 from twin.diagnose.inference.theta import Theta
 from twin.identify.checks.control_law import WIDE_V, numbers_of
-from twin.model.causes import coulomb_friction, current_limit
+from twin.model.causes.catalogue import absent
 from twin.model.extended import (
     FIELD,
     I_C,
@@ -72,7 +72,7 @@ def settled_current(theta: Theta, plant: Plant, u_v: float, x_m: float = 0.0) ->
 
 def carrying_input(theta: Theta, plant: Plant, i_a: float, warmth_a2: float | None = None) -> float:
     """The u_c behind a steady current, V; inf where the amplifier cannot give it."""
-    if i_a > float(theta.vector()[current_limit.LIMIT]) or not math.isfinite(i_a):
+    if not math.isfinite(i_a):
         return math.inf
     p, c = theta.base(plant), theta.vector()
     w = i_a * i_a if warmth_a2 is None else warmth_a2
@@ -150,8 +150,8 @@ def _over_a_tick(
     theta: Theta, plant: Plant, y: NDArray[np.float64], u: float, tick_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(15) by differences, for [i_c, x, x'] and u_c: shapes (3, 3), (3, 1)."""
-    base, c = tuple(theta.base(plant)), theta.vector()
-    c[coulomb_friction.FORCE] = 0.0  # it would hold the ball against any difference
+    # Friction would hold the ball against any difference.
+    base, c = tuple(theta.base(plant)), absent(theta.vector(), "sticks")
     rows = (I_C, X, V)
 
     def end(state: int | None, by: float, du: float) -> NDArray[np.float64]:

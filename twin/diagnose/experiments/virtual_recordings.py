@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from protocol.campaign import Controller, Kind, Plant, Use
 from twin.control import LawNumbers, law
+from twin.diagnose.evidence import sample_loss
 from twin.diagnose.experiments.closed_loop import Converters, converters_of, run, twelve_bits
 from twin.diagnose.experiments.equilibrium import at_rest, carrying_current, law_of, position_shown_as, settled_current
 from twin.diagnose.inference.theta import Theta
 from twin.estimation.record import Capture, FloatArray, Record, intervals
-from twin.model.causes import lost_samples
 from twin.model.extended import (
     FIELD,
     I_C,
@@ -105,7 +105,7 @@ def simulate(
             y[I_C] = y[FIELD] = settled_current(theta, plant, first)
             y[WARMTH] = y[I_C] ** 2
         run(theta, plant, numbers, steps, t, command, y, s, 0.0, tick_s, rng, out, clamped=clamped is not None)
-    there = rng.random(n) >= theta.vector()[lost_samples.PROBABILITY]
+    there = rng.random(n) >= theta.vector()[sample_loss.CAUSE.strength.place]
     x_ref = command if schedule.closed_loop else np.full(n, np.nan)
     return [
         Record(

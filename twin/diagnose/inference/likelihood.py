@@ -24,7 +24,6 @@ from protocol.campaign import Plant
 from twin.diagnose.evidence.dead_time import dead_time
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.inference.budget import Budget, Spent
-from twin.diagnose.inference.pace import pace_of
 from twin.diagnose.inference.theta import NOISES, STOP_UNIT_M, STOPS, Theta, derivative_step, moved
 from twin.estimation.ekf import (
     ALONE,
@@ -38,9 +37,10 @@ from twin.estimation.ekf import (
     states_in,
 )
 from twin.estimation.innovations import FLIES, information, whiten
+from twin.estimation.pace import pace_of
 from twin.estimation.record import FloatArray
 from twin.identify.starting.liftoff import LiftOff
-from twin.model.causes import coulomb_friction
+from twin.model.causes.catalogue import with_trait
 from twin.model.extended import STATES, magnetic_force, position_reading
 
 T = TypeVar("T")
@@ -317,7 +317,7 @@ class Criterion:
             base, *outs = self.several([theta, *beside])
         else:
             # With dry friction the slopes are taken as wide as the state is uncertain: a matter of the noise as well.
-            smooth = theta.vector()[coulomb_friction.FORCE] == 0.0
+            smooth = not any(name.partition(".")[0] in with_trait("sticks") and value for name, value in theta.causes)
             near = [rough or (smooth and name in NOISES) for name in steps]
             modes = [NOISE_ALONG if name in NOISES else ALONG for name in steps]
             modes = [mode if ask else ALONE for mode, ask in zip(modes, near, strict=True)]

@@ -26,7 +26,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 from twin.diagnose.judge.prediction_gain import Gain
-from twin.diagnose.report.sentences import WHERE_JUDGED
 from twin.diagnose.search.state import Selection
 from twin.estimation.prediction_floor import TOLERANCE
 
@@ -107,13 +106,3 @@ def verdict_of(*, named: bool, fine: bool, gain: Gain | None, finished: bool = T
 
 def _holds(gain: Gain | None) -> bool:
     return gain is not None and gain.ci95_floor[1] < _TWICE and gain.removed >= _FAIR
-
-
-def beyond_sentence(gain: Gain) -> str:
-    """How far the judge recordings are from the floor."""
-    low, high = gain.ci95_floor
-    ratio = gain.extended_rmse_m / gain.floor_m
-    return (
-        f"{WHERE_JUDGED}: their {gain.horizon_s * 1e3:.0f} ms prediction error is {ratio:.3g} times what noise alone "
-        f"makes ({low:.3g} to {high:.3g})"
-    )

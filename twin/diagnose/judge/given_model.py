@@ -12,6 +12,7 @@ from protocol.campaign import Plant
 from protocol.errors import DataError
 from twin.diagnose.inference.theta import PARAMETERS, Theta
 from twin.diagnose.judge.prediction_gain import Gain
+from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Model
 
 SAME = 0.01  # relative: a balance or a caliper errs by less
@@ -52,7 +53,7 @@ def theta_of(model: Model, fitted: Theta) -> Theta:
             (f"{cause.name}.{name}", parameter.value)
             for cause in model.causes
             for name, parameter in cause.parameters.items()
-            if cause.name != "lost-samples"
+            if BY_NAME[cause.name].found_by != "gaps"
         ),
     )
 

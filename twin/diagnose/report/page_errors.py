@@ -18,8 +18,8 @@ from twin.diagnose.report.sentences import LACKED, WHERE_JUDGED, capital, percen
 from twin.diagnose.residuals.step_response import Steps
 from twin.diagnose.residuals.summary import Show
 from twin.diagnose.result import Diagnosis
+from twin.estimation.step_figures import FIGURES, definition
 from twin.page import bullets, drawing, figures, paragraph, table, untested
-from twin.validate.steps import FIGURES, definition
 
 _QUICK_REGIMES = ("position", "speed")
 _STEP_FIGURES = ("rise_s", "settling_s", "overshoot")

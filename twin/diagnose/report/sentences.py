@@ -20,6 +20,7 @@ from twin.model.causes.cause import Cause, CauseParameter
 from twin.model.parameters import Parameter
 
 if TYPE_CHECKING:
+    from twin.diagnose.checks.change_point import Change
     from twin.diagnose.judge.prediction_gain import Gain
     from twin.diagnose.result import Diagnosis, Finding
 
@@ -199,6 +200,24 @@ def _worth(found: Diagnosis) -> str:
         f" On the judge recordings extending the model {change}: from {micrometres(gain.baseline_rmse_m)} to "
         f"{micrometres(gain.extended_rmse_m)}; noise alone makes {micrometres(gain.floor_m)}."
     )
+
+
+def beyond_sentence(gain: Gain) -> str:
+    """How far the judge recordings are from the floor."""
+    low, high = gain.ci95_floor
+    ratio = gain.extended_rmse_m / gain.floor_m
+    return (
+        f"{WHERE_JUDGED}: their {gain.horizon_s * 1e3:.0f} ms prediction error is {ratio:.3g} times what noise alone "
+        f"makes ({low:.3g} to {high:.3g})"
+    )
+
+
+def change_sentence(change: Change) -> str:
+    """Where something changed, and what."""
+    names = " and ".join(change.selection.causes)
+    if change.begins:
+        return f"{names} begins in {change.after}: it is absent up to {change.before}"
+    return f"{names} ends after {change.before}: it is absent from {change.after} on"
 
 
 def _times(ratio: float) -> str:

@@ -25,12 +25,12 @@ from twin.compiled import Packed, kernel
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.inference.theta import Theta
 from twin.diagnose.residuals.regimes import Blocks, Estimate, by_edges, estimate, even_edges, means, shared_edges, solid
+from twin.diagnose.search import periodic
 from twin.estimation.ekf import OUT_COLUMNS, run_extended
 from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X
 from twin.estimation.record import FloatArray
-from twin.model.causes import periodic_disturbance, position_sensor_lag
 from twin.model.causes.catalogue import CATALOGUE
-from twin.model.extended import I_C, STATES, Base, V, X, advance, position_of_reading
+from twin.model.extended import I_C, STATES, Base, V, X, advance, position_of_reading, sensor_lag_s
 
 WINDOW_S = 0.03
 FEWEST = 7  # readings in a window
@@ -78,7 +78,7 @@ def filtered(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float) -> F
     state, out = np.empty((len(s), STATES)), np.empty((len(s), OUT_COLUMNS))
     noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, tick_s)
     base, c = tuple(theta.base(plant)), theta.vector()
-    c[periodic_disturbance.AMPLITUDE] = 0.0
+    c[periodic.CAUSE.strength.place] = 0.0  # the force of what has no clock here is left in the residual
     stops = (theta.stop_low_m, theta.stop_high_m)
     run_extended(base, c, noise, stops, evidence.t, s.step, s.u, s.i, s.x, s.flags, out, state)
     modelled, seen = np.empty(len(s)), np.empty(len(s))
@@ -119,7 +119,7 @@ def _behind(
     for n in range(len(reading)):
         seen[n] = np.nan
         if not np.isnan(state[n, V]):
-            prompt = reading[n] + c[position_sensor_lag.TAU] * state[n, V]
+            prompt = reading[n] + sensor_lag_s(c) * state[n, V]
             seen[n] = position_of_reading(p, c, prompt, state[n, I_C])
 
 

@@ -12,8 +12,8 @@ from twin.diagnose.residuals.force import Filtered
 from twin.diagnose.residuals.regimes import Bin, Blocks, Labels, Regime, by_edges, error_bins, even_edges, shared_edges
 from twin.estimation.ekf import LOST
 from twin.estimation.record import FloatArray, runs
+from twin.estimation.step_figures import DWELL_S
 from twin.model.extended import V
-from twin.validate.steps import DWELL_S
 
 _GROUPS = 8
 _SPEED_SHARES = (0.0, 0.03, 0.12, 0.3, 0.5, 0.7, 0.88, 0.97, 1.0)

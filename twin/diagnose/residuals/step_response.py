@@ -16,13 +16,12 @@ from twin.diagnose.experiments.virtual_recordings import resimulate
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import FLOORS, Theta
 from twin.estimation.record import FloatArray, Record
-from twin.validate.loop import LoopRun
-from twin.validate.steps import Compared, compare_steps, responses
+from twin.estimation.step_figures import Compared, LoopRun, compare_steps, responses
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Steps:
-    """Mean of all steps, each as a share of itself, and the figures of `twin/validate/steps.py`."""
+    """Mean of all steps, each as a share of itself, and the figures of `twin/estimation/step_figures.py`."""
 
     t_s: FloatArray  # from the change of the reference, shape (n,)
     rig: FloatArray  # shape (n,)

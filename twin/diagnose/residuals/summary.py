@@ -26,7 +26,7 @@ from twin.diagnose.residuals.state_map import Correction, correction
 from twin.diagnose.residuals.step_response import Steps, step_responses
 from twin.estimation.record import FloatArray, runs
 from twin.model.extended import V
-from twin.validate.source import plant_of
+from twin.model.parameters import plant_of
 
 if TYPE_CHECKING:
     from twin.diagnose.result import Diagnosis

@@ -16,7 +16,7 @@ from twin.diagnose.inference.theta import coordinates_of, parameter_of
 from twin.diagnose.search.candidate_starts import start_of
 from twin.diagnose.search.prediction_benefit import removed
 from twin.diagnose.search.score_test import Score
-from twin.model.causes.catalogue import BY_NAME
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 
 MARGIN = 4.5  # of log-likelihood: fits that are nearer to each other say the same
 _SHORT = 2  # passes of a first fit
@@ -24,7 +24,7 @@ _SHORT = 2  # passes of a first fit
 _HEATS = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))
 _STEEPER = 8.0  # the likelihood of a cause that is far away rises up to five times as much as its slope promises
 _STEEPER_DELAY = 50.0  # that of a delay is flat where there is none
-SAME = {"sampling-delay": "actuation-delay"}  # in the samples alone: fitted once
+_SAME = {cause.name: cause.same_samples_as for cause in CATALOGUE if cause.same_samples_as}
 _DOUBT = 0.2  # of the best gain: so much more than its slope promises a candidate may reach in the first heats
 _FAVOURITES = 2  # best of the screen: they go through the first heat, however slowly they begin to climb
 
@@ -57,7 +57,7 @@ def fitted(
         beaten: the gain below which a candidate need not be known any better.
     """
     names = [score.cause for score in scores]
-    copies = {same: one for same, one in SAME.items() if one in names and same in names}
+    copies = {same: one for same, one in _SAME.items() if one in names and same in names}
     scores = [score for score in scores if score.cause not in copies]
     trials = criterion.each(partial(_begun, criterion, at), scores)
     favourites = {score.cause for score in scores[:_FAVOURITES]}
@@ -95,7 +95,7 @@ def _further(criterion: Criterion, going: set[str], passes: int, trial: Trial) -
 
 def same_as(cause: str) -> set[str]:
     """The causes that do exactly the same to the samples."""
-    return {two if cause == one else one for two, one in SAME.items() if cause in (one, two)}
+    return {two if cause == one else one for two, one in _SAME.items() if cause in (one, two)}
 
 
 def renamed(trial: Trial, cause: str) -> Trial:

@@ -15,7 +15,7 @@ import numpy as np
 from protocol.campaign import Plant
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import NOISES, PARAMETERS, Theta, most_step, moved
-from twin.diagnose.search.probes import FINE, probes_of
+from twin.diagnose.search.probes import probes_of
 from twin.diagnose.search.score_test import Score, probed
 from twin.estimation.record import Record
 from twin.identify.starting.regression import amplifier_start
@@ -144,7 +144,7 @@ def _alone_or_all(score: Score) -> list[list[str]]:
     """
     names = [name for name, _ in score.beside if name not in NOISES]
     alone = [name for name in names if name in PARAMETERS]
-    together = score.cause in FINE or any("." in name for name in names)
+    together = "displaces" in BY_NAME[score.cause].traits or any("." in name for name in names)
     return [alone, names] if together else [alone]
 
 

@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from twin.diagnose.evidence.dead_time import DELAYS
 from twin.diagnose.inference.fisher_scoring import PASSES, Fit
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
@@ -17,8 +16,7 @@ from twin.diagnose.search import periodic
 from twin.diagnose.search.candidate_fits import Trial, fitted, inside, rises
 from twin.diagnose.search.prediction_benefit import removed
 from twin.diagnose.search.score_test import Score, probed, screen
-from twin.model.causes import coulomb_friction
-from twin.model.causes.catalogue import BY_NAME
+from twin.model.causes.catalogue import BY_NAME, with_trait
 from twin.model.causes.cause import Cause
 
 THRESHOLD = 10.0  # of log-likelihood: z = 4.5, and more than the most of 30 candidates reaches by chance
@@ -27,7 +25,7 @@ BESIDE_NOISE = 0.015  # the same, once what is left is hardly more than noise
 SHARE = 0.2  # of the excess that is left
 PAYS = 0.5  # of the mean square error of x 20 ms ahead: a smaller share will do for a cause that removes so much
 # A ball that is held is predicted well wherever it hovers, by whatever the model lacks: no evidence of what holds it.
-HOLDS = coulomb_friction.CAUSE.name
+HOLDS = with_trait("sticks")
 _FAR_BEHIND = 0.02  # of the best gain on the screen: such a candidate will not be the best
 Say = Callable[[str], None]
 
@@ -131,7 +129,7 @@ def decided(
 
 
 def _pays_off(criterion: Criterion, at: Fit, best: Trial, pays: float) -> bool:
-    return best.cause != HOLDS and removed(criterion, at.theta, best.fit.theta) >= pays
+    return best.cause not in HOLDS and removed(criterion, at.theta, best.fit.theta) >= pays
 
 
 def _pays(least: float) -> float:
@@ -141,7 +139,7 @@ def _pays(least: float) -> float:
 
 def _with_dead_time(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score]:
     """The scores with what a delay gains at once where the step responses ask for it, if that is more."""
-    asked = [score for score in scores if score.cause in DELAYS and score.testable]
+    asked = [score for score in scores if "delays" in BY_NAME[score.cause].traits and score.testable]
     found = criterion.late if asked else None
     if found is None:
         return scores

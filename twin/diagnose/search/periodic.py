@@ -17,9 +17,9 @@ from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import Theta
 from twin.estimation.innovations import FLIES
 from twin.estimation.record import FloatArray, runs
-from twin.model.causes import periodic_disturbance
+from twin.model.causes.catalogue import found_by
 
-CAUSE = periodic_disturbance.CAUSE
+CAUSE = found_by("spectral-line")
 AMPLITUDE, FREQUENCY = (f"{CAUSE.name}.{parameter.name}" for parameter in CAUSE.parameters)
 _PAD = 1 << 16
 _TURNS = 4  # of the phases, at most

@@ -1,42 +1,29 @@
-"""Where the screen looks at each cause: small values, and for limits those at which these data would show one.
-
-A limit far above what was recorded does nothing, one far below contradicts everything: only near the largest current,
-the fastest change that was recorded is its signature anything like the effect.
-"""
+"""Where the score test looks at each cause: small values, and those at which these data would show it."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Callable
 
 import numpy as np
 
 from twin.estimation.innovations import FLIES, FOLLOWS, Series
 from twin.model.causes.cause import Cause
 
-_FACTORS = (1.02, 1.0, 0.98, 0.93)
-_RATE_FACTORS = (1.3, 1.0, 0.7, 0.4)
 _RATE_SPAN_S = 4e-4  # over which a rate of change is taken: in one sample of a capture it is all noise
-_DELAY_STEPS = (0.5, 1.5)  # sampling intervals: the likelihood of a delay has a kink at every whole one
 # The places of coil, stop and sensor are one but for bends: in the signature of a wide probe those hide the difference.
-FINE = ("air-gap-offset", "position-sensor-offset")
 _FINE_PART = 0.02
 _ENOUGH = 20
 
 
 def probes_of(cause: Cause, series: Series) -> tuple[float, ...]:
     """Values of the cause's strength at which its signature is taken."""
-    if cause.name == "current-limit":
-        most = largest_current(series)
-        return tuple(most * factor for factor in _FACTORS) if most > 0.0 else ()
-    if cause.name == "slew-rate-limit":
-        fastest = fastest_change(series)
-        return tuple(fastest * factor for factor in _RATE_FACTORS) if fastest > 0.0 else ()
-    if cause.name in ("actuation-delay", "sampling-delay"):
-        flown = series.step[(series.flags & FLIES != 0) & (series.step > 0.0)]
-        interval = float(np.median(flown)) if len(flown) else 0.0
-        more = [interval * steps for steps in _DELAY_STEPS if interval * steps > cause.strength.probes[0]]
-        return (*cause.strength.probes, *more)
-    if cause.name in FINE:
-        return (*cause.strength.probes, _FINE_PART * cause.strength.probes[0])
-    return cause.strength.probes
+    own, asked = cause.strength.probes, cause.measured_probes
+    if asked is not None:
+        size = _SIZES[asked.of](series)
+        at = tuple(size * factor for factor in asked.times) if size > 0.0 else ()
+        return at if math.isinf(cause.strength.neutral) else (*own, *(one for one in at if one > own[0]))
+    return (*own, _FINE_PART * own[0]) if "displaces" in cause.traits else own
 
 
 def largest_current(series: Series) -> float:
@@ -61,3 +48,15 @@ def fastest_change(series: Series) -> float:
             rates = np.abs(series.i[lag:] - series.i[:-lag])[same] / (lag * float(interval))
             best = max(best, float(np.sort(rates)[-_ENOUGH // 4]))
     return best
+
+
+def _sampling_interval(series: Series) -> float:
+    flown = series.step[(series.flags & FLIES != 0) & (series.step > 0.0)]
+    return float(np.median(flown)) if len(flown) else 0.0
+
+
+_SIZES: dict[str, Callable[[Series], float]] = {
+    "largest-current": largest_current,
+    "fastest-change": fastest_change,
+    "sampling-interval": _sampling_interval,
+}

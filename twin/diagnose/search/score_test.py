@@ -23,7 +23,6 @@ from twin.diagnose.inference.theta import Theta, coordinates_of, derivative_step
 from twin.diagnose.search.probes import probes_of
 from twin.estimation.ekf import ALONE, ALONG
 from twin.estimation.innovations import information
-from twin.model.causes import coulomb_friction
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 
@@ -68,9 +67,7 @@ def screen(
     trials = [
         (cause, probe)
         for cause in candidates
-        if cause.name not in present
-        and not cause.not_testable
-        and cause.name not in ("lost-samples", "periodic-disturbance")
+        if cause.name not in present and not cause.not_testable and cause.found_by == "score-test"
         for probe in probes_of(cause, criterion.evidence.series)
     ]
     run = criterion.run(theta)
@@ -80,9 +77,7 @@ def screen(
     change[:k] = by_free
     beside = [probed(theta, cause, probe) for cause, probe in trials]
     # The slopes of a ball that may stick are not those of one that cannot.
-    outs = criterion.beside(
-        beside, run, [ALONE if cause.name == coulomb_friction.CAUSE.name else ALONG for cause, _ in trials]
-    )
+    outs = criterion.beside(beside, run, [ALONE if "sticks" in cause.traits else ALONG for cause, _ in trials])
     for place, out in enumerate(outs, k):
         np.subtract(out, base, out=change[place])
     del outs

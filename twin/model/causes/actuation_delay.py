@@ -5,7 +5,8 @@ u_c(t - delay)
 
 from __future__ import annotations
 
-from twin.model.causes.cause import Cause, CauseParameter
+from twin.model.causes.cause import Cause, CauseParameter, MeasuredProbes
+from twin.model.causes.instruments import OSCILLOSCOPE
 
 DELAY = 8
 
@@ -27,4 +28,11 @@ CAUSE = Cause(
     confirm="trigger an oscilloscope on the board's output pin and look when i_c begins",
     cure="output right after the computation, or predict the state by that time in the law",
     needs=("u_c", "i_c"),
+    told_from={
+        "sampling-delay": OSCILLOSCOPE,
+        "position-sensor-lag": OSCILLOSCOPE,
+    },
+    traits=frozenset({"delays", "hidden-state"}),
+    # The likelihood of a delay has a kink at every whole interval.
+    measured_probes=MeasuredProbes(of="sampling-interval", times=(0.5, 1.5)),
 )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.instruments import SCALE, SHIM
 
 D = 9
 
@@ -27,6 +28,15 @@ CAUSE = Cause(
     shows_in=("holds", "lift-off", "wide-steps"),
     confirm="hold the ball at six heights, plot i_c over x and draw the line on to 0 A; or measure from rest to core",
     cure="x_max + d in place of x_max, in the model and in the design",
+    told_from={
+        "position-sensor-offset": SHIM,
+        "position-sensor-gain": SHIM,
+        "position-sensor-nonlinearity": SHIM,
+        "force-exponent": SCALE,
+        "constant-force": SCALE,
+    },
+    traits=frozenset({"displaces"}),
+    at_rest="balance",
 )
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.instruments import CLAMP_METER
 
 WIDTH = 4
 
@@ -28,6 +29,11 @@ CAUSE = Cause(
     confirm="ramp u_c up slowly from 0 and note where i_c begins",
     cure="add the width to every u_c above 0 on the board",
     needs=("u_c", "i_c"),
+    told_from={
+        "current-sensor-offset": CLAMP_METER,
+    },
+    at_rest="amplifier",
+    added_a=lambda width_v, K_A: -K_A * width_v,
 )
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.instruments import CLAMP_METER
 
 LOSS = 0
 TAU = 1
@@ -32,6 +33,10 @@ CAUSE = Cause(
     shows_in=("warm-run", "steps"),
     confirm="hold the ball low for a minute at constant u_c and watch i_c fall; let the coil cool and compare",
     cure="a current loop in the amplifier, or K_A scheduled with the mean square of i_c",
+    told_from={
+        "current-sensor-gain": CLAMP_METER,
+    },
+    traits=frozenset({"warms"}),
 )
 
 

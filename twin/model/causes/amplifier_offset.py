@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.instruments import CLAMP_METER, UNPLUGGED
 
 OFFSET = 5
 
@@ -29,6 +30,12 @@ CAUSE = Cause(
     confirm="measure the coil's current with a clamp meter at u_c = 0 and at one large u_c",
     cure="trim the amplifier, or take the offset off u_c on the board",
     needs=("u_c", "i_c"),
+    told_from={
+        "current-sensor-offset": CLAMP_METER,
+        "constant-force": UNPLUGGED,
+    },
+    at_rest="amplifier",
+    added_a=lambda offset_a, K_A: offset_a,
 )
 
 

@@ -1,6 +1,7 @@
 """THE list of causes, in the order of the signal: amplifier, force, motion, sensing, timing.
 
-A cause is added with its file, its line here, and its call in `twin/model/extended.py` where it acts.
+A cause is added with its file, its line here, and its call in `twin/model/extended.py` where it acts.  What the search,
+the experiments and the design must know of it are fields of `Cause`: no other file names one.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from twin.model.causes import (
     sensor_crosstalk,
     slew_rate_limit,
 )
-from twin.model.causes.cause import PLACES, Cause
+from twin.model.causes.cause import PLACES, Cause, FoundBy, Trait
 
 CATALOGUE: tuple[Cause, ...] = (
     amplifier_gain_drift.CAUSE,
@@ -77,4 +78,24 @@ def neutral() -> NDArray[np.float64]:
     for cause in CATALOGUE:
         for parameter in cause.parameters:
             c[parameter.place] = parameter.neutral
+    return c
+
+
+def with_trait(trait: Trait) -> frozenset[str]:
+    """The names of the causes of that trait."""
+    return frozenset(cause.name for cause in CATALOGUE if trait in cause.traits)
+
+
+def found_by(means: FoundBy) -> Cause:
+    """The cause that has a search of its own."""
+    (cause,) = (cause for cause in CATALOGUE if cause.found_by == means)
+    return cause
+
+
+def absent(c: NDArray[np.float64], trait: Trait) -> NDArray[np.float64]:
+    """A copy of the vector c without the causes of that trait, shape (PLACES,)."""
+    c = c.copy()
+    for cause in CATALOGUE:
+        if trait in cause.traits:
+            c[cause.strength.place] = cause.strength.neutral
     return c

@@ -8,10 +8,20 @@ Rule 3: the estimator moves a coordinate that is 0 at neutral: value - neutral, 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 Family = Literal["amplifier", "force", "motion", "sensing", "timing"]
+Trait = Literal[
+    "displaces",  # coil, stop or sensor sits elsewhere: places that are one but for bends
+    "delays",  # by a fixed time, which step responses show directly
+    "hidden-state",  # adds a state that no channel measures, a delay's memory among them
+    "sticks",  # can hold the ball where it is, whatever the other forces do
+    "warms",  # comes and goes with the warmth of the coil
+]
+FoundBy = Literal["score-test", "spectral-line", "gaps"]  # in innovations, in their spectrum, in the times of samples
+AtRest = Literal["", "balance", "amplifier"]
 PLACES = 31
 
 
@@ -46,6 +56,18 @@ class CauseParameter:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredProbes:
+    """Probes at the sizes at which given recordings would show a cause: a size that they have, times some factors.
+
+    A limit far above what was recorded does nothing, one far below contradicts everything: only near the largest
+    current, the fastest change that was recorded is its signature anything like the effect.
+    """
+
+    of: Literal["largest-current", "fastest-change", "sampling-interval"]
+    times: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Cause:
     """One entry of the catalogue.  The first parameter is the strength; others (a time constant) shape it."""
 
@@ -65,6 +87,15 @@ class Cause:
     # With sizes: {parameter} is its magnitude with unit, {parameter:%} its distance from neutral in percent.
     sentence: str = ""
     opposite: str = ""  # the same where the strength is below neutral, for those that have a sign
+    traits: frozenset[Trait] = frozenset()
+    found_by: FoundBy = "score-test"
+    measured_probes: MeasuredProbes | None = None  # instead of the strength's own for a limit, else beside them
+    same_samples_as: str = ""  # the cause that does exactly the same to the samples: fitted once
+    not_simulated: str = ""  # why a simulation does without it
+    # What points of rest show of it: the force balance or its sensors, or what flows where i_c was computed as K_A u_c.
+    at_rest: AtRest = ""
+    added_a: Callable[[float, float], float] | None = None  # of (strength, K_A): flows at rest beside K_A u_c, A
+    told_from: Mapping[str, str] = field(default_factory=dict)  # other cause: measurement beside the board that decides
 
     @property
     def strength(self) -> CauseParameter:

@@ -28,6 +28,7 @@ CAUSE = Cause(
     shows_in=("prbs-open-loop", "holds"),
     confirm="weigh the ball; let it drop with the coil off and time it",
     cure="the right mass in [plant]; level the rig",
+    at_rest="balance",
 )
 
 

@@ -9,6 +9,7 @@ import math
 
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.instruments import SCALE
 
 I_S = 11
 
@@ -29,6 +30,11 @@ CAUSE = Cause(
     shows_in=("holds", "lift-off", "prbs-open-loop"),
     confirm="note i_c at six heights: the line bends up where the gap is large",
     cure="less current (a lighter ball, a smaller gap), or a table of the force in place of (3)",
+    told_from={
+        "force-exponent": SCALE,
+        "air-gap-offset": SCALE,
+    },
+    at_rest="balance",
 )
 
 

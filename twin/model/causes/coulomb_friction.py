@@ -29,6 +29,7 @@ CAUSE = Cause(
     shows_in=("slow-ramp", "multisine"),
     confirm="move the reference slowly up and down and compare i_c at the same height",
     cure="free the ball from its guide, level the rig",
+    traits=frozenset({"sticks"}),
 )
 
 

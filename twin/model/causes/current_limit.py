@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 
 from twin.compiled import kernel
-from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.cause import Cause, CauseParameter, MeasuredProbes, Vector
+from twin.model.causes.instruments import CLAMP_METER
 
 LIMIT = 2
 
@@ -37,6 +38,10 @@ CAUSE = Cause(
     confirm="block the ball, turn u_c up slowly and watch where i_c stops rising",
     cure="a larger supply; until then u_max on the board below the limit, so that the integral does not wind up",
     needs=("u_c", "i_c"),
+    told_from={
+        "current-sensor-gain": CLAMP_METER,
+    },
+    measured_probes=MeasuredProbes(of="largest-current", times=(1.02, 1.0, 0.98, 0.93)),
 )
 
 

@@ -28,6 +28,7 @@ CAUSE = Cause(
     shows_in=("rest", "holds"),
     confirm="read i_c with the coil unplugged",
     cure="zero the sensor with the coil off, before each run",
+    at_rest="balance",
 )
 
 

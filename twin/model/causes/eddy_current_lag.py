@@ -9,6 +9,7 @@ import math
 
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.instruments import OSCILLOSCOPE
 
 TAU = 13
 
@@ -29,6 +30,10 @@ CAUSE = Cause(
     shows_in=("prbs-reference", "prbs-open-loop"),
     confirm="put a search coil on the core and compare its integrated voltage with i_c",
     cure="a laminated core, or a lead of that time in the law",
+    told_from={
+        "actuation-delay": OSCILLOSCOPE,
+    },
+    traits=frozenset({"hidden-state"}),
 )
 
 

@@ -9,6 +9,7 @@ import math
 
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.instruments import SCALE, SHIM
 
 N = 10
 
@@ -28,6 +29,13 @@ CAUSE = Cause(
     shows_in=("holds", "slow-ramp", "wide-steps"),
     confirm="hold the ball at six heights and plot log i_c over log gap: the power is twice the slope",
     cure="the measured power in the model, and gains scheduled with x where steps are wide",
+    told_from={
+        "position-sensor-offset": SHIM,
+        "position-sensor-gain": SHIM,
+        "position-sensor-nonlinearity": SHIM,
+        "constant-force": SCALE,
+    },
+    at_rest="balance",
 )
 
 

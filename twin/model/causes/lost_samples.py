@@ -34,4 +34,6 @@ CAUSE = Cause(
     confirm="board51 info LOG lists the gaps",
     cure="a faster line, a larger stream divider, or less load on the host",
     needs=("u_c",),
+    found_by="gaps",
+    not_simulated="it is the line's, not the rig's",
 )

@@ -33,6 +33,8 @@ CAUSE = Cause(
     shows_in=("steps", "multisine", "holds"),
     confirm="switch off what turns nearby, or put the rig on another table, and see whether the line goes",
     cure="a quiet table; else a notch, or a resonator at that frequency in the law",
+    found_by="spectral-line",
+    not_simulated="its phase is not known",
 )
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.instruments import SHIM
 
 GAIN = 20
 
@@ -26,6 +27,10 @@ CAUSE = Cause(
     shows_in=("prbs-open-loop", "lift-off"),
     confirm="read x with a shim of known thickness under the ball, and at the top stop",
     cure="calibrate the sensor at both stops",
+    told_from={
+        "position-sensor-nonlinearity": SHIM,
+    },
+    at_rest="balance",
 )
 
 

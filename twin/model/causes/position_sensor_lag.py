@@ -29,6 +29,7 @@ CAUSE = Cause(
     shows_in=("prbs-open-loop", "prbs-reference"),
     confirm="tap the ball against its stop and compare x with a microphone",
     cure="a faster filter, or its pole in the observer and in the design",
+    traits=frozenset({"hidden-state"}),
 )
 
 

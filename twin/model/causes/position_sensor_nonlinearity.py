@@ -35,6 +35,7 @@ CAUSE = Cause(
     shows_in=("holds", "wide-steps", "prbs-open-loop"),
     confirm="read x over a staircase of shims of known thickness",
     cure="a table for the sensor on the board",
+    at_rest="balance",
 )
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.instruments import SHIM
 
 OFFSET = 19
 
@@ -35,6 +36,12 @@ CAUSE = Cause(
     shows_in=("rest", "lift-off"),
     confirm="read x with the ball on its rest, the coil off",
     cure="zero the sensor with the ball on its rest",
+    told_from={
+        "constant-force": SHIM,
+        "sensor-crosstalk": SHIM,
+    },
+    traits=frozenset({"displaces"}),
+    at_rest="balance",
 )
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.instruments import CLAMP_METER, UNPLUGGED
 
 I_R = 12
 
@@ -28,6 +29,12 @@ CAUSE = Cause(
     shows_in=("holds", "lift-off"),
     confirm="hold a compass needle to the core with the coil off; demagnetise and measure again",
     cure="demagnetise the core, or add i_r to the current in the model and in the operating point",
+    told_from={
+        "current-sensor-offset": CLAMP_METER,
+        "constant-force": UNPLUGGED,
+        "amplifier-offset": UNPLUGGED,
+    },
+    at_rest="balance",
 )
 
 

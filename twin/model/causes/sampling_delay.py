@@ -5,7 +5,7 @@ i_measured(t) = i_c(t - delay), x_measured(t) = x(t - delay)
 
 from __future__ import annotations
 
-from twin.model.causes.cause import Cause, CauseParameter
+from twin.model.causes.cause import Cause, CauseParameter, MeasuredProbes
 
 DELAY = 26
 
@@ -27,4 +27,8 @@ CAUSE = Cause(
     confirm="trigger an oscilloscope on the start of the converter and compare with the sampled value",
     cure="convert right before the computation, or predict the state by that time in the law",
     needs=("u_c", "i_c"),
+    traits=frozenset({"delays", "hidden-state"}),
+    # The likelihood of a delay has a kink at every whole interval.
+    measured_probes=MeasuredProbes(of="sampling-interval", times=(0.5, 1.5)),
+    same_samples_as="actuation-delay",
 )

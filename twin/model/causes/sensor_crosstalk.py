@@ -35,6 +35,7 @@ CAUSE = Cause(
     shows_in=("rest", "lift-off"),
     confirm="raise the current slowly, stop below lift-off, and watch x of the ball at rest",
     cure="shield the sensor, part the grounds, or take coupling i_c off the reading on the board",
+    at_rest="balance",
 )
 
 

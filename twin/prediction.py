@@ -19,10 +19,11 @@ from twin.estimation.innovations import FLIES, FOLLOWS, USE_X
 from twin.estimation.record import FloatArray, Record
 from twin.estimation.rollout import SETTLE_S, predict_ahead, within_reach
 from twin.estimation.rollout_periodic import has_phase, predict_in_phase
+from twin.model.causes.catalogue import found_by
 from twin.model.extended import position_reading
 from twin.model.extension import base, vector
-from twin.model.parameters import Model
-from twin.validate.source import plant_of, point_of, source_of
+from twin.model.parameters import Model, plant_of
+from twin.validate.source import point_of, source_of
 
 NEEDED = ("u_c", "i_c", "x")
 
@@ -88,7 +89,7 @@ def predict(model: Model, record: Record, ahead: int) -> Prediction:
     there = np.isfinite(x_hat)
     notes = list(evidence.notes)
     if has_phase(c):
-        notes.append("the phase of periodic-disturbance is taken from the readings before each prediction")
+        notes.append(f"the phase of {found_by('spectral-line').name} is taken from the readings before each prediction")
     if source.late:
         notes.append(f"u_c acts {source.late} samples later than recorded, as where the model was identified")
     if source.unknown_late:

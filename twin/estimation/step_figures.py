@@ -19,7 +19,6 @@ import numpy as np
 from scipy.stats import t as student
 
 from twin.estimation.record import FloatArray, runs
-from twin.validate.loop import LoopRun
 
 DWELL_S = 0.15  # a reference that stands still for so long after a change is a step
 SMALLEST_SIGMAS = 20.0
@@ -34,6 +33,23 @@ FIGURES: dict[str, tuple[str, str, float]] = {
     "iae_m_s": ("IAE", "µm s", 1e6),
     "effort_v2_s": ("control effort", "V² s", 1.0),
 }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopRun:
+    """One flight in closed loop; all of shape (n,) but the simulations, (realisations, n)."""
+
+    name: str
+    t_s: FloatArray
+    x_ref_m: FloatArray
+    x_m: FloatArray
+    i_c_a: FloatArray
+    u_c_v: FloatArray
+    simulated_x_m: FloatArray
+    simulated_i_c_a: FloatArray
+    simulated_u_c_v: FloatArray
+    quiet_x_m: FloatArray  # simulated without noise
+    expected_std_m: float  # of measured - quiet under a right model; NaN where the model's loop is unstable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
