@@ -11,8 +11,9 @@ from typing import Literal
 
 from gateway.board.scaling import Scaling, WireCommand
 from protocol.bus import board51_pb2 as pb
+from protocol.wire.codec import unpack_pair
 from protocol.wire.events import Answer
-from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES, Message, unpack_pair
+from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES, Message
 from protocol.wire.session import Session
 
 _SETTLE_S = 0.02  # u_from is applied this long before the first sample (rule 12)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from protocol.wire.events import BoardEvent
-from protocol.wire.messages import FAULT_EVENTS, EventCode, Mode
-from protocol.wire.session import RESETS
+from protocol.wire.messages import FAULT_EVENTS, RESETS, EventCode, Mode
 
 _WARNINGS = frozenset({EventCode.HOST_LOST, EventCode.OVERRUN, EventCode.LIMIT_HIT}) | (RESETS - FAULT_EVENTS)
 _RESET = "The board restarted; resets since power-on: {detail}."

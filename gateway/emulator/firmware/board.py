@@ -35,21 +35,9 @@ from gateway.emulator.firmware.flash import (
     WATCHDOG_TICKS,
 )
 from gateway.emulator.firmware.uart import Inbox, Outbox, Priority
+from protocol.wire.codec import decode_body, encode_body, pack_pair
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import (
-    BY_NAME,
-    BY_TYPE,
-    VERSION,
-    EventCode,
-    HostLoss,
-    Message,
-    Mode,
-    Reason,
-    Value,
-    decode_body,
-    encode_body,
-    pack_pair,
-)
+from protocol.wire.messages import BY_NAME, BY_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Value
 
 KEPT_IDS = 8
 PENDING_COMMANDS = 8
