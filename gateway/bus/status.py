@@ -34,7 +34,7 @@ class StatusMaker:
         driver, session = self._driver, self._driver.session
         counters, unwrapper, counts, handler = session.counters, session.unwrapper, driver.counts, driver.handler
         elapsed_s = max(now_s - self._last_s, 1e-3)
-        samples, received = counts.samples, counts.bytes_received
+        samples, received = counts.samples, driver.from_board.bytes_received
         new_samples, new_bytes = samples - self._last_samples, received - self._last_bytes
         self._last_s, self._last_samples, self._last_bytes = now_s, samples, received
         latencies_s = self._sink.state_channel.take_latencies_s()

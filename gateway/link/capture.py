@@ -7,12 +7,12 @@ line, so reading begins at the latest when the capture must be over.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
 
 from gateway.board.scaling import Scaling, WireCommand
 from protocol.bus import board51_pb2 as pb
+from protocol.wire.codec import unpack_pair
 from protocol.wire.events import Answer
-from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES, Message, unpack_pair
+from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES, Message
 from protocol.wire.session import Session
 
 _SETTLE_S = 0.02  # u_from is applied this long before the first sample (rule 12)
@@ -20,53 +20,45 @@ _MARGIN_S = 0.25  # after the computed end, before reading without CAPTURE_DONE
 _AGAIN_S = 0.1  # between attempts while the board says BUSY
 _ATTEMPTS = 10
 
-Ended = Literal["done", "interrupted"]
-
 
 class CaptureReader:
-    """Reads one capture; `finished` is called once, with the record or the reason why there is none.
+    """Reads the captures of one board, one at a time; without one under way its methods do nothing.
 
     Args:
         session: for the READ_CAPTURE commands.
-        scaling: of the session in which the capture runs.
-        wire: the accepted CAPTURE.
-        command: the same from the bus.
-        number: of the session.
-        finished: receives pb.CaptureRecord (its host_time_ns still 0) or a sentence.
+        finished: called once for each capture, with its record (host_time_ns still 0) or a sentence why there is none.
     """
 
-    def __init__(
-        self,
-        session: Session,
-        scaling: Scaling,
-        wire: WireCommand,
-        command: pb.Capture,
-        number: int,
-        now_s: float,
-        finished: Callable[[pb.CaptureRecord | str], None],
-    ) -> None:
-        self._session, self._scaling, self._finished = session, scaling, finished
-        self._wire = wire
+    def __init__(self, session: Session, finished: Callable[[pb.CaptureRecord | str], None]) -> None:
+        self.deadline_s = float("inf")  # when `poll` has something to do
+        self._session, self._finished = session, finished
+        self._under_way = False
+        self._token: int | None = None  # of the READ_CAPTURE that is under way
+
+    def begin(self, scaling: Scaling, wire: WireCommand, now_s: float) -> None:
+        """The board has accepted `wire`; it gives up the one before."""
+        self.interrupt("another one")
+        self._scaling = scaling
+        self._wanted = int(wire.values["count"])
         self._record = pb.CaptureRecord(
-            session=number,
+            session=self._session.number,
             sample_time_s=scaling.capture_time_s,
             u_from_v=scaling.u_v(int(wire.values["u_from"])),
             u_to_v=scaling.u_v(int(wire.values["u_to"])),
             step_index=int(wire.values["pre"]),
         )
         self._counts: list[int] = []
-        self._token: int | None = None
         self._failures = 0
-        self._ended = False
-        self.deadline_s = now_s + _SETTLE_S + int(wire.values["count"]) * scaling.capture_time_s + _MARGIN_S
+        self._under_way = True
+        self.deadline_s = now_s + _SETTLE_S + self._wanted * scaling.capture_time_s + _MARGIN_S
 
     def board_says_done(self, now_s: float) -> None:
         """CAPTURE_DONE arrived."""
-        if self._token is None and not self._counts:
+        if self._under_way and self._token is None and not self._counts:
             self._read(now_s)
 
     def poll(self, now_s: float) -> None:
-        """The deadline has passed."""
+        """Read where CAPTURE_DONE has not come, and again after BUSY."""
         if now_s >= self.deadline_s and self._token is None:
             self._read(now_s)
 
@@ -76,7 +68,7 @@ class CaptureReader:
 
     def answered(self, answer: Answer, now_s: float) -> bool:
         """Take the end of a READ_CAPTURE; False if it is not ours."""
-        if answer.token != self._token:
+        if self._token is None or answer.token != self._token:
             return False
         self._token = None
         if answer.outcome == "ack" and answer.message is not None:
@@ -93,7 +85,7 @@ class CaptureReader:
         self._token = self._session.submit("READ_CAPTURE", now_s, index=len(self._counts))
 
     def _block(self, block: Message, now_s: float) -> None:
-        total = min(block.int("total"), int(self._wire.values["count"]))
+        total = min(block.int("total"), self._wanted)
         if not self._counts:
             self._record.tick = block.int("tick")
         elif block.int("tick") != self._record.tick:
@@ -110,7 +102,6 @@ class CaptureReader:
         self._end(self._record)
 
     def _end(self, result: pb.CaptureRecord | str) -> None:
-        if not self._ended:
-            self._ended = True
-            self.deadline_s = float("inf")
+        if self._under_way:
+            self._under_way, self._token, self.deadline_s = False, None, float("inf")
             self._finished(result)

@@ -23,13 +23,14 @@ from dataclasses import dataclass, field
 
 from gateway.access.authorize import Sender
 from gateway.board.limits import BoardView, Gate, bumpless, read_command
-from gateway.board.scaling import Refusal, Scaling, WireCommand, to_wire
+from gateway.board.scaling import Refusal, WireCommand, to_wire
 from gateway.config import LimitsConfig
 from gateway.link.annotations import KINDS, Annotations
 from gateway.link.event_text import mode_name
+from gateway.link.from_board import Known
 from gateway.link.sink import Reply, Sink
 from protocol.bus import board51_pb2 as pb
-from protocol.wire.events import Answer, Sample
+from protocol.wire.events import Answer
 from protocol.wire.messages import Flag, Message, Mode, Reason
 from protocol.wire.session import Session
 
@@ -57,16 +58,6 @@ _NACK_TEXT = {
     Reason.NOT_AVAILABLE: "there is nothing to read",
     Reason.FAULT_ACTIVE: "a fault is active; set a mode to clear it",
 }
-
-
-@dataclass(slots=True)
-class Known:
-    """What the board has said in this session."""
-
-    identity: Message | None = None
-    scaling: Scaling | None = None
-    parameters: Message | None = None
-    sample: Sample | None = None
 
 
 @dataclass(slots=True, kw_only=True)

@@ -1,8 +1,8 @@
-"""One board: what the link is doing, what the board says, what it is told.  No I/O; `loop.py` moves the bytes.
+"""One board: what the link is doing, what the board says, what it is told.  No I/O; `io_thread.py` moves the bytes.
 
 Link states: `absent` (no port), `connecting` (being opened), `handshake` (open, the board has not agreed yet),
 `streaming` (valid frames arrive, and states where the stream is on), `silent` (none for `stale_s`).  That is the
-direction from the board; the one to it has a state of its own, see `to_board.py`.
+direction from the board (`from_board.py`); the one to it has a state of its own, see `to_board.py`.
 
 Rule 1: one event and one log line for each change of state or reason, with counts; not one for each attempt.
 Rule 2: nothing here changes mode or reference: a gateway that comes or goes must not drop the ball.
@@ -20,21 +20,19 @@ from gateway.access.authorize import Sender
 from gateway.board.conditions import TO_BOARD
 from gateway.board.scaling import StateEncoder, WireCommand, parameters_message, scaling_of
 from gateway.config import BoardConfig
+from gateway.link import event_text
 from gateway.link.capture import CaptureReader
 from gateway.link.clock import HostClock
-from gateway.link.command_handler import CommandHandler, Known
-from gateway.link.event_text import describe
+from gateway.link.command_handler import CommandHandler
+from gateway.link.from_board import DIAGNOSE_S, FromBoard, Known
 from gateway.link.keepalive import Keepalive
 from gateway.link.sink import Reply, Sink
 from gateway.link.to_board import ANSWERING, UNANSWERED, UNANSWERED_S, ToBoard
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.events import Answer, BoardEvent, Event, Opened, Restarted, Sample, VersionRefused
-from protocol.wire.messages import FAULT_EVENTS, VERSION, EventCode, Message
+from protocol.wire.messages import FAULT_EVENTS, EventCode, Message
 from protocol.wire.session import Session
 
-DIAGNOSE_S = 2.0  # an open port without a handshake for this long gets an explanation
-# After a pause of everything the first frame need not be a STATE.  Longer than between two PONGs, shorter than stale_s.
-STANDSTILL_S = 0.6
 REFUSED_RETRY_S = 5.0  # a board that was refused may have been exchanged or flashed
 _logger = logging.getLogger("gateway.link")
 
@@ -43,7 +41,6 @@ _logger = logging.getLogger("gateway.link")
 class LinkCounts:
     """Of one board since the gateway's start."""
 
-    bytes_received: int = 0
     bytes_sent: int = 0
     reconnects: int = 0
     opened: int = 0
@@ -84,12 +81,11 @@ class BoardDriver:
         self._offset_ns = clock.offset_ns()
         self.since_ns = self.host_ns()  # Unix time: streaming, or not, since then
         self._encoder: StateEncoder | None = None
-        self._capture: CaptureReader | None = None
+        self._capture = CaptureReader(self.session, self._capture_ended)
         self.keepalive = Keepalive(config, self.session, self._got_parameters)
+        self.from_board = FromBoard(config, self.session.counters, self.known)
         self.to_board = ToBoard(self._to_board_is)
         self.unanswered: pb.Event | None = None  # while the board answers nothing
-        self._last_valid_s = self._last_state_s = self._opened_s = 0.0
-        self._valid_at_open = self._bytes_at_open = 0
         self._refused_until_s = 0.0
         self._now_s = 0.0
         self._alive = False
@@ -105,9 +101,8 @@ class BoardDriver:
         self.counts.opened += 1
         self.counts.reconnects = self.counts.opened - 1
         self.port = name
-        self._opened_s = self._last_valid_s = self._now_s = now_s
-        self._valid_at_open = self.session.counters.valid_frames
-        self._bytes_at_open = self.counts.bytes_received
+        self._now_s = now_s
+        self.from_board.port_opened(now_s)
         self._offset_ns = self._clock.offset_ns()
         self.to_board.begin()
         self._change("handshake", "port-opened", f"{name} is open; calling the board.")
@@ -130,7 +125,7 @@ class BoardDriver:
         """Bytes read at `now_ns` (monotonic)."""
         now_s = self._now_s = now_ns * 1e-9
         host_ns = now_ns + self._offset_ns
-        self.counts.bytes_received += len(data)
+        self.from_board.bytes_received += len(data)
         if self._log_raw:
             self._sink.raw(data, host_ns, to_board=False)
         session = self.session
@@ -157,14 +152,14 @@ class BoardDriver:
             if self._encoder is not None:
                 self.known.sample = sample
         if counters.valid_frames != valid:
-            if counters.states != states or now_s - self._last_valid_s >= STANDSTILL_S:
-                self._last_state_s = now_s
+            self.from_board.heard(now_s, states=counters.states != states)
             if counters.late_answers != late:
                 self.to_board.answered()  # too late for its command, but the board has heard it
-            self._last_valid_s = now_s
-            self.to_board.heard(now_s, self._stream_period_s())
-            if self.link != "streaming" and self._encoder is not None and not self._states_missing(now_s):
-                self._change("streaming", "link-streaming", self._who_is_there())
+            self.to_board.heard(now_s, self.known.stream_period_s)
+            if self.link != "streaming" and self._encoder is not None and not self.from_board.states_missing(now_s):
+                assert self.known.identity is not None
+                text = event_text.who_is_there(self.known.identity, self.port, self.session.number)
+                self._change("streaming", "link-streaming", text)
         self._set_deadline()
 
     def poll(self, now_s: float) -> None:
@@ -173,14 +168,13 @@ class BoardDriver:
         for event in self.session.poll(now_s):
             self._handle(event, now_s)
         if self.link in ("streaming", "silent"):
-            self._listen(now_s)
+            self._silent(self.from_board.silence(now_s))
         self.to_board.judge(now_s)
         if self.link == "handshake":
             self._explain(now_s)
         if self.session.is_open:
             self.keepalive.poll(now_s)
-        if self._capture is not None:
-            self._capture.poll(now_s)
+        self._capture.poll(now_s)
         self._set_deadline()
 
     def command(self, payload: bytes, reply: Reply, now_s: float, sender: Sender) -> None:
@@ -240,14 +234,10 @@ class BoardDriver:
                 self.to_board.answered()
                 self._opened(event, now_s)
             case Restarted():
-                self._opened_s = now_s
+                self.from_board.handshake_begins(now_s)
                 if event.doubtful is not None:
-                    self.tell(
-                        "samples-in-doubt",
-                        "warning",
-                        "PONGs of the board contradict the count of its ticks: the samples {} to {} of session {}"
-                        " may have wrong ticks.".format(*event.doubtful, self.session.number),
-                    )
+                    text = event_text.in_doubt(*event.doubtful, self.session.number)
+                    self.tell("samples-in-doubt", "warning", text)
                 self._end_session("a restart of the board" if event.board_reset else "a jump of the tick")
                 why = {"tick": "its tick jumped", "no-session": "it forgot this gateway"}
                 self._change(
@@ -255,23 +245,14 @@ class BoardDriver:
                 )
             case VersionRefused():
                 self.to_board.answered()
-                self._refuse_board(
-                    "version-mismatch",
-                    f"The board speaks protocol version {event.board_version}, this gateway {VERSION}:"
-                    f" flash firmware of version {VERSION}.x or install a gateway for it.",
-                    now_s,
-                )
+                self._refuse_board("version-mismatch", event_text.other_version(event.board_version), now_s)
 
     def _opened(self, opened: Opened, now_s: float) -> None:
         scaling = scaling_of(opened.identity)
         board_id = opened.identity.int("board_id")
         if self.config.board_id not in (0, board_id):
-            self._refuse_board(
-                "wrong-board",
-                f"The board at {self.port} has the serial number {board_id}, the configuration wants"
-                f" {self.config.board_id}: exchange the cables or correct board_id.",
-                now_s,
-            )
+            text = event_text.wrong_board(self.port, board_id, self.config.board_id)
+            self._refuse_board("wrong-board", text, now_s)
             return
         if scaling is None:
             self._refuse_board("bad-identity", "The board reports a scaling of 0: its firmware is not usable.", now_s)
@@ -279,7 +260,7 @@ class BoardDriver:
         self._offset_ns = self._clock.offset_ns()
         self.known.identity, self.known.scaling = opened.identity, scaling
         self._encoder = StateEncoder(scaling, opened.session)
-        self._last_state_s = now_s
+        self.from_board.states_may_begin(now_s)
         self.keepalive.begin(now_s)
 
     def _refuse_board(self, kind: str, text: str, now_s: float) -> None:
@@ -291,24 +272,23 @@ class BoardDriver:
 
     def _end_session(self, why: str) -> None:
         self._encoder = None
-        self.known.identity = self.known.scaling = self.known.parameters = self.known.sample = None
+        self.known.forget()
         self.keepalive.end()
         self.handler.session_ended()
-        if self._capture is not None:
-            self._capture.interrupt(why)
+        self._capture.interrupt(why)
 
     def _answered(self, answer: Answer, now_s: float) -> None:
         if self.handler.answered(answer, self.host_ns()):
             return
-        if self._capture is not None and self._capture.answered(answer, now_s):
+        if self._capture.answered(answer, now_s):
             return
         self.keepalive.answered(answer, now_s)
 
     def _got_parameters(self, message: Message) -> None:
         identity, scaling = self.known.identity, self.known.scaling
         if identity is not None and scaling is not None:
-            if not self._stream_period_s():
-                self._last_state_s = self._now_s  # a stream that was off, or not known, may begin now
+            if not self.known.stream_period_s:
+                self.from_board.states_may_begin(self._now_s)  # a stream that was off, or not known
             self.known.parameters = message
             host_ns = self.host_ns()
             parameters = parameters_message(
@@ -318,18 +298,8 @@ class BoardDriver:
 
     def _accepted(self, wire: WireCommand, command: pb.Command, message: Message) -> None:
         if wire.name == "CAPTURE" and self.known.scaling is not None:
-            if self._capture is not None:
-                self._capture.interrupt("another one")
-            self._capture = CaptureReader(
-                self.session,
-                self.known.scaling,
-                wire,
-                command.capture,
-                self.session.number,
-                self._now_s,
-                self._capture_ended,
-            )
-        elif wire.name in ("STOP", "SET_MODE") and self._capture is not None:
+            self._capture.begin(self.known.scaling, wire, self._now_s)
+        elif wire.name in ("STOP", "SET_MODE"):
             self._capture.interrupt("STOP" if wire.name == "STOP" else "a change of mode")
         elif wire.name == "SET_HOST_LOSS":
             self.keepalive.host_loss_is(int(wire.values["timeout"]), self._now_s)
@@ -337,7 +307,6 @@ class BoardDriver:
             self.keepalive.read_parameters(self._now_s)
 
     def _capture_ended(self, result: pb.CaptureRecord | str) -> None:
-        self._capture = None
         if isinstance(result, str):
             self.tell("capture-failed", "warning", result)
         else:
@@ -347,51 +316,23 @@ class BoardDriver:
     def _board_event(self, event: BoardEvent, now_s: float) -> None:
         if event.missed:
             self.tell("events-lost", "warning", f"{event.missed} events of the board were lost on the line.")
-        name, severity, text = describe(event)
+        name, severity, text = event_text.of_board(event)
         told = self.tell(name, severity, text, source="board", tick=event.tick)
         if event.code in FAULT_EVENTS:
             self.fault = told
-        if event.code == EventCode.CAPTURE_DONE and self._capture is not None:
+        if event.code == EventCode.CAPTURE_DONE:
             self._capture.board_says_done(now_s)
 
     # -- time
 
-    def _stream_period_s(self) -> float:
-        """Between two states; 0 where the stream is off or not known."""
-        identity, parameters = self.known.identity, self.known.parameters
-        if identity is None or parameters is None:
-            return 0.0
-        return parameters.int("divider") * identity.int("sample_time") * 1e-6
-
-    def _states_limit_s(self) -> float:
-        period_s = self._stream_period_s()
-        return max(self.config.stale_s, 3 * period_s) if period_s else float("inf")
-
-    def _states_missing(self, now_s: float) -> bool:
-        return now_s - self._last_state_s >= self._states_limit_s()
-
-    def _listen(self, now_s: float) -> None:
-        stale_s = self.config.stale_s
-        if now_s - self._last_valid_s >= stale_s:
-            self._change("silent", "link-silent", f"No valid frame for {stale_s:g} s.", severity="warning")
-        elif self._states_missing(now_s):
-            self._change(
-                "silent",
-                "no-states",
-                f"The board answers, but no STATE has come for {self._states_limit_s():g} s although its stream is on:"
-                " its firmware or the line from it is disturbed.",
-                severity="warning",
-            )
+    def _silent(self, verdict: tuple[str, str] | None) -> None:
+        if verdict is not None:
+            self._change("silent", *verdict, severity="warning")
 
     def _to_board_is(self, state: str) -> None:
         before, self.unanswered = self.unanswered, None
         if state == UNANSWERED:
-            self.unanswered = self.tell(
-                TO_BOARD,
-                "fault",
-                f"The board has answered nothing for {UNANSWERED_S:g} s although its frames arrive: a STOP may not"
-                " reach it. Check the line to the board (its RX); to stop the rig now, cut its power.",
-            )
+            self.unanswered = self.tell(TO_BOARD, "fault", event_text.answers_nothing(UNANSWERED_S))
             _logger.error("%s: %s", self.config.name, self.unanswered.text)
         elif state == ANSWERING and before is not None:
             told = self.tell("board-answers", "info", "The board answers again.")
@@ -407,39 +348,18 @@ class BoardDriver:
                 self._refused_until_s = 0.0
                 self.session.connect(now_s)
             return
-        if now_s - self._opened_s < DIAGNOSE_S:
-            return
-        received = self.counts.bytes_received - self._bytes_at_open
-        if self.session.counters.valid_frames > self._valid_at_open:
-            if now_s - self._last_valid_s < DIAGNOSE_S:
-                kind, text = (
-                    "hello-unanswered",
-                    "Frames arrive but HELLO is not answered: is the line to the board intact?",
-                )
-            else:
-                kind, text = "no-answer", "The board has fallen silent before the handshake."
-        elif received:
-            kind = "not-a-board"
-            text = (
-                f"{received} bytes arrived and none of them is a valid frame: is {self.config.baud} the baud rate,"
-                " and is this a Board51?"
-            )
-        else:
-            kind, text = (
-                "no-answer",
-                "The port is open but nothing arrives: is the board powered, are TX and RX crossed?",
-            )
-        self._change("handshake", kind, text, severity="warning")
+        verdict = self.from_board.no_handshake(now_s)
+        if verdict is not None:
+            self._change("handshake", *verdict, severity="warning")
 
     def _set_deadline(self) -> None:
-        deadline = min(self.session.deadline_s, self.keepalive.deadline_s, self.to_board.deadline_s)
+        deadline = min(
+            self.session.deadline_s, self.keepalive.deadline_s, self.to_board.deadline_s, self._capture.deadline_s
+        )
         if self.link == "streaming":
-            missing_s = self._last_state_s + self._states_limit_s()
-            deadline = min(deadline, self._last_valid_s + self.config.stale_s, missing_s)
+            deadline = min(deadline, self.from_board.deadline_s)
         elif self.link == "handshake":
             deadline = min(deadline, self._refused_until_s or self._now_s + DIAGNOSE_S)
-        if self._capture is not None:
-            deadline = min(deadline, self._capture.deadline_s)
         self.deadline_s = deadline
 
     # -- telling
@@ -465,13 +385,4 @@ class BoardDriver:
             self.session.unwrapper.lost,
             sum(c.bad_frames.values()),
             c.board_resets,
-        )
-
-    def _who_is_there(self) -> str:
-        identity = self.known.identity
-        assert identity is not None
-        f = identity.int
-        return (
-            f"Board {f('board_id')} at {self.port}, firmware {f('firmware_major')}.{f('firmware_minor')},"
-            f" T_s {f('sample_time')} us, session {self.session.number}."
         )

@@ -1,10 +1,9 @@
-"""EVENT frames in words: stable name, severity, sentence (protocol/README.md, rules 15 and 16)."""
+"""What happens on a link, in sentences; EVENT frames with name and severity (protocol/README.md, rules 15 and 16)."""
 
 from __future__ import annotations
 
 from protocol.wire.events import BoardEvent
-from protocol.wire.messages import FAULT_EVENTS, EventCode, Mode
-from protocol.wire.session import RESETS
+from protocol.wire.messages import FAULT_EVENTS, RESETS, VERSION, EventCode, Message, Mode
 
 _WARNINGS = frozenset({EventCode.HOST_LOST, EventCode.OVERRUN, EventCode.LIMIT_HIT}) | (RESETS - FAULT_EVENTS)
 _RESET = "The board restarted; resets since power-on: {detail}."
@@ -26,9 +25,50 @@ def mode_name(mode: int) -> str:
     return Mode(mode).name.lower().replace("_", " ") if 0 <= mode <= max(Mode) else str(mode)
 
 
-def describe(event: BoardEvent) -> tuple[str, str, str]:
+def of_board(event: BoardEvent) -> tuple[str, str, str]:
     """(name, severity, text) of a board's event."""
     code = event.code
     severity = "fault" if code in FAULT_EVENTS else "warning" if code in _WARNINGS else "info"
     text = _TEXT.get(code, _RESET).format(detail=event.detail, mode=mode_name(event.detail))
     return code.name.lower().replace("_", "-"), severity, text
+
+
+def who_is_there(identity: Message, port: str, session: int) -> str:
+    """A board that streams, for people."""
+    f = identity.int
+    return (
+        f"Board {f('board_id')} at {port}, firmware {f('firmware_major')}.{f('firmware_minor')},"
+        f" T_s {f('sample_time')} us, session {session}."
+    )
+
+
+def other_version(board_version: int) -> str:
+    """A board of another protocol."""
+    return (
+        f"The board speaks protocol version {board_version}, this gateway {VERSION}:"
+        f" flash firmware of version {VERSION}.x or install a gateway for it."
+    )
+
+
+def wrong_board(port: str, board_id: int, wanted: int) -> str:
+    """A board with another serial number than is configured."""
+    return (
+        f"The board at {port} has the serial number {board_id}, the configuration wants {wanted}:"
+        " exchange the cables or correct board_id."
+    )
+
+
+def in_doubt(first_tick: int, last_tick: int, session: int) -> str:
+    """Samples that a PONG contradicts."""
+    return (
+        f"PONGs of the board contradict the count of its ticks: the samples {first_tick} to {last_tick} of session"
+        f" {session} may have wrong ticks."
+    )
+
+
+def answers_nothing(for_s: float) -> str:
+    """The line to the board may be cut."""
+    return (
+        f"The board has answered nothing for {for_s:g} s although its frames arrive: a STOP may not reach it."
+        " Check the line to the board (its RX); to stop the rig now, cut its power."
+    )

@@ -17,12 +17,12 @@ from dataclasses import dataclass, field
 
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
+from protocol.wire.codec import encode_body
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BY_NAME, EventCode, Message, Reason, Value, encode_body
+from protocol.wire.messages import BY_NAME, RESETS, Message, Reason, Value
 
 _ANSWERS = frozenset({"IDENTITY", "PONG", "ACK", "NACK", "PARAMETERS", "CAPTURE_BLOCK"})
-_RESETS = frozenset({EventCode.RESET_POWER_ON, EventCode.RESET_WATCHDOG, EventCode.RESET_COMMANDED})
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ class RecordedBoard:
                     self.removed += 1
                     self._remember(event)
                     continue
-                if event.name == "EVENT" and event.int("code") in _RESETS:
+                if event.name == "EVENT" and event.int("code") in RESETS:
                     self._resets.append(len(self.pieces))
             kept += b"\x00" + frame + b"\x00"
         if kept:

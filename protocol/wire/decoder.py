@@ -15,8 +15,9 @@ from binascii import crc_hqx
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from protocol.wire.codec import BODY_SIZE, decode_body
 from protocol.wire.framing import MAX_ENCODED, cobs_decode
-from protocol.wire.messages import BODY_SIZE, BY_NAME, Message, decode_body
+from protocol.wire.messages import BY_NAME, Message
 
 CAUSES = ("cobs", "crc", "type", "length", "range", "oversize")
 

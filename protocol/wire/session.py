@@ -9,9 +9,7 @@ Rule 2: a command is repeated with the same id, at most `retries` times.  Every 
         `Answer`, also when the board restarts or the connection ends (STOPs that share a token: in one for all).
 Rule 3: after a reset of the board nothing that was under way counts; the handshake is made again and the session
         number goes up.
-Rule 4: nothing waits as bytes.  `output` gives one frame at a time, when the port has room, and a command that was
-        given up or cancelled has no frame any more; the rest of one that was begun is dropped, and the board's CRC
-        drops what it got.  A STOP alone goes out also after it was given up: it can do no harm late.
+Rule 4: nothing waits as bytes (`outgoing.py`): what was given up or cancelled does not go out any more.
 Rule 5: a pipe may swallow frames that its other end reads much later.  So what changes something goes out only while
         the board has answered within PROVEN_S and no command was given up since; else a PING asks first.  Whatever
         has not begun to go out within its `wait_s` is given up with 0 attempts: it has not acted and never will.
@@ -26,20 +24,14 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from protocol.wire.codec import encode_body
 from protocol.wire.decoder import CAUSES, BadFrame, State, StreamDecoder
 from protocol.wire.events import Answer, BoardEvent, Event, Opened, Outcome, Restarted, Sample, VersionRefused
-from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BY_NAME, VERSION, EventCode, Message, Reason, Value, encode_body
+from protocol.wire.messages import BY_NAME, RESETS, VERSION, EventCode, Message, Reason, Value
+from protocol.wire.outgoing import ANSWERS, Command, Outbox
 from protocol.wire.unwrap import Jump, TickUnwrapper
 
-ANSWERS = {
-    "HELLO": "IDENTITY",
-    "PING": "PONG",
-    "GET_PARAMETERS": "PARAMETERS",
-    "READ_CAPTURE": "CAPTURE_BLOCK",
-}  # all others: ACK
 MOVERS = frozenset({"SET_MODE", "SET_REFERENCE", "SET_GAINS", "EXCITE", "CAPTURE"})
-RESETS = frozenset({EventCode.RESET_POWER_ON, EventCode.RESET_WATCHDOG, EventCode.RESET_COMMANDED})
 WAIT_S = 2.0  # a command that could not begin to go out for this long is given up: nobody expects it to act any more
 PROVEN_S = 0.5  # twice the time between two PINGs that keep the default host-loss time-out away
 MAX_STOPS = 8  # unanswered at a time: more would fill the line with STOPs, and no answer would come in time
@@ -58,18 +50,6 @@ class Counters:
     late_answers: int = 0  # those of them that only a board sends
     events_lost: int = 0
     board_resets: int = 0
-
-
-@dataclass(slots=True, eq=False)
-class _Command:
-    token: int  # 0: the session's own
-    name: str
-    values: dict[str, Value]
-    id: int = 0
-    frame: bytes = b""
-    tries: int = 0  # times that it was to be written
-    attempts: int = 0  # times that at least one byte of it was
-    deadline_s: float = 0.0  # waiting: to be begun until then; outstanding: to be answered until then
 
 
 class Session:
@@ -100,12 +80,10 @@ class Session:
         self._choose_session = choose_session
         self._timeout_s, self._retries, self._hello_s = timeout_s, retries, hello_s
         self._decoder = StreamDecoder()
-        self._due: deque[_Command] = deque()  # to be written, in this order
-        self._writer: _Command | None = None  # whose frame was begun
-        self._rest = b""  # of that frame
-        self._queue: deque[_Command] = deque()
-        self._outstanding: dict[int, _Command] = {}  # the one command, and a STOP beside it
-        self._hello: _Command | None = None
+        self._outbox = Outbox()
+        self._queue: deque[Command] = deque()
+        self._outstanding: dict[int, Command] = {}  # the one command, and a STOP beside it
+        self._hello: Command | None = None
         # Not from 1: without a session the board may still hold answers to the ids of the host before us, and a STOP
         # with such an id would be answered but not executed.
         self._next_id = choose_session() & 0xFF
@@ -134,15 +112,14 @@ class Session:
     def connect(self, now_s: float) -> None:
         """Begin the handshake on a fresh connection."""
         self._decoder = StreamDecoder()
-        self._due.clear()
-        self._rest = b""
+        self._outbox.clear()
         self._shake(now_s)
 
     def disconnect(self) -> list[Event]:
         """The port is gone: everything under way is cancelled."""
         self._cancel(lambda _: True, "disconnected")
         if self._hello is not None:
-            self._drop(self._hello)
+            self._outbox.drop(self._hello)
         self.is_open = False
         self._hello = self._identity = None
         self.unwrapper.give_up()
@@ -171,32 +148,22 @@ class Session:
             if shared is not None:
                 return shared.token
         self._next_token += 1
-        command = _Command(self._next_token, name, values, deadline_s=now_s + min(wait_s, WAIT_S))
+        command = Command(self._next_token, name, values, deadline_s=now_s + min(wait_s, WAIT_S))
         self._queue.append(command)
         self._pump(now_s)
         return command.token
 
     def output(self) -> bytes:
         """What to write to the UART next: one frame, or the rest of it; nothing where b""."""
-        if self._rest:
-            return self._rest
-        return self._due[0].frame if self._due else b""
+        return self._outbox.output()
 
     def wrote(self, count: int) -> None:
         """The port has taken this many bytes of `output`."""
-        if not self._rest and count:
-            self._writer = self._due.popleft()
-            self._writer.attempts += 1
-            self._rest = self._writer.frame
-        self._rest = self._rest[count:]
+        self._outbox.wrote(count)
 
     def take_output(self) -> bytes:
         """All that is to be written, for a port that takes everything."""
-        taken = bytearray()
-        while data := self.output():
-            taken += data
-            self.wrote(len(data))
-        return bytes(taken)
+        return self._outbox.take()
 
     def take_outcomes(self) -> list[Event]:
         """Commands that ended within `submit`: those that a STOP cancelled."""
@@ -247,9 +214,8 @@ class Session:
                 continue
             if command.tries > self._retries:
                 del self._outstanding[command.id]
-                self._drop(command)
-                if command in self._due and sum(c.name == "STOP" for c in self._due) > 1:
-                    self._due.remove(command)  # another STOP goes out anyway
+                self._outbox.drop(command)
+                self._outbox.spare(command)
                 self._proven_s = -math.inf
                 self._answer(command, "timed-out")
             else:
@@ -270,16 +236,16 @@ class Session:
             self.counters.stray_answers += 1
             return
         hello = self._hello
-        if hello is not None and message.int("id") == hello.id and _answers(hello, message):
+        if hello is not None and message.int("id") == hello.id and hello.is_answered_by(message):
             self._hello_answered(hello, message, now_s, events)
             return
         command = self._outstanding.get(message.int("id"))
-        if command is None or not _answers(command, message):
+        if command is None or not command.is_answered_by(message):
             self.counters.stray_answers += 1
             self.counters.late_answers += 1
             return
         del self._outstanding[command.id]
-        self._unwrite(command)
+        self._outbox.withdraw(command)
         self._proven_s = now_s
         if message.name == "NACK":
             self._answer(command, "nack", message)
@@ -295,12 +261,12 @@ class Session:
         elif message.name == "PARAMETERS" and not any(c.name == "SET_STREAM" for c in self._queue):
             self.unwrapper.stream(message.int("divider"))
 
-    def _hello_answered(self, hello: _Command, message: Message, now_s: float, events: list[Event]) -> None:
+    def _hello_answered(self, hello: Command, message: Message, now_s: float, events: list[Event]) -> None:
         if message.name == "NACK" and message.int("reason") != Reason.VERSION:
             self._shake(hello.deadline_s)  # BUSY: the id was another command's; the next HELLO has a new one
             return
         version = message.int("version" if message.name == "IDENTITY" else "detail")
-        self._unwrite(hello)
+        self._outbox.withdraw(hello)
         self._hello = None
         self._proven_s = now_s
         if message.name == "NACK" or version != VERSION:
@@ -368,12 +334,11 @@ class Session:
         self.unwrapper.give_up()
         session = self._choose_session() & 0xFFFF
         if self._hello is not None:
-            self._unwrite(self._hello)
-        self._hello = _Command(
+            self._outbox.withdraw(self._hello)
+        self._hello = Command(
             0, "HELLO", {"session": session, "version_min": VERSION, "version_max": VERSION}, deadline_s=now_s
         )
-        self._hello.id = self._free_id()
-        self._hello.frame = _frame(self._hello)
+        self._hello.number(self._free_id())
         self.deadline_s = now_s
 
     def _pump(self, now_s: float) -> None:
@@ -388,12 +353,11 @@ class Session:
             following = next((c for c in others if proven or c.name in ANSWERS), None)
             if following is not None:
                 self._queue.remove(following)
-            self._send(following or _Command(0, "PING", {}), now_s)
+            self._send(following or Command(0, "PING", {}), now_s)
         self._set_deadline()
 
-    def _send(self, command: _Command, now_s: float) -> None:
-        command.id = self._free_id()
-        command.frame = _frame(command)
+    def _send(self, command: Command, now_s: float) -> None:
+        command.number(self._free_id())
         self._outstanding[command.id] = command
         old, new = self.unwrapper.divider, command.values.get("divider")
         if command.name == "SET_STREAM" and old is not None and isinstance(new, int):
@@ -401,29 +365,10 @@ class Session:
         self._transmit(command, now_s, self._timeout_s)
         self._set_deadline()
 
-    def _transmit(self, command: _Command, now_s: float, timeout_s: float) -> None:
+    def _transmit(self, command: Command, now_s: float, timeout_s: float) -> None:
         command.tries += 1
         command.deadline_s = now_s + timeout_s
-        self._write(command)
-
-    def _write(self, command: _Command) -> None:
-        if command in self._due:
-            return
-        if command.name == "STOP":
-            self._due.appendleft(command)
-        else:
-            self._due.append(command)
-
-    def _unwrite(self, command: _Command) -> None:
-        """It need not be written again; a STOP that is to be is, whatever became of it."""
-        if command in self._due and command.name != "STOP":
-            self._due.remove(command)
-
-    def _drop(self, command: _Command) -> None:
-        """It must not act any more."""
-        self._unwrite(command)
-        if command is self._writer and command.name != "STOP":
-            self._rest = b""
+        self._outbox.add(command)
 
     def _free_id(self) -> int:
         taken = self._outstanding.keys() | ({self._hello.id} if self._hello else set())
@@ -432,15 +377,15 @@ class Session:
             if self._next_id not in taken:
                 return self._next_id
 
-    def _answer(self, command: _Command, outcome: Outcome, message: Message | None = None, why: str = "") -> None:
+    def _answer(self, command: Command, outcome: Outcome, message: Message | None = None, why: str = "") -> None:
         if command.token:
             self._pending.append(Answer(command.token, outcome, command.attempts, message, why))
 
-    def _cancel(self, which: Callable[[_Command], bool], why: str) -> None:
+    def _cancel(self, which: Callable[[Command], bool], why: str) -> None:
         for command in [*self._outstanding.values(), *self._queue]:
             if which(command):
                 self._outstanding.pop(command.id, None)
-                self._drop(command)
+                self._outbox.drop(command)
                 self._answer(command, "cancelled", why=why)
         self._queue = deque(c for c in self._queue if not which(c))
 
@@ -449,17 +394,3 @@ class Session:
         if self._hello is not None:
             deadlines.append(self._hello.deadline_s)
         self.deadline_s = min(deadlines, default=float("inf"))
-
-
-def _frame(command: _Command) -> bytes:
-    return encode_frame(encode_body(command.name, id=command.id, **command.values))
-
-
-def _answers(command: _Command, message: Message) -> bool:
-    """Whether `message`, which has the right id, is of the kind that answers `command`."""
-    if message.name in ("ACK", "NACK"):
-        good = message.int("command") == BY_NAME[command.name].type
-        return good and (message.name == "NACK" or command.name not in ANSWERS)
-    if message.name == "CAPTURE_BLOCK" and command.values.get("index") != message.int("index"):
-        return False
-    return ANSWERS.get(command.name) == message.name

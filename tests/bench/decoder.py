@@ -18,9 +18,10 @@ import numpy.typing as npt
 if __name__ == "__main__":  # run as a file: the packages lie two levels up
     sys.path.insert(0, str(Path(__file__).parents[2]))
 
+from protocol.wire.codec import BODY_SIZE, encode_body
 from protocol.wire.decoder import BadFrame, StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BODY_SIZE, ROWS, Field, Row, Value, encode_body
+from protocol.wire.messages import ROWS, Field, Row, Value
 
 SEED = 51
 STREAM_FRAMES = 40_000

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from gateway.emulator.firmware.board import AnalogSide, Firmware
+from protocol.wire.codec import encode_body
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import EventCode, Message, Value, encode_body
+from protocol.wire.messages import EventCode, Message, Value
 
 
 class Bench(AnalogSide):

@@ -24,9 +24,10 @@ from gateway.config import BoardConfig, GatewayConfig, LogConfig, ZenohConfig
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.endpoint import zenoh_config
+from protocol.wire.codec import encode_body
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BY_NAME, Message, encode_body
+from protocol.wire.messages import BY_NAME, Message
 from tests.patience import HANG_S
 
 T = TypeVar("T")

@@ -16,7 +16,8 @@ from gateway.access.roles import Role
 from gateway.board.limits import MAX_STOP
 from gateway.board.scaling import scaling_of
 from gateway.config import LimitsConfig
-from gateway.link.command_handler import KEPT_IDS, KEPT_S, CommandHandler, Known
+from gateway.link.command_handler import KEPT_IDS, KEPT_S, CommandHandler
+from gateway.link.from_board import Known
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.events import Answer, Opened

@@ -12,9 +12,10 @@ import pytest
 from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.firmware.flash import BOOT_TICKS, CURRENT, GAINS, INPUT, LIMITS, POSITION, WATCHDOG_TICKS
 from gateway.emulator.plant.levitation import EmulatedPlant
+from protocol.wire.codec import unpack_pair
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import EventCode, Flag, HostLoss, Message, Mode, Reason, unpack_pair
+from protocol.wire.messages import EventCode, Flag, HostLoss, Message, Mode, Reason
 from tests.gateway.board_host import Bench, Host, frame, refusal
 
 SECOND = 500  # ticks

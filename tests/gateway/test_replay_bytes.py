@@ -20,9 +20,10 @@ from gateway.record.byte_replay import RecordedBoard
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
+from protocol.wire.codec import encode_body
 from protocol.wire.decoder import Event, State, StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BY_NAME, EventCode, Message, Reason, Value, encode_body
+from protocol.wire.messages import BY_NAME, EventCode, Message, Reason, Value
 from tests.patience import HANG_S
 
 REPO = Path(__file__).parents[2]

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from gateway.board.scaling import Refusal, Scaling, StateEncoder, WireCommand, parameters_message, to_mantissa, to_wire
 from protocol.bus import board51_pb2 as pb
+from protocol.wire.codec import encode_body
 from protocol.wire.decoder import State
 from protocol.wire.events import Sample
-from protocol.wire.messages import Message, encode_body
+from protocol.wire.messages import Message
 
 SCALING = Scaling(
     i_offset_a=-0.1, i_lsb_a=5e-4, x_offset_m=-5e-5, x_lsb_m=1.5e-6, u_offset_v=0.2, u_lsb_v=1.25e-3,

@@ -9,9 +9,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from protocol.wire.codec import encode_body
 from protocol.wire.decoder import BadFrame, State, StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import ROWS, encode_body
+from protocol.wire.messages import ROWS
 from tests.bench import decoder as bench
 
 

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from protocol.wire.codec import decode_body, encode_body
 from protocol.wire.decoder import CAUSES, BadFrame, Event, State, StreamDecoder
 from protocol.wire.framing import MAX_BODY, MAX_ENCODED, cobs_decode, cobs_encode, encode_frame
-from protocol.wire.messages import ROWS, Field, Message, Row, Value, decode_body, encode_body
+from protocol.wire.messages import ROWS, Field, Message, Row, Value
 
 F32_MAX = 3.4028234663852886e38
 

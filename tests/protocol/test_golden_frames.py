@@ -11,9 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from protocol.wire.codec import encode_body
 from protocol.wire.decoder import BadFrame, State, StreamDecoder
 from protocol.wire.framing import MAX_ENCODED, cobs_decode, cobs_encode, crc16, encode_frame
-from protocol.wire.messages import BY_NAME, Field, Message, Value, encode_body
+from protocol.wire.messages import BY_NAME, Field, Message, Value
 
 LINES = (Path(__file__).parent / "golden_frames.txt").read_text(encoding="utf-8").splitlines()
 

@@ -7,26 +7,10 @@ import struct
 
 import pytest
 
+from protocol.wire.codec import BODY_SIZE, decode_body, encode_body, pack_pair, unpack_pair
 from protocol.wire.decoder import BadFrame, StreamDecoder
 from protocol.wire.framing import MAX_BODY, encode_frame
-from protocol.wire.messages import (
-    BODY_SIZE,
-    BY_NAME,
-    ROWS,
-    EventCode,
-    Field,
-    HostLoss,
-    Law,
-    Mode,
-    Reason,
-    Row,
-    Shape,
-    Value,
-    decode_body,
-    encode_body,
-    pack_pair,
-    unpack_pair,
-)
+from protocol.wire.messages import BY_NAME, ROWS, EventCode, Field, HostLoss, Law, Mode, Reason, Row, Shape, Value
 
 FORMATS = {"u8": "<B", "flags": "<B", "u16": "<H", "i16": "<h", "u32": "<I", "f32": "<f"}
 EVERY_FIELD = [(row, field) for row in ROWS for field in row.fields]

@@ -14,7 +14,8 @@ import pytest
 
 from protocol.bus import encoding, topics
 from protocol.wire import framing, messages
-from protocol.wire.messages import BODY_SIZE, ROWS, EventCode, Field, Flag, Reason, Row
+from protocol.wire.codec import BODY_SIZE, encode_body
+from protocol.wire.messages import ROWS, EventCode, Field, Flag, Reason, Row
 
 PAGE = (Path(__file__).parents[2] / "protocol" / "README.md").read_text(encoding="utf-8")
 LINE_BITS_PER_BYTE = 10  # 8N1
@@ -141,7 +142,7 @@ def test_the_topic_table_is_that_of_the_code() -> None:
 
 
 def test_the_line_budget_on_the_page_is_that_of_the_table() -> None:
-    state = len(framing.encode_frame(messages.encode_body("STATE", sequence=0, i_c=0, x=0, u_c=0, x_ref=0, flags=0)))
+    state = len(framing.encode_frame(encode_body("STATE", sequence=0, i_c=0, x=0, u_c=0, x_ref=0, flags=0)))
     load = state * LINE_BITS_PER_BYTE * 500 / BAUD
 
     assert load <= 0.70, "at least 30 % of the line stays free at 500 Hz"

@@ -7,10 +7,11 @@ from typing import Any
 
 import pytest
 
+from protocol.wire.codec import encode_body
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.events import Answer, BoardEvent, Event, Opened, Restarted, Sample, VersionRefused
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BY_NAME, EventCode, Message, Reason, encode_body
+from protocol.wire.messages import BY_NAME, EventCode, Message, Reason
 from protocol.wire.session import Session
 
 SCALES = {"i_offset": 0.0, "i_lsb": 1e-3, "x_offset": 0.0, "x_lsb": 1e-6, "u_offset": 0.0, "u_lsb": 1e-3}

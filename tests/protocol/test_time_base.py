@@ -13,10 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from protocol.wire.codec import encode_body
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.events import Event, Restarted, Sample
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BY_NAME, EventCode, Message, encode_body
+from protocol.wire.messages import BY_NAME, EventCode, Message
 from protocol.wire.session import Session
 
 T_S = 0.002

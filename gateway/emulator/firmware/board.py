@@ -1,13 +1,12 @@
 """The board's firmware: bytes from the host in, ticks of the loop, frames out.  No I/O, no clock, no threads.
 
-    firmware = Firmware(Plant(), board_id=1)
+    firmware = Firmware(EmulatedPlant(), board_id=1)
     firmware.feed(frame)               # between two ticks
     firmware.tick()                    # T_s of plant time, then one run of the loop
     line.write(firmware.take_output())
 
-Every rule of 'Behaviour of the board' in protocol/README.md holds here; this file has 1 to 5, 10 and 13, `loop.py` and
-`commands.py` the others.  Reading order: `arithmetic.py`, `law.py`, `flash.py`, `loop.py`, `commands.py`,
-`uart.py`, this.
+Every rule of 'Behaviour of the board' in protocol/README.md holds here; this file has 1 to 5, 10 and 13,
+`control_loop.py` and `commands.py` the others.
 """
 
 from __future__ import annotations
@@ -35,21 +34,9 @@ from gateway.emulator.firmware.flash import (
     WATCHDOG_TICKS,
 )
 from gateway.emulator.firmware.uart import Inbox, Outbox, Priority
+from protocol.wire.codec import decode_body, encode_body, pack_pair
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import (
-    BY_NAME,
-    BY_TYPE,
-    VERSION,
-    EventCode,
-    HostLoss,
-    Message,
-    Mode,
-    Reason,
-    Value,
-    decode_body,
-    encode_body,
-    pack_pair,
-)
+from protocol.wire.messages import BY_NAME, BY_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Value
 
 KEPT_IDS = 8
 PENDING_COMMANDS = 8

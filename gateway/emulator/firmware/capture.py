@@ -10,7 +10,8 @@ current before it.
 from __future__ import annotations
 
 from gateway.emulator.firmware.flash import CAPTURE_SETTLE_US, CAPTURE_US, T_S_US
-from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES, pack_pair
+from protocol.wire.codec import pack_pair
+from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES
 
 
 class FirmwareCapture:

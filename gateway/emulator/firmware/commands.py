@@ -1,7 +1,7 @@
 """What each command does to the loop, and why it may be refused: rules 6 to 8, 12 and 15 of protocol/README.md.
 
 A handler gets the loop, the message and the tick that comes next, and returns a `Nack` or the `Acceptance`.  It changes
-something only when it does not refuse.  The commands of session, stream and host loss are executed in `firmware.py`.
+something only when it does not refuse.  The commands of session, stream and host loss are executed in `board.py`.
 """
 
 from __future__ import annotations

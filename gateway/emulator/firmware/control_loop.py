@@ -1,7 +1,7 @@
 """The control loop between two converters: modes, reference, excitation, law, faults.  Counts in, counts out.
 
 Rules 6 to 9, 11 and the board's half of 12 and 13 of protocol/README.md.  Frames, ids and sessions are
-`firmware.py`'s business; what a command does to the loop is `commands.py`'s.
+`board.py`'s business; what a command does to the loop is `commands.py`'s.
 """
 
 from __future__ import annotations

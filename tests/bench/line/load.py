@@ -23,9 +23,10 @@ import numpy as np
 
 from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.plant.levitation import EmulatedPlant
+from protocol.wire.codec import encode_body
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import Message, encode_body
+from protocol.wire.messages import Message
 
 PERIOD_NS = 2_000_000
 STAGGER = 4  # groups of boards within a period

@@ -18,9 +18,10 @@ from gateway.emulator.firmware.flash import CURRENT, INPUT, POSITION, gains_in_c
 from gateway.emulator.plant.levitation import EmulatedPlant
 from gateway.emulator.plant.rig import CE152, PlantConstants
 from protocol.campaign import Campaign, Kind, parse
+from protocol.wire.codec import encode_body
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import Law, Message, Mode, Shape, Value, encode_body
+from protocol.wire.messages import Law, Message, Mode, Shape, Value
 from twin.estimation.record import Capture, Record
 
 TICK_S = 2e-3

@@ -1,0 +1,117 @@
+"""What has come from one board, when, and what it means that nothing comes.  No I/O; `to_board.py` is the other way.
+
+Rule: states and frames count apart: a board that answers but sends no STATE although its stream is on is silent, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gateway.board.scaling import Scaling
+from gateway.config import BoardConfig
+from protocol.wire.events import Sample
+from protocol.wire.messages import Message
+from protocol.wire.session import Counters
+
+DIAGNOSE_S = 2.0  # an open port without a handshake for this long gets an explanation
+# After a pause of everything the first frame need not be a STATE.  Longer than between two PONGs, shorter than stale_s.
+STANDSTILL_S = 0.6
+
+
+@dataclass(slots=True)
+class Known:
+    """What the board has said in this session."""
+
+    identity: Message | None = None
+    scaling: Scaling | None = None
+    parameters: Message | None = None
+    sample: Sample | None = None
+
+    def forget(self) -> None:
+        """The session is over."""
+        self.identity = self.scaling = self.parameters = self.sample = None
+
+    @property
+    def stream_period_s(self) -> float:
+        """Between two states; 0 where the stream is off or not known."""
+        if self.identity is None or self.parameters is None:
+            return 0.0
+        return self.parameters.int("divider") * self.identity.int("sample_time") * 1e-6
+
+
+class FromBoard:
+    """The direction from one board to the host.
+
+    Args:
+        config: of the board.
+        counters: of its frames.
+        known: what it has said.
+    """
+
+    def __init__(self, config: BoardConfig, counters: Counters, known: Known) -> None:
+        self.bytes_received = 0  # since the gateway's start
+        self._config, self._counters, self._known = config, counters, known
+        self._valid_s = self._state_s = self._began_s = 0.0
+        self._valid_at_open = self._bytes_at_open = 0
+
+    def port_opened(self, now_s: float) -> None:
+        """Another line: what came before is no witness."""
+        self._began_s = self._valid_s = now_s
+        self._valid_at_open, self._bytes_at_open = self._counters.valid_frames, self.bytes_received
+
+    def handshake_begins(self, now_s: float) -> None:
+        """Anew, on the same line."""
+        self._began_s = now_s
+
+    def states_may_begin(self, now_s: float) -> None:
+        """The wait for the first of them begins."""
+        self._state_s = now_s
+
+    def heard(self, now_s: float, *, states: bool) -> None:
+        """Valid frames have come, STATEs among them or not."""
+        if states or now_s - self._valid_s >= STANDSTILL_S:
+            self._state_s = now_s
+        self._valid_s = now_s
+
+    @property
+    def deadline_s(self) -> float:
+        """When `silence` has something to say, if nothing comes."""
+        return min(self._valid_s + self._config.stale_s, self._state_s + self._states_limit_s())
+
+    def states_missing(self, now_s: float) -> bool:
+        """Whether none has come for too long although the stream is on."""
+        return now_s - self._state_s >= self._states_limit_s()
+
+    def silence(self, now_s: float) -> tuple[str, str] | None:
+        """Name and sentence of the event where the board has fallen silent."""
+        stale_s = self._config.stale_s
+        if now_s - self._valid_s >= stale_s:
+            return "link-silent", f"No valid frame for {stale_s:g} s."
+        if self.states_missing(now_s):
+            return (
+                "no-states",
+                f"The board answers, but no STATE has come for {self._states_limit_s():g} s although its stream is on:"
+                " its firmware or the line from it is disturbed.",
+            )
+        return None
+
+    def no_handshake(self, now_s: float) -> tuple[str, str] | None:
+        """Name and sentence of the event where the handshake takes too long: what the bytes say of the cause."""
+        if now_s - self._began_s < DIAGNOSE_S:
+            return None
+        received = self.bytes_received - self._bytes_at_open
+        if self._counters.valid_frames > self._valid_at_open:
+            if now_s - self._valid_s < DIAGNOSE_S:
+                return "hello-unanswered", "Frames arrive but HELLO is not answered: is the line to the board intact?"
+            return "no-answer", "The board has fallen silent before the handshake."
+        if received:
+            return (
+                "not-a-board",
+                f"{received} bytes arrived and none of them is a valid frame: is {self._config.baud} the baud rate,"
+                " and is this a Board51?",
+            )
+        return "no-answer", "The port is open but nothing arrives: is the board powered, are TX and RX crossed?"
+
+    def _states_limit_s(self) -> float:
+        period_s = self._known.stream_period_s
+        return max(self._config.stale_s, 3 * period_s) if period_s else float("inf")
