@@ -75,6 +75,16 @@ class LogReader:
         return {name: dict(values) for scan in self.scans for name, values in scan.metadata.items()}
 
     @property
+    def boards(self) -> set[str]:
+        """Those with a channel of ours, under whatever topic; complete after a pass."""
+        return {ours[1] for scan in self.scans for channel in scan.channels.values() if (ours := _ours(channel))}
+
+    @property
+    def finished(self) -> bool:
+        """After a pass: whether every part has its end."""
+        return all(scan.finished for scan in self.scans)
+
+    @property
     def start_ns(self) -> int:
         """Log time of the first message: 0 s of `start_s` and `end_s`."""
         if self._start_ns is None:
@@ -136,6 +146,36 @@ class LogReader:
             else:
                 yield LogRecord(key, site, board, topic, message, time_ns)
 
+    def schema_of(self, key: str) -> str:
+        """Schema and encoding of a key's messages, for people."""
+        for scan in self.scans:
+            for channel in scan.channels.values():
+                if channel.topic == key:
+                    return f"{channel.schema.name if channel.schema else 'nothing'} ({channel.message_encoding})"
+        return "nothing"
+
+    def check_damage(self, *, last_ns: int | None, cut_is_damage: bool = True) -> None:
+        """After a pass: raise where bytes were lost.
+
+        Args:
+            last_ns: Log time of the last message that was delivered; None if there was none.
+            cut_is_damage: Whether a file that ends within a record (its writer was killed in it) counts.
+
+        Raises:
+            DataError: damage.
+        """
+        for scan in self.scans:
+            damages = [d for d in scan.damages if cut_is_damage or scan.finished or d.offset + d.bytes < scan.size]
+            if damages:
+                first = damages[0]
+                until = f", readable to {(last_ns - self.start_ns) / 1e9:.3f} s" if last_ns is not None else ""
+                lost = sum(damage.bytes for damage in damages)
+                raise DataError(
+                    f"Log {scan.path} is damaged at byte {first.offset} of {scan.size}: {first.reason}; "
+                    f"{lost} bytes lost{until}",
+                    remedy=f"Run: board51 recover {scan.path} -o clean.mcap",
+                )
+
     def check(self, *, last_ns: int | None) -> None:
         """After a pass: raise what it came upon.
 
@@ -145,16 +185,7 @@ class LogReader:
         Raises:
             DataError: damage, or nothing of ours.
         """
-        for scan in self.scans:
-            if scan.damages:
-                first = scan.damages[0]
-                until = f", readable to {(last_ns - self.start_ns) / 1e9:.3f} s" if last_ns is not None else ""
-                lost = sum(damage.bytes for damage in scan.damages)
-                raise DataError(
-                    f"Log {scan.path} is damaged at byte {first.offset} of {scan.size}: {first.reason}; "
-                    f"{lost} bytes lost{until}",
-                    remedy=f"Run: board51 recover {scan.path} -o clean.mcap",
-                )
+        self.check_damage(last_ns=last_ns)
         ours = any(_ours(channel) for scan in self.scans for channel in scan.channels.values())
         if not ours:
             others = sorted({channel.topic for scan in self.scans for channel in scan.channels.values()})

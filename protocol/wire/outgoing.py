@@ -1,8 +1,8 @@
 """Commands on their way to one board, and what the port is given to write.
 
-Rule: nothing waits as bytes.  `Outbox.output` gives one frame at a time, when the port has room, and a command that was
-      given up or cancelled has no frame any more; the rest of one that was begun is dropped, and the board's CRC drops
-      what it got.  A STOP alone goes out also after it was given up: it can do no harm late.
+Rule: nothing waits as bytes.  `SendQueue.output` gives one frame at a time, when the port has room, and a command that
+      was given up or cancelled has no frame any more; the rest of one that was begun is dropped, and the board's CRC
+      drops what it got.  A STOP alone goes out also after it was given up: it can do no harm late.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Command:
         return ANSWERS.get(self.name) == message.name
 
 
-class Outbox:
+class SendQueue:
     """What is to be written next: the frames of commands in order, a STOP first."""
 
     def __init__(self) -> None:

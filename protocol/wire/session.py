@@ -28,7 +28,7 @@ from protocol.wire.codec import encode_body
 from protocol.wire.decoder import CAUSES, BadFrame, State, StreamDecoder
 from protocol.wire.events import Answer, BoardEvent, Event, Opened, Outcome, Restarted, Sample, VersionRefused
 from protocol.wire.messages import BY_NAME, RESETS, VERSION, EventCode, Message, Reason, Value
-from protocol.wire.outgoing import ANSWERS, Command, Outbox
+from protocol.wire.outgoing import ANSWERS, Command, SendQueue
 from protocol.wire.unwrap import Jump, TickUnwrapper
 
 MOVERS = frozenset({"SET_MODE", "SET_REFERENCE", "SET_GAINS", "EXCITE", "CAPTURE"})
@@ -80,7 +80,7 @@ class Session:
         self._choose_session = choose_session
         self._timeout_s, self._retries, self._hello_s = timeout_s, retries, hello_s
         self._decoder = StreamDecoder()
-        self._outbox = Outbox()
+        self._sending = SendQueue()
         self._queue: deque[Command] = deque()
         self._outstanding: dict[int, Command] = {}  # the one command, and a STOP beside it
         self._hello: Command | None = None
@@ -112,14 +112,14 @@ class Session:
     def connect(self, now_s: float) -> None:
         """Begin the handshake on a fresh connection."""
         self._decoder = StreamDecoder()
-        self._outbox.clear()
+        self._sending.clear()
         self._shake(now_s)
 
     def disconnect(self) -> list[Event]:
         """The port is gone: everything under way is cancelled."""
         self._cancel(lambda _: True, "disconnected")
         if self._hello is not None:
-            self._outbox.drop(self._hello)
+            self._sending.drop(self._hello)
         self.is_open = False
         self._hello = self._identity = None
         self.unwrapper.give_up()
@@ -155,15 +155,15 @@ class Session:
 
     def output(self) -> bytes:
         """What to write to the UART next: one frame, or the rest of it; nothing where b""."""
-        return self._outbox.output()
+        return self._sending.output()
 
     def wrote(self, count: int) -> None:
         """The port has taken this many bytes of `output`."""
-        self._outbox.wrote(count)
+        self._sending.wrote(count)
 
     def take_output(self) -> bytes:
         """All that is to be written, for a port that takes everything."""
-        return self._outbox.take()
+        return self._sending.take()
 
     def take_outcomes(self) -> list[Event]:
         """Commands that ended within `submit`: those that a STOP cancelled."""
@@ -214,8 +214,8 @@ class Session:
                 continue
             if command.tries > self._retries:
                 del self._outstanding[command.id]
-                self._outbox.drop(command)
-                self._outbox.spare(command)
+                self._sending.drop(command)
+                self._sending.spare(command)
                 self._proven_s = -math.inf
                 self._answer(command, "timed-out")
             else:
@@ -245,7 +245,7 @@ class Session:
             self.counters.late_answers += 1
             return
         del self._outstanding[command.id]
-        self._outbox.withdraw(command)
+        self._sending.withdraw(command)
         self._proven_s = now_s
         if message.name == "NACK":
             self._answer(command, "nack", message)
@@ -266,7 +266,7 @@ class Session:
             self._shake(hello.deadline_s)  # BUSY: the id was another command's; the next HELLO has a new one
             return
         version = message.int("version" if message.name == "IDENTITY" else "detail")
-        self._outbox.withdraw(hello)
+        self._sending.withdraw(hello)
         self._hello = None
         self._proven_s = now_s
         if message.name == "NACK" or version != VERSION:
@@ -334,7 +334,7 @@ class Session:
         self.unwrapper.give_up()
         session = self._choose_session() & 0xFFFF
         if self._hello is not None:
-            self._outbox.withdraw(self._hello)
+            self._sending.withdraw(self._hello)
         self._hello = Command(
             0, "HELLO", {"session": session, "version_min": VERSION, "version_max": VERSION}, deadline_s=now_s
         )
@@ -368,7 +368,7 @@ class Session:
     def _transmit(self, command: Command, now_s: float, timeout_s: float) -> None:
         command.tries += 1
         command.deadline_s = now_s + timeout_s
-        self._outbox.add(command)
+        self._sending.add(command)
 
     def _free_id(self) -> int:
         taken = self._outstanding.keys() | ({self._hello.id} if self._hello else set())
@@ -385,7 +385,7 @@ class Session:
         for command in [*self._outstanding.values(), *self._queue]:
             if which(command):
                 self._outstanding.pop(command.id, None)
-                self._outbox.drop(command)
+                self._sending.drop(command)
                 self._answer(command, "cancelled", why=why)
         self._queue = deque(c for c in self._queue if not which(c))
 

@@ -292,8 +292,8 @@ def test_an_impossible_rig_is_refused(key: str, value: float) -> None:
 def test_without_a_compiler_the_same_numbers_come_out() -> None:
     program = (
         "import sys; sys.modules['numba'] = None\n"
-        "from gateway.emulator.plant.levitation import Plant\n"
-        "plant = Plant(effects={'coulomb-friction': 0.002, 'eddy-current-lag': 0.001}, seed=1)\n"
+        "from gateway.emulator.plant.levitation import EmulatedPlant\n"
+        "plant = EmulatedPlant(effects={'coulomb-friction': 0.002, 'eddy-current-lag': 0.001}, seed=1)\n"
         "plant.advance(5.0, 0.03); plant.advance(0.0, 0.03)\n"
         "print(repr((plant.i_c_a, plant.x_m, plant.v_m_s)))\n"
     )

@@ -13,11 +13,12 @@ import pytest
 
 import board51
 from protocol.bus import board51_pb2 as pb
+from protocol.log.reader import LogReader
 from tests.patience import HANG_S
 from tests.twin.rig import G, M, Rig
 from twin.model.nominal import nominal
 from twin.model.parameters import model_to_dict
-from twin.readers.log import LogReader, TwinLog, parse
+from twin.readers.log import TwinLog, entries, parse
 
 HELD = 2.85e-3
 
@@ -84,7 +85,7 @@ def test_the_written_log_holds_the_samples_and_the_twin_and_gives_the_same_bits_
     assert board51.main(["twin", "--log", str(outs[0]), "--out", str(outs[1])]) == 0
 
     topics = ("state", "twin/state", "twin/divergence")
-    one, two = ([(e.topic, e.data) for e in LogReader(out, topics=topics)] for out in outs)
+    one, two = ([(e.topic, e.data) for e in entries(LogReader(out), topics=topics)] for out in outs)
     assert one == two
     assert [t for t, _ in one].count("twin/divergence") == 1500
     assert [t for t, _ in one].count("twin/state") == 1499  # the first sample of a running loop starts nothing yet
@@ -221,7 +222,7 @@ def test_the_live_command_ends_cleanly_on_sigterm() -> None:
 def test_an_entry_that_is_no_message_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with TwinLog(tmp_path / "x.mcap") as log:
         log.write("lab/rig/state", b"\xff\xff\xff", message_type=pb.State, log_time_ns=1)
-    entry = next(iter(LogReader(tmp_path / "x.mcap", topics=("state",))))
+    entry = next(entries(LogReader(tmp_path / "x.mcap"), topics=("state",)))
 
     with pytest.raises(Exception, match="lab/rig/state"):
         parse(pb.State, entry, tmp_path / "x.mcap")

@@ -131,10 +131,11 @@ def _draw_spans(args: argparse.Namespace, board: str, trace: Traces, title: str,
 
 def _model_at(path: Path, board: str, t_s: float) -> str:
     """What the log says the twin ran on at the end of a span; empty where it does not say."""
-    from twin.readers.log import LogReader, parse
+    from protocol.log.reader import LogReader
+    from twin.readers.log import entries, parse
 
     ran, now_s = "", -math.inf
-    for entry in LogReader(path, topics=("state", "twin/model"), board=board):
+    for entry in entries(LogReader(path), topics=("state", "twin/model"), board=board):
         if entry.topic == "state":
             now_s = parse(pb.State, entry, path).t_s
         elif now_s <= t_s:
@@ -145,11 +146,12 @@ def _model_at(path: Path, board: str, t_s: float) -> str:
 
 def _thresholds(path: Path, board: str, trace: Traces, model: Model, settings: Settings) -> tuple[float, float]:
     """(mean NIS, mean squared normalised error of x around the median reference); the latter NaN without parameters."""
+    from protocol.log.reader import LogReader
     from twin.mirror.regime import Regime
-    from twin.readers.log import LogReader, parse
+    from twin.readers.log import entries, parse
 
     sample_time_s = _sample_time(trace)
-    entry = next(iter(LogReader(path, topics=("parameters",), board=board)), None)
+    entry = next(entries(LogReader(path), topics=("parameters",), board=board), None)
     parameters = parse(pb.Parameters, entry, path) if entry else None
     regime = Regime(model, settings, sample_time_s=sample_time_s, parameters=parameters)
     references = sorted(row[2] for row in trace.rows if row[2] == row[2])
@@ -180,14 +182,15 @@ def _from_run(path: Path, board: str | None, model: Model, settings: Settings) -
 
 def _from_topics(path: Path, board: str | None) -> dict[str, Traces]:
     """Match samples and answers by (session, tick); empty where a log has no twin topics."""
+    from protocol.log.reader import LogReader
     from twin.mirror.plots.traces import Traces
-    from twin.readers.log import LogReader, parse
+    from twin.readers.log import entries, parse
 
     states: dict[str, dict[tuple[int, int], pb.State]] = defaultdict(dict)
     twins: dict[str, dict[tuple[int, int], pb.TwinState]] = defaultdict(dict)
     divergences: dict[str, dict[tuple[int, int], pb.Divergence]] = defaultdict(dict)
     alarms: dict[str, list[pb.Alarm]] = defaultdict(list)
-    for entry in LogReader(path, topics=("state", "twin/state", "twin/divergence", "twin/alarm"), board=board):
+    for entry in entries(LogReader(path), topics=("state", "twin/state", "twin/divergence", "twin/alarm"), board=board):
         if entry.topic == "state":
             state = parse(pb.State, entry, path)
             states[entry.board][state.session, state.tick] = state

@@ -23,7 +23,8 @@ from protocol.bus.encoding import parse
 from protocol.bus.endpoint import refused_by_router, zenoh_config
 from protocol.bus.identity import Identity
 from protocol.errors import ServiceError, UsageError
-from twin.readers.log import LogReader
+from protocol.log.reader import LogReader
+from twin.readers.log import entries
 
 STATUS_WAIT_S = 3.5  # it comes once a second
 PROGRESS_S = 10.0
@@ -123,7 +124,7 @@ def from_log(status: pb.Status, folder: Path, site: str, board: str, span_s: flo
     for first in reversed(range(len(files))):
         heard = Heard(where=str(current))
         for path in files[first:]:
-            for entry in LogReader(path, topics=TOPICS, board=board):
+            for entry in entries(LogReader(path), topics=TOPICS, board=board):
                 if entry.site != site:
                     continue
                 heard.take(entry.topic, entry.data)

@@ -17,12 +17,13 @@ from typing import Any
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
 from protocol.errors import DataError
+from protocol.log.reader import LogReader
 from twin.mirror.bus.handover import believe
 from twin.mirror.mirror import Mirror
 from twin.mirror.output import Output
 from twin.mirror.settings import Settings
 from twin.model.parameters import Model
-from twin.readers.log import LogReader, TwinLog, parse
+from twin.readers.log import TwinLog, entries, parse
 
 SIGNALS = ("x_m", "i_c_a", "u_c_v")
 
@@ -137,11 +138,11 @@ def run_log(
         DataError: the log is unreadable or holds no samples (of that board).
     """
     runs: dict[tuple[str, str], BoardRun] = {}
-    reader = LogReader(path, topics=("state", "parameters", "twin/model"), board=board)
+    reader = LogReader(path)
     belief = believe(model)
     log = TwinLog(out) if out else None
     try:
-        for entry in reader:
+        for entry in entries(reader, topics=("state", "parameters", "twin/model"), board=board):
             run = runs.get((entry.site, entry.board))
             if run is None:
                 run = BoardRun(site=entry.site, board=entry.board, mirror=Mirror(model, settings))
@@ -157,7 +158,7 @@ def run_log(
                         key(entry.site, entry.board, entry.topic),
                         entry.data,
                         message_type=pb.Parameters,
-                        log_time_ns=entry.log_time_ns,
+                        log_time_ns=entry.time_ns,
                     )
                 continue
             state = parse(pb.State, entry, path)
@@ -170,7 +171,7 @@ def run_log(
                         key(entry.site, entry.board, "twin/model"),
                         belief.message(session=state.session, since_tick=state.tick),
                         message_type=pb.TwinModel,
-                        log_time_ns=entry.log_time_ns,
+                        log_time_ns=entry.time_ns,
                     )
             output = run.mirror.handle(state)
             if log:
@@ -178,7 +179,7 @@ def run_log(
                     key(entry.site, entry.board, "state"),
                     entry.data,
                     message_type=pb.State,
-                    log_time_ns=entry.log_time_ns,
+                    log_time_ns=entry.time_ns,
                 )
             if output is None:
                 continue
@@ -186,7 +187,7 @@ def run_log(
             if on_output:
                 on_output(run, state, output)
             if log:
-                _write(log, run, output, entry.log_time_ns)
+                _write(log, run, output, entry.time_ns)
     finally:
         if log:
             log.__exit__(None, None, None)
@@ -197,7 +198,7 @@ def run_log(
             f"{path}: no samples" + (f" of board {board!r}" if board else ""),
             remedy=f"Boards in this log: {others}",
         )
-    return found, reader.complete
+    return found, reader.finished
 
 
 def _write(log: TwinLog, run: BoardRun, output: Output, log_time_ns: int) -> None:

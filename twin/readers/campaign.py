@@ -253,9 +253,10 @@ def _convert(mapping: Column, raw: FloatArray) -> FloatArray:
 
 def _read_log(path: Path, recording: Recording) -> Record:
     from protocol.bus import board51_pb2 as pb
-    from twin.readers.log import LogReader, parse
+    from protocol.log.reader import LogReader
+    from twin.readers.log import entries, parse
 
-    reader = LogReader(path, topics=("state", "capture", "parameters"), board=recording.board or None)
+    reader = LogReader(path)
     rows: list[tuple[float, float, float, float, float]] = []
     captures: list[Capture] = []
     nan = float("nan")
@@ -263,7 +264,7 @@ def _read_log(path: Path, recording: Recording) -> Record:
     offset, boards, lost = 0.0, set(), 0
     lsb = (0.0, 0.0)
     state = pb.State()
-    for entry in reader:
+    for entry in entries(reader, topics=("state", "capture", "parameters"), board=recording.board or None):
         boards.add(entry.board)
         if entry.topic == "state":
             state.ParseFromString(entry.data)
@@ -307,7 +308,7 @@ def _read_log(path: Path, recording: Recording) -> Record:
         raise DataError(f"{path} holds no samples{wanted}", remedy="Give a log of a gateway that saw its board")
     table = np.array(rows).reshape(-1, 5)
     notes = [f"{recording.file}: {lost} samples were lost on the way"] if lost else []
-    if not reader.complete:
+    if not reader.finished:
         notes.append(f"{recording.file}: the log was not closed; read as far as it goes")
     return Record(
         name=recording.file,

@@ -17,6 +17,7 @@ import numpy as np
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Campaign, Controller
 from protocol.files import open_regular
+from protocol.log.reader import LogReader
 from twin.control import LawNumbers, law_numbers
 from twin.estimation.innovations import FLIES, USE_I, USE_X, Series
 from twin.estimation.prepare import flights, prepare
@@ -29,7 +30,7 @@ from twin.identify.fit import Likelihood, Point, gate
 from twin.identify.pipeline import grouped
 from twin.model.parameters import Model, plant_of
 from twin.readers.campaign import read_recording
-from twin.readers.log import LogReader, parse
+from twin.readers.log import entries, parse
 from twin.validate.extended import as_shown, filter_extended
 
 FLYING = ("closed-loop", "prbs", "free")
@@ -201,7 +202,10 @@ def _announced(path: Path, board: str) -> list[pb.Parameters]:
     with open_regular(path, remedy="Name a recording") as file:
         if not file.read(8).startswith(b"\x89MCAP0"):
             return []
-    return [parse(pb.Parameters, entry, path) for entry in LogReader(path, topics=("parameters",), board=board or None)]
+    return [
+        parse(pb.Parameters, entry, path)
+        for entry in entries(LogReader(path), topics=("parameters",), board=board or None)
+    ]
 
 
 def _written(controller: Controller, record: Record) -> LawNumbers | None:

@@ -1,6 +1,6 @@
 """A rig that a board can be connected to: an input in, two analog sensor readings out.
 
-    plant = Plant(effects={"quadratic-drag": 1.0}, seed=1)
+    plant = EmulatedPlant(effects={"quadratic-drag": 1.0}, seed=1)
     plant.advance(3.5, 0.002)          # one tick with u_c = 3.5 V
     i_c_a, x_m = plant.sense()         # with noise, before the converters
 

@@ -1,5 +1,7 @@
 """Equations of motion of the 'real' rig and their integration.  Pure functions; no noise, no clock.
 
+All quantities in SI units; x is up from the sensor.
+
     amplifier  T(x) i' = K_A(w) u_del + offset - i - emf, limited in rate and value          after (1)
     heating    30 s w' = i^2 - w
     field      tau f' = i - f                                      (without lag: f = i)

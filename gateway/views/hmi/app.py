@@ -29,10 +29,10 @@ from gateway.access.users import Users
 from gateway.views.feed import Feed
 from gateway.views.hmi.actions import REPLAY_SITE, Actions, Routes
 from gateway.views.hmi.guard import MAX_BODY, Guard
+from gateway.views.hmi.html.pages import REPLAY, Pages
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import STUCK_S, Live, Snapshots
-from gateway.views.hmi.pages import REPLAY, Pages
 from gateway.views.hmi.requests import Requests
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from protocol.errors import ServiceError

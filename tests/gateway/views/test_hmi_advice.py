@@ -17,8 +17,8 @@ from tests.gateway.views.bus_peers import feed_of, played_gateway
 
 ROOT = Path(__file__).parents[3]
 # The page itself, and whoever writes what its lists show: alarms, events, replies.
-ROOMS = ("views/hmi", "views", "record", "record/tables", "link", "bus", "board", "client", "")
-SHOWN = (*(f"gateway/{room}" for room in ROOMS), "twin/mirror")
+ROOMS = ("views/hmi", "views/hmi/html", "views", "record", "record/tables", "link", "bus", "board", "client", "")
+SHOWN = (*(f"gateway/{room}" for room in ROOMS), "protocol/log", "twin/mirror")
 OF_THE_PAGE = "gateway/views/hmi"
 COMMAND = re.compile(r"\bboard51 ([a-z]+)\b([^`\n]*)")
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")

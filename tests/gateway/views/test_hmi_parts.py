@@ -12,10 +12,10 @@ import board51
 from gateway.access.roles import Role
 from gateway.views.hmi.actions import Routes, slug
 from gateway.views.hmi.gains import parse_gains, rows
+from gateway.views.hmi.html.markup import tag
 from gateway.views.hmi.jobs import LINES, WIDTH, Jobs
 from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import travel_of
-from gateway.views.hmi.markup import tag
 from gateway.views.hmi.sessions import MAX_SESSIONS, LoginSessions
 from gateway.views.hmi.snapshot import describe, rest
 from gateway.views.hmi.traces import MAX_ROWS, Traces

@@ -16,11 +16,11 @@ from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 
 from gateway.access.roles import LEAST_ROLE
-from gateway.views.hmi import controls
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.guard import refusal
+from gateway.views.hmi.html import controls
+from gateway.views.hmi.html.markup import Markup, join, tag
 from gateway.views.hmi.library import LibraryFile
-from gateway.views.hmi.markup import Markup, join, tag
 from gateway.views.hmi.sessions import LoginSession
 
 REPLAY = "/live-replay"  # where the frames of replays come from

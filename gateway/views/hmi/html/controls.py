@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 
-from gateway.views.hmi.markup import Markup, join, tag
+from gateway.views.hmi.html.markup import Markup, join, tag
 from protocol.bus import board51_pb2 as pb
 
 _MODES = (("Idle", "idle", pb.MODE_IDLE), ("Open loop", "open loop", pb.MODE_OPEN_LOOP),

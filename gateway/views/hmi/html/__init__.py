@@ -1,0 +1,1 @@
+"""The pages as text: markup, the controls of a board, whole pages."""
