@@ -56,6 +56,4 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         return f"[{match['text']}]({posixpath.relpath(name, posixpath.dirname(here) or '.')}{match['anchor'] or ''})"
 
     code = [match.span() for match in _CODE.finditer(markdown)]
-    return _LINK.sub(
-        lambda match: match[0] if any(a <= match.start() < b for a, b in code) else led(match), markdown
-    )
+    return _LINK.sub(lambda match: match[0] if any(a <= match.start() < b for a, b in code) else led(match), markdown)
