@@ -8,7 +8,7 @@ ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1
 # The lock first: a change of code does not install the dependencies again.
 COPY requirements.lock ./
 RUN pip install --no-cache-dir --disable-pip-version-check --require-hashes -r requirements.lock
-COPY pyproject.toml README.md board51.py ./
+COPY pyproject.toml README.md LICENSE board51.py ./
 COPY protocol ./protocol
 COPY gateway ./gateway
 COPY twin ./twin

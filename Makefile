@@ -1,11 +1,11 @@
-# make setup | demo | test | check | clean.  Everything lives in .venv, made from requirements.lock.
+# make setup | demo | test | check | docs | clean.  Everything lives in .venv, made from requirements.lock.
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 PYTEST_ARGS ?= -n 2 --dist loadgroup
 STAMP  := $(VENV)/.from-lock
 
-.PHONY: setup demo test check clean
+.PHONY: setup demo test check docs clean
 setup: $(STAMP)
 
 # --require-hashes: what is installed is what was locked, byte for byte.
@@ -32,6 +32,11 @@ check: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(MAKE) docs
+
+# Pages that open from the file system: site/index.html.  Strict: a broken link or a missing page is an error.
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 clean:
-	rm -rf $(VENV) demo-out .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) demo-out site .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
 
-from protocol.errors import Board51Error, one_line
+from protocol.errors import Board51Error, missing_extra, one_line
 from protocol.panics import is_panic, told
 
 DEBUG = "BOARD51_DEBUG"  # set it to see where an unexpected error came from
@@ -51,6 +51,16 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "bench": ("gateway.commands.bench", "benchmarks, each against a baseline in the same run"),
 }
 
+EXTRAS = {  # what a command needs beyond the core; what is not here runs without any extra
+    **dict.fromkeys(("demo", "twin", "identify", "design", "validate", "predict", "diagnose", "plot"), "twin"),
+    **dict.fromkeys(("import", "export"), "export"),
+    "emulate": "emulator",
+    "bench": "all",
+    "campaign": "campaign",
+    "hmi": "web",
+    "opcua": "opcua",
+}
+OURS = frozenset({"board51", "protocol", "gateway", "twin"})  # a module of these that is missing is no missing extra
 SERVICES = frozenset({"gateway", "twin", "hmi", "opcua", "foxglove", "router", "record"})  # run until they are told
 PANIC_PATIENCE_S = 10.0
 
@@ -69,34 +79,51 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("arguments", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
     chosen = parser.parse_args(arguments[:1]).command
 
-    module = importlib.import_module(COMMANDS[chosen][0])
-    command = argparse.ArgumentParser(
-        prog=f"board51 {chosen}", formatter_class=argparse.RawDescriptionHelpFormatter, description=module.__doc__
-    )
-    module.configure(command)
     try:
+        module = importlib.import_module(COMMANDS[chosen][0])
+        command = argparse.ArgumentParser(
+            prog=f"board51 {chosen}", formatter_class=argparse.RawDescriptionHelpFormatter, description=module.__doc__
+        )
+        module.configure(command)
         with _hang_up_ends_in_good_order():
             if chosen in SERVICES:
                 return _ending_at_a_panic(module.run, command.parse_args(arguments[1:]))
             return int(module.run(command.parse_args(arguments[1:])))
     except Board51Error as error:
-        print(f"board51 {chosen}: {error}", file=sys.stderr)
-        return error.exit_code
+        return _told(chosen, error)
+    except ModuleNotFoundError as error:
+        library = (error.name or "board51").partition(".")[0]
+        if chosen not in EXTRAS or library in OURS:
+            return _our_fault(chosen, error)
+        return _told(chosen, missing_extra(EXTRAS[chosen], library))
     except BrokenPipeError:  # `board51 watch | head`
         return 0
     except KeyboardInterrupt:
         return 130
     except Exception as error:
-        # Not the mend of anything: what a user can cause has an error of its own.  But whoever runs a plant needs one
-        # line to pass on, and a supervisor an exit code.
-        if os.environ.get(DEBUG):
-            raise
-        what = one_line(f"{type(error).__name__}: {error}", 300)
-        print(
-            f"board51 {chosen}: a fault of board51 ({what}). Report it with the command; {DEBUG}=1 shows where.",
-            file=sys.stderr,
-        )
-        return OUR_FAULT
+        return _our_fault(chosen, error)
+
+
+def _told(command: str, error: Board51Error) -> int:
+    """Exit code, after one line on stderr."""
+    print(f"board51 {command}: {error}", file=sys.stderr)
+    return error.exit_code
+
+
+def _our_fault(command: str, error: Exception) -> int:
+    """One line to report, and the exit code of a fault of board51; the whole trace where DEBUG is set.
+
+    It mends nothing: what a user can cause has an error of its own.  But whoever runs a plant needs one line to pass
+    on, and a supervisor an exit code.
+    """
+    if os.environ.get(DEBUG):
+        raise error
+    what = one_line(f"{type(error).__name__}: {error}", 300)
+    print(
+        f"board51 {command}: a fault of board51 ({what}). Report it with the command; {DEBUG}=1 shows where.",
+        file=sys.stderr,
+    )
+    return OUR_FAULT
 
 
 def _ending_at_a_panic(run: Callable[[argparse.Namespace], int], args: argparse.Namespace) -> int:

@@ -3,13 +3,16 @@
     Board51Error            everything raised on purpose; says what to do next
     ├── UsageError          the caller asked for something impossible  (exit code 2)
     │   ├── ConfigError     a configuration file or key
-    │   └── DataError       a recording, a table, a model file
+    │   ├── DataError       a recording, a table, a model file
+    │   └── InstallError    a part that is not installed
     └── ServiceError        the outside world said no: port, bus, disk  (exit code 1)
 
 Expected outcomes of an exchange (a time-out, a bad frame, a nack) are values, not exceptions.
 """
 
 from __future__ import annotations
+
+from importlib.util import find_spec
 
 LONGEST = 1000  # characters of a problem, and of a remedy
 
@@ -46,8 +49,31 @@ class DataError(UsageError):
     """A file that should hold data, a log or a model does not."""
 
 
+class InstallError(UsageError):
+    """A library of an optional part is not installed."""
+
+
 class ServiceError(Board51Error):
     """A port, the bus, the disk or another process refused."""
+
+
+def missing_extra(extra: str, library: str) -> InstallError:
+    """The error of a part whose `library` is absent: it comes with an extra of pyproject.toml."""
+    return InstallError(
+        f"{library} is not installed: it comes with the extra {extra!r}",
+        remedy=f"In the folder with board51's source: pip install '.[{extra}]' (or pipx install --force '.[{extra}]')",
+    )
+
+
+def require(extra: str, *libraries: str) -> None:
+    """Ask before long work, or before another process, whether the libraries of `extra` are installed.
+
+    Raises:
+        InstallError: one of them is not.
+    """
+    for library in libraries:
+        if find_spec(library) is None:
+            raise missing_extra(extra, library)
 
 
 def one_line(text: str, longest: int = LONGEST) -> str:

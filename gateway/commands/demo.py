@@ -27,7 +27,7 @@ from gateway.demo.bus import BusView
 from gateway.demo.findings import Flight, conclusion, gather, sentence, table
 from gateway.demo.processes import call, finish, free_port, listens, running, wait
 from protocol.bus import board51_pb2 as pb
-from protocol.errors import ServiceError, UsageError
+from protocol.errors import ServiceError, UsageError, require
 
 BOARD = "demo"
 HOLD_S = 2.0  # at each reference: the slowest closed-loop mode has long decayed
@@ -48,6 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 if the ball flew on all models and everything was written."""
+    require("twin", "numba", "mcap", "scipy", "matplotlib")  # before processes are started that need them
     try:
         args.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -10,6 +10,9 @@ from gateway.config import GatewayConfig
 from gateway.processes.supervisor import Service
 from gateway.views.account import ACCOUNT
 from gateway.views.listen import address
+from protocol.errors import require
+
+NEEDS = {"opcua": ("opcua", "asyncua"), "hmi": ("web", "starlette", "uvicorn")}  # view: extra, libraries
 
 
 def views_for(config: GatewayConfig) -> list[Service]:
@@ -17,6 +20,7 @@ def views_for(config: GatewayConfig) -> list[Service]:
 
     Raises:
         ConfigError: an address that is none, or a view that would be open to the network without protection.
+        InstallError: a view whose libraries are not installed.
     """
     z = config.zenoh
     endpoints = z.listen if z.mode == "router" else z.connect
@@ -30,6 +34,8 @@ def views_for(config: GatewayConfig) -> list[Service]:
     for name, listen in wanted.items():
         if not listen:
             continue
+        if name in NEEDS:
+            require(*NEEDS[name])
         host, port = address(listen, where=f"--{name} or [{name}] listen:")
         guarded = folder is not None and name in ("opcua", "hmi")
         own: tuple[str, ...] = ("--security", config.security.directory) if guarded else ()

@@ -1,0 +1,59 @@
+"""The documentation as files: it is complete, opens without a server, and loads nothing from anywhere else."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.gateway.views.chromium import ABSENT, CHROMIUM, chromium
+from tests.patience import HANG_S
+
+ROOT = Path(__file__).parents[2]
+LOADED = re.compile(r"<(?:script|img|iframe|link)\b[^>]*?\b(?:src|href)=[\"']?([^\"'\s>]+)")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The pages, built as `make docs` builds them."""
+    folder = tmp_path_factory.mktemp("site")
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", folder],
+        cwd=ROOT,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        timeout=HANG_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_pages_load_nothing_from_other_servers(site: Path) -> None:
+    pages = list(site.rglob("*.html"))
+
+    loaded = {(page.name, address) for page in pages for address in LOADED.findall(page.read_text(encoding="utf-8"))}
+
+    assert len(pages) > 25
+    assert not [(page, address) for page, address in loaded if re.match(r"(?:https?:)?//", address)]
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason=ABSENT)
+def test_the_search_works_from_the_file_system(site: Path) -> None:
+    with chromium() as browser:
+        page = browser.new_page()
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+
+        page.goto((site / "index.html").as_uri())
+        page.locator(".md-search__input").first.click()
+        page.keyboard.type("innovations likelihood")  # it listens to keys
+
+        expect(page.locator(".md-search-result__item").first).to_contain_text("likelihood", ignore_case=True)
+        assert not [url for url in asked if not url.startswith(("file:", "data:", "about:", "blob:"))]

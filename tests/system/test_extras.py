@@ -1,0 +1,162 @@
+"""An installation without extras: the gateway runs, and a command that needs more says in one line what to install."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sysconfig
+import tomllib
+import venv
+from importlib.metadata import distribution
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+import board51
+from gateway.emulator.serve import Emulator
+from tests.gateway.gateway_peers import free_port
+from tests.patience import HANG_S
+
+ROOT = Path(__file__).parents[2]
+INSTALLED = Path(sysconfig.get_path("purelib"))
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+WITHOUT = [
+    (["opcua"], "opcua"),
+    (["hmi"], "web"),
+    (["gateway", "--board", "rig1=/dev/null", "--opcua"], "opcua"),
+    (["gateway", "--board", "rig1=/dev/null", "--hmi"], "web"),
+    (["emulate", "--tcp", "127.0.0.1:0"], "emulator"),
+    (["campaign", "run", "folder", "--board", "rig1"], "campaign"),
+    (["import", "run.csv", "-o", "run.mcap"], "export"),
+    (["export", "run.mcap", "-o", "run.csv"], "export"),
+    (["twin"], "twin"),
+    (["identify", "campaign.toml"], "twin"),
+    (["design", "ce152"], "twin"),
+    (["validate", "campaign.toml", "--model", "ce152", "--out", "v"], "twin"),
+    (["predict", "ce152", "run.csv", "--horizon", "10", "--out", "p.csv"], "twin"),
+    (["diagnose", "campaign.toml", "--out", "d"], "twin"),
+    (["plot", "run.mcap", "--out", "p.png"], "twin"),
+    (["demo"], "twin"),
+    (["bench", "identify"], "all"),
+]
+
+
+def _closure(requirements: list[str]) -> set[str]:
+    """Names of all distributions that pip would install for them."""
+    found: set[str] = set()
+    wanted = [Requirement(text) for text in requirements]
+    while wanted:
+        requirement = wanted.pop()
+        if requirement.name in found:
+            continue
+        found.add(requirement.name)
+        for extra in ("", *requirement.extras):
+            for text in distribution(requirement.name).requires or ():
+                further = Requirement(text)
+                if further.marker is None or further.marker.evaluate({"extra": extra}):
+                    wanted.append(further)
+    return found
+
+
+def _environment(folder: Path, requirements: list[str]) -> Path:
+    """A virtual environment with these and what they need, linked from the one that runs the tests; its Python."""
+    venv.create(folder, symlinks=True, with_pip=False)
+    packages = folder / "lib" / INSTALLED.parent.name / "site-packages"
+    for name in _closure(requirements):
+        for top in {file.parts[0] for file in distribution(name).files or ()} - {"..", "__pycache__"}:
+            link = packages / top
+            if not link.is_symlink():
+                link.symlink_to(INSTALLED / top)
+    return folder / "bin" / "python"
+
+
+def _words(*words: object) -> list[str]:
+    return ["-m", "board51", *map(str, words)]
+
+
+@pytest.fixture(scope="module")
+def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Python of an environment with the core dependencies alone."""
+    return _environment(tmp_path_factory.mktemp("core"), PROJECT["dependencies"])
+
+
+def _run(python: Path, words: list[str], cwd: Path) -> subprocess.CompletedProcess[str]:
+    surroundings = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(
+        [python, *words], cwd=cwd, env=surroundings, capture_output=True, text=True, timeout=HANG_S, check=False
+    )
+
+
+def test_the_gateway_needs_no_extra(core: Path, tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with Emulator(boards=1) as emulator:
+        words = _words("gateway", "--board", f"rig1={emulator.urls[0]}", "--listen", endpoint, "--log-dir", "logs")
+        surroundings = {**os.environ, "PYTHONPATH": str(ROOT)}
+        gateway = subprocess.Popen([core, *words], cwd=tmp_path, env=surroundings)
+        try:
+            watched = _run(
+                core,
+                _words("watch", "--connect", endpoint, "--topic", "state", "--count", 20, "--timeout", HANG_S),
+                tmp_path,
+            )
+            stopped = _run(core, _words("send", "rig1", "stop", "--connect", endpoint), tmp_path)
+        finally:
+            gateway.send_signal(signal.SIGTERM)
+            code = gateway.wait(HANG_S)
+    (log,) = (tmp_path / "logs").glob("*.mcap")
+
+    told = _run(core, _words("info", log), tmp_path)
+
+    assert watched.returncode == 0, watched.stderr
+    assert stopped.returncode == 0, stopped.stderr
+    assert code == 0
+    assert told.returncode == 0, told.stderr
+    assert "rig1" in told.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "extra"),
+    WITHOUT,
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_a_command_without_its_extra_says_what_to_install(
+    words: list[str], extra: str, core: Path, tmp_path: Path
+) -> None:
+    done = _run(core, _words(*words), tmp_path)
+
+    assert done.returncode == 2, done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert f"pip install '.[{extra}]'" in done.stderr
+    assert extra in PROJECT["optional-dependencies"]
+
+
+def test_every_command_that_needs_an_extra_is_tried_above() -> None:
+    assert {words[0] for words, _ in WITHOUT} - {"gateway"} == set(board51.EXTRAS)
+
+
+@pytest.mark.parametrize(
+    ("extra", "packages"),
+    [
+        ("opcua", ["gateway.views.opcua"]),
+        ("web", ["gateway.views.hmi"]),
+        ("emulator", ["gateway.emulator"]),
+        ("campaign", ["gateway.campaign"]),
+        ("export", ["gateway.record"]),
+        ("twin", ["twin"]),
+    ],
+)
+def test_an_extra_has_all_that_its_part_imports(extra: str, packages: list[str], tmp_path: Path) -> None:
+    python = _environment(tmp_path / "env", [*PROJECT["dependencies"], *PROJECT["optional-dependencies"][extra]])
+    code = (
+        "import importlib, pkgutil\n"
+        f"for name in {packages}:\n"
+        "    package = importlib.import_module(name)\n"
+        "    for module in pkgutil.walk_packages(package.__path__, name + '.'):\n"
+        "        importlib.import_module(module.name)\n"
+    )
+
+    done = _run(python, ["-c", code], tmp_path)
+
+    assert done.returncode == 0, done.stderr
