@@ -114,7 +114,10 @@ def excite(
             )
         duration_s = 0.0
     elif duration_s is None:
-        raise UsageError(f"The {shape} has no end", remedy="Give its duration, or say that it shall be endless")
+        raise UsageError(
+            f"The {shape} has no end",
+            remedy="Give --duration S, or --duration endless if it shall have none (duration_s, math.inf)",
+        )
     elif not duration_s > 0:  # 0 is endless on the bus
         raise UsageError(f"{duration_s:g} s is no duration", remedy="Give a positive one")
     return pb.Command(

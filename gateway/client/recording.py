@@ -17,7 +17,7 @@ from gateway.client.values import Samples, read_log
 from gateway.record.recorder import Recorder, RecorderStats
 from protocol.bus import topics
 from protocol.bus.encoding import parse
-from protocol.errors import UsageError
+from protocol.files import make_folder
 
 
 class Recording:
@@ -53,9 +53,9 @@ class Recording:
     ) -> None:
         topics.check_name(prefix, what="prefix")
         self._session, self._keys, self._board = session, f"{site}/{board}/**", board
-        folder = writable_folder(Path(directory))
+        make_folder(Path(directory))
         self._recorder = Recorder(
-            folder,
+            Path(directory),
             prefix=prefix,
             rotate_bytes=rotate_bytes,
             rotate_s=rotate_s,
@@ -131,14 +131,3 @@ class Recording:
         if own_ns is not None:
             self._newest_ns[board] = max(own_ns, self._newest_ns.get(board, 0))
         self._recorder.put(key, data, self._newest_ns.get(board, time.time_ns()) if own_ns is None else own_ns)
-
-
-def writable_folder(folder: Path) -> Path:
-    """Make it.  Raises UsageError where that is not possible."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(
-            f"Directory {folder} cannot be made: {error.strerror}", remedy="Name a folder that can be written"
-        ) from None
-    return folder

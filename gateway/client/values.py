@@ -158,7 +158,7 @@ def read_log(path: Path | str | Sequence[Path], *, board: str | None = None) -> 
     Raises:
         DataError: no log of ours, a damaged one, no such board, or several boards and none was named.
     """
-    from gateway.record.reader import read
+    from protocol.log.reader import read
 
     where = Path(path) if isinstance(path, str) else path
     rows, boards = [], set()

@@ -14,10 +14,11 @@ from dataclasses import asdict
 from pathlib import Path
 
 from gateway.client.connection import add_bus_arguments, open_bus
-from gateway.client.recording import Recording, writable_folder
+from gateway.client.recording import Recording
 from protocol.bus import topics
 from protocol.bus.identity import find_identity
 from protocol.errors import UsageError
+from protocol.files import make_folder
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     topics.check_name(args.site, what="--site")
     if args.board != "*":
         topics.check_name(args.board, what="--board")
-    writable_folder(args.out)
+    make_folder(args.out)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())

@@ -68,5 +68,6 @@ def test_my_script_survives_a_gateway_that_dies(
 def test_my_browser_finds_the_page(board51_gateway: GatewayFactory) -> None:
     gateway = board51_gateway(hmi=True, log=False, config="[log]\nqueue = 1000\n")
 
-    with urllib.request.urlopen(f"{gateway.hmi_url}/login", timeout=60.0) as page:
+    request = urllib.request.Request(gateway.hmi_url, headers={"Accept": "text/html"})
+    with urllib.request.urlopen(request, timeout=60.0) as page:
         assert b"<html" in page.read().lower()
