@@ -56,7 +56,7 @@ class EmulatorFactory(Protocol):
             effects: What the rig does beyond the model, by name: `board51 emulate --help` lists them with their units.
             faults: What goes wrong on the line, as for `board51 emulate --fault`; `.inject(...)` adds one later.
             lockstep: The boards' time passes in `.advance(duration_s)` alone; for code that talks to the port itself.
-            speed: Times faster than real time; 0: as fast as possible.
+            speed: Of the boards' time, times faster than real time; 0: as fast as possible.
             seed: Of noise and faults.
             baud: Of the line, bit/s.
 

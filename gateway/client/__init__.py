@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from gateway.client.commands import HostLoss, Law, Mode, OperatingPoint, Shape
     from gateway.client.errors import CommandNotDeliveredError, CommandRefusedError, NoSamplesError
     from gateway.client.recording import Recording
-    from gateway.client.rig import Rig
+    from gateway.client.rig import Rig, SampleStream
     from gateway.client.values import Capture, Reply, Sample, Samples, read_log
 
 __all__ = [
@@ -37,6 +37,7 @@ __all__ = [
     "Reply",
     "Rig",
     "Sample",
+    "SampleStream",
     "Samples",
     "Shape",
     "read_log",
@@ -46,7 +47,7 @@ _HOMES = {
     "commands": ("HostLoss", "Law", "Mode", "OperatingPoint", "Shape"),
     "errors": ("CommandNotDeliveredError", "CommandRefusedError", "NoSamplesError"),
     "recording": ("Recording",),
-    "rig": ("Rig",),
+    "rig": ("Rig", "SampleStream"),
     "values": ("Capture", "Reply", "Sample", "Samples", "read_log"),
 }
 
