@@ -142,6 +142,15 @@ class Campaign:
     controller: Controller | None
     recordings: tuple[Recording, ...]
 
+    @classmethod
+    def load(cls, path: Path | str) -> Campaign:
+        """Read campaign.toml, or that of a folder.
+
+        Raises:
+            DataError: see the text; it names file, key and value.
+        """
+        return load(Path(path))
+
     def path_of(self, recording: Recording, *, data: Path | None = None) -> Path:
         """The recording's file: in the campaign's folder, else in the data folder.
 

@@ -1,1 +1,65 @@
-"""The model and its critic: the paper's equations in step with a rig, and where they part."""
+"""The model and its critic: the paper's equations in step with a rig, and where they part.
+
+    from twin import Campaign, diagnose, identify, predict
+
+    campaign = Campaign.load("runs/monday")
+    model = identify(campaign).model
+    found = diagnose(campaign, model=model, quick=True)
+    print(found.sentence)
+    found.save("diagnosis")                         # diagnosis.json, report.html, extended_model.json
+    ahead = predict(found.extended, "runs/monday/flight.csv", horizon_samples=10)
+    print(ahead.rmse_m, ahead.x_hat_m.shape)
+
+Quantities are in SI units.  `import twin` is quick: a name is imported when it is first used.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from protocol.campaign import Campaign
+    from twin.api import (
+        Designed,
+        Diagnosed,
+        Identified,
+        Predicted,
+        Validated,
+        design,
+        diagnose,
+        identify,
+        predict,
+        validate,
+    )
+    from twin.model.parameters import Model
+
+__all__ = [
+    "Campaign",
+    "Designed",
+    "Diagnosed",
+    "Identified",
+    "Model",
+    "Predicted",
+    "Validated",
+    "design",
+    "diagnose",
+    "identify",
+    "predict",
+    "validate",
+]
+
+_PACKAGES = ("design", "diagnose", "identify", "validate")  # can be called: verb.py
+_ELSEWHERE = {"Campaign": "protocol.campaign", "Model": "twin.model.parameters"}
+
+
+def __getattr__(name: str) -> object:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name in _PACKAGES:
+        return importlib.import_module(f"{__name__}.{name}")
+    return getattr(importlib.import_module(_ELSEWHERE.get(name, f"{__name__}.api")), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,4 +1,4 @@
-"""A client of the bus: open a session, send a command, subscribe.  For the commands; other programs need only zenoh.
+"""The bus as its clients see it: open a session, send a command.  `rig.py` is what programs use.
 
 An empty list of replies means any of: no gateway, no rights, crashed, not answered.  The gateway always answers, so
 empty is "not delivered" and is said as such.
@@ -86,7 +86,7 @@ def send(
         timeout_s: for the answer; the command does not begin to act later.
         identity: whose command it is, on a guarded bus.
         role: instead of an identity: of `command.who`, whom the caller has checked; only the views' account may do so.
-        typed: whether the sender gave options of a command line, which may be wrong.
+        typed: whether the sender gave endpoint and identity, which may be wrong.
     """
     if not command.id:
         command.id = uuid.uuid4().hex
@@ -99,7 +99,7 @@ def send(
     while True:
         if is_new:
             command.issued_ns = time.time_ns()
-        answer = _ask(session, key, command, timeout_s)
+        answer = ask(session, key, command, timeout_s)
         if answer is None:
             return _unanswered(command, f"{site}/{board}", guarded=identity is not None, typed=typed)
         if not is_new or answer.reason != "not-fresh" or time.monotonic() >= end_s:
@@ -107,9 +107,12 @@ def send(
         time.sleep(0.1)
 
 
-def _ask(session: zenoh.Session, key: str, command: pb.Command, timeout_s: float) -> pb.CommandReply | None:
+def ask(
+    session: zenoh.Session, key: str, command: pb.Command | pb.TwinCommand, timeout_s: float
+) -> pb.CommandReply | None:
+    """Put one query as it is; the first answer, or None."""
     replies = session.get(
-        key, payload=command.SerializeToString(), encoding=zenoh_encoding(pb.Command), timeout=timeout_s
+        key, payload=command.SerializeToString(), encoding=zenoh_encoding(type(command)), timeout=timeout_s
     )
     answers = (parse(pb.CommandReply, reply.ok.payload.to_bytes()) for reply in replies if reply.ok is not None)
     return next((answer for answer in answers if answer is not None), None)
@@ -118,7 +121,7 @@ def _ask(session: zenoh.Session, key: str, command: pb.Command, timeout_s: float
 def _unanswered(command: pb.Command, board: str, *, guarded: bool, typed: bool) -> pb.CommandReply:
     text = f"No gateway answered for {board}: is it running, and is that the board's name?"
     if typed:
-        options = " If it does not guard its bus, leave --identity out.", " A guarded one wants --identity."
+        options = " If its bus is not guarded, give no identity.", " A guarded bus needs an identity (--identity)."
         text += options[0] if guarded else options[1]
     text += " Had one received the command before it ended, it may have acted."
     return pb.CommandReply(id=command.id, refused_by="link", reason="not-delivered", text=text)

@@ -10,16 +10,15 @@ import json
 import signal
 import sys
 import threading
-import time
 from dataclasses import asdict
 from pathlib import Path
 
 from gateway.client.connection import add_bus_arguments, open_bus
-from gateway.record.recorder import Recorder
+from gateway.client.recording import Recording
 from protocol.bus import topics
-from protocol.bus.encoding import parse
 from protocol.bus.identity import find_identity
 from protocol.errors import UsageError
+from protocol.files import make_folder
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -39,59 +38,27 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Record until told to stop; 1 where nothing came or something was lost."""
-    import zenoh
-
     if args.rotate_mb <= 0 or args.rotate_s <= 0 or (args.seconds is not None and args.seconds <= 0):
         raise UsageError("--rotate-mb, --rotate-s and --seconds are positive", remedy="Correct them")
     topics.check_name(args.prefix, what="--prefix")
     topics.check_name(args.site, what="--site")
     if args.board != "*":
         topics.check_name(args.board, what="--board")
-    try:
-        args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(
-            f"Directory {args.out} cannot be made: {error.strerror}", remedy="Give --out a folder that can be written"
-        ) from None
+    make_folder(args.out)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    recorder = Recorder(
-        args.out, prefix=args.prefix, rotate_bytes=round(args.rotate_mb * 1e6), rotate_s=args.rotate_s,
-        metadata={"record": {"connect": args.connect, "keys": f"{args.site}/{args.board}/**"}},
-        on_event=lambda name, severity, text: print(f"{severity}: {name}: {text}", file=sys.stderr, flush=True),
-    )  # fmt: skip
-
-    newest_ns: dict[str, int] = {}
-
-    def arrived(sample: zenoh.Sample) -> None:
-        if stop.is_set():
-            return
-        key, data = str(sample.key_expr), sample.payload.to_bytes()
-        place = topics.split(key)
-        if place is None or not topics.BY_NAME[place[2]].logged:
-            return
-        _, board, topic = place
-        message = parse(topics.BY_NAME[topic].message, data)
-        # Log time is the gateway's, as in its own log.  What bears no time (twin/*) gets that of the board's newest
-        # message: the clock of this host may be another one.
-        own_ns: int | None = getattr(message, "host_time_ns", getattr(message, "received_ns", None))
-        if own_ns is not None:
-            newest_ns[board] = max(own_ns, newest_ns.get(board, 0))
-        recorder.put(key, data, newest_ns.get(board, time.time_ns()) if own_ns is None else own_ns)
-
     with open_bus(args.connect, find_identity(args.identity)) as session:
-        recorder.start()
-        try:
-            subscriber = session.declare_subscriber(f"{args.site}/{args.board}/**", arrived)
-            print(f"recording {args.site}/{args.board}/** into {recorder.stats().file}", file=sys.stderr, flush=True)
+        recording = Recording(
+            session, args.site, args.board, args.out, prefix=args.prefix,
+            rotate_bytes=round(args.rotate_mb * 1e6), rotate_s=args.rotate_s,
+            metadata={"record": {"connect": args.connect, "keys": f"{args.site}/{args.board}/**"}},
+            on_event=lambda name, severity, text: print(f"{severity}: {name}: {text}", file=sys.stderr, flush=True),
+        )  # fmt: skip
+        with recording.start():
+            print(f"recording {args.site}/{args.board}/** into {recording.stats.file}", file=sys.stderr, flush=True)
             stop.wait(args.seconds)
-            # What comes from here on is not part of the recording: a closed recorder would count it as dropped.
-            stop.set()
-            subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
-        finally:
-            recorder.close()
-    stats = recorder.stats()
+    stats = recording.stats
     if args.json:
         print(json.dumps(asdict(stats)))
     else:

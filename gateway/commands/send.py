@@ -6,7 +6,6 @@ Exit code 0 if the board accepted it, 1 if it was refused or not delivered.
 from __future__ import annotations
 
 import argparse
-import getpass
 import json
 import math
 import shlex
@@ -14,15 +13,10 @@ import shlex
 from google.protobuf.json_format import MessageToDict
 
 from gateway.access.authorize import MAX_AGE_S
-from gateway.client.connection import add_bus_arguments, open_bus, send
+from gateway.client import commands
+from gateway.client.connection import add_bus_arguments
+from gateway.client.rig import Rig
 from protocol.bus import board51_pb2 as pb
-from protocol.bus.identity import find_identity
-from protocol.bus.topics import check_name
-from protocol.errors import UsageError
-
-_MODES = {"idle": pb.MODE_IDLE, "open-loop": pb.MODE_OPEN_LOOP, "closed-loop": pb.MODE_CLOSED_LOOP}
-_SHAPES = {name.removeprefix("SHAPE_").lower(): name for name in pb.Shape.keys()}
-_POLICIES = {"keep": 0, "coil-off": 1, "hold": 2}
 
 
 def _number(text: str) -> float:
@@ -47,9 +41,9 @@ def _wait(text: str) -> float:
 
 
 def _duration(text: str) -> float:
-    """Seconds; 0, which is endless on the bus, only by its name."""
+    """Seconds; without end only by its name."""
     if text == "endless":
-        return 0.0
+        return math.inf
     value = _number(text)
     if value <= 0:
         raise argparse.ArgumentTypeError(f"{text} s is no duration; without end it is 'endless'")
@@ -99,19 +93,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("board", help="name of the board")
     what = parser.add_subparsers(dest="what", required=True, metavar="COMMAND")
     what.add_parser("mode", parents=[options], help="idle, open-loop or closed-loop").add_argument(
-        "mode", choices=_MODES
+        "mode", choices=list(commands.Mode)
     )
     what.add_parser("reference", parents=[options], help="position to hold").add_argument(
         "x_ref", type=_number, metavar="METRES"
     )
     gains = what.add_parser("gains", parents=[options], help="control law, gains and operating point, SI (eq. 16-19)")
     gains.add_argument("gains", type=_number, nargs=4, metavar="K", help="LQI: k_i k_x k_v k_int; PID: k_p k_int k_d 0")
-    gains.add_argument("--law", choices=("lqi", "pid"), default="lqi")
+    gains.add_argument("--law", choices=list(commands.Law), default=commands.Law.LQI)
     gains.add_argument("--operating-point", type=_number, nargs=3, required=True, metavar=("I_A", "X_M", "U_V"))
     excite = what.add_parser(
         "excite", parents=[options], help="play a signal on u_c (open loop) or x_ref (closed loop)"
     )
-    excite.add_argument("shape", choices=_SHAPES)
+    excite.add_argument("shape", choices=list(commands.Shape))
     excite.add_argument("--on-reference", action="store_true", help="x_ref in metres instead of u_c in volts")
     for name, unit in (("amplitude", "V|M"), ("period", "S"), ("period-end", "S")):
         excite.add_argument(f"--{name}", type=_number, default=0.0, metavar=unit)
@@ -131,7 +125,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     capture.add_argument("--pre", type=_number, default=0.004, metavar="S", help="before the step (0.004 s)")
     what.add_parser("stream", parents=[options], help="send every n-th tick").add_argument("divider", type=_whole)
     loss = what.add_parser("host-loss", parents=[options], help="what the board does without its host")
-    loss.add_argument("policy", choices=_POLICIES)
+    loss.add_argument("policy", choices=list(commands.HostLoss))
     loss.add_argument("--after", type=_number, default=1.0, metavar="S", help="1 s")
     what.add_parser("mark", parents=[options], help="a remark at this moment, into every log").add_argument(
         "text", type=_text
@@ -143,78 +137,63 @@ def configure(parser: argparse.ArgumentParser) -> None:
     what.add_parser("ping", parents=[options], help="sign of life")
 
 
-def _login() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a container's user need not have a name
-        return "unknown"
-
-
 def build(args: argparse.Namespace) -> pb.Command:
     """The bus command that the arguments describe.
 
     Raises:
         UsageError: an excitation without its end, or with a level that would count for nothing.
     """
-    command = pb.Command(id=args.id, who=args.who or _login(), issued_ns=args.issued)
     match args.what:
         case "mode":
-            command.set_mode.mode = _MODES[args.mode]
+            return commands.set_mode(args.mode)
         case "reference":
-            command.set_reference.x_ref_m = args.x_ref
+            return commands.set_reference(args.x_ref)
         case "gains":
-            i_0, x_0, u_0 = args.operating_point
-            law = pb.LAW_LQI if args.law == "lqi" else pb.LAW_PID
-            command.set_gains.CopyFrom(pb.SetGains(law=law, gains=args.gains, i_0_a=i_0, x_0_m=x_0, u_0_v=u_0))
+            i_c_a, x_m, u_c_v = args.operating_point
+            point = commands.OperatingPoint(i_c_a=i_c_a, x_m=x_m, u_c_v=u_c_v)
+            return commands.set_gains(args.gains, point, law=args.law)
         case "excite":
-            if args.shape == "none" and args.on_reference and args.offset is not None:
-                raise UsageError(
-                    "An excitation of the reference that ends leaves it where it is: --offset counts for nothing",
-                    remedy="Leave it out, and move the reference with `board51 send BOARD reference METRES`",
-                )
-            if args.shape != "none" and args.duration is None:
-                raise UsageError(
-                    f"The {args.shape} has no end",
-                    remedy="Give --duration S, or --duration endless if it shall have none",
-                )
-            command.excite.CopyFrom(
-                pb.Excite(
-                    shape=_SHAPES[args.shape],
-                    on_reference=args.on_reference,
-                    amplitude=args.amplitude,
-                    offset=args.offset,
-                    period_s=args.period,
-                    period_end_s=args.period_end,
-                    seed=args.seed,
-                    duration_s=args.duration or 0.0,
-                )
+            return commands.excite(
+                args.shape,
+                on_reference=args.on_reference,
+                amplitude=args.amplitude,
+                offset=args.offset,
+                period_s=args.period,
+                period_end_s=args.period_end,
+                seed=args.seed,
+                duration_s=args.duration,
             )
         case "capture":
-            command.capture.CopyFrom(
-                pb.Capture(u_from_v=args.u_from, u_to_v=args.u_to, duration_s=args.duration, pre_s=args.pre)
-            )
+            return commands.capture(u_from_v=args.u_from, u_to_v=args.u_to, duration_s=args.duration, pre_s=args.pre)
         case "stream":
-            command.set_stream.divider = args.divider
+            return commands.set_stream(args.divider)
         case "host-loss":
-            command.set_host_loss.CopyFrom(pb.SetHostLoss(policy=_POLICIES[args.policy], timeout_s=args.after))
+            return commands.set_host_loss(args.policy, timeout_s=args.after)
         case "mark":
-            command.mark.text = args.text
+            return commands.mark(args.text)
         case "acknowledge":
-            command.acknowledge.CopyFrom(pb.Acknowledge(alarm=args.alarm, comment=args.comment))
+            return commands.acknowledge(args.alarm, comment=args.comment)
         case "stop":
-            command.stop.SetInParent()
+            return commands.stop()
         case _:
-            command.ping.SetInParent()
-    return command
+            return commands.ping()
 
 
 def run(args: argparse.Namespace) -> int:
     """Send, print, 0 or 1."""
-    check_name(args.board, what="board")
-    identity = find_identity(args.identity)
     command = build(args)
-    with open_bus(args.connect, identity) as session:
-        reply = send(session, args.site, args.board, command, timeout_s=args.timeout, identity=identity)
+    command.id, command.issued_ns = args.id, args.issued
+    rig = Rig(
+        args.board,
+        connect=args.connect,
+        site=args.site,
+        identity=args.identity,
+        who=args.who,
+        timeout_s=args.timeout,
+        stop_on_error=False,
+    )
+    with rig:
+        reply = rig.send(command)
     if args.json:
         print(
             json.dumps(

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import queue
 import sys
 import time
 
-import zenoh
 from google.protobuf.json_format import MessageToDict
 from google.protobuf.message import Message
 
 from gateway.client.connection import add_bus_arguments, open_bus
+from gateway.client.feed import Feed
 from protocol.bus import topics
-from protocol.bus.encoding import parse
 from protocol.bus.identity import find_identity
 
 LONGEST = 200  # characters of a text on a line for people
@@ -57,29 +55,25 @@ def run(args: argparse.Namespace) -> int:
     """0 when something came, 1 when nothing did before the time-out."""
     wanted = args.topic or [t.name for t in topics.TOPICS if t.bus and t.by != "client" and t.rate != "every tick"]
     wanted = [name for name in wanted if args.topic or name != "state"]
-    samples: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
-
-    def arrived(sample: zenoh.Sample) -> None:
-        samples.put((str(sample.key_expr), sample.payload.to_bytes()))
-
     printed, last = 0, dict[str, float]()
     end = time.monotonic() + args.timeout if args.timeout else None
-    with open_bus(args.connect, find_identity(args.identity)) as session:
-        for name in wanted:
-            session.declare_subscriber(f"{args.site}/{args.board}/{name}", arrived)
+    with (
+        open_bus(args.connect, find_identity(args.identity)) as session,
+        Feed(session, args.site, args.board, wanted) as feed,
+    ):
         while not args.count or printed < args.count:
-            try:
-                key, data = samples.get(timeout=max(0.0, end - time.monotonic()) if end else None)
-            except queue.Empty:
+            arrival = feed.take(max(0.0, end - time.monotonic()) if end else None)
+            if arrival is None:
                 break
-            place = topics.split(key)
-            message = parse(topics.BY_NAME[place[2]].message, data) if place else None
+            key, message, size = arrival
             if message is None:
-                print(f"{key}: {len(data)} bytes that are not its message", file=sys.stderr)
+                print(f"{key}: {size} bytes that are not its message", file=sys.stderr)
                 continue
             now = time.monotonic()
             if now - last.get(key, -1e9) >= args.every:
                 last[key] = now
                 printed += 1
                 print(_line(key, message, as_json=args.json), flush=True)
+    if feed.dropped:
+        print(f"{feed.dropped} messages were lost: printing took too long", file=sys.stderr)
     return 0 if printed else 1

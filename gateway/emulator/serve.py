@@ -10,6 +10,8 @@ Rule 1: deadlines are absolute: tick k of every board is due at start + k * T_s 
 Rule 2: one thread runs all boards; other threads only hand it work (`call`).
 Rule 3: with speed 0 nothing is due: time stands until a host is connected, and a host that reads slowly slows the
         boards instead of losing bytes.
+Rule 4: in lockstep time passes in `advance` alone.  What the host has written before is there at the first tick; what
+        it does not read in between, it loses once the port's buffer is full.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from gateway.emulator.firmware.flash import T_S_US
 from gateway.emulator.line import BoardLine, LineCounts
 from gateway.emulator.plant.levitation import EmulatedPlant
 from gateway.emulator.ports import EmulatedPort, PtyPort, TcpPort
-from protocol.errors import ServiceError
+from protocol.errors import ServiceError, UsageError
 
 _T_NS = T_S_US * 1000
 _BURST = 50  # ticks made up for at once at most
@@ -45,10 +47,10 @@ class Server:
 
     Args:
         lines: The boards; closed at the end of `run`.
-        speed: Times faster than real time; 0: as fast as possible.
+        speed: Times faster than real time; 0: as fast as possible; None: in lockstep, by `call` alone.
     """
 
-    def __init__(self, lines: list[BoardLine], *, speed: float = 1.0) -> None:
+    def __init__(self, lines: list[BoardLine], *, speed: float | None = 1.0) -> None:
         self.lines = lines
         self.late_ticks = 0
         self.worst_lateness_s = 0.0
@@ -75,8 +77,11 @@ class Server:
         """Run the boards, for `duration_s` of their time or until `stop`; then close their ports."""
         ticks = None if duration_s is None else round(duration_s * 1_000_000 / T_S_US)
         try:
-            if self._speed > 0:
-                self._run_in_time(ticks)
+            if self._speed is None:
+                while not self._stopped:
+                    self._rest(None)
+            elif self._speed > 0:
+                self._run_in_time(ticks, self._speed)
             else:
                 self._run_flat_out(ticks)
         finally:
@@ -96,8 +101,8 @@ class Server:
             os.close(wake_in)
             os.close(self._wake_out)
 
-    def _run_in_time(self, ticks: int | None) -> None:
-        period_ns = _T_NS / self._speed
+    def _run_in_time(self, ticks: int | None, speed: float) -> None:
+        period_ns = _T_NS / speed
         start_ns = time.monotonic_ns()
         done, allowed, before_ns = 0, 0.0, start_ns
         while not self._stopped and done != ticks:
@@ -132,7 +137,7 @@ class Server:
                     line.step(wait_s=_PATIENCE_S)
                 done += 1
 
-    def _rest(self, timeout_s: float) -> None:
+    def _rest(self, timeout_s: float | None) -> None:
         """Sleep until the next deadline or a wake-up, then do what other threads asked for."""
         if self._selector.select(timeout_s):
             os.read(self._wake_out, 4096)
@@ -155,6 +160,8 @@ class Emulator:
         tcp: On free TCP ports of 127.0.0.1; else on ptys.
         pty: With tcp false: path of the link (several boards: PATH-1, PATH-2, ...); None: in a temporary folder.
         speed: Times faster than real time; 0: as fast as possible.
+        lockstep: Time passes in `advance` alone, for code that talks to the port itself: a gateway takes a board whose
+            time stands for one that is silent.
         effects: Strengths by name, for every board.
         faults: As given to --fault, or parsed; for every board.
         seed: Of noise and faults; board n has seed + n.
@@ -169,6 +176,7 @@ class Emulator:
         tcp: bool = True,
         pty: Path | None = None,
         speed: float = 1.0,
+        lockstep: bool = False,
         effects: Mapping[str, float] = _NO_EFFECTS,
         faults: Iterable[str | Fault] = (),
         seed: int = 0,
@@ -183,8 +191,10 @@ class Emulator:
             [TcpPort("127.0.0.1", 0) for _ in range(boards)] if pty is None or tcp else list(pty_ports(pty, boards))
         )
         self._server = Server(
-            build_lines(ports, effects=effects, faults=faults, seed=seed, baud=baud, board_id=board_id), speed=speed
+            build_lines(ports, effects=effects, faults=faults, seed=seed, baud=baud, board_id=board_id),
+            speed=None if lockstep else speed,
         )
+        self._lockstep = lockstep
         self._thread = threading.Thread(target=self._server.run, name="emulator", daemon=True)
 
     def __enter__(self) -> Self:
@@ -210,6 +220,33 @@ class Emulator:
         """Ticks that could not be run in time."""
         return self._server.late_ticks
 
+    def advance(self, duration_s: float) -> float:
+        """In lockstep: let that much time of all boards pass, and return; the boards' time since power-on, s.
+
+        Raises:
+            UsageError: the emulator runs by the clock.
+            ServiceError: a host that is connected did not read, and has lost bytes: read more often, `advance` less.
+        """
+        if not self._lockstep:
+            raise UsageError("This emulator runs by the clock", remedy="Make it with lockstep=True")
+        lines, ticks = self._server.lines, round(duration_s * 1_000_000 / T_S_US)
+
+        def work(_first: BoardLine) -> None:
+            there = [line for line in lines if line.port.connected()]
+            lost = sum(line.counts.bytes_not_taken for line in there)
+            for _ in range(ticks):
+                for line in lines:
+                    line.step()
+            lost = sum(line.counts.bytes_not_taken for line in there) - lost
+            if lost and all(line.port.connected() for line in there):
+                raise ServiceError(
+                    f"The host has not read, and has lost {lost} bytes of the {duration_s:g} s",
+                    remedy="Advance by 0.1 s at most, and read in between",
+                )
+
+        self._do(work, 0, patience_s=10.0 * (1.0 + duration_s))
+        return lines[0].time_s
+
     def counts(self, board: int = 0) -> LineCounts:
         """What the line of a board has seen."""
         return self._server.lines[board].counts
@@ -231,7 +268,7 @@ class Emulator:
         """Plug it in again; a pty perhaps under another name."""
         self._do(lambda line: line.reconnect(renamed=renamed), board)
 
-    def _do(self, action: Callable[[BoardLine], None], board: int) -> None:
+    def _do(self, action: Callable[[BoardLine], None], board: int, *, patience_s: float = 10.0) -> None:
         line, done = self._server.lines[board], threading.Event()
         failures: list[Exception] = []
 
@@ -243,7 +280,7 @@ class Emulator:
             done.set()
 
         self._server.call(work)
-        if not done.wait(10.0):
+        if not done.wait(patience_s):
             raise ServiceError("The emulator's thread does not answer", remedy="Use it inside its `with` block")
         if failures:
             raise failures[0]

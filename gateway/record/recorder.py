@@ -81,6 +81,7 @@ class Recorder:
     ) -> None:
         self.directory = directory
         self.on_event = on_event
+        self.files: list[Path] = []  # all parts that were begun
         self._prefix = prefix
         self._rotate_bytes = rotate_bytes
         self._rotate_s = rotate_s
@@ -234,6 +235,7 @@ class Recorder:
             except LogError as error:
                 if error.reason != "exists already":
                     raise
+        self.files.append(writer.path)
         for entry in self._parameters.values():
             writer.write(*entry)
         self._opened_s = self._flushed_s = time.monotonic()

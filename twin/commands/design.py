@@ -8,17 +8,13 @@ the converters cost, and whether the model's uncertainty could make it unstable.
 from __future__ import annotations
 
 import argparse
-import json
-import math
 import sys
 from pathlib import Path
 
 from protocol.bus.endpoint import DEFAULT_ENDPOINT
 from protocol.bus.identity import HELP, find_identity
 from protocol.bus.topics import DEFAULT_SITE
-from protocol.errors import DataError, UsageError
-
-SAMPLE_TIME_MIN_S, SAMPLE_TIME_MAX_S = 1e-4, 2e-2
+from protocol.errors import UsageError
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -78,62 +74,47 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Design, print, write."""
     # Imported here: --help must not wait for numba and scipy.
+    from twin.api.functions import design
+    from twin.api.results import as_text, write_text
     from twin.design.board import Converters
-    from twin.design.design import design, require_known
-    from twin.design.gains import Weights, bryson, operating_point
-    from twin.design.report import controller, everything, table
-    from twin.model.nominal import SHIPPED, nominal
-    from twin.model.parameters import load_model
 
-    if not SAMPLE_TIME_MIN_S <= args.sample_time <= SAMPLE_TIME_MAX_S:
-        raise UsageError(
-            f"--sample-time {args.sample_time:g} s",
-            remedy=f"Give {SAMPLE_TIME_MIN_S:g} to {SAMPLE_TIME_MAX_S:g} s; the board runs at 0.002",
-        )
-    if not (math.isfinite(args.u_max) and args.u_max > 0.0):
-        raise UsageError(f"--u-max {args.u_max:g} V", remedy="Give a positive voltage")
-    if args.seed < 0:
-        raise UsageError(f"--seed {args.seed}", remedy="Give a number from 0")
-    if args.observer and args.law != "lqi":
-        raise UsageError("--observer with --law pid", remedy="An observer needs state feedback: use --law lqi")
     if args.observer and args.send is not None:
         raise UsageError(
             "--observer with --send", remedy="The board cannot run an observer: leave out the one or other"
         )
-    if args.settling_time is not None and args.Q is not None and args.R is not None:
-        raise UsageError("--settling-time beside --Q and --R has no effect", remedy="Leave out the one or the other")
-    model = nominal(args.model) if args.model in SHIPPED else load_model(args.model)
-    require_known(model)
     lsb = {"i_lsb_a": args.i_lsb, "x_lsb_m": args.x_lsb, "u_lsb_v": args.u_lsb}
-    point = operating_point(model, args.operating_point, u_max_v=args.u_max)
-    chosen = bryson(model, point, settling_time_s=args.settling_time)
     found = design(
-        model,
+        args.model,
         x_m=args.operating_point,
-        sample_time_s=args.sample_time,
         law=args.law,
-        weights=Weights(Q=chosen.Q if args.Q is None else tuple(args.Q), R=chosen.R if args.R is None else args.R),
+        sample_time_s=args.sample_time,
+        Q=None if args.Q is None else tuple(args.Q),
+        R=args.R,
+        settling_time_s=args.settling_time,
         converters=Converters(**{name: value for name, value in lsb.items() if value is not None}),
         u_max_v=args.u_max,
         with_observer=args.observer,
         seed=args.seed,
     )
-    print(json.dumps(everything(found), indent=2, allow_nan=False) if args.json else table(found))
+    print(as_text(found.report()) if args.json else found.table())
     if args.json:
         for warning in found.warnings:
             print(f"! {warning}", file=sys.stderr)
-    if not found.board.stable:
+    if not found.stable:
         return 1
     if args.out is not None:
-        try:
-            args.out.write_text(json.dumps(controller(found), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise DataError(f"{args.out} cannot be written ({error.strerror})", remedy="Give a writable path") from None
+        write_text(args.out, as_text(found.to_json()) + "\n")
     if args.send is not None:
         from twin.design.send import send
 
         print(
-            send(found, site=args.site, board=args.send, endpoint=args.connect, identity=find_identity(args.identity)),
+            send(
+                found.details,
+                site=args.site,
+                board=args.send,
+                endpoint=args.connect,
+                identity=find_identity(args.identity),
+            ),
             file=sys.stderr,
         )
     return 0

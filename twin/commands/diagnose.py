@@ -9,14 +9,10 @@ a board has just done: the flights, their last quarter to judge.
 from __future__ import annotations
 
 import argparse
-import json
-import math
 import sys
 import time
 from pathlib import Path
 
-from protocol.campaign import load
-from protocol.errors import DataError
 from twin.diagnose.inference.budget import FULL, MILLION, QUICK
 from twin.live.shell import check_options, configure_live, give_to_twin, record_live
 
@@ -65,14 +61,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Diagnose, print, write."""
     # Imported here: --help must not wait for numba and scipy.
-    from twin.diagnose.equilibria.run import rests_alone, run_static
-    from twin.diagnose.judge.given_model import check_plant
-    from twin.diagnose.pipeline import diagnose
-    from twin.diagnose.report.page import to_html
-    from twin.diagnose.report.sentences import percent, sizes
-    from twin.diagnose.residuals.summary import shown, to_dict
-    from twin.diagnose.result import to_json
-    from twin.model.parameters import load_model, model_to_dict
+    from twin.api.functions import diagnose
+    from twin.api.results import as_text
 
     began = time.monotonic()
 
@@ -80,67 +70,24 @@ def run(args: argparse.Namespace) -> int:
         if not args.quiet:
             print(f"[{time.monotonic() - began:5.1f} s] {line}", file=sys.stderr, flush=True)
 
-    if not 0.0 < args.share <= 1.0:
-        raise DataError(f"--share is {args.share:g}", remedy="Give a part of 1, as 0.2")
-    if args.budget is not None and not 0.0 < args.budget < math.inf:
-        raise DataError(f"--budget is {args.budget:g}", remedy="Give millions of filter steps, as 600")
     check_options(args)
     board = ""
     if args.live is not None:
         args.campaign, board = record_live(args, say)
-    campaign = load(args.campaign)
-    if rests_alone(campaign):
-        model = load_model(args.model) if args.model else None
-        if model is not None:
-            check_plant(model, campaign.plant)
-        code, answer = run_static(campaign, data=args.data, model=model, out=args.out, as_json=args.json, say=say)
-        print(answer)
-        return code
     found = diagnose(
-        campaign,
+        args.campaign,
         data=args.data,
-        model=load_model(args.model) if args.model else None,
+        model=args.model,
         quick=args.quick,
         share=args.share,
         seed=args.seed,
         workers=args.workers,
-        budget=None if args.budget is None else args.budget * MILLION,
+        budget=args.budget,
         say=say,
     )
-    say("what it gets wrong, before and after")
-    show = shown(found, campaign.controller, quick=args.quick, seed=args.seed)
-    text = json.dumps(to_json(found) | {"show": to_dict(show)}, indent=2, allow_nan=False)
     if args.out is not None:
-        files = {
-            "report.html": to_html(found, show, campaign=args.campaign, out=args.out),
-            "diagnosis.json": text + "\n",
-            "extended_model.json": json.dumps(model_to_dict(found.extended), indent=2, allow_nan=False) + "\n",
-        }
-        try:
-            args.out.mkdir(parents=True, exist_ok=True)
-            for name, content in files.items():
-                (args.out / name).write_text(content, encoding="utf-8")
-        except OSError as error:
-            raise DataError(
-                f"{args.out} cannot be written ({error.strerror})", remedy="Give a writable folder"
-            ) from None
-    if args.json:
-        print(text)
-    else:
-        print(found.sentence)
-        for cause in found.causes:
-            others = ", ".join(member.name for member in cause.indistinguishable_from)
-            share = percent(cause.share_of_excess_explained)
-            print(
-                f"  {'' if found.holds(cause) else 'candidate '}{cause.name}: confidence {cause.confidence:.2f},"
-                f" explains {share}" + (f"; these data cannot tell it from {others}" if others else "")
-            )
-        for trifle in found.trifles:
-            print(f"  seen, too small to be named: {trifle.name} ({sizes(trifle.name, trifle.parameters)})")
-        for warning in found.warnings:
-            print(f"  ! {warning}")
-        if args.out is not None:
-            print(f"report   {args.out / 'report.html'}\nmodel    {args.out / 'extended_model.json'}")
+        found.save(args.out)
+    print(as_text(found.to_json()) if args.json else found.summary(args.out))
     if args.hand_over and found.causes:
         # To stderr beside --json: what is parsed stays one object.
         taken = give_to_twin(args, args.out / "extended_model.json", board, say if args.json else print)

@@ -6,13 +6,11 @@ Takes campaign.toml or its folder; recordings may be CSV (also .gz), MATLAB or M
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import time
 from pathlib import Path
 
-from protocol.campaign import load
 from protocol.errors import DataError
 
 
@@ -35,9 +33,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Identify, print, write."""
     # Imported here: --help must not wait for numba and scipy.
-    from twin.identify.pipeline import identify
-    from twin.identify.result import table
-    from twin.model.parameters import model_to_dict
+    from twin.api.functions import identify
+    from twin.api.results import as_text
 
     if args.out is not None and (args.out.is_dir() or not os.access(args.out.parent, os.W_OK)):
         # Before the work: a minute later is too late to hear of it.
@@ -48,14 +45,10 @@ def run(args: argparse.Namespace) -> int:
         if not args.quiet:
             print(f"[{time.monotonic() - began:5.1f} s] {line}", file=sys.stderr, flush=True)
 
-    found = identify(load(args.campaign), data=args.data, say=say)
-    text = json.dumps(model_to_dict(found.model), indent=2, allow_nan=False)
+    found = identify(args.campaign, data=args.data, say=say)
     if args.out is not None:
-        try:
-            args.out.write_text(text + "\n", encoding="utf-8")
-        except OSError as error:
-            raise DataError(f"{args.out} cannot be written ({error.strerror})", remedy="Give a writable path") from None
-    print(text if args.json else table(found))
+        found.model.save(args.out)
+    print(as_text(found.to_json()) if args.json else found.table())
     if args.json:
         for warning in found.warnings:
             say(f"! {warning}")

@@ -7,18 +7,11 @@ and the u_c measured in between.  Takes CSV (also .gz), MATLAB or MCAP, and mode
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-from protocol.campaign import Campaign, Recording, load
-from protocol.errors import DataError, UsageError
-
-if TYPE_CHECKING:
-    from twin.model.parameters import Model
-    from twin.prediction import Prediction
+from protocol.campaign import Campaign
+from twin.model.parameters import Model
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -46,44 +39,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Predict, write, print."""
     # Imported here: --help must not wait for numba and scipy.
-    from twin.model.nominal import SHIPPED, nominal
-    from twin.model.parameters import load_model
-    from twin.prediction import predict
-    from twin.readers.campaign import read_recording
+    from twin.api.functions import predict
+    from twin.api.results import as_text, write_text
 
-    if args.horizon < 1:
-        raise UsageError(f"--horizon {args.horizon}", remedy="Give a number of samples from 1")
-    model = nominal(args.model) if args.model in SHIPPED else load_model(args.model)
-    if args.campaign is None:
-        recording, path = Recording(file=args.recording.name, kind="closed-loop", use="judge"), args.recording
-    else:
-        campaign = load(args.campaign)
-        recording, path = _listed(campaign, args.recording, args.data)
+    model = Model.load(args.model)
+    campaign = None if args.campaign is None else Campaign.load(args.campaign)
+    if campaign is not None:
         _same_plant(campaign, model)
-    if args.board is not None:
-        recording = replace(recording, board=args.board)
-    record = read_recording(path, recording)
-    if args.campaign is None:
-        record = replace(record, kind="free")  # nobody said whether the loop is closed
-    found = predict(model, record, args.horizon)
+    found = predict(
+        model, args.recording, horizon_samples=args.horizon, campaign=campaign, data=args.data, board=args.board
+    )
     if args.out is not None:
-        _write(args.out, found)
-    numbers = _numbers(found, recording.file)
-    print(json.dumps(numbers, indent=2, allow_nan=False) if args.json else _text(found, recording.file))
-    for note in found.notes:
+        write_text(args.out, found.to_csv())
+    print(as_text(found.to_json()) if args.json else found.table())
+    for note in found.details.notes:
         print(f"! {note}", file=sys.stderr)
-    return 0 if len(found.x) else 1
-
-
-def _listed(campaign: Campaign, wanted: Path, data: Path | None) -> tuple[Recording, Path]:
-    """The campaign's entry of this file, and where the file is."""
-    exact = [r for r in campaign.recordings if wanted in (Path(r.file), campaign.folder / r.file)]
-    found = exact or [r for r in campaign.recordings if Path(r.file).name == wanted.name]
-    if len(found) != 1:
-        listed = ", ".join(r.file for r in campaign.recordings) or "none"
-        problem = "is there twice" if found else "is not one of its recordings"
-        raise DataError(f"{campaign.where}: {str(wanted)!r} {problem}", remedy=f"Name one of: {listed}")
-    return found[0], wanted if wanted.is_file() else campaign.path_of(found[0], data=data)
+    return 0 if len(found.x_m) else 1
 
 
 def _same_plant(campaign: Campaign, model: Model) -> None:
@@ -95,34 +66,3 @@ def _same_plant(campaign: Campaign, model: Model) -> None:
                 f"! {key} is {ours:g} in the model and {theirs:g} in {campaign.where}: the model's is used",
                 file=sys.stderr,
             )
-
-
-def _write(path: Path, found: Prediction) -> None:
-    rows = zip(found.t.tolist(), found.x.tolist(), found.x_hat.tolist(), strict=True)
-    text = "t,x,x_hat\n" + "".join(f"{t:.9g},{x:.10g},{x_hat:.10g}\n" for t, x, x_hat in rows)
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"{path} cannot be written ({error.strerror})", remedy="Give a writable path") from None
-
-
-def _numbers(found: Prediction, name: str) -> dict[str, Any]:
-    return {
-        "recording": name,
-        "horizon_samples": found.ahead,
-        "horizon_s": found.ahead * found.interval_s,
-        "rmse_m": found.rmse_m,
-        "count": len(found.x),
-        "samples": found.samples,
-        "left_out": dict(found.left_out),
-        "notes": list(found.notes),
-    }
-
-
-def _text(found: Prediction, name: str) -> str:
-    horizon = f"{found.ahead} samples ({1e3 * found.ahead * found.interval_s:.3g} ms) ahead"
-    lines = [f"{name}: {len(found.x)} of {found.samples} samples predicted {horizon}"]
-    if found.rmse_m is not None:
-        lines.append(f"rmse of x  {found.rmse_m:.6g} m")
-    lines += [f"left out   {count:>7}  {why}" for why, count in found.left_out]
-    return "\n".join(lines)

@@ -8,12 +8,12 @@ an error.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
-from protocol.campaign import load
-from protocol.errors import DataError
+from protocol.campaign import Campaign
+from protocol.files import make_folder
+from twin.model.parameters import Model
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -35,30 +35,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Validate, write, print."""
     # Imported here: --help must not wait for numba, scipy and matplotlib.
-    from twin.model.parameters import load_model
-    from twin.validate.report import to_dict, to_html
-    from twin.validate.verdict import validate
+    from twin.api.functions import validate
+    from twin.api.results import as_text
 
-    campaign, model = load(args.campaign), load_model(args.model)
-    _writable(args.out)
+    campaign, model = Campaign.load(args.campaign), Model.load(args.model)
+    make_folder(args.out)  # before the work: a minute later is too late to hear of a wrong folder
     result = validate(campaign, model, data=args.data)
-    numbers = to_dict(result)
-    text = json.dumps(numbers, indent=2, allow_nan=False)
-    title = f"Validation of {args.model.name} on {campaign.plant.name}"
-    try:
-        (args.out / "validation.json").write_text(text + "\n", encoding="utf-8")
-        (args.out / "report.html").write_text(to_html(result, title=title), encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"{args.out} cannot be written ({error.strerror})", remedy="Give a writable folder") from None
-    print(text if args.json else f"{numbers['answer']}\n{args.out / 'report.html'}")
+    result.save(args.out, title=f"Validation of {args.model.name} on {campaign.plant.name}")
+    print(as_text(result.to_json()) if args.json else f"{result.answer}\n{args.out / 'report.html'}")
     for note in result.notes:
         print(f"! {note}", file=sys.stderr)
     return 0 if result.passed else 1
-
-
-def _writable(folder: Path) -> None:
-    # Before the work: a minute later is too late to hear of a wrong folder.
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{folder} is no folder ({error.strerror})", remedy="Give a new or existing folder") from None

@@ -9,6 +9,7 @@ Rule 3: `causes` are of the catalogue, each with all its parameters, in its unit
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from protocol import campaign
-from protocol.files import parse_json, read_small
+from protocol.files import parse_json, read_small, writing
 from twin.model.causes.cause import CauseParameter
 from twin.model.checks import finite, number, refuse, table
 
@@ -92,6 +93,31 @@ class Model:
     noise: Noise
     causes: tuple[ModelCause, ...] = ()  # in the order of their importance
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Model:
+        """Read a model file, or a shipped model by its name: "ce152", "inteco".
+
+        Raises:
+            DataError: no such file, or not a model.
+        """
+        from twin.model.nominal import find_model  # which stands on this file
+
+        return find_model(path)
+
+    def to_json(self) -> dict[str, Any]:
+        """What a model file holds."""
+        return model_to_dict(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write a model file, as `board51 identify --out` does.
+
+        Raises:
+            UsageError: it cannot be written.
+        """
+        text = json.dumps(self.to_json(), indent=2, allow_nan=False) + "\n"
+        with writing(Path(path)):
+            Path(path).write_text(text, encoding="utf-8")
 
     @property
     def K_A(self) -> float:

@@ -1,4 +1,4 @@
-"""The pictures of the report as PNG bytes: measured blue, model red, reference grey, as in `board51 plot`."""
+"""The pictures of the report: measured blue, model red, reference grey, as in `board51 plot`."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from scipy.stats import t as student
 from twin.estimation.record import FloatArray
 from twin.estimation.step_figures import LoopRun, Response
 from twin.mirror.plots.traces import MEASURED, REFERENCE, TWIN
+from twin.page import image
 from twin.validate.amplifier import Amplifier, AmplifierTrace
 from twin.validate.ball import Ahead, Windows
 from twin.validate.residuals import Channel
@@ -21,7 +22,7 @@ SHOWN_S = 4.0  # of a closed loop
 MOST_TRACES = 3
 
 
-def amplifier_figure(result: Amplifier, time_constant_s: float) -> bytes:
+def amplifier_figure(result: Amplifier, time_constant_s: float) -> Figure:
     """Figure 7."""
     traces = sorted(result.traces, key=lambda t: -float(np.ptp(t.u_c_v)))[:MOST_TRACES]
     figure, axes = _grid(2, len(traces), height=5.0, ratios=[2.2, 1.0])
@@ -36,10 +37,10 @@ def amplifier_figure(result: Amplifier, time_constant_s: float) -> bytes:
     axes[0][0].set_ylabel("current i_c [A]")
     axes[1][0].set_ylabel("input u_c [V]")
     axes[0][0].legend(loc="best", fontsize=9)
-    return _png(figure)
+    return figure
 
 
-def ball_figure(result: Windows, travel_m: float) -> bytes:
+def ball_figure(result: Windows, travel_m: float) -> Figure:
     """Figure 8, in windows."""
     figure, axes = _grid(2, 1, height=5.0, ratios=[2.4, 1.0])
     top, bottom = axes[0][0], axes[1][0]
@@ -53,16 +54,11 @@ def ball_figure(result: Windows, travel_m: float) -> bytes:
     bottom.axhline(0.0, color="black", lw=0.6)
     bottom.set_ylabel("error [µm]")
     bottom.set_xlabel("time [s]")
-    return _png(figure)
+    return figure
 
 
-def ahead_figure(rows: Sequence[Ahead]) -> bytes:
+def ahead_figure(rows: Sequence[Ahead]) -> Figure:
     """Errors over the horizon."""
-    return _png(ahead_axes(rows))
-
-
-def ahead_axes(rows: Sequence[Ahead]) -> Figure:
-    """The same, not yet as bytes."""
     figure, axes = _grid(1, 1, height=3.6, width=6.4)
     ax = axes[0][0]
     h = np.array([row.horizon_s for row in rows]) * 1e3
@@ -78,7 +74,7 @@ def ahead_axes(rows: Sequence[Ahead]) -> Figure:
     return figure
 
 
-def residual_figure(channels: Sequence[Channel]) -> bytes:
+def residual_figure(channels: Sequence[Channel]) -> Figure:
     """Auto- and cross-correlation with their 99 % bounds."""
     figure, axes = _grid(2, len(channels), height=5.0)
     for n, channel in enumerate(channels):
@@ -98,10 +94,10 @@ def residual_figure(channels: Sequence[Channel]) -> bytes:
             ax.set_ylabel("correlation [-]")
         axes[1][n].set_xlabel("lag [samples]")
     axes[0][0].legend(fontsize=9)
-    return _png(figure)
+    return figure
 
 
-def loop_figure(run: LoopRun, travel_m: float) -> bytes:
+def loop_figure(run: LoopRun, travel_m: float) -> Figure:
     """Figures 11 and 12 over one another."""
     part = _busiest(run)
     t = run.t_s[part]
@@ -130,10 +126,10 @@ def loop_figure(run: LoopRun, travel_m: float) -> bytes:
     u.set_ylabel("input u_c [V]")
     u.set_xlabel("time [s]")
     x.set_title(run.name, fontsize=10, loc="right")
-    return _png(figure)
+    return figure
 
 
-def step_figure(responses: Sequence[Response]) -> bytes:
+def step_figure(responses: Sequence[Response]) -> Figure:
     """All reference steps over one another, each as a share of itself: who is later, and by how much."""
     figure, axes = _grid(2, 1, height=5.6, width=8.0, ratios=[2.0, 1.0])
     top, bottom = axes[0][0], axes[1][0]
@@ -157,7 +153,7 @@ def step_figure(responses: Sequence[Response]) -> bytes:
     bottom.set_ylabel("difference [% of step]")
     bottom.set_xlabel("time from the change of the reference [ms]")
     bottom.legend(fontsize=8, loc="best")
-    return _png(figure)
+    return figure
 
 
 def _within_travel(ax: Axes, travel_m: float) -> None:
@@ -206,7 +202,8 @@ def _grid(
     return figure, axes
 
 
-def _png(figure: Figure) -> bytes:
+def picture(figure: Figure, about: str) -> str:
+    """As a PNG inside the page."""
     out = io.BytesIO()
     figure.savefig(out, format="png", metadata={"Software": None})
-    return out.getvalue()
+    return image(out.getvalue(), about)

@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from twin.estimation.step_figures import FIGURES, Compared, definition
-from twin.page import bullets, image, mark, paragraph, table, untested, whole
+from twin.page import bullets, mark, paragraph, table, untested, whole
 from twin.validate.amplifier import CURRENT_FIGURES
 from twin.validate.figures import (
     ahead_figure,
     amplifier_figure,
     ball_figure,
     loop_figure,
+    picture,
     residual_figure,
     step_figure,
 )
@@ -96,7 +97,7 @@ def _amplifier(result: Validation) -> str:
     origin = "amplifier steps" if a.from_steps else "no amplifier step: the u_c and i_c of the other recordings"
     fitted = "; not marked for judging, so possibly fitted" if a.fitted else ""
     return (
-        image(amplifier_figure(a, result.model.T_A), "measured current against equation (1)")
+        picture(amplifier_figure(a, result.model.T_A), "measured current against equation (1)")
         + paragraph(
             f"Fit {a.fit_percent:.2f} %, RMSE {a.rmse_a * 1e3:.3g} mA; the sensor's noise is {a.noise_a * 1e3:.3g} mA. "
             f"From {origin}{fitted}. (1) is driven by u_c alone; {len(a.traces)} traces."
@@ -116,7 +117,7 @@ def _ball(result: Validation) -> str:
     w = result.windows
     if isinstance(w, str):
         return untested(w)
-    return image(ball_figure(w, result.model.plant.travel_m), "measured position and short predictions") + paragraph(
+    return picture(ball_figure(w, result.model.plant.travel_m), "measured position and short predictions") + paragraph(
         f"{w.name}, the liveliest stretch. Fit {w.fit_percent:.2f} %, RMSE {w.rmse_m * 1e6:.3g} µm over {w.count} "
         "windows of 40 ms. The ball is unstable: an error of the start grows by e every few samples, so a longer free "
         "run shows the instability and not the model. Each window starts from the filter's estimate and is driven by "
@@ -151,7 +152,7 @@ def _ahead(result: Validation) -> str:
         "at the floor",
     ]
     return (
-        image(ahead_figure(result.ahead), "error over the horizon")
+        picture(ahead_figure(result.ahead), "error over the horizon")
         + table(head, rows)
         + paragraph(
             "The floor is what sensor noise alone leaves of a right model. At the floor: the interval reaches 1.05, "
@@ -191,7 +192,7 @@ def _residuals(channels: Sequence[Channel] | str) -> str:
         "mean",
     ]
     return (
-        image(residual_figure(channels), "residual correlations")
+        picture(residual_figure(channels), "residual correlations")
         + table(head, rows)
         + paragraph(
             "Prediction errors one step ahead in units of their stated standard deviation: a right model leaves a mean "
@@ -210,7 +211,7 @@ def _loop(result: Validation) -> str:
     if isinstance(loop, str):
         return untested(loop) + _measured(result)
     images = "".join(
-        image(loop_figure(run, result.model.plant.travel_m), f"closed loop of {run.name}")
+        picture(loop_figure(run, result.model.plant.travel_m), f"closed loop of {run.name}")
         for run in loop.runs[:MOST_LOOPS]
     )
     expected = (
@@ -231,7 +232,7 @@ def _measured(result: Validation) -> str:
     shown: dict[str, str] = {}
     for run in result.measured:
         if run.name not in shown and len(shown) < MOST_LOOPS:
-            shown[run.name] = image(
+            shown[run.name] = picture(
                 loop_figure(run, result.model.plant.travel_m), f"measured closed loop of {run.name}"
             )
     if not shown:
@@ -261,7 +262,7 @@ def _steps(loop: ClosedLoop, pace: str) -> str:
     head = ["", "rig", "simulation", "rig - simulation", "95 % interval", "steps", ""]
     return (
         f"<p><b>{html.escape(pace)}</b></p>"
-        + image(step_figure(loop.responses), "mean step response of rig and simulation")
+        + picture(step_figure(loop.responses), "mean step response of rig and simulation")
         + table(head, rows)
         + paragraph(
             "Means over the steps; the simulation over 8 realisations of its noise. Interval: Student's t over steps, "

@@ -9,7 +9,6 @@ import pytest
 
 from tests.twin.diagnose.agreement import disagreements
 from twin.diagnose import result
-from twin.diagnose.equilibria import run as static_shell
 from twin.diagnose.equilibria import to_json as static_json
 
 
@@ -24,4 +23,4 @@ def _every_diagnosis_agrees_with_itself(monkeypatch: pytest.MonkeyPatch) -> None
         return write
 
     monkeypatch.setattr(result, "to_json", checked(result.to_json))
-    monkeypatch.setattr(static_shell, "to_json", checked(static_json.to_json))
+    monkeypatch.setattr(static_json, "to_json", checked(static_json.to_json))

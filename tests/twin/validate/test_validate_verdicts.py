@@ -15,7 +15,7 @@ from twin.estimation.record import Capture, Record
 from twin.estimation.step_figures import FIGURES, find_steps, measure
 from twin.model.parameters import PARAMETERS, Model, Noise, Parameter, Plant
 from twin.validate.ball import Ahead
-from twin.validate.figures import ahead_axes
+from twin.validate.figures import ahead_figure
 from twin.validate.report import to_html
 from twin.validate.source import Source, source_of
 from twin.validate.verdict import Validation, validate_sources
@@ -233,7 +233,7 @@ def test_a_horizon_alone_has_ticks_on_both_axes() -> None:
         at_floor=True, beats_still=True,
     )  # fmt: skip
 
-    (ax,) = ahead_axes([row]).axes
+    (ax,) = ahead_figure([row]).axes
 
     low, high = ax.get_ylim()
     shown = [label.get_text() for label in ax.get_yticklabels() if low <= label.get_position()[1] <= high]

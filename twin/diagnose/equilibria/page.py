@@ -6,6 +6,7 @@ import html
 import io
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from twin.diagnose.equilibria.diagnosis import StaticDiagnosis, proposal_for
 from twin.diagnose.equilibria.points import holding_currents
@@ -23,7 +24,7 @@ def page(found: StaticDiagnosis, title: str) -> str:
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title><style>{CSS}</style>",
         f"<h1>{html.escape(title)}</h1>",
         f'<p class="answer {mark}">{html.escape(sentence_of(found))}</p>',
-        image(figure(found), "points of rest, what (3) and the extended model say of them, and the errors of both"),
+        _picture(figure(found), "points of rest, what (3) and the extended model say of them, and the errors of both"),
         "<h2>The points</h2>",
     ]
     after = found.members[0].fit.residual_a if found.members else base.residual_a
@@ -99,13 +100,9 @@ def page(found: StaticDiagnosis, title: str) -> str:
     return "\n".join(parts) + "\n"
 
 
-def figure(found: StaticDiagnosis) -> bytes:
-    """PNG: currents over x, errors over x."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
+def figure(found: StaticDiagnosis) -> Figure:
+    """Currents over x, errors over x."""
     drawn = Figure(figsize=(9.6, 3.8), layout="constrained")
-    FigureCanvasAgg(drawn)
     left, right = drawn.subplots(1, 2)
     plant, points = found.plant, found.points
     x = np.linspace(0.0, plant.travel_m, 80)
@@ -122,6 +119,10 @@ def figure(found: StaticDiagnosis) -> bytes:
     right.set(xlabel="x, mm", ylabel="measured - model, mA")
     left.legend()
     right.legend()
+    return drawn
+
+
+def _picture(drawn: Figure, about: str) -> str:
     data = io.BytesIO()
     drawn.savefig(data, format="png", dpi=_DPI)
-    return data.getvalue()
+    return image(data.getvalue(), about)

@@ -1,4 +1,4 @@
-"""The pictures of the report as SVG: measured blue, baseline red, extended green, noise floor grey.
+"""The pictures of the report: measured blue, baseline red, extended green, noise floor grey.
 
 Rule 1: one panel a picture, as wide as a phone: two stand side by side on a desk.
 Rule 2: the same colours and the same order everywhere; error bars are 95 % intervals.
@@ -25,6 +25,7 @@ from twin.diagnose.residuals.summary import Ahead, Piece
 from twin.diagnose.search.forward_step import Round
 from twin.estimation.record import FloatArray
 from twin.mirror.plots.traces import MEASURED, REFERENCE, TWIN
+from twin.page import drawing
 
 BASELINE, EXTENDED, FLOOR = TWIN, "#2a7f3f", REFERENCE
 MOST_BARS = 8
@@ -32,7 +33,7 @@ _SCALES = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "N": (1e3, "mN")}
 _SETTINGS: Any = {"svg.hashsalt": "board51", "svg.fonttype": "path", "font.size": 11, "path.simplify_threshold": 0.3}
 
 
-def ahead_figure(rows: Sequence[Ahead]) -> bytes:
+def ahead_figure(rows: Sequence[Ahead]) -> Figure:
     """Errors over the horizon."""
     figure, ax = _panel()
     h = np.array([row.horizon_s for row in rows]) * 1e3
@@ -47,10 +48,10 @@ def ahead_figure(rows: Sequence[Ahead]) -> bytes:
     ax.set_xlabel("predicted so far ahead [ms]")
     ax.set_ylabel("rms error of x [µm]")
     ax.legend(fontsize=9.5)
-    return _svg(figure)
+    return figure
 
 
-def piece_figure(piece: Piece) -> bytes:
+def piece_figure(piece: Piece) -> Figure:
     """What x did, and what both models had said."""
     figure, ax = _panel()
     t = piece.t_s - piece.t_s[0]
@@ -61,10 +62,10 @@ def piece_figure(piece: Piece) -> bytes:
     ax.set_xlabel("time [s]")
     ax.set_ylabel("position x [mm]")
     ax.legend(fontsize=9.5)
-    return _svg(figure)
+    return figure
 
 
-def error_figure(piece: Piece, floor_m: float) -> bytes:
+def error_figure(piece: Piece, floor_m: float) -> Figure:
     """Both errors over the same time."""
     figure, ax = _panel()
     t = piece.t_s - piece.t_s[0]
@@ -76,10 +77,10 @@ def error_figure(piece: Piece, floor_m: float) -> bytes:
     ax.set_xlabel("time [s]")
     ax.set_ylabel("predicted - measured [µm]")
     ax.legend(fontsize=9.5)
-    return _svg(figure)
+    return figure
 
 
-def regime_figure(regime: Regime, floor_m: float) -> bytes:
+def regime_figure(regime: Regime, floor_m: float) -> Figure:
     """Errors in each group."""
     named = not regime.unit
     count = len(regime.bins)
@@ -112,10 +113,10 @@ def regime_figure(regime: Regime, floor_m: float) -> bytes:
         ax.set_xlabel(f"{regime.title} [{unit}]")
         ax.set_ylabel("rms error 20 ms ahead [µm]")
     ax.legend(fontsize=9.5)
-    return _svg(figure)
+    return figure
 
 
-def curve_figure(curve: Curve) -> bytes:
+def curve_figure(curve: Curve) -> Figure:
     """A mean residual over one quantity."""
     figure, ax = _panel()
     factor, unit = _SCALES.get(curve.unit, (1.0, curve.unit))
@@ -127,10 +128,10 @@ def curve_figure(curve: Curve) -> bytes:
     ax.set_xlabel(f"{curve.title} [{unit}]")
     ax.set_ylabel(what)
     ax.legend(fontsize=9.5)
-    return _svg(figure)
+    return figure
 
 
-def spectrum_figure(found: Spectrum) -> bytes:
+def spectrum_figure(found: Spectrum) -> Figure:
     """Densities of the error one sample ahead."""
     figure, ax = _panel()
     for name, colour, density in _traces(found.baseline, found.extended):
@@ -144,10 +145,10 @@ def spectrum_figure(found: Spectrum) -> bytes:
     ax.set_xlabel("frequency [Hz]")
     ax.set_ylabel("error one sample ahead [µm/√Hz]")
     ax.legend(fontsize=9.5)
-    return _svg(figure)
+    return figure
 
 
-def steps_figure(steps: Steps) -> bytes:
+def steps_figure(steps: Steps) -> Figure:
     """Mean step of the rig and of both simulations."""
     figure, ax = _panel()
     t = steps.t_s * 1e3
@@ -157,10 +158,10 @@ def steps_figure(steps: Steps) -> bytes:
     ax.set_xlabel("time from the change of the reference [ms]")
     ax.set_ylabel("share of the step [-]")
     ax.legend(fontsize=9.5, loc="lower right")
-    return _svg(figure)
+    return figure
 
 
-def step_difference_figure(steps: Steps) -> bytes:
+def step_difference_figure(steps: Steps) -> Figure:
     """Rig minus simulation."""
     figure, ax = _panel()
     t = steps.t_s * 1e3
@@ -170,10 +171,10 @@ def step_difference_figure(steps: Steps) -> bytes:
     ax.set_xlabel("time from the change of the reference [ms]")
     ax.set_ylabel("difference [% of the step]")
     ax.legend(fontsize=9.5)
-    return _svg(figure)
+    return figure
 
 
-def round_figure(step: Round, number: int, threshold: float) -> bytes:
+def round_figure(step: Round, number: int, threshold: float) -> Figure:
     """What each candidate of a round gains: fitted where it was, else as its score says."""
     fitted = {trial.cause: trial.gain for trial in step.trials}
     rows = [(cause, gain, True) for cause, gain in fitted.items()]
@@ -194,10 +195,10 @@ def round_figure(step: Round, number: int, threshold: float) -> bytes:
     ax.xaxis.set_major_formatter("{x:g}")
     ax.set_xlabel("gain of log-likelihood")
     ax.set_title(f"round {number}: " + (f"{step.taken} taken" if step.taken else "nothing taken"), fontsize=11)
-    return _svg(figure)
+    return figure
 
 
-def correction_figure(found: Correction) -> bytes:
+def correction_figure(found: Correction) -> Figure:
     """The mean error that is taken off, over position and speed."""
     figure, ax = _panel()
     limit = max(float(np.abs(found.offset_m).max()) * 1e6, 1e-3)
@@ -206,7 +207,7 @@ def correction_figure(found: Correction) -> bytes:
     figure.colorbar(image, ax=ax, label="taken off [µm]")
     ax.set_xlabel("speed x' [mm/s]")
     ax.set_ylabel("position x [mm]")
-    return _svg(figure)
+    return figure
 
 
 def _sides(baseline: Sequence[Estimate], extended: Sequence[Estimate]) -> list[tuple[str, str, Sequence[Estimate]]]:
@@ -271,8 +272,9 @@ def _panel(*, height: float = 3.2, left: float = 0.15, top: float = 0.12) -> tup
     return figure, ax
 
 
-def _svg(figure: Figure) -> bytes:
+def drawn(figure: Figure, caption: str) -> str:
+    """As an SVG inside the page."""
     out = io.BytesIO()
     with matplotlib.rc_context(_SETTINGS):
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
-    return out.getvalue()
+    return drawing(out.getvalue(), caption)

@@ -17,6 +17,7 @@ from pathlib import Path
 from twin.diagnose.inference.budget import millions
 from twin.diagnose.report.figures import (
     ahead_figure,
+    drawn,
     error_figure,
     piece_figure,
 )
@@ -29,7 +30,7 @@ from twin.diagnose.result import Diagnosis
 from twin.estimation.prepare import Usage
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Parameter
-from twin.page import bullets, drawing, figures, paragraph, table, untested, whole
+from twin.page import bullets, figures, paragraph, table, untested, whole
 
 _COLOUR = {
     "causes-found": "found",
@@ -114,12 +115,12 @@ def _before_after(found: Diagnosis, show: Show) -> str:
     drawings = []
     if show.ahead:
         drawings.append(
-            drawing(ahead_figure(show.ahead), "Error of the predicted position over the horizon, 95 % intervals")
+            drawn(ahead_figure(show.ahead), "Error of the predicted position over the horizon, 95 % intervals")
         )
     if show.piece is not None:
         name = show.piece.recording
-        drawings.append(drawing(piece_figure(show.piece), f"{name}: the stretch that the baseline predicts worst"))
-        drawings.append(drawing(error_figure(show.piece, show.floor_m), f"{name}: error of the same predictions"))
+        drawings.append(drawn(piece_figure(show.piece), f"{name}: the stretch that the baseline predicts worst"))
+        drawings.append(drawn(error_figure(show.piece, show.floor_m), f"{name}: error of the same predictions"))
     if not drawings:
         return untested("no flight is long enough to predict 20 ms ahead")
     head = [

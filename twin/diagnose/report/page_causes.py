@@ -5,19 +5,19 @@ from __future__ import annotations
 import html
 
 from twin.diagnose.judge.account import Account
-from twin.diagnose.report.figures import round_figure
+from twin.diagnose.report.figures import drawn, round_figure
 from twin.diagnose.report.sentences import LACKED, capital, percent, sizes
 from twin.diagnose.result import Diagnosis, Finding, Proposal
 from twin.diagnose.search.forward_step import THRESHOLD
 from twin.model.causes.catalogue import BY_NAME
-from twin.page import bullets, drawing, figures, folded, paragraph, table
+from twin.page import bullets, figures, folded, paragraph, table
 
 
 def ranking(found: Diagnosis) -> str:
     """Each round of the search as bars."""
     rounds = found.selection.rounds
     drawings = [
-        drawing(round_figure(step, number, THRESHOLD), f"Round {number}: {step.why}")
+        drawn(round_figure(step, number, THRESHOLD), f"Round {number}: {step.why}")
         for number, step in enumerate(rounds, start=1)
         if step.scores
     ]

@@ -9,6 +9,7 @@ from twin.diagnose.judge.account import beyond_floor
 from twin.diagnose.report.figures import (
     correction_figure,
     curve_figure,
+    drawn,
     regime_figure,
     spectrum_figure,
     step_difference_figure,
@@ -19,7 +20,7 @@ from twin.diagnose.residuals.step_response import Steps
 from twin.diagnose.residuals.summary import Show
 from twin.diagnose.result import Diagnosis
 from twin.estimation.step_figures import FIGURES, definition
-from twin.page import bullets, drawing, figures, paragraph, table, untested
+from twin.page import bullets, figures, paragraph, table, untested
 
 _QUICK_REGIMES = ("position", "speed")
 _STEP_FIGURES = ("rise_s", "settling_s", "overshoot")
@@ -28,12 +29,12 @@ _STEP_FIGURES = ("rise_s", "settling_s", "overshoot")
 def where(found: Diagnosis, show: Show) -> str:
     """Error by regime and frequency, the reference steps, the force and the current that are missing."""
     regimes = [one for one in show.regimes if not found.quick or one.name in _QUICK_REGIMES]
-    drawings = [drawing(regime_figure(one, show.floor_m), f"Error 20 ms ahead by {one.title}") for one in regimes]
+    drawings = [drawn(regime_figure(one, show.floor_m), f"Error 20 ms ahead by {one.title}") for one in regimes]
     if show.spectrum is not None and not found.quick:
         caption = (
             f"Spectrum of the error one sample ahead ({show.spectrum.segments} segments); noise alone is a flat line"
         )
-        drawings.append(drawing(spectrum_figure(show.spectrum), caption))
+        drawings.append(drawn(spectrum_figure(show.spectrum), caption))
     parts = [figures(drawings)]
     if drawings:
         parts.append(
@@ -55,7 +56,7 @@ def where(found: Diagnosis, show: Show) -> str:
         parts.append(
             "<h3>The force and the current that are missing</h3>"
             + figures(
-                [drawing(curve_figure(one), f"{captions[one.residual_unit]}, over {one.title}") for one in residuals]
+                [drawn(curve_figure(one), f"{captions[one.residual_unit]}, over {one.title}") for one in residuals]
             )
             + paragraph(
                 "Force: mass times (measured acceleration - that of the model). The measured one is the curvature of a "
@@ -71,8 +72,8 @@ def where(found: Diagnosis, show: Show) -> str:
 
 def _steps(steps: Steps, alone: bool) -> str:
     drawings = [
-        drawing(steps_figure(steps), f"Mean of {steps.count} reference steps, each as a share of itself"),
-        drawing(step_difference_figure(steps), "Rig minus simulation"),
+        drawn(steps_figure(steps), f"Mean of {steps.count} reference steps, each as a share of itself"),
+        drawn(step_difference_figure(steps), "Rig minus simulation"),
     ]
     rows, pace = [], ""
     for first, second in steps.figures:
@@ -155,7 +156,7 @@ def left(found: Diagnosis, show: Show) -> str:
         verdict = "It helps" if ratio.high < 1.0 else "It does not help" if ratio.low > 1.0 else "It hardly matters"
         parts.append(
             "<h3>A correction without a cause</h3>"
-            + figures([drawing(correction_figure(one), "For prediction only, not a cause")])
+            + figures([drawn(correction_figure(one), "For prediction only, not a cause")])
             + paragraph(
                 "For prediction only, not a cause: the mean error 20 ms ahead over position and speed, learnt on the "
                 "recordings for fitting, is taken off the prediction. " + f"{verdict}: {gain}."

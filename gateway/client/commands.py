@@ -1,0 +1,204 @@
+"""Each command of the bus from typed values.  Pure.
+
+`board51 send` and `Rig` build their commands here.  What may be commanded is the gateway's decision and the board's;
+here only what cannot be written into a message is an error.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from protocol.bus import board51_pb2 as pb
+from protocol.errors import UsageError
+
+
+class Mode(enum.StrEnum):
+    """What decides about the input u_c."""
+
+    IDLE = "idle"  # nothing: the coil is off
+    OPEN_LOOP = "open-loop"  # the excitation
+    CLOSED_LOOP = "closed-loop"  # the control law
+
+
+class Law(enum.StrEnum):
+    """The control law of the board."""
+
+    LQI = "lqi"  # u_c = u_0 - K [i_c - i_0, x - x_0, x', integral of (x_ref - x) dt], eq. (16)-(19)
+    PID = "pid"  # u_c = u_0 + K [x_ref - x, integral of (x_ref - x) dt, -x', 0]
+
+
+class Shape(enum.StrEnum):
+    """The signal of an excitation."""
+
+    NONE = "none"
+    STEP = "step"
+    RECTANGLE = "rectangle"
+    SAWTOOTH = "sawtooth"
+    PRBS = "prbs"
+    MULTISINE = "multisine"
+    CHIRP = "chirp"
+
+
+class HostLoss(enum.StrEnum):
+    """What the board does when it hears nothing from its host."""
+
+    KEEP = "keep"
+    COIL_OFF = "coil-off"
+    HOLD = "hold"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OperatingPoint:
+    """The point (13) that a control law works around."""
+
+    i_c_a: float  # coil current, A
+    x_m: float  # position, m, up from the sensor
+    u_c_v: float  # input, V
+
+
+E_ = TypeVar("E_", bound=enum.StrEnum)
+
+_MODES = {Mode.IDLE: pb.MODE_IDLE, Mode.OPEN_LOOP: pb.MODE_OPEN_LOOP, Mode.CLOSED_LOOP: pb.MODE_CLOSED_LOOP}
+_LAWS = {Law.LQI: pb.LAW_LQI, Law.PID: pb.LAW_PID}
+_POLICIES = {HostLoss.KEEP: 0, HostLoss.COIL_OFF: 1, HostLoss.HOLD: 2}
+_LARGEST = 2**32 - 1
+
+
+def set_mode(mode: Mode | str) -> pb.Command:
+    """Enter a mode; clears a fault."""
+    return pb.Command(set_mode=pb.SetMode(mode=_MODES[_chosen(Mode, mode, "mode")]))
+
+
+def set_reference(x_ref_m: float) -> pb.Command:
+    """The position to hold, m."""
+    return pb.Command(set_reference=pb.SetReference(x_ref_m=_finite(x_ref_m, "x_ref_m")))
+
+
+def set_gains(gains: Sequence[float], operating_point: OperatingPoint, *, law: Law | str = Law.LQI) -> pb.Command:
+    """Control law, its four gains (SI, in the order of the law) and operating point, all at one tick."""
+    if len(gains) != 4:
+        raise UsageError(f"gains has {len(gains)} values", remedy="Give four: k_i k_x k_v k_int, or k_p k_int k_d 0")
+    return pb.Command(
+        set_gains=pb.SetGains(
+            law=_LAWS[_chosen(Law, law, "law")],
+            gains=[_finite(gain, "gains") for gain in gains],
+            i_0_a=_finite(operating_point.i_c_a, "operating_point.i_c_a"),
+            x_0_m=_finite(operating_point.x_m, "operating_point.x_m"),
+            u_0_v=_finite(operating_point.u_c_v, "operating_point.u_c_v"),
+        )
+    )
+
+
+def excite(
+    shape: Shape | str,
+    *,
+    on_reference: bool = False,
+    amplitude: float = 0.0,
+    offset: float | None = None,
+    period_s: float = 0.0,
+    period_end_s: float = 0.0,
+    duration_s: float | None = None,
+    seed: int = 1,
+) -> pb.Command:
+    """A signal on u_c (V, open loop) or on the reference (m, closed loop); duration `math.inf` is endless."""
+    shape = _chosen(Shape, shape, "shape")
+    if shape == Shape.NONE:
+        if on_reference and offset is not None:
+            raise UsageError(
+                "An excitation of the reference that ends leaves it where it is: the offset counts for nothing",
+                remedy="Leave it out, and move the reference with the command for it",
+            )
+        duration_s = 0.0
+    elif duration_s is None:
+        raise UsageError(
+            f"The {shape} has no end",
+            remedy="Give --duration S, or --duration endless if it shall have none (duration_s, math.inf)",
+        )
+    elif not duration_s > 0:  # 0 is endless on the bus
+        raise UsageError(f"{duration_s:g} s is no duration", remedy="Give a positive one")
+    return pb.Command(
+        excite=pb.Excite(
+            shape=f"SHAPE_{shape.name}",
+            on_reference=on_reference,
+            amplitude=_finite(amplitude, "amplitude"),
+            offset=None if offset is None else _finite(offset, "offset"),
+            period_s=_finite(period_s, "period_s"),
+            period_end_s=_finite(period_end_s, "period_end_s"),
+            seed=_whole(seed, "seed"),
+            duration_s=0.0 if duration_s == math.inf else _finite(duration_s, "duration_s"),
+        )
+    )
+
+
+def capture(*, u_from_v: float, u_to_v: float, duration_s: float = 0.04, pre_s: float = 0.004) -> pb.Command:
+    """The coil current at 25 kHz around a step of u_c, `pre_s` of it before the step."""
+    return pb.Command(
+        capture=pb.Capture(
+            u_from_v=_finite(u_from_v, "u_from_v"),
+            u_to_v=_finite(u_to_v, "u_to_v"),
+            duration_s=_finite(duration_s, "duration_s"),
+            pre_s=_finite(pre_s, "pre_s"),
+        )
+    )
+
+
+def set_stream(divider: int) -> pb.Command:
+    """Every how many ticks the board sends a sample; 0: none."""
+    return pb.Command(set_stream=pb.SetStream(divider=_whole(divider, "divider")))
+
+
+def set_host_loss(policy: HostLoss | str, *, timeout_s: float = 1.0) -> pb.Command:
+    """What the board does after `timeout_s` without its host."""
+    code = _POLICIES[_chosen(HostLoss, policy, "policy")]
+    return pb.Command(set_host_loss=pb.SetHostLoss(policy=code, timeout_s=_finite(timeout_s, "timeout_s")))
+
+
+def mark(text: str) -> pb.Command:
+    """A remark at this moment, into every log."""
+    return pb.Command(mark=pb.Mark(text=_printable(text, "text")))
+
+
+def acknowledge(alarm: str, *, comment: str = "") -> pb.Command:
+    """Somebody has seen an alarm."""
+    return pb.Command(
+        acknowledge=pb.Acknowledge(alarm=_printable(alarm, "alarm"), comment=_printable(comment, "comment"))
+    )
+
+
+def stop() -> pb.Command:
+    """Coil off at once, mode idle."""
+    return pb.Command(stop=pb.Stop())
+
+
+def ping() -> pb.Command:
+    """A sign of life."""
+    return pb.Command(ping=pb.Ping())
+
+
+def _chosen(kind: type[E_], value: str, name: str) -> E_:
+    try:
+        return kind(value)
+    except ValueError:
+        raise UsageError(f"{name} is {value!r}", remedy=f"Choose one of {', '.join(kind)}") from None
+
+
+def _finite(value: float, name: str) -> float:
+    if not math.isfinite(value):
+        raise UsageError(f"{name} is {value}", remedy="Give a finite number")
+    return float(value)
+
+
+def _whole(value: int, name: str) -> int:
+    if value != int(value) or not 0 <= value <= _LARGEST:
+        raise UsageError(f"{name} is {value}", remedy=f"Give a whole number from 0 to {_LARGEST}")
+    return int(value)
+
+
+def _printable(text: str, name: str) -> str:
+    if not text.isprintable():
+        raise UsageError(f"{name} {text!r} has characters that cannot be printed", remedy="Leave them out")
+    return text

@@ -1,0 +1,64 @@
+"""What a rig may answer instead of "accepted".
+
+ServiceError
+├── CommandRefusedError         gateway, board or twin said no: nothing has changed
+├── CommandNotDeliveredError    nobody knows, unless the text says so: the board may have acted
+└── NoSamplesError              nothing comes any more
+"""
+
+from __future__ import annotations
+
+from protocol.bus import board51_pb2 as pb
+from protocol.errors import ServiceError
+
+_REMEDIES = {
+    "forbidden": "Use the identity of somebody whose role may do this",
+    "not-fresh": "Set the clock of this computer, or of the gateway's, right",
+    "flood": "Send fewer commands per second",
+    "slew": "Move in smaller steps, or wait in between",
+    "wrong-mode": "Change the mode first",
+    "fault-active": "Look at the event that the fault has left, then set a mode",
+    "no-session": "Wait until the gateway says that the board streams",
+}
+
+
+class CommandRefusedError(ServiceError):
+    """Gateway, board or twin refused a command; nothing has changed.
+
+    `reason` is kebab-case and stable, `refused_by` says who.
+    """
+
+    def __init__(self, command: pb.Command | pb.TwinCommand, reply: pb.CommandReply) -> None:
+        self.reason, self.refused_by = reply.reason, reply.refused_by
+        super().__init__(
+            f"{_what(command)} was refused by the {reply.refused_by}: {reply.reason}: {reply.text.rstrip('.')}",
+            remedy=_REMEDIES.get(reply.reason, "Correct the command, and send it again"),
+        )
+
+
+class CommandNotDeliveredError(ServiceError):
+    """No answer of the board came.
+
+    `command` has its id and its date: `rig.send(error.command)` repeats it without its being executed twice.
+    `attempts` is 0 where no byte of it went to the board.
+    """
+
+    def __init__(self, command: pb.Command, reply: pb.CommandReply) -> None:
+        self.reason, self.attempts = reply.reason, reply.attempts
+        self.command = pb.Command()
+        self.command.CopyFrom(command)
+        stop = command.WhichOneof("what") == "stop"
+        super().__init__(
+            f"{_what(command)} was not answered: {reply.reason}: {reply.text.rstrip('.')}",
+            remedy="THE COIL MAY BE ON: switch off its supply; else the board's host-loss policy decides"
+            if stop
+            else "Look at rig.status(); rig.send(error.command) repeats it without its being executed twice",
+        )
+
+
+class NoSamplesError(ServiceError):
+    """The stream of a board has ended, or never began."""
+
+
+def _what(command: pb.Command | pb.TwinCommand) -> str:
+    return str(command.WhichOneof("what")).replace("_", " ")

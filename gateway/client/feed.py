@@ -1,0 +1,104 @@
+"""What travels on the bus, in the order of arrival, for a loop that takes it at its own pace.
+
+A full queue drops the OLDEST message and counts it: zenoh's thread must not wait for a slow reader.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+import weakref
+from collections import deque
+from collections.abc import Iterable
+from typing import NamedTuple, Self
+
+import zenoh
+from google.protobuf.message import Message
+
+from protocol.bus import topics
+from protocol.bus.encoding import parse
+
+CAPACITY = 100_000  # messages: 200 s of one board's samples
+
+
+class Arrival(NamedTuple):
+    """One message; None where the bytes are not one."""
+
+    key: str
+    message: Message | None
+    size: int  # of the payload, bytes
+
+
+class Feed:
+    """The messages of some topics from now on, until it is closed or forgotten.
+
+    Args:
+        session: of the bus.
+        site: first chunk of the keys.
+        board: second; "*": every board.
+        names: of topics.
+        capacity: messages that may wait.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, site: str, board: str, names: Iterable[str], *, capacity: int = CAPACITY
+    ) -> None:
+        self._waiting = _Waiting(capacity)
+        subscribers = [session.declare_subscriber(f"{site}/{board}/{name}", self._waiting.put) for name in names]
+        # The callbacks hold the queue, not the feed: a loop that was left with `break` ends its subscription here.
+        self._end = weakref.finalize(self, _undeclare, subscribers)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the subscription."""
+        self._end()
+
+    @property
+    def dropped(self) -> int:
+        """Messages that were lost because nobody took them."""
+        return self._waiting.dropped
+
+    def take(self, timeout_s: float | None = None) -> Arrival | None:
+        """The next message, or None where none came within `timeout_s` (None: for ever)."""
+        return self._waiting.take(timeout_s)
+
+
+class _Waiting:
+    def __init__(self, capacity: int) -> None:
+        self._messages: deque[tuple[str, bytes]] = deque()
+        self._capacity = capacity
+        self._changed = threading.Condition()
+        self.dropped = 0
+
+    def put(self, sample: zenoh.Sample) -> None:
+        arrived = str(sample.key_expr), sample.payload.to_bytes()
+        with self._changed:
+            if len(self._messages) >= self._capacity:
+                self._messages.popleft()
+                self.dropped += 1
+            self._messages.append(arrived)
+            self._changed.notify()
+
+    def take(self, timeout_s: float | None) -> Arrival | None:
+        end_s = None if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            with self._changed:
+                left_s = None if end_s is None else max(0.0, end_s - time.monotonic())
+                if not self._changed.wait_for(lambda: self._messages, left_s):
+                    return None
+                key, data = self._messages.popleft()
+            place = topics.split(key)
+            if place is not None:
+                return Arrival(key, parse(topics.BY_NAME[place[2]].message, data), len(data))
+
+
+def _undeclare(subscribers: list[zenoh.Subscriber[None]]) -> None:
+    for subscriber in subscribers:
+        with contextlib.suppress(zenoh.ZError):  # the session is closed
+            subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type

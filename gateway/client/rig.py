@@ -1,0 +1,476 @@
+"""One board through its gateway: commands, samples, recordings.
+
+Rule 1: a call returns when its command was accepted, and raises otherwise; nothing is sent twice.
+Rule 2: STOP passes everything: it needs no open rig, waits for no other call, and is sent until it is answered.
+Rule 3: who leaves the `with` block by an exception has lost control.  Where this rig has moved something, it is
+        stopped then.  A block that ends well leaves the board as it is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import getpass
+import math
+import time
+import uuid
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Self, TypeVar
+
+import zenoh
+from google.protobuf.message import Message
+
+from gateway.client import commands
+from gateway.client.commands import HostLoss, Law, Mode, OperatingPoint, Shape
+from gateway.client.connection import ask, open_bus, send
+from gateway.client.errors import CommandNotDeliveredError, CommandRefusedError, NoSamplesError
+from gateway.client.feed import CAPACITY, Feed
+from gateway.client.recording import Recording
+from gateway.client.values import Capture, Reply, Sample, Samples
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
+from protocol.bus.identity import Identity, find_identity
+from protocol.errors import ServiceError, UsageError
+
+SILENCE_S = 3.0  # without a sample: a gateway reconnects a port and reads a board anew within it
+STOP_PATIENCE_S = 10.0  # how long STOP is repeated
+STOP_WAIT_S = 2.0  # for each answer
+NEWEST_WAIT_S = 8.0  # what is repeated comes every 5 s
+CAPTURE_WAIT_S = 10.0  # reading 2000 samples takes 63 answers of the board
+_AT_REST = frozenset({"stop", "ping", "mark", "acknowledge", "set_stream", "set_host_loss"})  # move nothing
+M = TypeVar("M", bound=Message)
+
+
+class Rig:
+    """One board, through its gateway; a context manager.
+
+    Any thread may use it, several at once, too.
+
+    Args:
+        board: Its name.
+        connect: The router's endpoint, as `--connect`.
+        site: First chunk of the keys, as `--site`.
+        identity: Who this is on a guarded bus, as `--identity`: the folder that `board51 security` made, or what it
+            holds; None: that of BOARD51_IDENTITY, if there is one.
+        who: Who sends the commands, for the log; empty: the login name.  A guarded bus takes the identity's.
+        timeout_s: How long a command waits for its answer, s; it does not begin to act later.
+        stop_on_error: Whether STOP is sent when the block ends with an exception after this rig has moved something.
+
+    Raises:
+        ConfigError: no endpoint, no name, or an identity that is not usable.
+    """
+
+    def __init__(
+        self,
+        board: str,
+        *,
+        connect: str = DEFAULT_ENDPOINT,
+        site: str = topics.DEFAULT_SITE,
+        identity: Identity | Path | str | None = None,
+        who: str = "",
+        timeout_s: float = 5.0,
+        stop_on_error: bool = True,
+    ) -> None:
+        self.board, self.site = topics.check_name(board, what="board"), topics.check_name(site, what="site")
+        self.connect = check_endpoint(connect, where="connect")
+        self.identity = identity if isinstance(identity, Identity) else find_identity(identity)
+        if self.identity is not None:
+            self.identity.check_valid(datetime.now(UTC))
+        if not 0 < timeout_s < math.inf:
+            raise UsageError(f"timeout_s is {timeout_s}", remedy="Give a positive time in seconds")
+        self.who = who or login_name()
+        self._timeout_s, self._stop_on_error = timeout_s, stop_on_error
+        self._has_moved = False
+        self._open: zenoh.Session | None = None
+        self._closing = contextlib.ExitStack()
+
+    # --- its life
+
+    def __enter__(self) -> Self:
+        return self.open()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if error is not None and self._has_moved and self._stop_on_error:
+                self._stop_after(error)
+        finally:
+            self.close()
+
+    def open(self) -> Self:
+        """Join the bus; for who does not use `with`, which is better: then nothing is left open.
+
+        Raises:
+            ServiceError: no router there, or not for this identity.
+        """
+        if self._open is None:
+            self._open = self._closing.enter_context(open_bus(self.connect, self.identity))
+        return self
+
+    def close(self) -> None:
+        """End recordings and leave the bus; sends nothing to the board.  May be called again."""
+        try:
+            self._closing.close()
+        finally:
+            self._open = None
+
+    def _stop_after(self, error: BaseException) -> None:
+        try:
+            self.stop()
+            error.add_note(f"{self.site}/{self.board} was stopped because of this.")
+        except ServiceError as second:
+            error.add_note(str(second))
+
+    @property
+    def _session(self) -> zenoh.Session:
+        if self._open is None:
+            raise UsageError(
+                f"The rig {self.site}/{self.board} is not open",
+                remedy="Use it in `with Rig(...) as rig:`, or open() it",
+            )
+        return self._open
+
+    # --- commands
+
+    def set_mode(self, mode: Mode | str) -> Reply:
+        """Enter a mode: "idle" (coil off), "open-loop" or "closed-loop"; clears a fault.
+
+        Raises:
+            CommandRefusedError: see its reason; nothing has changed.  The same holds for every command.
+            CommandNotDeliveredError: no answer came.
+        """
+        return self._execute(commands.set_mode(mode))
+
+    def set_reference(self, x_ref_m: float) -> Reply:
+        """The position to hold, m, up from the sensor; in force from the reply's tick."""
+        return self._execute(commands.set_reference(x_ref_m))
+
+    def set_gains(self, gains: Sequence[float], operating_point: OperatingPoint, *, law: Law | str = Law.LQI) -> Reply:
+        """Load a control law, all of it at one tick (eq. 16-19).
+
+        Args:
+            gains: Four, SI: k_i (V/A), k_x (V/m), k_v (V s/m), k_int (V/(m s)) of "lqi"; k_p (V/m), k_int (V/(m s)),
+                k_d (V s/m), 0 of "pid".
+            operating_point: Around which it works.
+            law: "lqi" or "pid".
+        """
+        return self._execute(commands.set_gains(gains, operating_point, law=law))
+
+    def excite(
+        self,
+        shape: Shape | str,
+        *,
+        duration_s: float | None = None,
+        on_reference: bool = False,
+        amplitude: float = 0.0,
+        offset: float | None = None,
+        period_s: float = 0.0,
+        period_end_s: float = 0.0,
+        seed: int = 1,
+    ) -> Reply:
+        """Play a signal on u_c (open loop, V) or on the reference (closed loop, m); returns when it begins.
+
+        Args:
+            shape: "step", "rectangle", "sawtooth", "prbs", "multisine" or "chirp"; "none" ends what is played, and the
+                signal stays where it is.
+            duration_s: s; `math.inf`: without end, where the gateway allows that.
+            on_reference: The reference instead of u_c.
+            amplitude: V or m.
+            offset: V or m, absolute; of "none" in open loop: u_c stays there.
+            period_s: s; of "prbs" one chip, of "chirp" the first.
+            period_end_s: s; of "chirp" the last.
+            seed: Of "prbs" and "multisine".
+        """
+        command = commands.excite(
+            shape,
+            duration_s=duration_s,
+            on_reference=on_reference,
+            amplitude=amplitude,
+            offset=offset,
+            period_s=period_s,
+            period_end_s=period_end_s,
+            seed=seed,
+        )
+        return self._execute(command)
+
+    def capture(self, *, u_from_v: float, u_to_v: float, duration_s: float = 0.04, pre_s: float = 0.004) -> Capture:
+        """Record the coil current at 25 kHz around a step of u_c, and wait for it; idle or open loop.
+
+        Args:
+            u_from_v: Input before the step, V.
+            u_to_v: Input after it, V.
+            duration_s: Of the recording, s.
+            pre_s: Of it before the step, s.
+
+        Returns:
+            Current and time, shape (n,).
+
+        Raises:
+            ServiceError: accepted, but its samples did not come.
+        """
+        with Feed(self._session, self.site, self.board, ["capture"]) as feed:
+            reply = self._execute(
+                commands.capture(u_from_v=u_from_v, u_to_v=u_to_v, duration_s=duration_s, pre_s=pre_s)
+            )
+            end_s = time.monotonic() + CAPTURE_WAIT_S
+            while (arrival := feed.take(max(0.0, end_s - time.monotonic()))) is not None:
+                record = arrival.message
+                if isinstance(record, pb.CaptureRecord) and record.tick >= reply.tick:
+                    return Capture.of(record)
+        raise ServiceError(
+            f"The samples of the capture did not come from {self.site}/{self.board} within {CAPTURE_WAIT_S:g} s",
+            remedy="Look at the events of the board: `board51 watch --topic event`",
+        )
+
+    def set_stream(self, divider: int) -> Reply:
+        """Have the board send every `divider`-th tick; 0: none."""
+        return self._execute(commands.set_stream(divider))
+
+    def set_host_loss(self, policy: HostLoss | str, *, timeout_s: float = 1.0) -> Reply:
+        """What the board does after `timeout_s` without its gateway: "keep", "coil-off" or "hold"."""
+        return self._execute(commands.set_host_loss(policy, timeout_s=timeout_s))
+
+    def mark(self, text: str) -> Reply:
+        """Put a remark at this moment into every log."""
+        return self._execute(commands.mark(text))
+
+    def acknowledge(self, alarm: str, *, comment: str = "") -> Reply:
+        """Say that an alarm, such as "divergence-x", was seen; in every view and log."""
+        return self._execute(commands.acknowledge(alarm, comment=comment))
+
+    def ping(self) -> Reply:
+        """Whether the board answers."""
+        return self._execute(commands.ping())
+
+    def use_model(self, model: Path | str) -> Reply:
+        """Hand a model file to the twin that runs beside this board; it goes on with it.
+
+        Args:
+            model: The file, as `board51 identify` or `diagnose` writes it.
+
+        Raises:
+            DataError: no such file.
+            CommandRefusedError: the twin does not take it, and says why.
+            ServiceError: no twin answers.
+        """
+        from protocol.files import read_small
+
+        command = pb.TwinCommand(id=uuid.uuid4().hex, who=self.who)
+        command.use_model.model_json = read_small(Path(model), remedy="Name a model file, such as model.json")
+        role, who = ("", "") if self.identity is None else (self.identity.role, self.identity.name)
+        key = topics.command_key(self.site, self.board, role=role, who=who, topic="twin/command")
+        reply = ask(self._session, key, command, self._timeout_s)
+        if reply is None:
+            raise ServiceError(
+                f"No twin answers for {self.site}/{self.board}",
+                remedy="Start `board51 twin`; on a guarded bus only an engineer hands models over",
+            )
+        return _accepted(command, reply)
+
+    def stop(self) -> Reply:
+        """Coil off at once, mode idle.  Repeated until it is answered; works on a closed rig, too.
+
+        Raises:
+            CommandNotDeliveredError: no answer for 10 s: THE COIL MAY BE ON.
+        """
+        if self._open is None:
+            with open_bus(self.connect, self.identity) as session:
+                return self._stop_through(session)
+        return self._stop_through(self._open)
+
+    def _stop_through(self, session: zenoh.Session) -> Reply:
+        end_s = time.monotonic() + STOP_PATIENCE_S
+        while True:
+            command = commands.stop()
+            reply = self._send(session, command, STOP_WAIT_S)
+            if reply.accepted:
+                return Reply.of(reply)
+            if time.monotonic() > end_s:
+                raise CommandNotDeliveredError(command, reply)
+            time.sleep(0.1)
+
+    def send(self, command: pb.Command, *, timeout_s: float | None = None) -> pb.CommandReply:
+        """Any command as it is, and the reply as it came: a refusal is no exception here.
+
+        An `id` and an `issued_ns` that are there are kept: so a command is repeated without being executed twice.
+
+        Args:
+            command: Missing fields of its head are filled in.
+            timeout_s: For the answer, s; None: that of the rig.
+        """
+        if command.WhichOneof("what") not in _AT_REST:
+            self._has_moved = True  # before it is sent: what is interrupted may act all the same
+        return self._send(self._session, command, timeout_s or self._timeout_s)
+
+    def _send(self, session: zenoh.Session, command: pb.Command, timeout_s: float) -> pb.CommandReply:
+        command.who = command.who or self.who
+        return send(session, self.site, self.board, command, timeout_s=timeout_s, identity=self.identity)
+
+    def _execute(self, command: pb.Command) -> Reply:
+        return _accepted(command, self.send(command))
+
+    # --- what the board says
+
+    def samples(
+        self, duration_s: float = math.inf, *, timeout_s: float = SILENCE_S, capacity: int = CAPACITY
+    ) -> SampleStream:
+        """The samples from now on, one after the other: `for sample in rig.samples(2.0):`.
+
+        Args:
+            duration_s: Of the board's time, s; the default ends only with the loop.
+            timeout_s: Longest silence, s.
+            capacity: Samples that may wait for the loop; beyond it the oldest is lost, and counted in `.dropped`.
+
+        Raises:
+            NoSamplesError: while it runs, nothing came for `timeout_s`.
+        """
+        feed = Feed(self._session, self.site, self.board, ["state"], capacity=capacity)
+        return SampleStream(feed, f"{self.site}/{self.board}", duration_s, timeout_s)
+
+    def read(self, duration_s: float, *, timeout_s: float = SILENCE_S) -> Samples:
+        """The samples of the next `duration_s` of the board's time, as arrays of shape (n,), SI units.
+
+        Raises:
+            NoSamplesError: nothing came for `timeout_s`.
+        """
+        with self.samples(duration_s, timeout_s=timeout_s) as stream:
+            return Samples.of(stream)
+
+    def messages(self, *names: str, timeout_s: float | None = None) -> Iterator[Message]:
+        """The messages of some topics from now on: `for event in rig.messages("event"):`.
+
+        Args:
+            names: Topics of the interface page: "event", "status", "twin/state", ...
+            timeout_s: Ends after this silence, s; None: never.
+        """
+        for name in names:
+            _check_topic(name)
+        feed = Feed(self._session, self.site, self.board, names)
+        return (arrival.message for arrival in iter(lambda: feed.take(timeout_s), None) if arrival.message is not None)
+
+    def status(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Status:
+        """The next status of link, bus and log; one comes every second.
+
+        Raises:
+            ServiceError: none came within `timeout_s`.
+        """
+        return self._next("status", pb.Status, timeout_s)
+
+    def parameters(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Parameters:
+        """Identity, gains, operating point, limits and scalings of the board; they come every 5 s.
+
+        Raises:
+            ServiceError: none came within `timeout_s`.
+        """
+        return self._next("parameters", pb.Parameters, timeout_s)
+
+    def alarms(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Alarms:
+        """What the gateway knows to be wrong, and what was acknowledged; they come every 5 s.
+
+        Raises:
+            ServiceError: none came within `timeout_s`.
+        """
+        return self._next("alarms", pb.Alarms, timeout_s)
+
+    def _next(self, topic: str, kind: type[M], timeout_s: float) -> M:
+        with Feed(self._session, self.site, self.board, [topic]) as feed:
+            end_s = time.monotonic() + timeout_s
+            while (arrival := feed.take(max(0.0, end_s - time.monotonic()))) is not None:
+                if isinstance(arrival.message, kind):
+                    return arrival.message
+        raise ServiceError(
+            f"No {topic} from {self.site}/{self.board} within {timeout_s:g} s",
+            remedy="Is its gateway running, and is that the board's name?",
+        )
+
+    def record(self, directory: Path | str, *, prefix: str = "bus") -> Recording:
+        """Log this board to MCAP from now on, until the recording, or the rig, is closed.
+
+            with rig.record("logs") as recording:
+                rig.read(10.0)
+            flight = recording.samples()
+
+        Args:
+            directory: For the files; made if absent.
+            prefix: First part of their names.
+
+        Raises:
+            UsageError: the directory cannot be made.
+            LogError: it is read-only or full.
+        """
+        metadata = {"record": {"connect": self.connect, "keys": f"{self.site}/{self.board}/**"}}
+        recording = Recording(self._session, self.site, self.board, directory, prefix=prefix, metadata=metadata).start()
+        self._closing.callback(recording.close)
+        return recording
+
+
+class SampleStream(Iterator[Sample]):
+    """Samples as they come; `rig.samples()` makes it.
+
+    It listens from the moment it is made, so nothing is missed before the loop begins.
+    """
+
+    def __init__(self, feed: Feed, board: str, duration_s: float, timeout_s: float) -> None:
+        self._feed, self._board = feed, board
+        self._left_s, self._timeout_s = duration_s, timeout_s
+        self._last: Sample | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the subscription."""
+        self._feed.close()
+
+    @property
+    def dropped(self) -> int:
+        """Samples that were lost because the loop did not take them in time."""
+        return self._feed.dropped
+
+    def __next__(self) -> Sample:
+        state = None
+        while not isinstance(state, pb.State):
+            arrival = self._feed.take(self._timeout_s)
+            if arrival is None:
+                raise NoSamplesError(
+                    f"No samples from {self._board} for {self._timeout_s:g} s",
+                    remedy="Look at rig.status(): gateway, link or board is gone, or its stream is off",
+                )
+            state = arrival.message
+        sample, last = Sample.of(state), self._last
+        if last is not None and last.session == sample.session:
+            self._left_s -= sample.t_s - last.t_s
+        self._last = sample
+        if self._left_s < 1e-6:  # s; less than any tick, more than rounding
+            self.close()
+            raise StopIteration
+        return sample
+
+
+def login_name() -> str:
+    """Of who runs this process."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a container's user need not have a name
+        return "unknown"
+
+
+def _check_topic(name: str) -> None:
+    if name not in topics.BY_NAME or topics.BY_NAME[name].by == "client" or not topics.BY_NAME[name].bus:
+        there = ", ".join(topic.name for topic in topics.TOPICS if topic.bus and topic.by != "client")
+        raise UsageError(f"{name!r} is no topic to listen to", remedy=f"Choose among {there}")
+
+
+def _accepted(command: pb.Command | pb.TwinCommand, reply: pb.CommandReply) -> Reply:
+    if reply.accepted:
+        return Reply.of(reply)
+    if reply.refused_by == "link" and isinstance(command, pb.Command):
+        raise CommandNotDeliveredError(command, reply)
+    raise CommandRefusedError(command, reply)

@@ -1,0 +1,173 @@
+"""What a rig says, as values: one sample, many samples as arrays, a capture, a reply.  SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from gateway.client.commands import Mode
+from protocol.bus import board51_pb2 as pb
+from protocol.errors import DataError, UsageError
+
+if TYPE_CHECKING:
+    FloatArray = npt.NDArray[np.float64]
+    IntArray = npt.NDArray[np.int64]
+
+_MODES = {pb.MODE_IDLE: Mode.IDLE, pb.MODE_OPEN_LOOP: Mode.OPEN_LOOP, pb.MODE_CLOSED_LOOP: Mode.CLOSED_LOOP}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reply:
+    """A command that was accepted."""
+
+    id: str  # of the command
+    tick: int  # of the board, from which it is in force
+    text: str  # a remark of who accepted it; mostly empty
+    attempts: int  # frames that went to the board
+
+    @classmethod
+    def of(cls, reply: pb.CommandReply) -> Self:
+        """From the message of the bus."""
+        return cls(id=reply.id, tick=reply.tick, text=reply.text, attempts=reply.attempts)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sample:
+    """One control tick.  A quantity that was not measured is NaN."""
+
+    tick: int  # control periods since the board's reset: the time base; strictly increasing within a session
+    session: int  # a new number after each reset or reconnection: nothing is continuous across it
+    t_s: float  # time on the board's clock, s
+    i_c_a: float  # coil current, A
+    x_m: float  # position of the ball, m, up from the sensor
+    u_c_v: float  # input in force from this tick to the next, V
+    x_ref_m: float  # reference in force at this tick, m
+    mode: Mode
+    flags: int  # bits of protocol.wire.messages.Flag
+    lost_before: int  # samples missing directly before this one
+
+    @classmethod
+    def of(cls, state: pb.State) -> Self:
+        """From the message of the bus."""
+        return cls(
+            tick=state.tick,
+            session=state.session,
+            t_s=state.t_s,
+            i_c_a=state.i_c_a if state.HasField("i_c_a") else np.nan,
+            x_m=state.x_m if state.HasField("x_m") else np.nan,
+            u_c_v=state.u_c_v if state.HasField("u_c_v") else np.nan,
+            x_ref_m=state.x_ref_m if state.HasField("x_ref_m") else np.nan,
+            mode=_MODES[state.mode],
+            flags=state.flags,
+            lost_before=state.lost_before,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Samples:
+    """Many samples: one array for each quantity, all of shape (n,).  What was not measured is NaN."""
+
+    tick: IntArray  # control periods since the board's reset, shape (n,)
+    session: IntArray  # nothing is continuous where it changes, shape (n,)
+    t_s: FloatArray  # time on the board's clock, s, shape (n,)
+    i_c_a: FloatArray  # coil current, A, shape (n,)
+    x_m: FloatArray  # position of the ball, m, up from the sensor, shape (n,)
+    u_c_v: FloatArray  # input in force from this tick to the next, V, shape (n,)
+    x_ref_m: FloatArray  # reference, m, shape (n,)
+    mode: npt.NDArray[np.str_]  # "idle", "open-loop" or "closed-loop", shape (n,)
+    flags: IntArray  # bits of protocol.wire.messages.Flag, shape (n,)
+    lost_before: IntArray  # samples missing directly before each one, shape (n,)
+
+    def __len__(self) -> int:
+        return len(self.tick)
+
+    @classmethod
+    def of(cls, samples: Iterable[Sample]) -> Self:
+        """Arrays from samples, in their order."""
+        rows = list(samples)
+        kinds: dict[str, Any] = {"tick": np.int64, "session": np.int64, "flags": np.int64, "lost_before": np.int64}
+        kinds["mode"] = np.str_
+        return cls(
+            **{
+                f.name: np.array([getattr(row, f.name) for row in rows], dtype=kinds.get(f.name, np.float64))
+                for f in fields(cls)
+            }
+        )
+
+    def to_dict(self) -> dict[str, npt.NDArray[Any]]:
+        """The arrays by name, each of shape (n,)."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    def to_dataframe(self) -> Any:
+        """A pandas DataFrame with one column for each quantity.
+
+        Raises:
+            UsageError: pandas is not installed; board51 does not bring it.
+        """
+        try:
+            import pandas  # type: ignore[import-untyped, unused-ignore]  # optional, not among our dependencies
+        except ImportError:
+            raise UsageError(
+                "pandas is not installed, and a DataFrame needs it",
+                remedy="Install pandas, or use the arrays: to_dict() has them by name",
+            ) from None
+        return pandas.DataFrame(self.to_dict())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Capture:
+    """The coil current around a step of the input, at 25 kHz."""
+
+    session: int
+    tick: int  # at which the capture began
+    sample_time_s: float
+    u_from_v: float
+    u_to_v: float
+    t_s: FloatArray  # time from the step, s, shape (n,)
+    i_c_a: FloatArray  # coil current, A, shape (n,)
+
+    @classmethod
+    def of(cls, record: pb.CaptureRecord) -> Self:
+        """From the message of the bus."""
+        return cls(
+            session=record.session,
+            tick=record.tick,
+            sample_time_s=record.sample_time_s,
+            u_from_v=record.u_from_v,
+            u_to_v=record.u_to_v,
+            t_s=np.asarray((np.arange(len(record.i_c_a)) - record.step_index) * record.sample_time_s, dtype=np.float64),
+            i_c_a=np.array(record.i_c_a, dtype=np.float64),
+        )
+
+
+def read_log(path: Path | str | Sequence[Path], *, board: str | None = None) -> Samples:
+    """The samples of one board in an MCAP log.
+
+    Args:
+        path: An MCAP file, or the parts of one log.
+        board: Its name; None where the log has one board only.
+
+    Returns:
+        Arrays of shape (n,), SI units.
+
+    Raises:
+        DataError: no log of ours, a damaged one, no such board, or several boards and none was named.
+    """
+    from protocol.log.reader import read
+
+    where = Path(path) if isinstance(path, str) else path
+    rows, boards = [], set()
+    for record in read(where, ["state"], [board] if board else None):
+        assert isinstance(record.message, pb.State)
+        boards.add(record.board)
+        rows.append(Sample.of(record.message))
+    if len(boards) > 1:
+        raise DataError(f"{path} has the boards {', '.join(sorted(boards))}", remedy="Name one of them: board=...")
+    if not rows:
+        raise DataError(f"{path} has no samples" + (f" of {board}" if board else ""), remedy="See `board51 info`")
+    return Samples.of(rows)

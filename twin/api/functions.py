@@ -1,0 +1,316 @@
+"""Identify, validate, diagnose, predict, design.  The commands of `board51` are shells over these.
+
+Each takes files or what was read from them.  What is computed is in the packages; here is what everybody wants of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from protocol.campaign import Campaign, Recording
+from protocol.errors import DataError, UsageError
+from twin.api.results import Designed, Diagnosed, Identified, Predicted, Validated
+from twin.model.nominal import find_model
+from twin.model.parameters import Model
+
+if TYPE_CHECKING:
+    from twin.design.board import Converters
+
+Say = Callable[[str], None]
+SHARE = 0.2  # least part of what is left that a cause must explain
+SAMPLE_TIME_MIN_S, SAMPLE_TIME_MAX_S = 1e-4, 2e-2
+
+
+def _silent(_: str) -> None:
+    return
+
+
+def identify(campaign: Campaign | Path | str, *, data: Path | None = None, say: Say = _silent) -> Identified:
+    """Identify K_A, T_A, K_c and b, and the noise, from the recordings with use = "fit".
+
+    Args:
+        campaign: campaign.toml, the folder that holds it, or what `Campaign.load` read.
+        data: folder of recordings that are not beside the campaign.
+        say: takes lines of progress.
+
+    Returns:
+        The model (SI units) and what is to be said about it.
+
+    Raises:
+        DataError: a file is absent, unreadable, or not what it says it is.
+        ConfigError: a key of the campaign is wrong.
+    """
+    from twin.identify import pipeline
+
+    found = pipeline.identify(_campaign(campaign), data=data, say=say)
+    return Identified(model=found.model, usable=found.usable, warnings=found.warnings, details=found)
+
+
+def validate(
+    campaign: Campaign | Path | str, model: Model | Path | str, *, data: Path | None = None, say: Say = _silent
+) -> Validated:
+    """Judge a model by the recordings with use = "judge".
+
+    Args:
+        campaign: campaign.toml, the folder that holds it, or what `Campaign.load` read.
+        model: what `identify` gave, a model file, or the name of a shipped model.
+        data: folder of recordings that are not beside the campaign.
+        say: takes lines of progress.
+
+    Returns:
+        The answer; errors over the horizon as arrays of shape (n,), m.
+
+    Raises:
+        DataError: a file is absent, unreadable, or not what it says it is; a model of another rig.
+        ConfigError: a key of the campaign is wrong.
+    """
+    import numpy as np
+
+    from twin.validate import verdict
+
+    found = verdict.validate(_campaign(campaign), _model(model), data=data, say=say)
+    return Validated(
+        passed=found.passed,
+        answer=found.answer(),
+        failures=tuple(found.failures()),
+        notes=found.notes,
+        horizon_s=np.array([row.horizon_s for row in found.ahead], dtype=np.float64),
+        rmse_m=np.array([row.rmse_m for row in found.ahead], dtype=np.float64),
+        floor_m=np.array([row.floor_m for row in found.ahead], dtype=np.float64),
+        details=found,
+    )
+
+
+def diagnose(
+    campaign: Campaign | Path | str,
+    *,
+    model: Model | Path | str | None = None,
+    data: Path | None = None,
+    quick: bool = False,
+    share: float = SHARE,
+    seed: int = 0,
+    workers: int = 2,
+    budget: float | None = None,
+    say: Say = _silent,
+) -> Diagnosed:
+    """Name the physical cause of what a model gets wrong, and extend the model by it.
+
+    Args:
+        campaign: campaign.toml, the folder that holds it, or what `Campaign.load` read.
+        model: the simulation to judge: a model, a model file, or the name of a shipped one; default: the paper's,
+            fitted to the campaign.
+        data: folder of recordings that are not beside the campaign.
+        quick: fewer candidates, the first seconds of each flight; confidence is not calibrated then.
+        share: least part of what is left that a cause must explain, 0 to 1.
+        seed: of the bootstrap.
+        workers: threads; the result does not depend on it.
+        budget: most that is computed, in millions of filter steps; the answer is the same on any machine.
+        say: takes lines of progress.
+
+    Returns:
+        Verdict, causes, extended model (SI units), and residuals as arrays.
+
+    Raises:
+        DataError: a file is absent, unreadable, or not what it says it is; too little data; a model of another plant.
+        ConfigError: a key of the campaign is wrong.
+        UsageError: a share or a budget that is none.
+    """
+    from twin.diagnose import pipeline
+    from twin.diagnose.equilibria.run import diagnose_static, rests_alone
+    from twin.diagnose.equilibria.to_json import sentence_of
+    from twin.diagnose.inference.budget import MILLION
+    from twin.diagnose.residuals.summary import shown
+
+    if not 0.0 < share <= 1.0:
+        raise UsageError(f"--share is {share:g}", remedy="Give a part of 1, as 0.2")
+    if budget is not None and not 0.0 < budget < math.inf:
+        raise UsageError(f"--budget is {budget:g}", remedy="Give millions of filter steps, as 600")
+    where = campaign.where if isinstance(campaign, Campaign) else str(campaign)
+    campaign, given = _campaign(campaign), None if model is None else _model(model)
+    if rests_alone(campaign):
+        rest = diagnose_static(campaign, data=data, model=given, say=say)
+        return Diagnosed(
+            verdict=rest.verdict,
+            sentence=sentence_of(rest),
+            causes=tuple(member.name for member in rest.members),
+            extended=rest.extended,
+            warnings=tuple(rest.warnings),
+            details=rest,
+            residuals=None,
+            where=where,
+        )
+    found = pipeline.diagnose(
+        campaign,
+        data=data,
+        model=given,
+        quick=quick,
+        share=share,
+        seed=seed,
+        workers=workers,
+        budget=None if budget is None else budget * MILLION,
+        say=say,
+    )
+    say("what it gets wrong, before and after")
+    return Diagnosed(
+        verdict=found.verdict,
+        sentence=found.sentence,
+        causes=tuple(cause.name for cause in found.causes),
+        extended=found.extended,
+        warnings=found.warnings,
+        details=found,
+        residuals=shown(found, campaign.controller, quick=quick, seed=seed),
+        where=where,
+    )
+
+
+def predict(
+    model: Model | Path | str,
+    recording: Path | str,
+    *,
+    horizon_samples: int = 10,
+    campaign: Campaign | Path | str | None = None,
+    data: Path | None = None,
+    board: str | None = None,
+) -> Predicted:
+    """Predict each reading of x from what was known so many samples earlier, and u_c in between.
+
+    Args:
+        model: what `identify` or `diagnose` gave, a model file, or the name of a shipped model.
+        recording: CSV (also .gz), MATLAB or MCAP.
+        horizon_samples: samples ahead, from 1.
+        campaign: whose entry of the recording has its columns and skip_s; None: default columns.
+        data: folder of recordings that are not beside the campaign.
+        board: in a log of several boards, the one that is meant.
+
+    Returns:
+        Readings and predictions, shape (n,), s and m.
+
+    Raises:
+        DataError: a file is absent, unreadable, or not what it says it is; not a recording of the campaign.
+        UsageError: a horizon below 1.
+    """
+    from twin import prediction
+    from twin.readers.campaign import read_recording
+
+    if horizon_samples < 1:
+        raise UsageError(f"--horizon {horizon_samples}", remedy="Give a number of samples from 1")
+    known, path = _model(model), Path(recording)
+    entry = Recording(file=path.name, kind="closed-loop", use="judge")
+    if campaign is not None:
+        entry, path = _listed(_campaign(campaign), path, data)
+    if board is not None:
+        entry = replace(entry, board=board)
+    record = read_recording(path, entry)
+    if campaign is None:
+        record = replace(record, kind="free")  # nobody said whether the loop is closed
+    found = prediction.predict(known, record, horizon_samples)
+    return Predicted(
+        recording=entry.file,
+        horizon_samples=found.ahead,
+        horizon_s=found.ahead * found.interval_s,
+        t_s=found.t,
+        x_m=found.x,
+        x_hat_m=found.x_hat,
+        rmse_m=found.rmse_m,
+        details=found,
+    )
+
+
+def _listed(campaign: Campaign, wanted: Path, data: Path | None) -> tuple[Recording, Path]:
+    """The campaign's entry of this file, and where the file is."""
+    exact = [r for r in campaign.recordings if wanted in (Path(r.file), campaign.folder / r.file)]
+    found = exact or [r for r in campaign.recordings if Path(r.file).name == wanted.name]
+    if len(found) != 1:
+        listed = ", ".join(r.file for r in campaign.recordings) or "none"
+        problem = "is there twice" if found else "is not one of its recordings"
+        raise DataError(f"{campaign.where}: {str(wanted)!r} {problem}", remedy=f"Name one of: {listed}")
+    return found[0], wanted if wanted.is_file() else campaign.path_of(found[0], data=data)
+
+
+def design(
+    model: Model | Path | str,
+    *,
+    x_m: float | None = None,
+    law: Literal["lqi", "pid"] = "lqi",
+    sample_time_s: float = 2e-3,
+    Q: tuple[float, float, float, float] | None = None,
+    R: float | None = None,
+    settling_time_s: float | None = None,
+    converters: Converters | None = None,
+    u_max_v: float = 5.0,
+    with_observer: bool = False,
+    seed: int = 1,
+) -> Designed:
+    """Design LQI (eq. 16-19) or PID gains, and judge the loop that the board will run.
+
+    Args:
+        model: what `identify` gave, a model file, or the name of a shipped model.
+        x_m: operating point, m, up from the bottom stop; default: mid-travel.
+        law: of the board.
+        sample_time_s: T_s, s.
+        Q: weights of i_c (1/A^2), x (1/m^2), speed (s^2/m^2), integral (1/(m s)^2); default: Bryson's rule.
+        R: weight of u_c, 1/V^2; default: Bryson's rule.
+        settling_time_s: for Bryson's rule: how long an error may last, s.
+        converters: what one count is worth; default: the paper's board.
+        u_max_v: end of the input's range, V.
+        with_observer: compare with a Kalman filter, which the board cannot run.
+        seed: of the parameters drawn from their intervals.
+
+    Returns:
+        Gains, shape (4,), SI units, with poles, margins and robustness.
+
+    Raises:
+        DataError: K_A or K_c of the model is a placeholder; no such file.
+        UsageError: no such operating point, weights without a solution, gains beyond the board's format.
+    """
+    import numpy as np
+
+    from twin.design import design as work
+    from twin.design.gains import Weights, bryson, operating_point
+
+    if not SAMPLE_TIME_MIN_S <= sample_time_s <= SAMPLE_TIME_MAX_S:
+        raise UsageError(
+            f"--sample-time {sample_time_s:g} s",
+            remedy=f"Give {SAMPLE_TIME_MIN_S:g} to {SAMPLE_TIME_MAX_S:g} s; the board runs at 0.002",
+        )
+    if not (math.isfinite(u_max_v) and u_max_v > 0.0):
+        raise UsageError(f"--u-max {u_max_v:g} V", remedy="Give a positive voltage")
+    if seed < 0:
+        raise UsageError(f"--seed {seed}", remedy="Give a number from 0")
+    if with_observer and law != "lqi":
+        raise UsageError("--observer with --law pid", remedy="An observer needs state feedback: use --law lqi")
+    if settling_time_s is not None and Q is not None and R is not None:
+        raise UsageError("--settling-time beside --Q and --R has no effect", remedy="Leave out the one or the other")
+    known = _model(model)
+    work.require_known(known)
+    chosen = bryson(known, operating_point(known, x_m, u_max_v=u_max_v), settling_time_s=settling_time_s)
+    found = work.design(
+        known,
+        x_m=x_m,
+        sample_time_s=sample_time_s,
+        law=law,
+        weights=Weights(Q=chosen.Q if Q is None else Q, R=chosen.R if R is None else R),
+        converters=converters,
+        u_max_v=u_max_v,
+        with_observer=with_observer,
+        seed=seed,
+    )
+    return Designed(
+        gains=np.array(found.gains, dtype=np.float64),
+        poles=found.board.poles,
+        stable=found.board.stable,
+        warnings=found.warnings,
+        details=found,
+    )
+
+
+def _campaign(campaign: Campaign | Path | str) -> Campaign:
+    return campaign if isinstance(campaign, Campaign) else Campaign.load(campaign)
+
+
+def _model(model: Model | Path | str) -> Model:
+    return model if isinstance(model, Model) else find_model(model)

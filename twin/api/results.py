@@ -1,0 +1,295 @@
+"""What the functions of `twin` give: typed, with arrays, and the files and figures that the commands make of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from protocol.files import make_folder, writing
+from twin.model.parameters import Model
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+    from matplotlib.figure import Figure
+
+    from twin.design.design import Design
+    from twin.diagnose.equilibria.diagnosis import StaticDiagnosis
+    from twin.prediction import Prediction
+    from twin.diagnose.residuals.summary import Show
+    from twin.diagnose.result import Diagnosis
+    from twin.identify.pipeline import Identification
+    from twin.validate.verdict import Validation
+
+    FloatArray = npt.NDArray[np.float64]
+
+
+def as_text(data: Mapping[str, Any]) -> str:
+    """JSON as the commands print it."""
+    return json.dumps(data, indent=2, allow_nan=False)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Raises UsageError where that is not possible."""
+    with writing(path):
+        path.write_text(text, encoding="utf-8")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identified:
+    """The model of a campaign."""
+
+    model: Model  # K_A in A/V, T_A in s, K_c in N m^2/A^2, b in N s/m, with intervals and verdicts
+    usable: bool  # whether a twin can run on it: the fit converged, K_A and K_c are known
+    warnings: tuple[str, ...]
+    details: Identification
+
+    def to_json(self) -> dict[str, Any]:
+        """The model file."""
+        return self.model.to_json()
+
+    def table(self) -> str:
+        """For people."""
+        from twin.identify.result import table
+
+        return table(self.details)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Validated:
+    """Whether a model explains the recordings with use = "judge"."""
+
+    passed: bool | None  # None: the flight is absent or too short to tell
+    answer: str
+    failures: tuple[str, ...]
+    notes: tuple[str, ...]
+    horizon_s: FloatArray  # of the predictions, s, shape (n,)
+    rmse_m: FloatArray  # their error, m, shape (n,)
+    floor_m: FloatArray  # what a perfect model would have, m, shape (n,)
+    details: Validation
+
+    def to_json(self) -> dict[str, Any]:
+        """validation.json."""
+        from twin.validate.report import to_dict
+
+        return to_dict(self.details)
+
+    def to_html(self, title: str = "") -> str:
+        """report.html, self-contained."""
+        from twin.validate.report import to_html
+
+        return to_html(self.details, title=title or f"Validation on {self.details.model.plant.name}")
+
+    def figures(self) -> dict[str, Figure]:
+        """The paper's figures 7, 8, 11 and 12, prediction errors and residuals, as far as the campaign has them."""
+        from twin.validate import figures as draw
+
+        found, travel_m = self.details, self.details.model.plant.travel_m
+        drawn: dict[str, Figure] = {}
+        if not isinstance(found.amplifier, str):
+            drawn["amplifier"] = draw.amplifier_figure(found.amplifier, found.model.T_A)
+        if not isinstance(found.windows, str):
+            drawn["ball"] = draw.ball_figure(found.windows, travel_m)
+        if found.ahead:
+            drawn["prediction"] = draw.ahead_figure(found.ahead)
+        if not isinstance(found.channels, str):
+            drawn["residuals"] = draw.residual_figure(found.channels)
+        if not isinstance(found.loop, str):
+            drawn |= {f"closed loop {run.name}": draw.loop_figure(run, travel_m) for run in found.loop.runs}
+            if found.loop.responses:
+                drawn["steps"] = draw.step_figure(found.loop.responses)
+        return drawn
+
+    def save(self, folder: Path | str, *, title: str = "") -> None:
+        """Write validation.json and report.html.
+
+        Raises:
+            UsageError: the folder cannot be written.
+        """
+        make_folder(Path(folder))
+        write_text(Path(folder) / "validation.json", as_text(self.to_json()) + "\n")
+        write_text(Path(folder) / "report.html", self.to_html(title))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Diagnosed:
+    """What a model gets wrong, and why."""
+
+    verdict: str  # causes-found | partly-explained | model-adequate | unknown-cause | unfinished
+    sentence: str  # the answer, for people
+    causes: tuple[str, ...]  # names of the catalogue, most important first; candidates where the verdict names none
+    extended: Model  # the model with its causes: usable wherever a model is
+    warnings: tuple[str, ...]
+    details: Diagnosis | StaticDiagnosis  # of points of rest alone
+    residuals: Show | None  # what is wrong, before and after, as arrays; None for points of rest alone
+    where: str  # the campaign, for the report
+
+    def to_json(self) -> dict[str, Any]:
+        """diagnosis.json."""
+        if self.residuals is None:
+            from twin.diagnose.equilibria import to_json as static
+
+            return static.to_json(self._static)
+        from twin.diagnose import result
+        from twin.diagnose.residuals.summary import to_dict
+
+        return result.to_json(self._flown) | {"show": to_dict(self.residuals)}
+
+    def to_html(self, folder: Path | str = ".") -> str:
+        """report.html, self-contained; `folder` is named in the commands that it ends with."""
+        if self.residuals is None:
+            from twin.diagnose.equilibria.page import page
+
+            return page(self._static, f"What the model of {self.extended.plant.name} gets wrong at rest")
+        from twin.diagnose.report.page import to_html
+
+        return to_html(self._flown, self.residuals, campaign=Path(self.where), out=Path(folder))
+
+    def figures(self) -> dict[str, Figure]:
+        """What is wrong, before and after: over the horizon, in time, by regime, as force, over frequency."""
+        if self.residuals is None:
+            from twin.diagnose.equilibria.page import figure
+
+            return {"points": figure(self._static)}
+        from twin.diagnose.report import figures as draw
+
+        show = self.residuals
+        drawn: dict[str, Figure] = {}
+        if show.ahead:
+            drawn["prediction"] = draw.ahead_figure(show.ahead)
+        if show.piece is not None:
+            drawn["trace"] = draw.piece_figure(show.piece)
+            drawn["error"] = draw.error_figure(show.piece, show.floor_m)
+        drawn |= {f"error by {one.title}": draw.regime_figure(one, show.floor_m) for one in show.regimes}
+        drawn |= {
+            f"{one.residual_unit} over {one.title}": draw.curve_figure(one) for one in (*show.force, *show.current)
+        }
+        if show.spectrum is not None:
+            drawn["spectrum"] = draw.spectrum_figure(show.spectrum)
+        if not isinstance(show.steps, str):
+            drawn["steps"] = draw.steps_figure(show.steps)
+        return drawn
+
+    def summary(self, saved_in: Path | None = None) -> str:
+        """A few lines for people."""
+        lines = [self.sentence]
+        if self.residuals is not None:
+            from twin.diagnose.report.sentences import percent, sizes
+
+            found = self._flown
+            for cause in found.causes:
+                others = ", ".join(member.name for member in cause.indistinguishable_from)
+                lines.append(
+                    f"  {'' if found.holds(cause) else 'candidate '}{cause.name}: confidence {cause.confidence:.2f},"
+                    f" explains {percent(cause.share_of_excess_explained)}"
+                    + (f"; these data cannot tell it from {others}" if others else "")
+                )
+            for trifle in found.trifles:
+                lines.append(f"  seen, too small to be named: {trifle.name} ({sizes(trifle.name, trifle.parameters)})")
+        lines += [f"  ! {warning}" for warning in self.warnings]
+        if saved_in is not None:
+            lines += [f"report   {saved_in / 'report.html'}", f"model    {saved_in / 'extended_model.json'}"]
+        return "\n".join(lines)
+
+    def save(self, folder: Path | str) -> None:
+        """Write diagnosis.json, report.html and extended_model.json.
+
+        Raises:
+            UsageError: the folder cannot be written.
+        """
+        make_folder(Path(folder))
+        files = {
+            "report.html": self.to_html(folder),
+            "diagnosis.json": as_text(self.to_json()) + "\n",
+            "extended_model.json": as_text(self.extended.to_json()) + "\n",
+        }
+        for name, content in files.items():
+            write_text(Path(folder) / name, content)
+
+    @property
+    def _flown(self) -> Diagnosis:
+        from twin.diagnose.result import Diagnosis
+
+        assert isinstance(self.details, Diagnosis)
+        return self.details
+
+    @property
+    def _static(self) -> StaticDiagnosis:
+        from twin.diagnose.equilibria.diagnosis import StaticDiagnosis
+
+        assert isinstance(self.details, StaticDiagnosis)
+        return self.details
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Predicted:
+    """The position N samples ahead along a recording; each sample that can be predicted once."""
+
+    recording: str
+    horizon_samples: int
+    horizon_s: float
+    t_s: FloatArray  # time, s, shape (n,)
+    x_m: FloatArray  # what was measured, m, shape (n,)
+    x_hat_m: FloatArray  # what was predicted for it, m, shape (n,)
+    rmse_m: float | None  # m; None where nothing could be predicted
+    details: Prediction
+
+    def to_json(self) -> dict[str, Any]:
+        """The figures that the command prints."""
+        found = self.details
+        return {
+            "recording": self.recording,
+            "horizon_samples": self.horizon_samples,
+            "horizon_s": self.horizon_s,
+            "rmse_m": self.rmse_m,
+            "count": len(self.x_m),
+            "samples": found.samples,
+            "left_out": dict(found.left_out),
+            "notes": list(found.notes),
+        }
+
+    def to_csv(self) -> str:
+        """Rows t, x, x_hat in s and m."""
+        rows = zip(self.t_s.tolist(), self.x_m.tolist(), self.x_hat_m.tolist(), strict=True)
+        return "t,x,x_hat\n" + "".join(f"{t:.9g},{x:.10g},{x_hat:.10g}\n" for t, x, x_hat in rows)
+
+    def table(self) -> str:
+        """For people."""
+        found = self.details
+        horizon = f"{self.horizon_samples} samples ({1e3 * self.horizon_s:.3g} ms) ahead"
+        lines = [f"{self.recording}: {len(self.x_m)} of {found.samples} samples predicted {horizon}"]
+        if self.rmse_m is not None:
+            lines.append(f"rmse of x  {self.rmse_m:.6g} m")
+        return "\n".join([*lines, *(f"left out   {count:>7}  {why}" for why, count in found.left_out)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Designed:
+    """A controller for the board, and what it is worth."""
+
+    gains: FloatArray  # in the order of the law, shape (4,): V/A, V/m, V s/m, V/(m s) of LQI
+    poles: npt.NDArray[np.complex128]  # of the loop as the board runs it, in z, largest first, shape (n,)
+    stable: bool  # that loop, on the model itself
+    warnings: tuple[str, ...]
+    details: Design
+
+    def to_json(self) -> dict[str, Any]:
+        """The controller file: law, gains, operating point."""
+        from twin.design.report import controller
+
+        return controller(self.details)
+
+    def report(self) -> dict[str, Any]:
+        """The controller and all that is known about it, as the command prints it."""
+        from twin.design.report import everything
+
+        return everything(self.details)
+
+    def table(self) -> str:
+        """For people."""
+        from twin.design.report import table
+
+        return table(self.details)

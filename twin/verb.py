@@ -1,0 +1,32 @@
+"""A package that can be called: `from twin import identify` is the package `twin.identify`, and `identify(...)` works.
+
+The public functions have the names of the packages that do the work.  Python binds a package to its name in `twin` at
+its first import, wherever that happens, so a function of that name would vanish: the package itself has to answer.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any
+
+
+class Verb(ModuleType):
+    """The class of such a package; calls the function of its name in `twin.api`."""
+
+    def __call__(self, *args: Any, **options: Any) -> Any:
+        """Call the function."""
+        return self.function(*args, **options)
+
+    @property
+    def function(self) -> Callable[..., Any]:
+        """What a call does."""
+        found: Callable[..., Any] = getattr(importlib.import_module("twin.api"), self.__name__.rpartition(".")[2])
+        return found
+
+    @property
+    def __signature__(self) -> inspect.Signature:
+        """Of the function, for help and editors."""
+        return inspect.signature(self.function)
