@@ -1,11 +1,11 @@
-# make setup | demo | test | check | docs | clean.  Everything lives in .venv, made from requirements.lock.
+# make setup | demo | test | test-slow | mutants | check | docs | clean.  Everything lives in .venv, from requirements.lock.
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 PYTEST_ARGS ?= -n 2 --dist loadgroup
 STAMP  := $(VENV)/.from-lock
 
-.PHONY: setup demo test check docs clean
+.PHONY: setup demo test test-slow mutants check docs clean
 setup: $(STAMP)
 
 # --require-hashes: what is installed is what was locked, byte for byte.
@@ -24,8 +24,18 @@ $(STAMP): requirements.lock pyproject.toml
 demo: setup
 	$(BIN)/board51 demo
 
+# Five minutes on two idle cores: what guards a change.
 test: setup
-	$(BIN)/pytest $(PYTEST_ARGS)
+	$(BIN)/pytest $(PYTEST_ARGS) -m "not slow"
+
+# The rest: samples of hidden campaigns, coverage of intervals, long flights, the demo, browsers over a failing network.
+test-slow: setup
+	$(BIN)/pytest $(PYTEST_ARGS) -m slow
+
+# Half an hour: see tests/README.md.
+mutants: setup
+	nice $(BIN)/mutmut run --max-children 1
+	$(BIN)/mutmut results
 
 check: setup
 	$(BIN)/ruff format --check .
@@ -39,4 +49,4 @@ docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 clean:
-	rm -rf $(VENV) demo-out site .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) demo-out site mutants .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -54,6 +54,7 @@ def test_a_link_that_is_down_says_since_when_and_why(tmp_path: Path) -> None:
             assert "nothing" in newest(late).active[0].text
 
 
+@pytest.mark.slow
 def test_a_cut_line_to_the_board_is_an_alarm_and_a_state_of_its_own_while_samples_flow() -> None:
     with Emulator() as emulator, gateway_and_client(gateway_config(*emulator.urls)) as bus:
         bus.await_states(100)
@@ -74,6 +75,7 @@ def test_a_cut_line_to_the_board_is_an_alarm_and_a_state_of_its_own_while_sample
     assert healthy.unanswered_s == 0.0
 
 
+@pytest.mark.slow
 def test_every_state_frame_is_a_sample_of_the_status_or_counted_in_it() -> None:
     faults = ("reset@2/1.5", "flip=2e-4:tx", "lost=2e-4:tx", "duplicate=1e-4:tx")
     with Emulator(faults=faults) as emulator, gateway_and_client(gateway_config(*emulator.urls)) as bus:

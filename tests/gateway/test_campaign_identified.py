@@ -19,6 +19,7 @@ TRUTH = {
 }
 
 
+@pytest.mark.slow
 def test_a_quick_campaign_gives_the_rig_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, model = tmp_path / "c", tmp_path / "model.json"
     with emulated_line(tmp_path) as line:

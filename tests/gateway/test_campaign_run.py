@@ -67,6 +67,7 @@ def test_a_recording_holds_what_is_needed_to_understand_it(tmp_path: Path, capsy
     assert "the ball lifts off at" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_an_interrupted_campaign_leaves_the_ball_parked_and_goes_on(number: signal.Signals, tmp_path: Path) -> None:
     folder = tmp_path / "c"

@@ -298,6 +298,7 @@ def test_a_router_may_go_and_come_back() -> None:
     assert after.tick > before.tick
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("queue", [8192, 64], ids=["all wait", "most are dropped"])
 def test_what_subscribers_miss_while_the_router_is_away_is_counted(
     queue: int, caplog: pytest.LogCaptureFixture

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.references.__main__ import main
 from tests.references.compare import differences
 
@@ -40,6 +42,7 @@ def test_a_tolerance_is_for_measurements_alone() -> None:
     assert [str(one) for one in differences(WAS, changed, relative=1e-6)] == [".n: 3 -> 4   (2.5e-01 relative)"]
 
 
+@pytest.mark.slow
 def test_a_tree_that_answers_otherwise_is_told_and_accepted_only_when_asked(tmp_path: Path) -> None:
     twin = ["--recorded", str(tmp_path), "--only", "twin-over-a-log", "--workers", "1"]
 

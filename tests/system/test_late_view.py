@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
+import pytest
 import zenoh
 
 from gateway.views.feed import Feed
@@ -44,6 +45,7 @@ def active(feed: Feed) -> dict[str, int]:
     return {} if board is None else {a.name: a.since_ns for a in board.alarms() if a.of_twin and a.active}
 
 
+@pytest.mark.slow
 def test_a_late_view_lists_the_alarms_of_the_twin_that_last_until_they_end() -> None:
     rig = Rig(K_c=8.28e-3 * 9.81 / 120.364**2, gap_offset_m=2.4377e-3)
     rig.hold(HELD)

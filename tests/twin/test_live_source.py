@@ -138,6 +138,7 @@ def test_several_boards_must_be_told_apart_and_none_is_an_error() -> None:
             assert find_board(session, "lab", "two")[0] == "two"
 
 
+@pytest.mark.slow
 def test_a_router_that_is_not_there_is_said() -> None:
     with pytest.raises(ServiceError, match="No router answers"):
         open_client((free_endpoint(),))

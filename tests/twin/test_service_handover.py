@@ -230,6 +230,7 @@ def test_two_boards_of_one_twin_take_it_together_or_one_of_them(endpoint: str) -
     assert [one.tick for one in divergences(heard, "two")] == list(range(60))
 
 
+@pytest.mark.slow
 def test_the_model_is_told_again_for_those_who_come_later(endpoint: str) -> None:
     rig = offset_rig()
     with router(endpoint) as session:

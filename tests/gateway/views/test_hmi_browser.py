@@ -161,6 +161,7 @@ def test_a_refusal_says_who_refused_and_why(page: Page, bus: Bus) -> None:
     expect(page.locator(".toast[data-state=bad]").last).to_contain_text(words)
 
 
+@pytest.mark.slow
 def test_gains_are_shown_before_they_are_sent(page: Page, bus: Bus) -> None:
     wait_for(lambda: bus.messages["rig/parameters"], "parameters")
     parameters = bus.messages["rig/parameters"][-1]
@@ -189,6 +190,7 @@ def test_a_mark_is_in_the_log(page: Page, bus: Bus) -> None:
     assert "ball changed" in bus.await_event("mark").text
 
 
+@pytest.mark.slow
 def test_a_recording_is_started_stopped_and_replayed_apart_from_the_live_rig(page: Page, rig: Rig, bus: Bus) -> None:
     page.get_by_role("button", name="Start", exact=True).click()
     wait_for(lambda: list((rig.folder / "data" / "recordings").glob("*.mcap")), "the recording")
@@ -236,6 +238,7 @@ def test_a_lost_board_is_shown_and_comes_back(page: Page, rig: Rig, bus: Bus) ->
     page.wait_for_selector("body[data-live=yes]")
 
 
+@pytest.mark.slow
 def test_the_page_recovers_when_the_gateway_restarts(page: Page, rig: Rig) -> None:
     page.evaluate("window.mine = true")
 
@@ -250,6 +253,7 @@ def test_the_page_recovers_when_the_gateway_restarts(page: Page, rig: Rig) -> No
     expect(page.locator('[data-live="stop-said"]')).to_contain_text("STOP accepted")
 
 
+@pytest.mark.slow
 def test_the_page_says_that_its_server_is_gone_and_recovers(page: Page, rig: Rig) -> None:
     page.evaluate(NOTE_THE_LOSS)
 

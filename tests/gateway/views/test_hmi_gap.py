@@ -78,6 +78,7 @@ def done(bus: Bus, what: str) -> int:
     return sum(record.command.WhichOneof("what") == what for record in records)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["nothing passes", "connections end", "connections are dead and nobody says so"])
 def test_controls_work_after_a_gap_of_seconds(page: Page, bus: Bus, network: Network, how: str) -> None:
     page.evaluate("fetch('/api/session').then((answer) => answer.text())")  # a connection to be used again
@@ -98,6 +99,7 @@ def test_controls_work_after_a_gap_of_seconds(page: Page, bus: Bus, network: Net
     assert page.evaluate("window.mine"), "the page was not loaded anew"
 
 
+@pytest.mark.slow
 def test_controls_work_after_the_page_s_server_restarted(page: Page, rig: Rig, bus: Bus) -> None:
     rig.hmi.kill()
     expect(page.locator('[data-live="lost"]')).to_contain_text("lost its server")
@@ -113,6 +115,7 @@ def test_controls_work_after_the_page_s_server_restarted(page: Page, rig: Rig, b
     mode(bus, pb.MODE_CLOSED_LOOP)
 
 
+@pytest.mark.slow
 def test_a_press_during_a_gap_is_answered_in_words_and_not_done_later(page: Page, bus: Bus, network: Network) -> None:
     network.cut()
     page.click('[data-mode="closed loop"]')
@@ -131,6 +134,7 @@ def test_a_press_during_a_gap_is_answered_in_words_and_not_done_later(page: Page
     assert done(bus, "set_mode") == 0
 
 
+@pytest.mark.slow
 def test_every_stop_goes_out_at_once_beside_those_that_are_not_answered(page: Page, bus: Bus, network: Network) -> None:
     """The first is answered late; in between somebody closes the loop again."""
     close_loop(bus)

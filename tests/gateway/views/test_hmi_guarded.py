@@ -81,6 +81,7 @@ def log_in(tab: Tab, name: str) -> None:
     tab.get_by_role("button", name="Log in").click()
 
 
+@pytest.mark.slow
 @in_a_browser
 def test_a_page_whose_server_restarted_asks_to_log_in_again(browser: Browser, plant: Plant) -> None:
     with logged_in(browser, plant, "ben") as tab:

@@ -244,6 +244,7 @@ def test_a_board_that_does_not_answer_is_told_in_the_bar(page: Page, site: Site)
     ), "no chip is cut off"
 
 
+@pytest.mark.slow
 def test_nothing_that_comes_moves_the_controls(page: Page, site: Site) -> None:
     """Alarms, flags, words across the page, marked chips, refusals."""
     site.gateway.answer = lambda _, command: pb.CommandReply(refused_by="gateway", reason="slew", text="Too far. " * 20)
@@ -268,6 +269,7 @@ def test_nothing_that_comes_moves_the_controls(page: Page, site: Site) -> None:
     assert page.evaluate(PLACES) == before
 
 
+@pytest.mark.slow
 def test_every_text_can_be_read(page: Page, site: Site) -> None:
     """4.5 : 1, WCAG 2 AA."""
     site.gateway.answer = lambda _, command: pb.CommandReply(refused_by="gateway", reason="slew", text="Too far.")

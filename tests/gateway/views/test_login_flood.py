@@ -62,6 +62,7 @@ def flood(port: int, address: str, name: str, *, threads: int = THREADS) -> Iter
             worker.join()
 
 
+@pytest.mark.slow
 def test_a_flood_does_not_keep_the_right_password_out_wherever_it_comes_from(port: int) -> None:
     with flood(port, "127.0.0.66", "ben") as answers:
         from_elsewhere = visitor(port, "127.0.0.7").log_in("ben")
@@ -72,6 +73,7 @@ def test_a_flood_does_not_keep_the_right_password_out_wherever_it_comes_from(por
     assert set(answers) <= {401, 429}
 
 
+@pytest.mark.slow
 def test_a_larger_flood_does_not_keep_out_the_browser_that_was_in(port: int) -> None:
     browser = visitor(port, "127.0.0.66")
     assert browser.log_in("ben").status_code == 303

@@ -20,6 +20,8 @@ from tests.gateway.gateway_peers import free_port, wait_for
 from tests.gateway.npm import installed
 from tests.patience import HANG_S
 
+pytestmark = pytest.mark.slow  # test_opcua_* ask the same of a client in Python
+
 HERE = Path(__file__).parent / "node_opcua"
 ROOT = Path(__file__).parents[3]
 PASSWORDS = {"vera": "look-only-1", "otto": "fly-it-now-2"}
@@ -212,7 +214,6 @@ def test_the_alarm_of_an_absent_board_is_acknowledged_by_its_event(node: Path, t
     assert operator["calls"]["Stop"]["code"] == "BadNoCommunication"
 
 
-@pytest.mark.slow
 def test_20_variables_at_50_hz_for_a_minute_without_loss(plant: Plant, tmp_path: Path) -> None:
     found = judge(plant, tmp_path, "otto", seconds=60.0)
 

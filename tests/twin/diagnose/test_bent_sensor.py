@@ -47,6 +47,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
     return load(folder / "campaign.toml")
 
 
+@pytest.mark.slow
 def test_the_derivative_by_the_place_of_a_stop_is_the_difference(campaign: Campaign) -> None:
     """Through a bent sensor with another gain, which shows a move of the stop other than it is."""
     plant, records = campaign.plant, read_campaign(campaign)

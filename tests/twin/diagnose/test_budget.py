@@ -174,6 +174,7 @@ def searched(criterion: Criterion) -> Selection:
     return select(criterion, base, floor, candidates=candidates, few=3)
 
 
+@pytest.mark.slow
 def test_wherever_a_budget_ends_what_is_known_by_then_is_sound(lagging: tuple[Criterion, Selection]) -> None:
     """Phases and numbers belong to each other, no class is told that was not looked for, the bound holds."""
     criterion, whole = lagging

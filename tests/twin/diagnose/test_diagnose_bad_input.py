@@ -139,6 +139,7 @@ def test_judge_recordings_alone_are_refused(copy: Callable[[str], Path], capsys:
     assert 'no recording has use = "fit"' in refused(capsys, folder)
 
 
+@pytest.mark.slow
 def test_without_judge_recordings_there_is_a_diagnosis_and_no_gain(
     copy: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

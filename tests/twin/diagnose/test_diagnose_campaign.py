@@ -109,8 +109,7 @@ def test_what_the_data_cannot_tell_apart_is_one_class(
 ) -> None:
     found = diagnosed(hide(effects, 41, "emulator"))
 
-    assert class_of(found) & members
-    assert effects[0][0] in class_of(found)
+    assert members <= class_of(found)
 
 
 @pytest.mark.slow
@@ -128,6 +127,7 @@ def comparable(found: Diagnosis) -> dict[str, Any]:
     return {name: value for name, value in data.items() if name != "stages_s"}
 
 
+@pytest.mark.slow
 def test_the_number_of_workers_changes_nothing_and_neither_does_a_second_run(hide: Hide) -> None:
     folder = hide(*DRAG)
 

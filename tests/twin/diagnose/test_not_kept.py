@@ -31,7 +31,7 @@ def test_a_trifle_beside_a_later_cause_goes_if_noise_remains(strength: float, ke
 
         floor = floor_of(criterion, rig)
         asked = replace(found, causes=[*found.causes], gains={**found.gains})
-        select._backward(criterion, found, floor, lambda line: None, PASSES)
+        select.backward(criterion, found, floor, lambda line: None, PASSES)
         stand_ins(criterion, asked, floor, candidates=(BY_NAME["quadratic-drag"],), few=3)
     finally:
         criterion.close()

@@ -10,7 +10,7 @@ import pytest
 
 from tests.twin.diagnose.known_diagnosis import diagnosis
 from tests.twin.diagnose.simulated_rig import controller
-from twin.diagnose.report.figures import _short
+from twin.diagnose.report.figures import short_label
 from twin.diagnose.report.page import to_html
 from twin.diagnose.report.sentences import finding_sentence, measured, quantity, summary_sentence
 from twin.diagnose.residuals.summary import shown
@@ -178,7 +178,7 @@ def test_the_page_is_made_in_time() -> None:
     ],
 )
 def test_a_group_of_errors_is_drawn_with_its_name(label: str, drawn: str) -> None:
-    assert _short(label) == drawn
+    assert short_label(label) == drawn
 
 
 def test_names_of_files_cannot_break_the_page() -> None:

@@ -35,6 +35,7 @@ def judged(campaign: Path, folder: Path, effects: dict[str, float]) -> tuple[int
     return code, json.loads((folder / "validation.json").read_text())
 
 
+@pytest.mark.slow
 def test_a_model_with_the_causes_of_the_rig_passes_where_one_without_fails(
     campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

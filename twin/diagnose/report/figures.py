@@ -104,7 +104,7 @@ def regime_figure(regime: Regime, floor_m: float) -> Figure:
     if np.isfinite(floor_m):
         line(floor_m * 1e6, color=FLOOR, ls="--", lw=1.2, label="noise floor")
     if named:
-        ax.set_yticks(range(count), [_short(one.label) for one in regime.bins])
+        ax.set_yticks(range(count), [short_label(one.label) for one in regime.bins])
         ax.invert_yaxis()
         ax.set_xlim(left=0.0)
         ax.set_xlabel("rms error 20 ms ahead [µm]")
@@ -255,7 +255,7 @@ def _decades(ax: Axes) -> None:
     ax.yaxis.set_minor_locator(matplotlib.ticker.NullLocator())
 
 
-def _short(label: str) -> str:
+def short_label(label: str) -> str:
     """A recording by its name alone, without folder and ending; both ends of what is still too long."""
     stem = label.removesuffix(".gz").removesuffix(".csv").removesuffix(".mcap")
     if stem != label:  # "slower than 1 mm/s" is no file

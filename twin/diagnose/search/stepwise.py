@@ -150,7 +150,7 @@ def _taken(criterion: Criterion, found: Selection, floor: Floor, step: Round, sa
     say(f"taken: {step.taken} ({step.why})")
     if len(found.causes) > 1:
         with whole(criterion, found), criterion.budget.question("whether each cause is needed beside the later ones"):
-            _backward(criterion, found, floor, say, passes)
+            backward(criterion, found, floor, say, passes)
     return True
 
 
@@ -210,7 +210,7 @@ def _asked_again(criterion: Criterion, found: Selection, floor: Floor, refused: 
     return decided(criterion, found.fit, under, refused.scores, trials, gained, least)
 
 
-def _backward(criterion: Criterion, found: Selection, floor: Floor, say: Say, passes: int) -> None:
+def backward(criterion: Criterion, found: Selection, floor: Floor, say: Say, passes: int) -> None:
     """Out with whatever the later ones have made superfluous: what would not be taken now is not kept."""
     criterion.each(lambda cause: without(criterion, found, cause, passes), found.causes[:-1])
     for cause in found.causes[:-1]:
