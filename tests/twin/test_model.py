@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from protocol.errors import DataError
-from twin.model.nominal import SHIPPED, force_constant, lift_off_current, nominal
-from twin.model.parameters import load_model, model_from_dict, model_to_dict
+from twin.model.nominal import force_constant, lift_off_current, nominal
+from twin.model.parameters import SHIPPED, load_model, model_from_dict, model_to_dict
 
 DATA = Path(os.environ.get("BOARD51_DATA", Path(__file__).parents[3] / "shared" / "data"))
 

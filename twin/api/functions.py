@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Literal
 from protocol.campaign import Campaign, Recording
 from protocol.errors import DataError, UsageError
 from twin.api.results import Designed, Diagnosed, Identified, Predicted, Validated
-from twin.model.nominal import find_model
 from twin.model.parameters import Model
 
 if TYPE_CHECKING:
@@ -313,4 +312,4 @@ def _campaign(campaign: Campaign | Path | str) -> Campaign:
 
 
 def _model(model: Model | Path | str) -> Model:
-    return model if isinstance(model, Model) else find_model(model)
+    return model if isinstance(model, Model) else Model.load(model)

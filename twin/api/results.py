@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
     from twin.design.design import Design
     from twin.diagnose.equilibria.diagnosis import StaticDiagnosis
-    from twin.prediction import Prediction
     from twin.diagnose.residuals.summary import Show
     from twin.diagnose.result import Diagnosis
-    from twin.identify.pipeline import Identification
+    from twin.identify.result import Identification
+    from twin.prediction import Prediction
     from twin.validate.verdict import Validation
 
     FloatArray = npt.NDArray[np.float64]

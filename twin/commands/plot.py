@@ -17,8 +17,7 @@ from protocol.bus.topics import check_name
 from protocol.errors import DataError, UsageError
 from twin.commands.twin import add_model_options, chosen_model, chosen_settings
 from twin.mirror.settings import Settings
-from twin.model.nominal import SHIPPED
-from twin.model.parameters import Model
+from twin.model.parameters import SHIPPED, Model
 
 if TYPE_CHECKING:
     from twin.mirror.offline import BoardRun

@@ -25,8 +25,7 @@ from protocol.bus.identity import HELP, find_identity
 from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.errors import UsageError
 from twin.mirror.settings import Settings
-from twin.model.nominal import SHIPPED, nominal
-from twin.model.parameters import Model, load_model
+from twin.model.parameters import SHIPPED, Model
 
 REPORT_S = 10.0  # between two lines about each board
 
@@ -101,7 +100,7 @@ def chosen_model(args: argparse.Namespace) -> Model:
 
 
 def _model(name: str) -> Model:
-    return nominal(name) if name in SHIPPED else load_model(name)
+    return Model.load(name)
 
 
 def chosen_settings(args: argparse.Namespace) -> Settings:

@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.resources import files
-from pathlib import Path
 from statistics import linear_regression
 
-from twin.model.parameters import Model, load_model
-
-SHIPPED = ("ce152", "inteco")
+from twin.model.parameters import Model
 
 
 def nominal(name: str = "ce152") -> Model:
     """A shipped model: `ce152`, or `inteco` (the rig of the public recordings)."""
-    return load_model(str(files("twin.model").joinpath(f"{name}.json")))
-
-
-def find_model(name: str | Path) -> Model:
-    """A shipped model by its name, else the model file of that name."""
-    return nominal(name) if isinstance(name, str) and name in SHIPPED else load_model(name)
+    return Model.load(name)
 
 
 def lift_off_current(gap_m: Sequence[float], i_c_a: Sequence[float], at_gap_m: float) -> float:

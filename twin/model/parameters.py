@@ -13,6 +13,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from protocol.files import parse_json, read_small, writing
 from twin.model.causes.cause import CauseParameter
 from twin.model.checks import finite, number, refuse, table
 
+SHIPPED = ("ce152", "inteco")  # models that come with the product, by name
 VERDICTS = ("identified", "weak", "not-identifiable", "assumed")  # assumed: taken from a source, not from a record
 
 # name: (unit, lowest, highest).  The bounds are of any laboratory rig of this kind, not of one: they catch a wrong
@@ -101,9 +103,8 @@ class Model:
         Raises:
             DataError: no such file, or not a model.
         """
-        from twin.model.nominal import find_model  # which stands on this file
-
-        return find_model(path)
+        shipped = isinstance(path, str) and path in SHIPPED
+        return load_model(str(files("twin.model").joinpath(f"{path}.json")) if shipped else path)
 
     def to_json(self) -> dict[str, Any]:
         """What a model file holds."""

@@ -7,9 +7,10 @@ import serial
 
 from gateway.testing import EmulatorFactory
 from protocol.errors import ServiceError
+from protocol.wire.codec import encode_body
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import Message, encode_body
+from protocol.wire.messages import Message
 
 
 class MyController:
