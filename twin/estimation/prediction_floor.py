@@ -11,8 +11,9 @@ Rule 2: the noise is the caller's.  Both reports ask what sensor noise alone lea
         model gets wrong, and a floor with it would forgive that.
 
 Against recordings simulated with the true model, for each cause of the catalogue: within 1 % (dry friction too weak to
-hold the ball 4 %, 40 ms ahead) beside the sampling error (tests/twin/test_prediction_floor.py).  A linearisation at
-rest was off by up to a factor of two under dry friction (with it in the slopes 2.8 too low, without it 2.1 too high),
+hold the ball 4 %, 40 ms ahead) beside the sampling error
+(tests/twin/estimation/test_prediction_floor.py).  A linearisation at rest was off by up to a factor of two under dry
+friction (with it in the slopes 2.8 too low, without it 2.1 too high),
 by 30 % under a slew limit, by 10 % with one sample in ten lost and by 6 % under drag.
 """
 

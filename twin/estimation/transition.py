@@ -5,7 +5,7 @@
 
 i^2 is a sum of exponentials, c(t) barely moves within an interval: c is taken as the parabola through start, middle and
 end, and the products are integrated in closed form with the moments of i^2.  Three Picard sweeps leave a position error
-of 2e-10 m and a speed error of 1e-6 m/s at 2 ms (tests/twin/identify/test_identify_transition.py); Runge-Kutta needs
+of 2e-10 m and a speed error of 1e-6 m/s at 2 ms (tests/twin/estimation/test_transition.py); Runge-Kutta needs
 substeps of T_A / 2 for that, which for T_A = 0.3 ms makes it five times as slow and for T_A = 20 us useless.
 """
 

@@ -13,7 +13,7 @@ Rule 1: only what the two predict differs; noise levels are those of the own cau
 Rule 2: an experiment in which the ball would not stay in the air is not proposed.
 Rule 3: up to z = 10 a refit with the experiment finds that z within its own error of 1; beyond 20 a quarter to two
         thirds of it, because a rival may call part of a clear misfit process noise: near neighbours may then change
-        places (tests/twin/diagnose/test_experiments.py).
+        places (tests/twin/diagnose/experiments/test_design.py).
 Rule 4: a pair that no experiment of the menu separates is said to be so, with the measurement from outside that would.
 """
 

@@ -1,7 +1,7 @@
 """The experiments that `board51 campaign run` can make, as this rig would be commanded in each.
 
-Names, shares and times are those of the campaign's own menu (tests/twin/diagnose/test_experiments.py holds the two
-together); inputs are shares of the lift-off input, positions shares of the travel.
+Names, shares and times are those of the campaign's own menu (tests/twin/diagnose/experiments/test_design.py holds the
+two together); inputs are shares of the lift-off input, positions shares of the travel.
 
 Rule 1: what is computed is shorter than what is run: a signal that repeats itself is played for a few periods, and what
         it tells is multiplied.

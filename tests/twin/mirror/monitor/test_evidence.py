@@ -9,9 +9,9 @@ import pytest
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
+from tests.twin.mirror.bus.test_handover import alarms as alarms_on_bus
+from tests.twin.mirror.bus.test_handover import divergences, offset_rig
 from tests.twin.rig import T_S, Rig
-from tests.twin.test_service_handover import alarms as alarms_on_bus
-from tests.twin.test_service_handover import divergences, offset_rig
 from tests.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait_for_count
 from twin.mirror.bus.request import NAME
 from twin.mirror.bus.service import TwinService
