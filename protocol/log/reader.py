@@ -159,13 +159,13 @@ class LogReader:
 
         Args:
             last_ns: Log time of the last message that was delivered; None if there was none.
-            cut_is_damage: Whether a file that ends within a record (its writer was killed in it) counts.
+            cut_is_damage: Whether a file that just ends within a record counts.
 
         Raises:
             DataError: damage.
         """
         for scan in self.scans:
-            damages = [d for d in scan.damages if cut_is_damage or scan.finished or d.offset + d.bytes < scan.size]
+            damages = [d for d in scan.damages if cut_is_damage or not d.is_cut]
             if damages:
                 first = damages[0]
                 until = f", readable to {(last_ns - self.start_ns) / 1e9:.3f} s" if last_ns is not None else ""

@@ -30,6 +30,7 @@ MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = range(1, 7)
 _STATISTICS, _METADATA, _DATA_END = 0x0B, 0x0C, 0x0F
 _LAST_OPCODE, _FIRST_PRIVATE = 0x0F, 0x80
+_CUT = "the file ends within"
 _RECORD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _FOOTER_BYTES = _RECORD.size + 20 + len(MAGIC)
@@ -69,6 +70,11 @@ class Damage:
     bytes: int
     reason: str
     until_ns: int | None = None  # log time of the last message in it, where that can be told
+
+    @property
+    def is_cut(self) -> bool:
+        """The file just ends here: its writer was killed, or is still at it."""
+        return self.reason.startswith(_CUT)
 
 
 @dataclass(slots=True)
@@ -171,9 +177,7 @@ class Scan:
         for message in self._inside(plain, cut=True):
             kept += 1
             yield message
-        self._damage(
-            at, self.size - at, f"the file ends within a chunk ({kept} messages of it are whole)", chunk=content
-        )
+        self._damage(at, self.size - at, f"{_CUT} a chunk ({kept} messages of it are whole)", chunk=content)
 
     def _inside(self, plain: bytes, *, cut: bool = False) -> Iterator[McapMessage]:
         """The messages among the records in `plain`."""
@@ -280,9 +284,9 @@ def _seek(file: BinaryIO, at: int) -> bool:
 
 def _why(head: bytes, opcode: int, end: int, size: int) -> str:
     if len(head) < _RECORD.size:
-        return "the file ends within a record"
+        return f"{_CUT} a record"
     if end > size and 0 < opcode <= _LAST_OPCODE:
-        return "the file ends within a record"
+        return f"{_CUT} a record"
     return "not a record"
 
 

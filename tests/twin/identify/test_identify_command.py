@@ -137,7 +137,7 @@ BAD: dict[str, tuple[str | bytes, str]] = {
     "cut off": ("t,u_c,i_c,x\n0,1,2\n", "not a table"),
     "not text": (b"\xff\xfe\x00\x01" * 20, "not text"),
     "broken gzip": (b"\x1f\x8b\x08\x00rubbish", "damaged"),
-    "not a log": (b"\x89MCAP0\r\n" + b"x" * 100, "MCAP"),
+    "not a log": (b"\x89MCAP0\r\n" + b"x" * 100, "is damaged at byte 8 of 108: not a record"),
     "not MATLAB": (b"MATLAB 5.0 MAT-file but not quite", "MATLAB"),
 }
 
