@@ -1,20 +1,24 @@
-"""What a rig says, as values: one sample, many samples as arrays, a capture, a reply.  SI units."""
+"""What a rig says, as values: one sample, many samples as arrays, a capture, a reply.  SI units.
+
+numpy is imported where arrays are made: commands and single samples do without it (extras of pyproject.toml).
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
-
-import numpy as np
-import numpy.typing as npt
 
 from gateway.client.commands import Mode
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError, UsageError
 
 if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
     FloatArray = npt.NDArray[np.float64]
     IntArray = npt.NDArray[np.int64]
 
@@ -58,10 +62,10 @@ class Sample:
             tick=state.tick,
             session=state.session,
             t_s=state.t_s,
-            i_c_a=state.i_c_a if state.HasField("i_c_a") else np.nan,
-            x_m=state.x_m if state.HasField("x_m") else np.nan,
-            u_c_v=state.u_c_v if state.HasField("u_c_v") else np.nan,
-            x_ref_m=state.x_ref_m if state.HasField("x_ref_m") else np.nan,
+            i_c_a=state.i_c_a if state.HasField("i_c_a") else math.nan,
+            x_m=state.x_m if state.HasField("x_m") else math.nan,
+            u_c_v=state.u_c_v if state.HasField("u_c_v") else math.nan,
+            x_ref_m=state.x_ref_m if state.HasField("x_ref_m") else math.nan,
             mode=_MODES[state.mode],
             flags=state.flags,
             lost_before=state.lost_before,
@@ -89,6 +93,8 @@ class Samples:
     @classmethod
     def of(cls, samples: Iterable[Sample]) -> Self:
         """Arrays from samples, in their order."""
+        import numpy as np
+
         rows = list(samples)
         kinds: dict[str, Any] = {"tick": np.int64, "session": np.int64, "flags": np.int64, "lost_before": np.int64}
         kinds["mode"] = np.str_
@@ -134,6 +140,8 @@ class Capture:
     @classmethod
     def of(cls, record: pb.CaptureRecord) -> Self:
         """From the message of the bus."""
+        import numpy as np
+
         return cls(
             session=record.session,
             tick=record.tick,

@@ -33,9 +33,9 @@ WITHOUT = [
     (["export", "run.mcap", "-o", "run.csv"], "export"),
     (["twin"], "twin"),
     (["identify", "campaign.toml"], "twin"),
-    (["design", "ce152"], "twin"),
-    (["validate", "campaign.toml", "--model", "ce152", "--out", "v"], "twin"),
-    (["predict", "ce152", "run.csv", "--horizon", "10", "--out", "p.csv"], "twin"),
+    (["design", "model.json"], "twin"),
+    (["validate", "campaign.toml", "--model", "model.json", "--out", "v"], "twin"),
+    (["predict", "model.json", "run.csv", "--horizon", "10", "--out", "p.csv"], "twin"),
     (["diagnose", "campaign.toml", "--out", "d"], "twin"),
     (["plot", "run.mcap", "--out", "p.png"], "twin"),
     (["demo"], "twin"),
@@ -70,6 +70,18 @@ def _environment(folder: Path, requirements: list[str]) -> Path:
             if not link.is_symlink():
                 link.symlink_to(INSTALLED / top)
     return folder / "bin" / "python"
+
+
+CAMPAIGN = """
+[plant]
+name = "rig"
+mass_kg = 8.28e-3
+travel_m = 5.7e-3
+[[recording]]
+file = "run.csv"
+kind = "free"
+use = "fit"
+"""
 
 
 def _words(*words: object) -> list[str]:
@@ -124,6 +136,10 @@ def test_the_gateway_needs_no_extra(core: Path, tmp_path: Path) -> None:
 def test_a_command_without_its_extra_says_what_to_install(
     words: list[str], extra: str, core: Path, tmp_path: Path
 ) -> None:
+    (tmp_path / "model.json").write_bytes((ROOT / "twin" / "model" / "ce152.json").read_bytes())
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
+    (tmp_path / "run.csv").write_text("t,u_c,i_c,x\n0,0,0,0\n0.002,0,0,0\n")
+
     done = _run(core, _words(*words), tmp_path)
 
     assert done.returncode == 2, done.stderr
