@@ -166,8 +166,11 @@ def _expected(hint: Any) -> str:
         return f"one of {' | '.join(options)}"
     if get_origin(plain) is not tuple:
         return "a table"
-    item = "tables" if _expected(options[0]) == "a table" else "numbers" if float in get_args(options[0]) else "texts"
-    return f"a list of {item}" if Ellipsis in options else f"a list of {len(options)} {item}"
+    item = _expected(options[0])
+    items = {"text": "texts", "a table": "tables"}.get(item, "lists" if item.startswith("a list") else "numbers")
+    least = max((getattr(one, "min_length", 0) for one in FieldInfo.from_annotation(hint).metadata), default=0)
+    count = "" if Ellipsis in options else f"{len(options)} "
+    return f"a list of {f'at least {least} ' if least > 1 else count}{items}"
 
 
 def _range(hint: Any) -> str:
