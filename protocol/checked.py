@@ -56,6 +56,18 @@ def rule(check: Callable[[Any], Any]) -> AfterValidator:
     return AfterValidator(run)
 
 
+def needs(*names: str) -> Callable[[object], object]:
+    """For a BeforeValidator: keys that a file must have although the program may leave them out."""
+
+    def check(table: object) -> object:
+        absent = [name for name in names if name not in table] if isinstance(table, dict) else []
+        if absent:
+            raise RuleError(" is missing", remedy="Add it", key=absent[0])
+        return table
+
+    return check
+
+
 def checked(
     kind: Any,
     data: object,
@@ -83,7 +95,7 @@ def checked(
         return adapter.validate_strings(data) if from_text else adapter.validate_python(data)
     except ValidationError as failed:
         found = failed.errors(include_url=False)
-    problem, remedy = _told(kind, data, found, key)
+    problem, remedy = _told(kind, data, found, key, toml=error is ConfigError)
     raise error(f"{where}{': ' if problem[0].isalnum() else ''}{problem}", remedy=remedy)
 
 
@@ -111,7 +123,7 @@ def bounds(kind: Any) -> tuple[float | None, float | None]:
     return ends.get("ge"), ends.get("le")
 
 
-def _told(kind: Any, data: object, found: list[ErrorDetails], path: str) -> tuple[str, str]:
+def _told(kind: Any, data: object, found: list[ErrorDetails], path: str, *, toml: bool) -> tuple[str, str]:
     """(problem, remedy) of the first error."""
     first, hint, keys, value = found[0], kind, {}, data
     mistake, place = first["type"], first["loc"]
@@ -133,16 +145,20 @@ def _told(kind: Any, data: object, found: list[ErrorDetails], path: str) -> tupl
     name, wanted, about = path.rpartition(".")[2], _expected(hint), FieldInfo.from_annotation(hint).description
     if mistake == "value_error":
         objection = first["ctx"]["error"]
-        return f"{path}{objection.problem}", objection.remedy
+        return f"{path}{objection.problem}".removeprefix("."), objection.remedy
     if mistake == _UNKNOWN:
         return f"{path} = {shown(value)} is not a key", _nearest(name, list(keys))
-    add = {"a table": f"Add [{path}]", "a list of tables": f"Add at least one [[{name}]]"}.get(wanted)
+    add = (
+        {"a table": f"Add [{path}]", "a list of tables": f"Add at least one [[{name}]]"}.get(wanted)
+        if path and toml
+        else None
+    )
     if mistake == "missing":
         others = [str(one["loc"][-1]) for one in found if one["type"] == _UNKNOWN and one["loc"][:-1] == place[:-1]]
         near = [
             f"{other} is not a key; its unit is the end of {name}" for other in others if _stem(other) == _stem(name)
         ]
-        return f"{path} is missing: it is {about or wanted}", (*near, add or f"Add {name} = ...")[0]
+        return f"{path} is missing ({about or wanted})", (*near, add or f"Add {name}")[0]
     told, range_ = f"{path} = {shown(value if place else first['input'])} is not", _range(hint)
     remedy = f"Give {range_ or wanted}" + (f": {about}" if about else "")
     if mistake in ("greater_than_equal", "less_than_equal"):

@@ -61,7 +61,7 @@ def test_the_environment_overrides_the_file(tmp_path: Path) -> None:
         ("site = 3", ": site = 3 is not text. Give text: first chunk of every key"),
         ('site = "a/b"', ": site 'a/b' is not a name"),
         ("[board]\nname = 'a'", ": board = {'name': 'a'} is not a list of tables. Add at least one [[board]]"),
-        ('[[board]]\nname = "a"', ": board 1 (a).port is missing: it is pyserial URL"),
+        ('[[board]]\nname = "a"', ": board 1 (a).port is missing (pyserial URL"),
         (
             '[[board]]\nname = "a"\nport = "p"\nbaud = 1',
             ": board 1 (a).baud = 1 is not in 300 .. 4000000. Give 300 .. 4000000: of the UART",
