@@ -1,7 +1,7 @@
-"""The gateway's configuration: one table of keys, TOML in, frozen dataclasses out.
+"""The gateway's configuration: TOML in, frozen dataclasses out, checked against their own annotations.
 
 Every key has a type, a unit, a default, bounds and a sentence; `board51 gateway --print-config` writes a commented file
-from the same table.  Unknown keys are errors: a typo must not silently leave a default in force.
+from them.  Unknown keys are errors: a typo must not silently leave a default in force.
 
 Environment: BOARD51_<SECTION>_<KEY> overrides a key outside [[board]] (BOARD51_LOG_DIRECTORY=/data/logs), and
 BOARD51_BOARDS="rig1=/dev/ttyUSB0,rig2=socket://10.0.0.5:4001" replaces the boards; compose and systemd use these.
@@ -11,159 +11,206 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from pydantic import AfterValidator, Field
+from pydantic.fields import FieldInfo
 
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.bus.topics import DEFAULT_SITE, check_name
+from protocol.checked import KEYS, Flag, Number, RuleError, Whole, bounds, checked, key, keys_of, plain_of, rule
 from protocol.errors import ConfigError
 from protocol.files import parse_toml, read_small
-from protocol.toml_table import shown
+
+Name = Annotated[str, rule(partial(check_name, what=""))]
+Endpoint = Annotated[str, rule(partial(check_endpoint, where=""))]
 
 
-def _key(
-    default: Any,
-    about: str,
-    *,
-    unit: str = "",
-    low: float | None = None,
-    high: float | None = None,
-    choices: tuple[str, ...] = (),
-) -> Any:
-    metadata = {"about": about, "unit": unit, "low": low, "high": high, "choices": choices}
-    if default is MISSING:
-        return field(metadata=metadata)
-    if isinstance(default, list):
-        return field(default_factory=lambda: tuple(default), metadata=metadata)
-    return field(default=default, metadata=metadata)
+def _room(limits: LimitsConfig) -> LimitsConfig:
+    if limits.x_ref_min_m >= limits.x_ref_max_m:
+        raise RuleError(
+            f": x_ref_min_m {limits.x_ref_min_m} is not below x_ref_max_m {limits.x_ref_max_m}",
+            remedy="Give a range with room in it",
+        )
+    return limits
+
+
+def _patient(board: BoardConfig) -> BoardConfig:
+    if board.host_loss_timeout_s < board.limits.host_loss_min_s:
+        raise RuleError(
+            f": host_loss_timeout_s {board.host_loss_timeout_s:g} is below host_loss_min_s"
+            f" {board.limits.host_loss_min_s:g}: on a busy computer the gateway itself is silent for longer now and"
+            " then, and the board would act",
+            remedy="Give a longer one; where this computer is never late, set host_loss_min_s in [board.limits]",
+        )
+    return board
+
+
+def _different(boards: tuple[BoardConfig, ...]) -> tuple[BoardConfig, ...]:
+    for what, values in (("name", [board.name for board in boards]), ("port", [board.port for board in boards])):
+        twice = next((value for value in values if values.count(value) > 1), None)
+        if twice is not None:
+            raise RuleError(f": two boards have the {what} {twice!r}", remedy=f"Give each board its own {what}")
+    return boards
+
+
+def _reaches(zenoh: ZenohConfig) -> ZenohConfig:
+    if zenoh.mode == "client" and not zenoh.connect:
+        raise RuleError(": mode client without connect", remedy='Add connect = ["tcp/HOST:7447"]')
+    return zenoh
 
 
 @dataclass(frozen=True, kw_only=True)
 class LimitsConfig:
     """What may be commanded, tighter than or equal to what the board allows; checked before the wire."""
 
-    x_ref_min_m: float = _key(0.3e-3, "lowest reference", unit="m", low=0.0, high=0.1)
-    x_ref_max_m: float = _key(5.2e-3, "highest reference", unit="m", low=0.0, high=0.1)
-    x_ref_step_m: float = _key(2.5e-3, "largest jump of the reference at once", unit="m", low=0.0, high=0.1)
-    x_ref_slew_m_s: float = _key(
-        20e-3, "rate at which the allowance for jumps refills", unit="m/s", low=1e-6, high=100.0
-    )
-    u_max_v: float = _key(5.0, "largest u_c of an excitation", unit="V", low=0.0, high=100.0)
-    gain_max: float = _key(1e6, "largest magnitude of any gain, SI", low=0.0)
-    commands_per_s: float = _key(
-        50.0, "commands per second and board; STOP is never refused for this", unit="1/s", low=0.1, high=1000.0
-    )
-    host_loss_min_s: float = _key(
-        1.0,
-        "shortest host-loss time-out; less only on a computer that is never late (gateway/README.md, Host loss)",
-        unit="s",
-        low=0.05,
-        high=60.0,
-    )
-    excitation_max_s: float = _key(
-        600.0, "longest excitation; 0: no bound, endless ones too", unit="s", low=0.0, high=1e6
-    )
+    __pydantic_config__ = KEYS
+
+    x_ref_min_m: Annotated[Number, key("lowest reference [m]", 0.0, 0.1)] = 0.3e-3
+    x_ref_max_m: Annotated[Number, key("highest reference [m]", 0.0, 0.1)] = 5.2e-3
+    x_ref_step_m: Annotated[Number, key("largest jump of the reference at once [m]", 0.0, 0.1)] = 2.5e-3
+    x_ref_slew_m_s: Annotated[Number, key("rate at which the allowance for jumps refills [m/s]", 1e-6, 100.0)] = 20e-3
+    u_max_v: Annotated[Number, key("largest u_c of an excitation [V]", 0.0, 100.0)] = 5.0
+    gain_max: Annotated[Number, key("largest magnitude of any gain, SI", 0.0)] = 1e6
+    commands_per_s: Annotated[
+        Number, key("commands per second and board; STOP is never refused for this [1/s]", 0.1, 1000.0)
+    ] = 50.0
+    host_loss_min_s: Annotated[
+        Number,
+        key(
+            "shortest host-loss time-out; less only on a computer that is never late (gateway/README.md, Host loss)"
+            " [s]",
+            0.05,
+            60.0,
+        ),
+    ] = 1.0
+    excitation_max_s: Annotated[Number, key("longest excitation; 0: no bound, endless ones too [s]", 0.0, 1e6)] = 600.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoardConfig:
     """One board: `[[board]]`."""
 
-    name: str = _key(MISSING, "chunk of the key and of file names: lower-case letters, digits, - and _")
-    port: str = _key(
-        MISSING,
-        "pyserial URL: /dev/ttyUSB0, socket://host:port, rfc2217://...; "
-        "a glob such as /dev/serial/by-id/*Board51* takes whichever name the adapter comes back under",
+    __pydantic_config__ = KEYS
+
+    name: Annotated[Name, key("chunk of the key and of file names: lower-case letters, digits, - and _")]
+    port: Annotated[
+        str,
+        key(
+            "pyserial URL: /dev/ttyUSB0, socket://host:port, rfc2217://...; "
+            "a glob such as /dev/serial/by-id/*Board51* takes whichever name the adapter comes back under"
+        ),
+    ]
+    baud: Annotated[Whole, key("of the UART; sockets and ptys ignore it [bit/s]", 300, 4_000_000)] = 115200
+    board_id: Annotated[Whole, key("refuse any board with another serial number; 0 takes any", 0, 0xFFFFFFFF)] = 0
+    stream_divider: Annotated[Whole, key("ask the board for every n-th tick", 1, 1000)] = 1
+    host_loss: Annotated[Literal["keep", "coil-off", "hold"], key("what the board does when this gateway is gone")] = (
+        "coil-off"
     )
-    baud: int = _key(115200, "of the UART; sockets and ptys ignore it", unit="bit/s", low=300, high=4_000_000)
-    board_id: int = _key(0, "refuse any board with another serial number; 0 takes any", low=0, high=0xFFFFFFFF)
-    stream_divider: int = _key(1, "ask the board for every n-th tick", low=1, high=1000)
-    host_loss: str = _key(
-        "coil-off", "what the board does when this gateway is gone", choices=("keep", "coil-off", "hold")
-    )
-    host_loss_timeout_s: float = _key(1.0, "after how long", unit="s", low=0.05, high=60.0)
-    command_timeout_s: float = _key(0.1, "wait for an answer before repeating", unit="s", low=0.02, high=10.0)
-    command_retries: int = _key(4, "repetitions before giving up", low=0, high=20)
-    stale_s: float = _key(1.0, "no valid frame for this long: the link is silent", unit="s", low=0.1, high=60.0)
-    reconnect_s: float = _key(0.5, "between attempts to open the port", unit="s", low=0.05, high=60.0)
-    limits: LimitsConfig = field(default_factory=LimitsConfig)
+    host_loss_timeout_s: Annotated[Number, key("after how long [s]", 0.05, 60.0)] = 1.0
+    command_timeout_s: Annotated[Number, key("wait for an answer before repeating [s]", 0.02, 10.0)] = 0.1
+    command_retries: Annotated[Whole, key("repetitions before giving up", 0, 20)] = 4
+    stale_s: Annotated[Number, key("no valid frame for this long: the link is silent [s]", 0.1, 60.0)] = 1.0
+    reconnect_s: Annotated[Number, key("between attempts to open the port [s]", 0.05, 60.0)] = 0.5
+    limits: Annotated[LimitsConfig, AfterValidator(_room)] = field(default_factory=LimitsConfig)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ZenohConfig:
     """The bus: `[zenoh]`."""
 
-    mode: str = _key(
-        "router",
-        "router: this process is the router, nothing to install; client: connect to one elsewhere",
-        choices=("router", "client"),
+    __pydantic_config__ = KEYS
+
+    mode: Annotated[
+        Literal["router", "client"],
+        key("router: this process is the router, nothing to install; client: connect to one elsewhere"),
+    ] = "router"
+    listen: Annotated[tuple[Endpoint, ...], key("endpoints to open (mode router)")] = (DEFAULT_ENDPOINT,)
+    connect: Annotated[tuple[Endpoint, ...], key("endpoints to reach (mode client)")] = ()
+    queue: Annotated[Whole, key("samples that may wait for the bus; the oldest is dropped and counted", 64, 10**7)] = (
+        8192
     )
-    listen: tuple[str, ...] = _key([DEFAULT_ENDPOINT], "endpoints to open (mode router)")
-    connect: tuple[str, ...] = _key([], "endpoints to reach (mode client)")
-    queue: int = _key(8192, "samples that may wait for the bus; the oldest is dropped and counted", low=64, high=10**7)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LogConfig:
     """The MCAP log: `[log]`."""
 
-    enabled: bool = _key(True, "write a log")
-    directory: str = _key("logs", "where; made if absent")
-    prefix: str = _key("board51", "start of the file names")
-    rotate_bytes: int = _key(256_000_000, "begin a new part at this size", unit="B", low=100_000, high=10**12)
-    rotate_s: float = _key(3600.0, "and after this time", unit="s", low=1.0, high=1e6)
-    flush_s: float = _key(
-        0.1, "hand everything to the operating system; what kill -9 may cost", unit="s", low=0.01, high=0.2
+    __pydantic_config__ = KEYS
+
+    enabled: Annotated[Flag, key("write a log")] = True
+    directory: Annotated[str, key("where; made if absent")] = "logs"
+    prefix: Annotated[str, key("start of the file names")] = "board51"
+    rotate_bytes: Annotated[Whole, key("begin a new part at this size [B]", 100_000, 10**12)] = 256_000_000
+    rotate_s: Annotated[Number, key("and after this time [s]", 1.0, 1e6)] = 3600.0
+    flush_s: Annotated[Number, key("hand everything to the operating system; what kill -9 may cost [s]", 0.01, 0.2)] = (
+        0.1
     )
-    queue: int = _key(
-        50_000, "messages that may wait for the disk; the oldest is dropped and counted", low=64, high=10**7
+    queue: Annotated[
+        Whole, key("messages that may wait for the disk; the oldest is dropped and counted", 64, 10**7)
+    ] = 50_000
+    min_free_bytes: Annotated[Whole, key("stop logging when less is free, resume when it is back [B]", 0, 10**13)] = (
+        50_000_000
     )
-    min_free_bytes: int = _key(
-        50_000_000, "stop logging when less is free, resume when it is back", unit="B", low=0, high=10**13
-    )
-    compression: str = _key("lz4", "of the chunks", choices=("lz4", "zstd", "none"))
-    raw: bool = _key(True, "log the bytes of the UART too")
+    compression: Annotated[Literal["lz4", "zstd", "none"], key("of the chunks")] = "lz4"
+    raw: Annotated[Flag, key("log the bytes of the UART too")] = True
 
 
 @dataclass(frozen=True, kw_only=True)
 class SecurityConfig:
     """Who may do what: `[security]`."""
 
-    directory: str = _key("", "folder that `board51 security init` made; empty: the bus is not guarded")
-    insecure: bool = _key(False, "open listeners to the network without protection all the same")
+    __pydantic_config__ = KEYS
+
+    directory: Annotated[str, key("folder that `board51 security init` made; empty: the bus is not guarded")] = ""
+    insecure: Annotated[Flag, key("open listeners to the network without protection all the same")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class OpcuaConfig:
     """The OPC UA server: `[opcua]`."""
 
-    listen: str = _key("", "serve here, as a process beside the gateway, e.g. 127.0.0.1:4840; empty: not at all")
-    rate_hz: float = _key(20.0, "values per second of each variable, with min and max", unit="Hz", low=10.0, high=50.0)
-    history_s: float = _key(300.0, "how far HistoryRead goes back", unit="s", low=10.0, high=3600.0)
+    __pydantic_config__ = KEYS
+
+    listen: Annotated[
+        str, key("serve here, as a process beside the gateway, e.g. 127.0.0.1:4840; empty: not at all")
+    ] = ""
+    rate_hz: Annotated[Number, key("values per second of each variable, with min and max [Hz]", 10.0, 50.0)] = 20.0
+    history_s: Annotated[Number, key("how far HistoryRead goes back [s]", 10.0, 3600.0)] = 300.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class HmiConfig:
     """The web page: `[hmi]`."""
 
-    listen: str = _key("", "serve here, e.g. 127.0.0.1:8051; empty: not at all")
+    __pydantic_config__ = KEYS
+
+    listen: Annotated[str, key("serve here, e.g. 127.0.0.1:8051; empty: not at all")] = ""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FoxgloveConfig:
     """The live Foxglove WebSocket: `[foxglove]`."""
 
-    listen: str = _key("", "serve here, e.g. 127.0.0.1:8765; empty: not at all")
+    __pydantic_config__ = KEYS
+
+    listen: Annotated[str, key("serve here, e.g. 127.0.0.1:8765; empty: not at all")] = ""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GatewayConfig:
     """The whole file."""
 
-    site: str = _key(DEFAULT_SITE, "first chunk of every key")
-    boards: tuple[BoardConfig, ...] = ()
-    zenoh: ZenohConfig = field(default_factory=ZenohConfig)
+    __pydantic_config__ = KEYS
+
+    site: Annotated[Name, key("first chunk of every key")] = DEFAULT_SITE
+    boards: Annotated[
+        tuple[Annotated[BoardConfig, AfterValidator(_patient)], ...], AfterValidator(_different), Field(alias="board")
+    ] = ()
+    zenoh: Annotated[ZenohConfig, AfterValidator(_reaches)] = field(default_factory=ZenohConfig)
     log: LogConfig = field(default_factory=LogConfig)
     security: SecurityConfig = field(default_factory=SecurityConfig)
     opcua: OpcuaConfig = field(default_factory=OpcuaConfig)
@@ -171,129 +218,26 @@ class GatewayConfig:
     foxglove: FoxgloveConfig = field(default_factory=FoxgloveConfig)
 
 
-_SECTIONS: dict[str, type[Any]] = {
-    "zenoh": ZenohConfig, "log": LogConfig, "security": SecurityConfig,
-    "opcua": OpcuaConfig, "hmi": HmiConfig, "foxglove": FoxgloveConfig,
-}  # fmt: skip
-
-
 def load_config(path: Path | None, environment: Mapping[str, str] = os.environ) -> GatewayConfig:
     """Read a TOML file (None: defaults), apply the environment, check everything.
 
     Raises:
-        ConfigError: names the file, the key, the value and what is allowed.
+        ConfigError: names the file or the variable, the key, the value and what is allowed.
     """
     where = "environment" if path is None else str(path)
     table: dict[str, Any] = {}
     if path is not None:
         remedy = "Give an existing file; `board51 gateway --print-config` writes one"
-        table = parse_toml(read_small(path, remedy=remedy, error=ConfigError), where=str(path))
+        table = parse_toml(read_small(path, remedy=remedy, error=ConfigError), where=where)
     _apply_environment(table, environment)
-    unknown = table.keys() - {"site", "board", *_SECTIONS}
-    if unknown:
-        raise ConfigError(
-            f"{where}: unknown key {sorted(unknown)[0]!r}",
-            remedy=f"Known: site, [[board]], {', '.join(f'[{name}]' for name in _SECTIONS)}",
-        )
-    raw_boards = table.get("board", [])
-    if not isinstance(raw_boards, list) or not all(isinstance(b, dict) for b in raw_boards):
-        raise ConfigError(f"{where}: board is not a list of tables", remedy="Write each board under its own [[board]]")
-    config = GatewayConfig(
-        site=check_name(_value(table.get("site", DEFAULT_SITE), "str", f"{where}: site"), what=f"{where}: site"),
-        boards=tuple(_board(b, f"{where}: [[board]] {n}") for n, b in enumerate(raw_boards, 1)),
-        **{name: _section(kind, table.get(name, {}), f"{where}: [{name}]") for name, kind in _SECTIONS.items()},
-    )
-    _cross_check(config, where)
+    config: GatewayConfig = checked(GatewayConfig, table, where=where)
     return config
-
-
-def _board(table: dict[str, Any], where: str) -> BoardConfig:
-    limits = _section(LimitsConfig, table.get("limits", {}), f"{where} [limits]")
-    board: BoardConfig = _section(BoardConfig, {k: v for k, v in table.items() if k != "limits"}, where, limits=limits)
-    check_name(board.name, what=f"{where} name")
-    if limits.x_ref_min_m >= limits.x_ref_max_m:
-        raise ConfigError(
-            f"{where}: x_ref_min_m {limits.x_ref_min_m} is not below x_ref_max_m {limits.x_ref_max_m}",
-            remedy="Give a range with room in it",
-        )
-    if board.host_loss_timeout_s < limits.host_loss_min_s:
-        raise ConfigError(
-            f"{where}: host_loss_timeout_s {board.host_loss_timeout_s:g} is below host_loss_min_s"
-            f" {limits.host_loss_min_s:g}: on a busy computer the gateway itself is silent for longer now and then,"
-            " and the board would act",
-            remedy="Give a longer one; where this computer is never late, set host_loss_min_s in [board.limits]",
-        )
-    return board
-
-
-def _section(kind: type[Any], table: object, where: str, **done: Any) -> Any:
-    if not isinstance(table, dict):
-        raise ConfigError(f"{where} is not a table", remedy="Write it as a TOML section")
-    known = {f.name: f for f in fields(kind) if f.metadata}
-    for name in table:
-        if name not in known:
-            raise ConfigError(f"{where}: unknown key {name!r}", remedy=f"Known: {', '.join(known)}")
-    for name, f in known.items():
-        if name in table:
-            done[name] = _checked(f, table[name], f"{where} {name}")
-        elif f.default is MISSING and f.default_factory is MISSING:
-            raise ConfigError(f"{where}: {name} is missing", remedy=f"Add {name} = ...: {f.metadata['about']}")
-    return kind(**done)
-
-
-def _value(value: object, kind: str, where: str) -> Any:
-    """`value` as the annotated type, else ConfigError; an int is a good float, a bool is not a good int."""
-    good = {
-        "str": isinstance(value, str),
-        "bool": isinstance(value, bool),
-        "int": isinstance(value, int) and not isinstance(value, bool),
-        "float": isinstance(value, int | float) and not isinstance(value, bool),
-        "tuple[str, ...]": isinstance(value, list) and all(isinstance(v, str) for v in value),
-    }[kind]
-    if not good:
-        wanted = {"str": "a string", "bool": "true or false", "int": "a whole number", "float": "a number"}
-        raise ConfigError(
-            f"{where} = {shown(value)} has the wrong type", remedy=f"Give {wanted.get(kind, 'a list of strings')}"
-        )
-    if kind == "float":
-        return float(value)  # type: ignore[arg-type]  # checked above
-    return tuple(value) if isinstance(value, list) else value
-
-
-def _checked(f: Field[Any], value: object, where: str) -> Any:
-    unit, low, high, choices = (f.metadata[k] for k in ("unit", "low", "high", "choices"))
-    good = _value(value, str(f.type), where)
-    if choices and good not in choices:
-        raise ConfigError(f"{where} = {shown(good)} is not a choice", remedy=f"Give one of {', '.join(choices)}")
-    if (low is not None and not good >= low) or (high is not None and not good <= high):
-        raise ConfigError(f"{where} = {good} is out of bounds", remedy=f"Give {_range(low, high)} {unit}".rstrip())
-    return good
 
 
 def changed(section: Any, where: str, **values: object) -> Any:
     """`section` with other values, each checked like a key of the file; `where` is named in the ConfigError."""
-    known = {f.name: f for f in fields(section)}
-    return replace(section, **{name: _checked(known[name], value, where) for name, value in values.items()})
-
-
-def _range(low: float | None, high: float | None) -> str:
-    return f"{low if low is not None else '-inf'} .. {high if high is not None else 'inf'}"
-
-
-def _cross_check(config: GatewayConfig, where: str) -> None:
-    names = [board.name for board in config.boards]
-    ports = [board.port for board in config.boards]
-    for what, values in (("name", names), ("port", ports)):
-        twice = sorted({v for v in values if values.count(v) > 1})
-        if twice:
-            raise ConfigError(
-                f"{where}: two boards have the {what} {twice[0]!r}", remedy=f"Give each board its own {what}"
-            )
-    for key, endpoints in (("listen", config.zenoh.listen), ("connect", config.zenoh.connect)):
-        for endpoint in endpoints:
-            check_endpoint(endpoint, where=f"{where}: [zenoh] {key}")
-    if config.zenoh.mode == "client" and not config.zenoh.connect:
-        raise ConfigError(f"{where}: [zenoh] mode client without connect", remedy='Add connect = ["tcp/HOST:7447"]')
+    known = keys_of(type(section))
+    return replace(section, **{name: checked(known[name], value, where=where) for name, value in values.items()})
 
 
 def _apply_environment(table: dict[str, Any], environment: Mapping[str, str]) -> None:
@@ -301,11 +245,15 @@ def _apply_environment(table: dict[str, Any], environment: Mapping[str, str]) ->
         table["site"] = environment["BOARD51_SITE"]
     if "BOARD51_BOARDS" in environment:
         table["board"] = [boards_from_text(item) for item in environment["BOARD51_BOARDS"].split(",") if item.strip()]
-    for section, kind in _SECTIONS.items():
-        for f in fields(kind):
-            name = f"BOARD51_{section}_{f.name}".upper()
-            if name in environment:
-                table.setdefault(section, {})[f.name] = _from_text(environment[name], str(f.type), name)
+    for section, kind in _sections().items():
+        for name, hint in keys_of(kind).items():
+            variable = f"BOARD51_{section}_{name}".upper()
+            text = environment.get(variable)
+            values = table.setdefault(section, {}) if text is not None else None
+            if text is not None and isinstance(values, dict):
+                several = "tuple" in str(hint)
+                items = [item.strip() for item in text.split(",") if item.strip()]
+                values[name] = items if several else checked(hint, text, where=variable, from_text=True)
 
 
 def boards_from_text(item: str) -> dict[str, str]:
@@ -316,51 +264,41 @@ def boards_from_text(item: str) -> dict[str, str]:
     return {"name": name, "port": port}
 
 
-def _from_text(text: str, kind: str, where: str) -> Any:
-    try:
-        if kind == "int":
-            return int(text)
-        if kind == "float":
-            return float(text)
-    except ValueError:
-        raise ConfigError(f"{where}={text!r} is not a number", remedy="Give a number") from None
-    if kind == "bool":
-        if text.lower() not in ("true", "false", "1", "0"):
-            raise ConfigError(f"{where}={text!r} is not a truth value", remedy="Give true or false")
-        return text.lower() in ("true", "1")
-    return [t.strip() for t in text.split(",") if t.strip()] if kind.startswith("tuple") else text
+def _sections() -> dict[str, type[Any]]:
+    """Every table of the file but [[board]], by name."""
+    return {f.name: type(f.default_factory()) for f in fields(GatewayConfig) if f.default_factory is not MISSING}
 
 
 def documented_toml() -> str:
     """A complete file with every key, its default, unit and bounds: for `--print-config` and the README."""
-    site = next(f for f in fields(GatewayConfig) if f.name == "site")
     lines = [
         "# Board51 gateway.  Every key is optional but name and port of a board; values shown are the defaults.",
         "",
+        *_documented(GatewayConfig),
+        "",
     ]
-    lines += [f"# {_about(site)}", f'site = "{DEFAULT_SITE}"', ""]
     sections: dict[str, type[Any]] = {"[[board]]": BoardConfig, "[board.limits]": LimitsConfig}
-    for title, kind in (sections | {f"[{name}]": kind for name, kind in _SECTIONS.items()}).items():
-        lines.append(title)
-        for f in fields(kind):
-            if not f.metadata:
-                continue
-            example = {"name": "rig1", "port": "/dev/ttyUSB0"}.get(f.name)
-            default = f.default_factory() if f.default_factory is not MISSING else f.default
-            lines += [f"# {_about(f)}", f"{f.name} = {_toml(default if example is None else example)}"]
-        lines.append("")
+    for title, kind in (sections | {f"[{name}]": kind for name, kind in _sections().items()}).items():
+        lines += [title, *_documented(kind), ""]
     return "\n".join(lines)
 
 
-def _about(f: Field[Any]) -> str:
-    notes = [str(f.metadata["about"])]
-    if f.metadata["unit"]:
-        notes.append(f"[{f.metadata['unit']}]")
-    if f.metadata["low"] is not None or f.metadata["high"] is not None:
-        notes.append(f"({_range(f.metadata['low'], f.metadata['high'])})")
-    if f.metadata["choices"]:
-        notes.append(f"({' | '.join(f.metadata['choices'])})")
-    return " ".join(notes)
+def _documented(kind: type[Any]) -> list[str]:
+    lines: list[str] = []
+    for f, hint in zip(fields(kind), keys_of(kind).values(), strict=True):
+        about = FieldInfo.from_annotation(hint).description
+        if about:
+            default = {"name": "rig1", "port": "/dev/ttyUSB0"}[f.name] if f.default is MISSING else f.default
+            lines += [f"# {about}{_allowed(hint)}", f"{f.name} = {_toml(default)}"]
+    return lines
+
+
+def _allowed(hint: Any) -> str:
+    low, high = bounds(hint)
+    if low is not None:
+        return f" ({low} .. {high})" if high is not None else f" ({low} or more)"
+    plain = plain_of(hint)
+    return f" ({' | '.join(get_args(plain))})" if get_origin(plain) is Literal else ""
 
 
 def _toml(value: object) -> str:

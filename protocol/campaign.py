@@ -13,61 +13,89 @@ import os
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
-from typing import Literal, cast
+from typing import Annotated, Literal, get_args
 
-from protocol.errors import ConfigError, DataError
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from protocol.checked import KEYS, Number, RuleError, checked, key
+from protocol.errors import DataError, shown
 from protocol.files import parse_toml, read_small
-from protocol.toml_table import TomlTable, is_number, shown
 from protocol.units import unit_of_name
 
 Channel = Literal["t", "u_c", "i_c", "x", "x_ref"]
 Kind = Literal["amplifier-step", "sawtooth", "prbs", "closed-loop", "equilibria", "free"]
 Use = Literal["fit", "judge"]
+Law = Literal["lqi", "pid"]
 
-CHANNELS: tuple[Channel, ...] = ("t", "u_c", "i_c", "x", "x_ref")
+CHANNELS: tuple[Channel, ...] = get_args(Channel)
 UNITS: Mapping[str, str] = {"t": "s", "u_c": "V", "i_c": "A", "x": "m", "x_ref": "m"}
-KINDS: tuple[Kind, ...] = ("amplifier-step", "sawtooth", "prbs", "closed-loop", "equilibria", "free")
-USES: tuple[Use, ...] = ("fit", "judge")
-CONTROLLERS = ("lqi", "pid")
+KINDS: tuple[Kind, ...] = get_args(Kind)
+USES: tuple[Use, ...] = get_args(Use)
+CONTROLLERS: tuple[Law, ...] = get_args(Law)
 GRAVITY_M_S2 = 9.81
-# What a ball on a coil can have: (lowest, highest, what that is).  The bounds catch a wrong unit and a slipped power of
-# ten: with grams for kilograms K_c comes out a thousand times too large, and nothing in the recordings contradicts it.
-PLANT_BOUNDS: Mapping[str, tuple[float, float, str]] = {
-    "mass_kg": (1e-4, 2.0, "as steel balls of 2.9 to 79 mm have"),
-    "travel_m": (1e-4, 0.5, ""),
-    "x_max_m": (1e-4, 0.5, ""),
-    "gravity_m_s2": (1.0, 20.0, ""),
-}
+Pair = Annotated[tuple[Number, Number], Field(description="[raw, value]")]  # of a look-up table
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plant:
-    """What is known without identification: `[plant]`."""
+    """What is known without identification: `[plant]`.
 
-    name: str
-    mass_kg: float
-    travel_m: float  # highest position of the ball (top stop); 0 is the sensor
-    x_max_m: float  # x_max of eq. (3)
-    gravity_m_s2: float
+    The bounds are what a ball on a coil can have.  They catch a wrong unit and a slipped power of ten: with grams for
+    kilograms K_c comes out a thousand times too large, and nothing in the recordings contradicts it.
+    """
+
+    __pydantic_config__ = KEYS
+
+    name: Annotated[str, Field(min_length=1, description="name of the rig")]
+    mass_kg: Annotated[Number, key("mass of the ball, as steel balls of 2.9 to 79 mm have", 1e-4, 2.0)]
+    travel_m: Annotated[Number, key("highest position of the ball (top stop); 0 is the sensor", 1e-4, 0.5)]
+    x_max_m: Annotated[Number, key("x_max of eq. (3)", 1e-4, 0.5)]
+    gravity_m_s2: Annotated[Number, key("acceleration of gravity", 1.0, 20.0)]
+
+
+def _with_defaults(plant: object) -> object:
+    """`[plant]` of a campaign may leave out what it shares with every other, and x_max where that is the travel."""
+    if not isinstance(plant, dict):
+        return plant
+    x_max = {"x_max_m": plant["travel_m"]} if "travel_m" in plant else {}
+    return {"name": "plant", "gravity_m_s2": GRAVITY_M_S2, **x_max, **plant}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OperatingPoint:
     """Eq. (13)."""
 
-    i_c_a: float
-    x_m: float
-    u_c_v: float
+    __pydantic_config__ = KEYS
+
+    i_c_a: Number
+    x_m: Number
+    u_c_v: Number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Controller:
     """The law of the closed-loop recordings: `[controller]`, eq. (16)-(19)."""
 
-    kind: str  # one of CONTROLLERS
-    gains: tuple[float, float, float, float]
+    __pydantic_config__ = KEYS
+
+    kind: Law
+    gains: tuple[Number, Number, Number, Number]
     operating_point: OperatingPoint
+
+
+def _not_zero(scale: float) -> float:
+    if scale == 0.0:
+        raise RuleError(" = 0 makes every value equal", remedy="Give the SI value of one unit")
+    return scale
+
+
+def _rising(table: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+    for number, (before, pair) in enumerate(pairwise(table), 2):
+        if pair[0] <= before[0]:
+            raise RuleError(f" {number} = {list(pair)} does not rise", remedy="Write the pairs with rising raw values")
+    return table
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,10 +105,14 @@ class Column:
     The table is linear between its points and beyond its ends.
     """
 
-    column: str
-    scale: float = 1.0
-    offset: float = 0.0
-    table: tuple[tuple[float, float], ...] = ()
+    __pydantic_config__ = KEYS
+
+    column: Annotated[str, Field(min_length=1)]
+    scale: Annotated[Number, AfterValidator(_not_zero)] = 1.0
+    offset: Number = 0.0
+    table: Annotated[
+        tuple[Pair, ...], Field(min_length=2, description="[raw, value] pairs"), AfterValidator(_rising)
+    ] = ()
 
     def convert(self, raw: float) -> float:
         """One value."""
@@ -97,20 +129,80 @@ class Column:
         return y0 + (y1 - y0) * ((raw - x0) / (x1 - x0))
 
 
+def _in_si(columns: object) -> object:
+    """A name alone is a column; one whose name ends with another unit than the channel's has a scale."""
+    for channel, spec in columns.items() if isinstance(columns, dict) else ():
+        column = spec.get("column") if isinstance(spec, dict) else spec
+        scaled = isinstance(spec, dict) and ("scale" in spec or "table" in spec)
+        unit = unit_of_name(column, channel) if isinstance(column, str) and channel in UNITS and not scaled else None
+        if unit is not None:
+            si = UNITS[channel]
+            raise RuleError(
+                f" = {shown(column)} is in {unit[0]} by its name, {channel} is in {si}",
+                remedy=f"Give it scale = {unit[1]:g}, or scale = 1.0 if its values are in {si} all the same",
+                key=channel,
+            )
+    return columns
+
+
+def _named(spec: object) -> object:
+    if isinstance(spec, str):
+        return {"column": spec}
+    if not isinstance(spec, dict | Column):
+        raise RuleError(
+            f" = {shown(spec)} is not a column",
+            remedy='Write the name of a column, or { column = "name", scale = 1.0, offset = 0.0 }',
+        )
+    return spec
+
+
+Columns = Annotated[Mapping[Channel, Annotated[Column, BeforeValidator(_named)]], BeforeValidator(_in_si)]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
     """One `[[recording]]`."""
 
-    file: str  # as written; `Campaign.path_of` finds it
+    __pydantic_config__ = KEYS
+
+    file: Annotated[str, Field(min_length=1)]  # as written; `Campaign.path_of` finds it
     kind: Kind
     use: Use
-    skip_s: float = 0.0  # leave out the start
+    skip_s: Annotated[Number, key("leave out so much of the start", 0.0)] = 0.0
     board: str = ""  # in a log of several boards, the one that is meant
-    columns: Mapping[Channel, Column] = field(default_factory=dict)  # the channels that were mapped
+    columns: Columns = field(default_factory=dict)  # the channels that were mapped
 
     def column(self, channel: Channel) -> Column:
         """The mapping of a channel; one that was not mapped has its own name and SI units."""
         return self.columns.get(channel) or Column(column=channel)
+
+
+def _fit_or_judge(recordings: tuple[Recording, ...]) -> tuple[Recording, ...]:
+    uses: dict[str, Use] = {}
+    for recording in recordings:
+        if uses.setdefault(recording.file, recording.use) != recording.use:
+            raise RuleError(
+                f": {recording.file!r} is used both to fit and to judge",
+                remedy="Keep one of the two: what was fitted cannot judge the fit",
+            )
+    return recordings
+
+
+@dataclass(frozen=True, kw_only=True)
+class _PlantFile:
+    """What a file that describes a rig must have."""
+
+    plant: Annotated[Plant, BeforeValidator(_with_defaults)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File(_PlantFile):
+    """What `campaign.toml` holds."""
+
+    __pydantic_config__ = KEYS
+
+    controller: Controller | None = None
+    recording: Annotated[tuple[Recording, ...], Field(min_length=1), AfterValidator(_fit_or_judge)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,7 +303,8 @@ def load_plant(path: Path) -> Plant:
         ConfigError: it has no `[plant]`, or a key or a value of it is wrong.
     """
     text, file = _read(path, remedy="Name a file with a [plant] table, or a campaign's folder")
-    return _plant(_top(text, where=str(file)).table("plant"))
+    plant: Plant = checked(_PlantFile, parse_toml(text, where=str(file)), where=str(file)).plant
+    return plant
 
 
 def parse(text: str, *, where: str, folder: Path = Path()) -> Campaign:
@@ -225,125 +318,10 @@ def parse(text: str, *, where: str, folder: Path = Path()) -> Campaign:
     Raises:
         ConfigError: a key or a value is wrong.
     """
-    top = _top(text, where=where)
-    plant = _plant(top.table("plant"))
-    controller = _controller(top.table("controller")) if "controller" in top.values else None
-    recordings = tuple(_recording(table) for table in top.tables("recording"))
-    top.done()
-    uses: dict[str, Use] = {}
-    for recording in recordings:
-        if uses.setdefault(recording.file, recording.use) != recording.use:
-            raise ConfigError(
-                f"{where}: {recording.file!r} is used both to fit and to judge",
-                remedy="Keep one of the two: what was fitted cannot judge the fit",
-            )
-    return Campaign(where=where, folder=folder, plant=plant, controller=controller, recordings=recordings)
+    file: _File = checked(_File, parse_toml(text, where=where), where=where)
+    return Campaign(where=where, folder=folder, plant=file.plant, controller=file.controller, recordings=file.recording)
 
 
 def _read(path: Path, *, remedy: str) -> tuple[str, Path]:
     file = path / "campaign.toml" if path.is_dir() else path
     return read_small(file, remedy=remedy), file
-
-
-def _top(text: str, *, where: str) -> TomlTable:
-    return TomlTable(where, "", parse_toml(text, where=where))
-
-
-def parse_column(spec: object, *, where: str, key: str, channel: Channel) -> Column:
-    """A column from its TOML form: a name, or `{ column = ..., scale = ..., offset = ..., table = ... }`.
-
-    Raises:
-        ConfigError: it is neither, or its name ends with another unit than the channel's and it has no scale.
-    """
-    column = _column(spec, where=where, key=key)
-    unit = unit_of_name(column.column, channel)
-    scaled = isinstance(spec, dict) and ("scale" in spec or "table" in spec)
-    if unit is not None and not scaled:
-        raise ConfigError(
-            f"{where}: {key} = {shown(column.column)} is in {unit[0]} by its name, {channel} is in {UNITS[channel]}",
-            remedy=f"Give it scale = {unit[1]:g}, or scale = 1.0 if its values are in {UNITS[channel]} all the same",
-        )
-    return column
-
-
-def _column(spec: object, *, where: str, key: str) -> Column:
-    if isinstance(spec, str):
-        return Column(column=spec)
-    if not isinstance(spec, dict):
-        raise ConfigError(
-            f"{where}: {key} = {shown(spec)} is not a column",
-            remedy='Write the name of a column, or { column = "name", scale = 1.0, offset = 0.0 }',
-        )
-    table = TomlTable(where, key, cast("dict[str, object]", spec))
-    column = Column(
-        column=table.text("column"),
-        scale=table.number("scale", default=1.0),
-        offset=table.number("offset", default=0.0),
-        table=_points(table) if "table" in table.values else (),
-    )
-    table.done()
-    if column.scale == 0.0:
-        raise ConfigError(f"{where}: {key}.scale = 0 makes every value equal", remedy="Give the SI value of one unit")
-    return column
-
-
-def _plant(table: TomlTable) -> Plant:
-    name = table.text("name", default="plant")
-    defaults = {"gravity_m_s2": GRAVITY_M_S2}
-    values: dict[str, float] = {}
-    for key, (low, high, meaning) in PLANT_BOUNDS.items():
-        values[key] = table.number(key, low=low, high=high, default=defaults.get(key), meaning=meaning)
-        defaults["x_max_m"] = values.get("travel_m", 0.0)
-    plant = Plant(name=name, **values)
-    table.done()
-    return plant
-
-
-def _controller(table: TomlTable) -> Controller:
-    kind = table.choice("kind", CONTROLLERS)
-    gains = table.numbers("gains", 4)
-    point = table.table("operating_point")
-    operating_point = OperatingPoint(i_c_a=point.number("i_c_a"), x_m=point.number("x_m"), u_c_v=point.number("u_c_v"))
-    point.done()
-    table.done()
-    return Controller(kind=kind, gains=(gains[0], gains[1], gains[2], gains[3]), operating_point=operating_point)
-
-
-def _recording(table: TomlTable) -> Recording:
-    file = table.text("file")
-    table.key += f" ({file})"
-    columns: dict[Channel, Column] = {}
-    if "columns" in table.values:
-        mapped = table.table("columns")
-        for channel in CHANNELS:
-            if channel in mapped.values:
-                columns[channel] = parse_column(
-                    mapped.take(channel), where=mapped.where, key=f"{mapped.key}.{channel}", channel=channel
-                )
-        mapped.done(CHANNELS)
-    recording = Recording(
-        file=file,
-        kind=cast(Kind, table.choice("kind", KINDS)),
-        use=cast(Use, table.choice("use", USES)),
-        skip_s=table.number("skip_s", low=0.0, default=0.0),
-        board=table.text("board", default=""),
-        columns=columns,
-    )
-    table.done()
-    return recording
-
-
-def _points(table: TomlTable) -> tuple[tuple[float, float], ...]:
-    raw = table.take("table")
-    key = f"{table.key}.table"
-    remedy = "Write two or more [raw, value] pairs with rising raw values"
-    if not isinstance(raw, list) or len(raw) < 2:
-        raise ConfigError(f"{table.where}: {key} = {shown(raw)} is not a look-up table", remedy=remedy)
-    points: list[tuple[float, float]] = []
-    for number, pair in enumerate(raw, 1):
-        if not isinstance(pair, list) or len(pair) != 2 or not all(is_number(value) for value in pair):
-            raise ConfigError(f"{table.where}: {key}, point {number} = {shown(pair)} is not a pair", remedy=remedy)
-        points.append((float(pair[0]), float(pair[1])))
-        if number > 1 and points[-1][0] <= points[-2][0]:
-            raise ConfigError(f"{table.where}: {key}, point {number} = {pair!r} does not rise", remedy=remedy)
-    return tuple(points)

@@ -84,3 +84,8 @@ def one_line(text: str, longest: int = LONGEST) -> str:
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     half = (longest - 5) // 2
     return shown if len(shown) <= longest else f"{shown[:half]} ... {shown[-half:]}"
+
+
+def shown(value: object) -> str:
+    """A value in an error: not more of it than tells which."""
+    return one_line(repr(value), 80)

@@ -22,7 +22,7 @@ from twin.estimation.rollout_periodic import has_phase, predict_in_phase
 from twin.model.causes.catalogue import found_by
 from twin.model.extended import position_reading
 from twin.model.extension import base, vector
-from twin.model.parameters import Model, plant_of
+from twin.model.parameters import Model
 from twin.validate.source import point_of, source_of
 
 NEEDED = ("u_c", "i_c", "x")
@@ -76,7 +76,7 @@ def predict(model: Model, record: Record, ahead: int) -> Prediction:
         float(position_reading(p, c, 0.0, 0.0)),
         float(position_reading(p, c, p.travel_m, 0.0)),
     )
-    evidence = gather([told], plant_of(model), stops)
+    evidence = gather([told], model.plant, stops)
     s = evidence.series
     point = point_of(model, record)
     tick_s = record.interval_s

@@ -11,12 +11,15 @@ import argparse
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from gateway.config import BoardConfig, GatewayConfig, boards_from_text, changed, documented_toml, load_config
 from gateway.views.listen import ADDRESSES
 from protocol.bus.endpoint import check_endpoint
 from protocol.bus.topics import check_name
 from protocol.errors import ConfigError
+
+if TYPE_CHECKING:  # pydantic takes its time: --help answers at once
+    from gateway.config import BoardConfig, GatewayConfig
 
 VIEWS = {"opcua": "OPC UA server", "hmi": "control room in a browser", "foxglove": "live Foxglove WebSocket"}
 
@@ -75,6 +78,8 @@ def configuration(args: argparse.Namespace) -> GatewayConfig:
     Raises:
         ConfigError: whichever of them is wrong.
     """
+    from gateway.config import changed, load_config
+
     config = load_config(args.config)
     if args.site is not None:
         config = replace(config, site=check_name(args.site, what="--site"))
@@ -111,6 +116,8 @@ def configuration(args: argparse.Namespace) -> GatewayConfig:
 
 def _board(text: str, config: GatewayConfig) -> BoardConfig:
     """A board of the command line; where the file has one of that name, only its port changes."""
+    from gateway.config import BoardConfig, boards_from_text
+
     table = boards_from_text(text)
     name = check_name(table["name"], what="--board")
     known = next((board for board in config.boards if board.name == name), None)
@@ -120,6 +127,8 @@ def _board(text: str, config: GatewayConfig) -> BoardConfig:
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM or SIGINT."""
     if args.print_config:
+        from gateway.config import documented_toml
+
         print(documented_toml())
         return 0
     from gateway import daemon  # zenoh and foxglove take their time; --help and --print-config answer at once

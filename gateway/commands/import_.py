@@ -16,7 +16,8 @@ from pathlib import Path
 
 from gateway.record.tables.table_import import ImportReport, import_recording
 from protocol.bus.topics import DEFAULT_SITE, check_name
-from protocol.campaign import CHANNELS, KINDS, Campaign, Channel, Column, Kind, Recording, load, parse_column
+from protocol.campaign import CHANNELS, KINDS, Campaign, Channel, Column, Columns, Kind, Recording, load
+from protocol.checked import checked
 from protocol.errors import UsageError
 from protocol.files import make_folder
 
@@ -127,7 +128,7 @@ def _parse_map(spec: str) -> tuple[Channel, Column]:
                 values[key] = float(value)
         except ValueError:
             raise UsageError(f"--map {spec}: {option!r} is not a number", remedy=remedy) from None
-    return channel, parse_column(values, where="--map", key=name, channel=channel)
+    return channel, checked(Columns, {channel: values}, where="--map")[channel]
 
 
 def _as_text(report: ImportReport) -> str:

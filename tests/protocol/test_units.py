@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 
 import pytest
+from pydantic.fields import FieldInfo
 
-from protocol.campaign import CHANNELS, PLANT_BOUNDS, UNITS
+from protocol.campaign import CHANNELS, UNITS, Plant
+from protocol.checked import bounds, keys_of
 from protocol.units import MOST, NOT_MEASURED, SCALES, scale_of_size, unit_of_name
 
 
@@ -46,8 +48,9 @@ def test_a_size_suggests_the_power_of_1000_that_makes_it_plausible(largest: floa
 
 
 def test_the_masses_are_those_of_the_steel_balls_that_the_message_names() -> None:
-    low, high, meaning = PLANT_BOUNDS["mass_kg"]
+    mass_kg = keys_of(Plant)["mass_kg"]
 
-    diameters_mm = [1e3 * (6.0 * mass / (math.pi * 7850.0)) ** (1.0 / 3.0) for mass in (low, high)]
+    diameters_mm = [1e3 * (6.0 * mass / (math.pi * 7850.0)) ** (1.0 / 3.0) for mass in bounds(mass_kg) if mass]
 
-    assert meaning == f"as steel balls of {diameters_mm[0]:.1f} to {diameters_mm[1]:.0f} mm have"
+    named = f"as steel balls of {diameters_mm[0]:.1f} to {diameters_mm[1]:.0f} mm have"
+    assert named in (FieldInfo.from_annotation(mass_kg).description or "")

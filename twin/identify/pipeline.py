@@ -296,13 +296,9 @@ def _model(
     shape: Shape | None,
     force: ForceConstant | None,
 ) -> Model:
-    from twin.model import parameters as file
 
-    p = campaign.plant
     return Model(
-        plant=file.Plant(
-            name=p.name, mass_kg=p.mass_kg, travel_m=p.travel_m, x_max_m=p.x_max_m, gravity_m_s2=p.gravity_m_s2
-        ),
+        plant=campaign.plant,
         parameters={name: parameters[name] for name in PARAMETERS},
         noise=noise_of(found, records),
         provenance=provenance_of(campaign, found, white, usages, warnings, levels, shape, force),

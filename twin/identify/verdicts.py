@@ -11,7 +11,7 @@ from twin.identify.intervals import Interval
 from twin.identify.starting.levels import Levels, Shape
 from twin.identify.starting.liftoff import ForceConstant
 from twin.identify.starting.regression import BallStart
-from twin.model.parameters import PARAMETERS, Parameter
+from twin.model.parameters import PARAMETERS, Parameter, Verdict
 
 IDENTIFIED, WEAK = 0.25, 1.0  # half width of the 95 % interval over the value
 SUREST = 1e-6  # relative standard error: no volt, ampere or metre of a laboratory is known better
@@ -282,7 +282,7 @@ def _parameter(
     low = max(low, 0.0)
     high = high if math.isfinite(high) else highest
     width = 0.5 * (high - low) / abs(value) if value else _INFINITE
-    verdict = "identified" if width <= IDENTIFIED else "weak" if width <= WEAK else "not-identifiable"
+    verdict: Verdict = "identified" if width <= IDENTIFIED else "weak" if width <= WEAK else "not-identifiable"
     if bounded != value:
         verdict = "not-identifiable"
         method += f"; at its bound (unbounded {value:.3g})"

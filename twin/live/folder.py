@@ -15,11 +15,10 @@ from protocol.bus import topics
 from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recording
 from protocol.campaign_text import emit
 from protocol.errors import DataError
-from protocol.files import parse_json
 from twin.live.pieces import Piece
 from twin.live.source import Heard
 from twin.model.nominal import nominal
-from twin.model.parameters import model_from_dict
+from twin.model.parameters import parse_model
 from twin.readers.log import TwinLog
 
 
@@ -64,15 +63,8 @@ def write(heard: Heard, pieces: Sequence[Piece], plant: Plant, out: Path, *, sit
 
 def plant_of(heard: Heard) -> Plant:
     """Of the model that the live twin runs on; of the nominal CE 152 where no twin is heard."""
-    where = "the live twin's model"
-    model = model_from_dict(parse_json(heard.model_json, where=where), where=where) if heard.model_json else nominal()
-    return Plant(
-        name=model.plant.name,
-        mass_kg=model.plant.mass_kg,
-        travel_m=model.plant.travel_m,
-        x_max_m=model.plant.x_max_m,
-        gravity_m_s2=model.plant.gravity_m_s2,
-    )
+    model = parse_model(heard.model_json, where="the live twin's model") if heard.model_json else nominal()
+    return model.plant
 
 
 def controller_of(parameters: Sequence[pb.Parameters]) -> Controller | None:

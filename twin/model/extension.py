@@ -1,4 +1,4 @@
-"""The causes of a model as the kernels of `extended.py` take them.
+"""The causes of a model, as the kernels of `extended.py` take them.
 
 Rule: a model without causes gives the neutral vector, with which `extended.py` is the paper's (1) and (6).
 """

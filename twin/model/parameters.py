@@ -10,20 +10,21 @@ Rule 3: `causes` are of the catalogue, each with all its parameters, in its unit
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from protocol import campaign
+from pydantic import AfterValidator, BeforeValidator
+
+from protocol.campaign import Plant
+from protocol.checked import KEYS, Number, RuleError, bounds, checked, key, keys_of, needs
+from protocol.errors import DataError
 from protocol.files import parse_json, read_small, writing
-from twin.model.causes.cause import CauseParameter
-from twin.model.checks import finite, number, refuse, table
 
 SHIPPED = ("ce152", "inteco")  # models that come with the product, by name
-VERDICTS = ("identified", "weak", "not-identifiable", "assumed")  # assumed: taken from a source, not from a record
+Verdict = Literal["identified", "weak", "not-identifiable", "assumed"]  # assumed: taken from a source, not a record
 
 # name: (unit, lowest, highest).  The bounds are of any laboratory rig of this kind, not of one: they catch a wrong
 # unit or a slipped power of ten.
@@ -33,67 +34,119 @@ PARAMETERS: dict[str, tuple[str, float, float]] = {
     "K_c": ("N m^2/A^2", 1e-9, 1e-1),
     "b": ("N s/m", 0.0, 10.0),
 }
-PLANT: dict[str, tuple[float, float]] = {key: (low, high) for key, (low, high, _) in campaign.PLANT_BOUNDS.items()}
-NOISE: dict[str, tuple[float, float]] = {
-    "sigma_x_m": (1e-9, 1e-2),
-    "sigma_i_c_a": (1e-7, 1.0),
-    "process_a_m_s2": (0.0, 10.0),
-    "process_i_c_a": (0.0, 1.0),
-}
+REMEDY = "Give a model.json as `identify` writes it"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parameter:
     """One estimated number with its standing."""
 
-    value: float
+    __pydantic_config__ = KEYS
+
+    value: Number
     unit: str
-    std: float | None = None  # None: nobody measured it
-    ci95: tuple[float, float] | None = None
-    verdict: str = "assumed"
+    std: Annotated[Number, key("standard deviation, in the unit", 0.0)] | None = None  # None: nobody measured it
+    ci95: tuple[Number, Number] | None = None
+    verdict: Verdict = "assumed"
     method: str = ""
     equation: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plant:
-    """Known without identification; x is up from the bottom stop."""
-
-    name: str
-    mass_kg: float
-    travel_m: float  # top stop
-    x_max_m: float  # x_max of (3)
-    gravity_m_s2: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:
     """White, per sample.  Converter quantisation (lsb^2 / 12) comes on top, from the board's own scalings."""
 
-    sigma_x_m: float
-    sigma_i_c_a: float
-    process_a_m_s2: (
-        float  # acceleration the model does not explain, constant over a tick: the observer's only doubt in (6)
-    )
-    process_i_c_a: float  # the same for (1)
+    __pydantic_config__ = KEYS
+
+    sigma_x_m: Annotated[Number, key("noise of x, m", 1e-9, 1e-2)]
+    sigma_i_c_a: Annotated[Number, key("noise of i_c, A", 1e-7, 1.0)]
+    # Constant over a tick: the observer's only doubt in (6).
+    process_a_m_s2: Annotated[Number, key("acceleration that the model does not explain, m/s^2", 0.0, 10.0)]
+    process_i_c_a: Annotated[Number, key("the same for the current of (1), A", 0.0, 1.0)]
+
+
+NOISE: dict[str, Any] = {name: bounds(hint) for name, hint in keys_of(Noise).items()}
+_GIVEN = BeforeValidator(needs("verdict", "method", "equation"))
+_Parameters = Mapping[str, Annotated[Parameter, _GIVEN]]
+
+
+def _fits(name: str, given: Parameter, unit: str, low: float, high: float) -> None:
+    if given.unit != unit:
+        raise RuleError(
+            f".unit = {given.unit!r} is not {unit!r}", remedy=f"Convert the value to {unit!r}", key=f"{name}"
+        )
+    if not low <= given.value <= high:
+        raise RuleError(
+            f".value = {given.value:g} is not in {low:g} .. {high:g}",
+            remedy="Check the unit and the power of ten",
+            key=name,
+        )
+
+
+def _all_fit(given: Mapping[str, Parameter], known: Mapping[str, tuple[str, float, float]]) -> Mapping[str, Parameter]:
+    """The parameters in the order of those that are known, each in its unit and within its physical range."""
+    for name in (*known, *given):
+        if name not in given or name not in known:
+            problem = " is missing" if name in known else " is not a parameter"
+            raise RuleError(problem, remedy=f"They are {', '.join(known)}", key=name)
+        _fits(name, given[name], *known[name])
+    return {name: given[name] for name in known}
+
+
+def _of_the_paper(given: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
+    return _all_fit(given, PARAMETERS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelCause:
     """One effect of the catalogue that the model includes, with its size."""
 
+    __pydantic_config__ = KEYS
+
     name: str  # of twin/model/causes/catalogue.py
-    parameters: Mapping[str, Parameter]
+    parameters: _Parameters
+
+
+def _in_catalogue(cause: ModelCause) -> ModelCause:
+    # Only here: the catalogue is made of kernels, and most models need none of them.
+    from twin.model.causes.catalogue import BY_NAME
+
+    if cause.name not in BY_NAME:
+        raise RuleError(" is not in the catalogue", remedy=f"Use one of {', '.join(BY_NAME)}")
+    known = {one.name: (one.unit, one.low, one.high) for one in BY_NAME[cause.name].parameters}
+    try:
+        return ModelCause(name=cause.name, parameters=_all_fit(cause.parameters, known))
+    except RuleError as error:
+        raise RuleError(f".parameters{error.problem}", remedy=error.remedy) from None
+
+
+def _each_once(causes: tuple[ModelCause, ...]) -> tuple[ModelCause, ...]:
+    for n, cause in enumerate(causes):
+        if any(cause.name == other.name for other in causes[:n]):
+            raise RuleError(f" {n + 1} ({cause.name}) is there already", remedy="Name each cause once")
+    return causes
+
+
+def _reach(plant: Plant) -> Plant:
+    if plant.x_max_m < plant.travel_m:
+        raise RuleError(
+            f".x_max_m = {plant.x_max_m:g} is below travel_m = {plant.travel_m:g}",
+            remedy="The force (3) is infinite at x_max: it must not lie within the travel",
+        )
+    return plant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Model:
     """Plant, parameters of (1) and (6), the causes that extend them, noise, provenance."""
 
-    plant: Plant
-    parameters: Mapping[str, Parameter]
+    __pydantic_config__ = KEYS
+
+    plant: Annotated[Plant, AfterValidator(_reach)]
+    parameters: Annotated[_Parameters, AfterValidator(_of_the_paper)]
+    # In the order of their importance.
+    causes: Annotated[tuple[Annotated[ModelCause, AfterValidator(_in_catalogue)], ...], AfterValidator(_each_once)] = ()
     noise: Noise
-    causes: tuple[ModelCause, ...] = ()  # in the order of their importance
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -116,9 +169,8 @@ class Model:
         Raises:
             UsageError: it cannot be written.
         """
-        text = json.dumps(self.to_json(), indent=2, allow_nan=False) + "\n"
         with writing(Path(path)):
-            Path(path).write_text(text, encoding="utf-8")
+            Path(path).write_text(model_text(self) + "\n", encoding="utf-8")
 
     @property
     def K_A(self) -> float:
@@ -141,12 +193,7 @@ class Model:
         return self.parameters["b"].value
 
 
-def plant_of(model: Model) -> campaign.Plant:
-    """The constants of the model as the estimators take them."""
-    p = model.plant
-    return campaign.Plant(
-        name=p.name, mass_kg=p.mass_kg, travel_m=p.travel_m, x_max_m=p.x_max_m, gravity_m_s2=p.gravity_m_s2
-    )
+_COMPLETE = Annotated[Model, BeforeValidator(needs("causes", "provenance"))]
 
 
 def load_model(path: str | Path) -> Model:
@@ -155,125 +202,26 @@ def load_model(path: str | Path) -> Model:
     Raises:
         DataError: no such file, not JSON, or not a model; names the key and the value.
     """
-    where = str(path)
-    text = read_small(Path(path), remedy="Give the path of a model.json")
-    data = parse_json(text, where=where, remedy="Give a model.json as `identify` writes it")
-    return model_from_dict(data, where=where)
+    return parse_model(read_small(Path(path), remedy="Give the path of a model.json"), where=str(path))
+
+
+def parse_model(text: str, *, where: str) -> Model:
+    """The model in a text of JSON; `where` names its source in errors.  Raises DataError."""
+    return model_from_dict(parse_json(text, where=where, remedy=REMEDY), where=where)
+
+
+def model_text(model: Model) -> str:
+    """The JSON text of a model file; `parse_model` of it gives the model back.  Raises ValueError for NaN."""
+    return json.dumps(asdict(model), indent=2, allow_nan=False)
 
 
 def model_from_dict(data: object, *, where: str) -> Model:
     """Check `data` (the parsed JSON) key by key; `where` names its source in errors.  Raises DataError."""
-    top = table(data, where, "the model", ("plant", "parameters", "causes", "noise", "provenance"))
-    plant = table(top["plant"], where, "plant", ("name", *PLANT))
-    if not isinstance(plant["name"], str) or not plant["name"]:
-        refuse(where, f"plant.name is {plant['name']!r}", "Write the rig's name as text")
-    constants = {key: number(plant[key], where, f"plant.{key}", *bounds) for key, bounds in PLANT.items()}
-    if constants["x_max_m"] < constants["travel_m"]:
-        refuse(
-            where,
-            f"plant.x_max_m = {constants['x_max_m']:g} is below plant.travel_m = {constants['travel_m']:g}",
-            "The force (3) is infinite at x_max: it must not lie within the travel",
-        )
-    entries = table(top["parameters"], where, "parameters", tuple(PARAMETERS))
-    noise = table(top["noise"], where, "noise", tuple(NOISE))
-    causes: tuple[ModelCause, ...] = ()
-    if top["causes"] != []:
-        causes = _causes_from(top["causes"], where=where)
-    return Model(
-        plant=Plant(name=plant["name"], **constants),
-        parameters={
-            key: parameter_from(entries[key], where, f"parameters.{key}", *PARAMETERS[key]) for key in PARAMETERS
-        },
-        causes=causes,
-        noise=Noise(**{key: number(noise[key], where, f"noise.{key}", *bounds) for key, bounds in NOISE.items()}),
-        provenance=table(top["provenance"], where, "provenance", ()),
-    )
-
-
-def _causes_from(data: object, *, where: str) -> tuple[ModelCause, ...]:
-    """The causes of a model file, from their JSON form; `where` names the file in errors.
-
-    Raises:
-        DataError: not a list, a cause or a parameter that the catalogue does not have, one that lacks, a wrong unit,
-            a value out of its physical range.
-    """
-    # Only here: the catalogue is made of kernels, and most models need none of them.
-    from twin.model.causes.catalogue import BY_NAME
-
-    if not isinstance(data, list):
-        refuse(where, "causes is not a list", "Write [] for the paper's model")
-    causes: list[ModelCause] = []
-    for n, entry in enumerate(data):
-        key = f"causes[{n}]"
-        name = table(entry, where, key, ("name", "parameters"))["name"]
-        if not isinstance(name, str) or name not in BY_NAME:
-            refuse(where, f"{key} is {name!r}, not in the catalogue", f"Use one of {', '.join(BY_NAME)}")
-        if any(cause.name == name for cause in causes):
-            refuse(where, f"{key} is {name}, which is there already", "Name each cause once")
-        causes.append(_cause(name, BY_NAME[name].parameters, entry["parameters"], where, f"{key} ({name})"))
-    return tuple(causes)
-
-
-def _cause(name: str, known: Sequence[CauseParameter], data: object, where: str, key: str) -> ModelCause:
-    entries = table(data, where, f"{key}.parameters", tuple(parameter.name for parameter in known))
-    for parameter in entries:
-        if parameter not in [one.name for one in known]:
-            listed = ", ".join(one.name for one in known)
-            refuse(where, f"{key} has no parameter {parameter!r}", f"It has {listed}")
-    return ModelCause(
-        name=name,
-        parameters={
-            one.name: parameter_from(
-                entries[one.name], where, f"{key}.parameters.{one.name}", one.unit, one.low, one.high
-            )
-            for one in known
-        },
-    )
+    model: Model = checked(_COMPLETE, data, where=where, error=DataError)
+    return model
 
 
 def model_to_dict(model: Model) -> dict[str, Any]:
     """The JSON form; `model_from_dict` of it gives the model back."""
-    return {
-        "plant": {"name": model.plant.name} | {key: getattr(model.plant, key) for key in PLANT},
-        "parameters": _entries(model.parameters),
-        "causes": [{"name": cause.name, "parameters": _entries(cause.parameters)} for cause in model.causes],
-        "noise": {key: getattr(model.noise, key) for key in NOISE},
-        "provenance": dict(model.provenance),
-    }
-
-
-def parameter_from(data: object, where: str, key: str, unit: str, lowest: float, highest: float) -> Parameter:
-    """Check one parameter, in its unit and within its bounds; `key` names it in errors.  Raises DataError."""
-    entry = table(data, where, key, ("value", "unit", "verdict", "method", "equation"))
-    if entry["unit"] != unit:
-        refuse(where, f"{key}.unit is {entry['unit']!r}", f"The unit is {unit!r}; convert the value to it")
-    if entry["verdict"] not in VERDICTS:
-        refuse(where, f"{key}.verdict is {entry['verdict']!r}", f"Use one of {', '.join(VERDICTS)}")
-    std = entry.get("std")
-    ci95 = entry.get("ci95")
-    if ci95 is not None and (not isinstance(ci95, list) or len(ci95) != 2):
-        refuse(where, f"{key}.ci95 is {ci95!r}", "Write [low, high], or null where nobody measured it")
-    return Parameter(
-        value=number(entry["value"], where, f"{key}.value", lowest, highest),
-        unit=unit,
-        std=None if std is None else number(std, where, f"{key}.std", 0.0, math.inf),
-        ci95=None if ci95 is None else (finite(ci95[0], where, f"{key}.ci95"), finite(ci95[1], where, f"{key}.ci95")),
-        verdict=entry["verdict"],
-        method=str(entry["method"]),
-        equation=str(entry["equation"]),
-    )
-
-
-def _entries(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
-    return {
-        key: {
-            "value": p.value,
-            "unit": p.unit,
-            "std": p.std,
-            "ci95": list(p.ci95) if p.ci95 else None,
-            "verdict": p.verdict,
-            "method": p.method,
-            "equation": p.equation,
-        }
-        for key, p in parameters.items()
-    }
+    plain: dict[str, Any] = json.loads(model_text(model))
+    return plain

@@ -19,7 +19,7 @@ from twin.identify.fit import FLOORS, physics
 from twin.identify.horizon import HORIZONS_S, predict
 from twin.model.extended import SENSOR
 from twin.model.extension import base
-from twin.model.parameters import Model, plant_of
+from twin.model.parameters import Model
 from twin.model.simulate import over, plant_numbers, rig_at
 from twin.validate.extended import predictions, window
 from twin.validate.source import Filtered
@@ -72,7 +72,7 @@ def multi_step(runs_: Sequence[Filtered], model: Model) -> tuple[Ahead, ...]:
             actual_s = ahead * tick_s
             n = len(run.series)
             error, still = np.empty(n), np.empty(n)
-            numbers = tuple(physics(run.point, plant_of(model)))
+            numbers = tuple(physics(run.point, model.plant))
             s = run.series
             settle = max(round(SETTLE_S / tick_s), 2)
             predict(numbers, run.state, s.step, s.u, s.x, s.flags, ahead, settle, error, still)

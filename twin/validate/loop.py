@@ -18,7 +18,7 @@ from twin.estimation.step_figures import LoopRun
 from twin.identify.checks.control_law import law_gap
 from twin.mirror.monitor.expected import STABLE, autocovariance, error_dynamics
 from twin.model.extended import I_C, Base, V, X
-from twin.model.parameters import Model, plant_of
+from twin.model.parameters import Model
 from twin.model.simulate import I_READ, X_READ, PlantNumbers, hold, plant_numbers, rig_at
 from twin.validate.ball import SETTLE_S
 from twin.validate.source import Filtered, Source
@@ -102,7 +102,7 @@ def _flights(run: Filtered, model: Model, *, seed: int) -> tuple[list[LoopRun], 
         return [], (
             f"sampled every {record.interval_s * 1e3:.3g} ms, the law runs every {c.sample_time_s * 1e3:.3g} ms"
         )
-    gap = law_gap(record, plant_of(model), c)
+    gap = law_gap(record, model.plant, c)
     if gap is not None and gap.contradicted:
         return [], (
             f"the law does not give the recorded u_c ({100 * gap.share:.0f} % of its movement are left): {gap.text()}"

@@ -28,7 +28,7 @@ from twin.identify.checks.input_delay import delayed, input_delay
 from twin.identify.checks.plausibility import inspect
 from twin.identify.fit import Likelihood, Point, gate
 from twin.identify.pipeline import grouped
-from twin.model.parameters import Model, plant_of
+from twin.model.parameters import Model
 from twin.readers.campaign import read_recording
 from twin.readers.log import entries, parse
 from twin.validate.extended import as_shown, filter_extended
@@ -84,7 +84,7 @@ def sources_of(campaign: Campaign, model: Model, *, data: Path | None = None) ->
         path = campaign.path_of(recording, data=data)
         records.append(read_recording(path, recording))
         told.append(_announced(path, recording.board) if recording.kind in FLYING else [])
-    plant = plant_of(model)
+    plant = model.plant
     # The same checks as before a fit: a model must not be blamed for millimetres.
     said = inspect(records, plant, None)
     records, left_out = without_dead(records, plant)
@@ -114,7 +114,7 @@ def source_of(
     elif controller is not None:
         source = replace(source, law=_written(controller, record), without_law="")
     if record.kind in FLYING:
-        late = input_delay(record, plant_of(model))
+        late = input_delay(record, model.plant)
         known = min(late, _known_late(model))
         source = replace(source, late=known, unknown_late=late - known)
     return source
@@ -128,7 +128,7 @@ def chosen(sources: Sequence[Source]) -> tuple[list[Source], bool]:
 
 def filtered(source: Source, model: Model) -> Filtered | None:
     """The recording under the filter; None where nothing flies."""
-    plant = plant_of(model)
+    plant = model.plant
     record = replace(source.acting, captures=())
     if not record.has("u_c", "i_c", "x") or not flights(record, plant):
         return None

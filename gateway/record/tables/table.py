@@ -15,9 +15,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from protocol.errors import DataError
+from protocol.errors import DataError, shown
 from protocol.table_file import check_table, is_number, read_csv_bytes
-from protocol.toml_table import shown
 
 FloatArray = npt.NDArray[np.float64]
 

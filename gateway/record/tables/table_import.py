@@ -23,8 +23,7 @@ from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.campaign import CHANNELS, UNITS, Campaign, Channel, Column, Recording
-from protocol.errors import DataError
-from protocol.toml_table import shown
+from protocol.errors import DataError, shown
 from protocol.units import MOST, NOT_MEASURED, scale_of_size
 
 GAP_STEPS = 1.5  # a step longer than this lost at least one sample

@@ -23,7 +23,7 @@ from tests.twin.model.true_model import true_model
 from twin.estimation.record import Record
 from twin.identify.fit import Point
 from twin.identify.horizon import horizons
-from twin.model.parameters import model_to_dict, plant_of
+from twin.model.parameters import model_to_dict
 from twin.prediction import predict
 from twin.readers.log import TwinLog
 
@@ -120,7 +120,7 @@ def test_without_causes_it_agrees_with_the_filter_of_the_identification() -> Non
         process_i_c_a=n.process_i_c_a,
         process_a_m_s2=n.process_a_m_s2,
     )
-    (other,) = horizons([record], plant_of(model), point, TICK_S, wanted_s=(AHEAD * TICK_S,))
+    (other,) = horizons([record], model.plant, point, TICK_S, wanted_s=(AHEAD * TICK_S,))
 
     found = predict(model, record, AHEAD)
 

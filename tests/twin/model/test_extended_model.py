@@ -61,7 +61,7 @@ def without(data: Data) -> None:
 
 
 def more(data: Data) -> None:
-    data["causes"][0]["parameters"]["e_m"] = {}
+    data["causes"][0]["parameters"]["e_m"] = cause("air-gap-offset", 1e-3)["parameters"]["d_m"]
 
 
 def twice(data: Data) -> None:
@@ -71,15 +71,15 @@ def twice(data: Data) -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (renamed, "causes[0] is 'gremlins', not in the catalogue"),
-        (without, "causes[1] (amplifier-gain-drift).parameters lacks 'tau_s'"),
-        (more, "causes[0] (air-gap-offset) has no parameter 'e_m'"),
-        (twice, "causes[2] is air-gap-offset, which is there already"),
-        (changed(unit="mm"), "d_m.unit is 'mm'"),
-        (changed(value=0.8), "d_m.value = 0.8 is outside -0.002 .. 0.03"),
-        (changed(value=None), "d_m.value is None"),
-        (changed(verdict="sure"), "d_m.verdict is 'sure'"),
-        (changed(ci95=[1.0]), "d_m.ci95 is [1.0]"),
+        (renamed, "causes 1 (gremlins) is not in the catalogue"),
+        (without, "causes 2 (amplifier-gain-drift).parameters.tau_s is missing"),
+        (more, "causes 1 (air-gap-offset).parameters.e_m is not a parameter"),
+        (twice, "causes 3 (air-gap-offset) is there already"),
+        (changed(unit="mm"), "d_m.unit = 'mm' is not 'm'"),
+        (changed(value=0.8), "d_m.value = 0.8 is not in -0.002 .. 0.03"),
+        (changed(value=None), "d_m.value = None is not"),
+        (changed(verdict="sure"), "d_m.verdict = 'sure' is not"),
+        (changed(ci95=[1.0]), "d_m.ci95 = [1.0] is not a list of 2 numbers"),
     ],
 )
 def test_a_cause_that_is_not_one_is_refused_by_name(change: Callable[[Data], None], says: str) -> None:

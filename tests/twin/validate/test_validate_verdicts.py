@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from protocol.campaign import Controller, OperatingPoint
+from protocol.campaign import Controller, OperatingPoint, Plant
 from tests.twin.identify.independent_plant import Ball
 from twin.estimation.record import Capture, Record
 from twin.estimation.step_figures import FIGURES, find_steps, measure
-from twin.model.parameters import PARAMETERS, Model, Noise, Parameter, Plant
+from twin.model.parameters import PARAMETERS, Model, Noise, Parameter
 from twin.validate.ball import Ahead
 from twin.validate.figures import ahead_figure
 from twin.validate.report import to_html

@@ -333,13 +333,7 @@ def _extended(
     if members:
         causes = (file.ModelCause(name=members[0].name, parameters=parameters_of(members[0])),)
     return file.Model(
-        plant=file.Plant(
-            name=plant.name,
-            mass_kg=plant.mass_kg,
-            travel_m=plant.travel_m,
-            x_max_m=plant.x_max_m,
-            gravity_m_s2=plant.gravity_m_s2,
-        ),
+        plant=plant,
         parameters=parameters,
         noise=like.noise,
         causes=causes,

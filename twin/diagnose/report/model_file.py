@@ -43,13 +43,7 @@ def model_of(
         )
     names = list(dict.fromkeys(name.partition(".")[0] for name, _ in theta.causes))
     return file.Model(
-        plant=file.Plant(
-            name=plant.name,
-            mass_kg=plant.mass_kg,
-            travel_m=plant.travel_m,
-            x_max_m=plant.x_max_m,
-            gravity_m_s2=plant.gravity_m_s2,
-        ),
+        plant=plant,
         parameters=parameters,
         noise=file.Noise(
             sigma_x_m=float(theta.sigma_x_m),

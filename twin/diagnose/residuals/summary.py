@@ -26,7 +26,6 @@ from twin.diagnose.residuals.state_map import Correction, correction
 from twin.diagnose.residuals.step_response import Steps, step_responses
 from twin.estimation.record import FloatArray, runs
 from twin.model.extended import V
-from twin.model.parameters import plant_of
 
 if TYPE_CHECKING:
     from twin.diagnose.result import Diagnosis
@@ -88,7 +87,7 @@ def shown(found: Diagnosis, controller: Controller | None, *, quick: bool = Fals
         quick: without closed-loop simulation and correction.
         seed: of the bootstrap.
     """
-    plant = plant_of(found.extended)
+    plant = found.extended.plant
     judge = found.judge_evidence
     judged = judge is not None and bool(found.gains)
     evidence = judge if judge is not None and judged else found.fit_evidence

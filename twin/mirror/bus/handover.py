@@ -11,15 +11,13 @@ Rule 3: equal models have equal text and an equal hash, however their files were
 from __future__ import annotations
 
 import hashlib
-import json
 from collections import OrderedDict
 from dataclasses import dataclass
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import parse
 from protocol.errors import DataError
-from protocol.files import parse_json
-from twin.model.parameters import Model, model_from_dict, model_to_dict
+from twin.model.parameters import Model, model_text, parse_model
 
 MAX_PAYLOAD = 1_000_000  # bytes; an identified model has some 10 000
 MAX_WORD = 128  # characters of id and who, as for the gateway's commands
@@ -59,7 +57,7 @@ class Belief:
 def believe(model: Model, *, who: str = "", command_id: str = "") -> Belief:
     """Write `model` down.  Raises DataError where it cannot be written as JSON that everybody reads."""
     try:
-        text = json.dumps(model_to_dict(model), indent=2, allow_nan=False)
+        text = model_text(model)
         digest = hashlib.sha256(text.encode()).hexdigest()
     except (ValueError, RecursionError) as error:
         raise DataError(
@@ -107,8 +105,7 @@ def read_command(payload: bytes) -> pb.TwinCommand | pb.CommandReply:
 def read_model(command: pb.TwinCommand) -> Belief | pb.CommandReply:
     """The model of a `use_model`, checked as a model file is, or the refusal that names what is wrong with it."""
     try:
-        data = parse_json(command.use_model.model_json, where="the model handed over")
-        model = model_from_dict(data, where="the model handed over")
+        model = parse_model(command.use_model.model_json, where="the model handed over")
         return believe(model, who=command.who, command_id=command.id)
     except DataError as error:
         return refusal("bad-model", str(error), command_id=command.id)

@@ -1,0 +1,203 @@
+"""What a file says, checked by pydantic against a plain dataclass, or refused in one line of ours.
+
+The dataclass is the format: fields are keys, types and `Field(ge=..., le=..., description=...)` what they may hold.
+Only what comes from outside is checked; dataclasses made by the program cost nothing.
+
+Rule 1: an error names file, key and value, and says what to write instead; the first of several is named.
+Rule 2: an unknown key is an error: one that is ignored for a typing mistake changes results silently.
+Rule 3: nothing is converted but whole numbers to numbers: no text becomes a number, no number a truth value.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+from pydantic import AfterValidator, AllowInfNan, ConfigDict, Field, Strict, TypeAdapter, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from protocol.errors import ConfigError, DataError, UsageError, shown
+
+Number = Annotated[float, Strict(), AllowInfNan(False)]
+Whole = Annotated[int, Strict()]
+Flag = Annotated[bool, Strict()]
+KEYS = ConfigDict(extra="forbid")  # as __pydantic_config__ of a dataclass: unknown keys are refused
+
+_WORDS = {float: "a finite number", int: "a whole number", bool: "true or false", str: "text"}
+_UNKNOWN = "unexpected_keyword_argument"
+
+
+class RuleError(ValueError):
+    """A validator's objection; `problem` goes on where the key's path ends: " = 0 makes every value equal"."""
+
+    def __init__(self, problem: str, *, remedy: str, key: str = "") -> None:
+        super().__init__(problem)
+        self.problem = f".{key}{problem}" if key else problem
+        self.remedy = remedy
+
+
+def key(about: str, low: float | None = None, high: float | None = None) -> Any:
+    """What an annotated key is, with its unit, and within what bounds."""
+    return Field(description=about, ge=low, le=high)
+
+
+def rule(check: Callable[[Any], Any]) -> AfterValidator:
+    """A check that raises one of our errors, as a validator."""
+
+    def run(value: object) -> object:
+        try:
+            return check(value)
+        except UsageError as error:
+            raise RuleError(error.problem, remedy=error.remedy) from None
+
+    return AfterValidator(run)
+
+
+def needs(*names: str) -> Callable[[object], object]:
+    """For a BeforeValidator: keys that a file must have although the program may leave them out."""
+
+    def check(table: object) -> object:
+        absent = [name for name in names if name not in table] if isinstance(table, dict) else []
+        if absent:
+            raise RuleError(" is missing", remedy="Add it", key=absent[0])
+        return table
+
+    return check
+
+
+def checked(
+    kind: Any,
+    data: object,
+    *,
+    where: str,
+    key: str = "",
+    error: type[ConfigError] | type[DataError] = ConfigError,
+    from_text: bool = False,
+) -> Any:
+    """`data`, parsed from TOML or JSON, as `kind`.
+
+    Args:
+        kind: a dataclass, or an annotated type.
+        data: tables, lists, numbers, texts.
+        where: file, variable or flag, for the error.
+        key: path of `data` in it; empty: the whole of it.
+        error: to raise.
+        from_text: `data` is a text, as a variable of the environment holds it, and may stand for a number.
+
+    Raises:
+        ConfigError, DataError: names where, key and value, and says what belongs there.
+    """
+    adapter = TypeAdapter(kind)
+    try:
+        return adapter.validate_strings(data) if from_text else adapter.validate_python(data)
+    except ValidationError as failed:
+        found = failed.errors(include_url=False)
+    problem, remedy = _told(kind, data, found, key, toml=error is ConfigError)
+    raise error(f"{where}{': ' if problem[0].isalnum() else ''}{problem}", remedy=remedy)
+
+
+def keys_of(kind: Any) -> dict[str, Any]:
+    """The annotated type of each key of a table; of a dataclass, or of a mapping with named keys."""
+    plain = plain_of(kind)
+    if is_dataclass(plain):
+        hints = get_type_hints(plain, include_extras=True)
+        return {FieldInfo.from_annotation(hints[f.name]).alias or f.name: hints[f.name] for f in fields(plain)}
+    options = get_args(plain)
+    return dict.fromkeys(get_args(options[0]), options[1]) if len(options) == 2 else {}
+
+
+def plain_of(kind: Any) -> Any:
+    """The type without what is annotated to it, and without "or None"."""
+    plain = FieldInfo.from_annotation(kind).annotation
+    return plain_of(get_args(plain)[0]) if type(None) in get_args(plain) else plain
+
+
+def bounds(kind: Any) -> tuple[float | None, float | None]:
+    """(lowest, highest) that an annotated type allows."""
+    ends: dict[str, float] = {}
+    for one in FieldInfo.from_annotation(kind).metadata:
+        ends |= {end: getattr(one, end) for end in ("ge", "le") if hasattr(one, end)}
+    return ends.get("ge"), ends.get("le")
+
+
+def _told(kind: Any, data: object, found: list[ErrorDetails], path: str, *, toml: bool) -> tuple[str, str]:
+    """(problem, remedy) of the first error."""
+    first, hint, keys, value = found[0], kind, {}, data
+    mistake, place = first["type"], first["loc"]
+    if mistake == "missing" and isinstance(place[-1], int):  # of four numbers: the list is wrong
+        mistake, place = "too_short", place[:-1]
+    for step in place:
+        if step == "[key]":
+            mistake = _UNKNOWN
+            continue
+        value, inner = _inside(value, step), get_args(plain_of(hint))
+        if isinstance(step, int):
+            label = _inside(value, "file") or _inside(value, "name")
+            path += f" {step + 1}" + (f" ({label})" if isinstance(label, str) else "")
+            hint = inner[0]
+        else:
+            path += f".{step}" if path else step
+            keys = keys_of(hint)
+            hint = keys.get(step) or (inner or (str,))[-1]
+    name, wanted, about = path.rpartition(".")[2], _expected(hint), FieldInfo.from_annotation(hint).description
+    if mistake == "value_error":
+        objection = first["ctx"]["error"]
+        return f"{path}{objection.problem}".removeprefix("."), objection.remedy
+    if mistake == _UNKNOWN:
+        return f"{path} = {shown(value)} is not a key", _nearest(name, list(keys))
+    add = (
+        {"a table": f"Add [{path}]", "a list of tables": f"Add at least one [[{name}]]"}.get(wanted)
+        if path and toml
+        else None
+    )
+    if mistake == "missing":
+        others = [str(one["loc"][-1]) for one in found if one["type"] == _UNKNOWN and one["loc"][:-1] == place[:-1]]
+        near = [
+            f"{other} is not a key; its unit is the end of {name}" for other in others if _stem(other) == _stem(name)
+        ]
+        return f"{path} is missing ({about or wanted})", (*near, add or f"Add {name}")[0]
+    told, range_ = f"{path} = {shown(value if place else first['input'])} is not", _range(hint)
+    remedy = f"Give {range_ or wanted}" + (f": {about}" if about else "")
+    if mistake in ("greater_than_equal", "less_than_equal"):
+        return f"{told} {'in ' * ('..' in range_)}{range_}", f"{remedy}; check the unit and the power of ten"
+    return f"{told} {wanted}", "Choose one of them" if "|" in wanted else add or remedy
+
+
+def _inside(value: object, step: str | int) -> object:
+    try:
+        return value[step]  # type: ignore[index]  # what is no table or list has nothing inside
+    except (TypeError, LookupError):
+        return None
+
+
+def _expected(hint: Any) -> str:
+    plain = plain_of(hint)
+    if plain in _WORDS:
+        return _WORDS[plain]
+    options = get_args(plain)
+    if options and isinstance(options[0], str):
+        return f"one of {' | '.join(options)}"
+    if get_origin(plain) is not tuple:
+        return "a table"
+    item = _expected(options[0])
+    items = {"text": "texts", "a table": "tables"}.get(item, "lists" if item.startswith("a list") else "numbers")
+    least = max((getattr(one, "min_length", 0) for one in FieldInfo.from_annotation(hint).metadata), default=0)
+    count = "" if Ellipsis in options else f"{len(options)} "
+    return f"a list of {f'at least {least} ' if least > 1 else count}{items}"
+
+
+def _range(hint: Any) -> str:
+    low, high = (end if isinstance(end, int | None) else f"{end:g}" for end in bounds(hint))
+    return "" if low is None else f"at least {low}" if high is None else f"{low} .. {high}"
+
+
+def _nearest(key: str, keys: list[str]) -> str:
+    near = difflib.get_close_matches(key, keys, 1) or [other for other in keys if _stem(other) == _stem(key)]
+    return f"Did you mean {near[0]}" if near else f"Remove it; the keys are {', '.join(keys)}"
+
+
+def _stem(key: str) -> str:
+    return key.split("_")[0]
