@@ -73,7 +73,7 @@ ghost = Rig("ghost", connect=endpoint).open()
 stream = ghost.samples()
 words = [sys.executable, "-m", "board51", "replay", str(recording.files[0])]
 player = subprocess.Popen([*words, "--connect", endpoint, "--as", "ghost", "--speed", "4"], stdout=subprocess.DEVNULL)
-again = [sample for sample, _ in zip(stream, range(len(logged)), strict=False)]
+again = [sample for _, sample in zip(range(len(logged)), stream, strict=False)]
 assert player.wait() == 0
 assert [sample.tick for sample in again] == logged.tick.tolist()
 print(f"replayed: {len(again)} samples, the same ticks")

@@ -102,7 +102,7 @@ class Rig:
             self.close()
 
     def open(self) -> Self:
-        """Join the bus; for who does not use `with`, which is better: then nothing is left open.
+        """Join the bus without `with`, as in a notebook.  Then `close` it: who stays in keeps the process from ending.
 
         Raises:
             ServiceError: no router there, or not for this identity.
