@@ -39,7 +39,7 @@ from tests.patience import HANG_S
 @pytest.fixture(scope="module")
 def endpoint() -> Iterator[str]:
     with Emulator() as board:
-        config = gateway_config(board.urls[0])
+        config = gateway_config(board.urls[0], host_loss="keep")  # a busy machine may be late; no flight ends by that
         with gateway_and_client(config):
             yield config.zenoh.listen[0]
 
@@ -115,7 +115,7 @@ def test_every_command_of_the_interface_has_a_method_that_a_board_accepts(rig: R
     rig.set_gains(list(parameters.gains), point)
     rig.set_stream(2)
     rig.set_stream(1)
-    rig.set_host_loss("coil-off", timeout_s=1.0)
+    rig.set_host_loss("keep", timeout_s=1.0)
     rig.mark("here")
     rig.acknowledge("divergence-x", comment="seen")
     rig.ping()

@@ -19,7 +19,7 @@ class MyDisplay:
         self.url = url
 
     async def height_mm(self) -> float:
-        async with Client(self.url) as client:
+        async with Client(self.url, timeout=120) as client:
             namespace = await client.get_namespace_index("urn:board51:board51")
             node = client.get_node(ua.NodeId("rig1/state/x_m", namespace))
             return 1e3 * float(await node.read_value())
