@@ -22,6 +22,7 @@ from protocol.campaign import Plant
 from twin.estimation.innovations import FOLLOWS, USE_I, USE_X, Series, information, run_filter, whiten
 from twin.estimation.prepare import BLOCK_SAMPLES
 from twin.estimation.record import FloatArray
+from twin.estimation.structures import NoiseLevels
 from twin.estimation.transition import GAP_MIN_SHARE, Physics
 
 PARAMETERS = ("K_A", "T_A", "K_c", "b")
@@ -57,6 +58,10 @@ class Point:
     sigma_x_m: float
     process_i_c_a: float
     process_a_m_s2: float
+
+    def noise(self, tick_s: float) -> NoiseLevels:
+        """The noise levels, as the filter takes them; `tick_s`: that they refer to, s."""
+        return NoiseLevels(self.sigma_i_c_a, self.sigma_x_m, self.process_i_c_a, self.process_a_m_s2, tick_s)
 
     def moved(self, name: str, by: float, mass_kg: float) -> Point:
         """One coordinate moved: by a logarithm, b by `by` times m (so that its unit is 1/s)."""
@@ -160,10 +165,9 @@ class Likelihood:
     def _filter(self, point: Point, block: slice, state: FloatArray = _NO_STATE) -> FloatArray:
         part = self.series.part(block)
         out = np.empty((len(part), 5))
-        noise = tuple(getattr(point, name) for name in NOISES)
         run_filter(
             tuple(physics(point, self.plant)),
-            (*noise, self.tick_s),
+            point.noise(self.tick_s),
             part.step,
             part.u,
             part.i,

@@ -37,8 +37,7 @@ from twin.diagnose.inference.fisher_scoring import Fit, inverse
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import NOISES, PARAMETERS, STOPS, derivative_step, moved
 from twin.diagnose.search.candidate_fits import MARGIN, Trial
-from twin.estimation.ekf import RESTS_HIGH, RESTS_LOW
-from twin.estimation.innovations import information
+from twin.estimation.innovations import RESTS_HIGH, RESTS_LOW, information
 from twin.estimation.record import FloatArray, Record
 from twin.model.causes.catalogue import with_trait
 

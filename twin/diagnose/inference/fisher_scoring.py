@@ -65,7 +65,7 @@ def climb(criterion: Criterion, start: Theta, free: Sequence[str], *, passes: in
     plant = criterion.plant
     theta, damping, converged, slow = start, 1e-3, False, 0
     run = criterion.run(theta)
-    rough = criterion.loudness(run.out) < LOUD
+    rough = criterion.loudness(run.innovations) < LOUD
     base, change = criterion.derivatives(theta, free, run, rough=rough)
     loglik, score, fisher = criterion.slopes(theta, free, base, change)
     decrement, fresh, exact = math.inf, True, not rough
@@ -90,14 +90,14 @@ def climb(criterion: Criterion, start: Theta, free: Sequence[str], *, passes: in
         for place, name in enumerate(free):
             trial = moved(trial, name, step[place], plant)
         beyond = criterion.run(trial)
-        value = criterion.loglik(beyond.out) + criterion.outside(trial)
+        value = criterion.loglik(beyond.innovations) + criterion.outside(trial)
         if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
             slow = slow + 1 if value - loglik < 0.05 else 0
-            theta, damping, base = trial, max(damping * 0.1, 1e-9), beyond.out
+            theta, damping, base = trial, max(damping * 0.1, 1e-9), beyond.innovations
             run = beyond
             fresh = decrement > CLOSE
             if fresh:
-                exact = criterion.loudness(run.out) >= LOUD
+                exact = criterion.loudness(run.innovations) >= LOUD
                 base, change = criterion.derivatives(theta, free, run, rough=not exact)
         elif not (fresh and exact):
             base, change = criterion.derivatives(theta, free, run)

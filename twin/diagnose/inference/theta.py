@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.campaign import Plant
+from twin.estimation.structures import NoiseLevels, Stops, System
 from twin.model.causes.catalogue import BY_NAME, neutral
 from twin.model.causes.cause import CauseParameter
 from twin.model.extended import Base
@@ -87,6 +88,15 @@ class Theta:
             x_max_m=plant.x_max_m,
             travel_m=plant.travel_m,
         )
+
+    def noise(self, tick_s: float) -> NoiseLevels:
+        """The noise levels, as the filter takes them; `tick_s`: that they refer to, s."""
+        return NoiseLevels(self.sigma_i_c_a, self.sigma_x_m, self.process_i_c_a, self.process_a_m_s2, tick_s)
+
+    def system(self, plant: Plant, tick_s: float) -> System:
+        """The model and its noise, as the filter takes them; `tick_s`: that process noise refers to, s."""
+        stops = Stops(self.stop_low_m, self.stop_high_m)
+        return System(tuple(self.base(plant)), self.vector(), self.noise(tick_s), stops)
 
 
 def parameter_of(name: str) -> CauseParameter:
