@@ -20,7 +20,7 @@ import numpy as np
 
 from twin.diagnose.inference.adequacy import adequate
 from twin.diagnose.inference.budget import Spent
-from twin.diagnose.inference.fisher_scoring import PASSES, climb, inverse
+from twin.diagnose.inference.fisher_scoring import PASSES, climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import Theta, derivative_step, moved
@@ -30,6 +30,7 @@ from twin.diagnose.search.score_test import LEAST_INFORMATION, VISIBLE, probed
 from twin.diagnose.search.state import Selection
 from twin.diagnose.search.stepwise import select
 from twin.estimation.innovations import information
+from twin.estimation.optimiser import inverse
 from twin.estimation.record import BoolArray, FloatArray, Record, runs
 from twin.estimation.structures import NO_STEPS, Results, Steps, room_for
 from twin.model.causes.cause import Cause

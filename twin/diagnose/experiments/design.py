@@ -33,11 +33,12 @@ from twin.diagnose.experiments.external_measurements import measurement_for
 from twin.diagnose.experiments.menu import MENU, Item, schedule_of, sentence
 from twin.diagnose.experiments.virtual_recordings import input_limit, simulate
 from twin.diagnose.inference.budget import Budget
-from twin.diagnose.inference.fisher_scoring import Fit, inverse
+from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import NOISES, PARAMETERS, STOPS, derivative_step, moved
 from twin.diagnose.search.candidate_fits import MARGIN, Trial
 from twin.estimation.innovations import RESTS_HIGH, RESTS_LOW, information
+from twin.estimation.optimiser import inverse
 from twin.estimation.record import FloatArray, Record
 from twin.model.causes.catalogue import with_trait
 

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnose.inference.fisher_scoring import inverse
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import Theta, coordinates_of, derivative_step, moved
 from twin.diagnose.search.probes import probes_of
 from twin.estimation.innovations import information
+from twin.estimation.optimiser import inverse
 from twin.estimation.pace import Reuse
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
