@@ -25,6 +25,7 @@ from typing import Any, ParamSpec, TypeAlias, TypeVar, cast
 P = ParamSpec("P")
 R = TypeVar("R")
 Packed: TypeAlias = tuple[Any, ...]  # tuple(of a NamedTuple of numbers)
+_IN_MACHINE_CODE = b"@kernel", b"@inlined", b"(NamedTuple)"
 OLD_S = 7 * 86400.0  # machine code of sources that are no more, untouched for so long, is removed
 
 
@@ -57,7 +58,7 @@ def _compiled(function: Callable[P, R], *, forceinline: bool = False) -> Callabl
 
 
 def sources_hash(package: Path) -> str:
-    """Of every file with kernels below `package`, its name included."""
+    """Of every file with kernels, or with named tuples that they may take, below `package`, its name included."""
     # os.walk: pathlib takes three times as long, and every start of the command waits for this.
     digest = hashlib.sha256()
     for folder, below, files in os.walk(package):
@@ -67,7 +68,7 @@ def sources_hash(package: Path) -> str:
                 path = os.path.join(folder, file)
                 with open(path, "rb", buffering=0) as source:
                     data = source.read()
-                if b"@kernel" in data or b"@inlined" in data:
+                if any(mark in data for mark in _IN_MACHINE_CODE):
                     digest.update(os.path.relpath(path, package).encode() + b"\0" + data)
     return digest.hexdigest()[:16]
 

@@ -62,7 +62,7 @@ def _carry(
         copy_square(f.P, spread[n - ahead], f.m)
         for k in range(n - ahead + 1, n + 1):
             copy_square(f.F, steps.slopes[k], f.m)
-            carry(f)
+            carry(f.F, f.P, f.G, f.m)
             add_process_noise(f, step[k])
         position_slopes(base_of(f), f.c[:], steps.before[n], f.sensor, f.h_x[:])
         variances[n] = variance(f, f.h_x[:], f.r_x)

@@ -71,9 +71,8 @@ def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None
 
 
 @inlined
-def carry(f: Memory) -> None:
-    """P = F P F'."""
-    F, P, G, m = f.F, f.P, f.G, f.m
+def carry(F: Floats, P: Floats, G: Floats, m: int) -> None:
+    """P = F P F' in their first m rows and columns; G: room."""
     for row in range(m):
         for column in range(m):
             total = 0.0
