@@ -9,7 +9,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from board51 import main
@@ -166,7 +165,6 @@ def lagging() -> Iterator[tuple[Criterion, Selection]]:
 
 
 def searched(criterion: Criterion) -> Selection:
-    criterion.shift_s = np.zeros(len(criterion.evidence.series))
     with criterion.free():
         base = climb(criterion, QUIET, BASE)
         floor = floor_of(criterion, base.theta)

@@ -80,13 +80,13 @@ class Switched(Criterion):
         cuts = [0, *(np.flatnonzero(np.diff(held)) + 1).tolist(), len(held)]
         self._pieces = [(slice(a, b), bool(held[a])) for a, b in itertools.pairwise(cuts) if b > a]
 
-    def _outputs(self, theta: Theta, shift_s: FloatArray | None = None, known: Steps = NO_STEPS) -> FloatArray:
+    def _outputs(self, theta: Theta, known: Steps = NO_STEPS) -> FloatArray:
         """As `Criterion._outputs`; the filter begins anew at each recording, so the pieces do not touch."""
         if not theta.causes:
-            return super()._outputs(theta, shift_s)
+            return super()._outputs(theta)
         results, absent = room_for(len(self.evidence.series), 3), replace(theta, causes=())
         for piece, holds in self._pieces:
-            self._fill(theta if holds else absent, piece, results, shift_s)
+            self._fill(theta if holds else absent, piece, results)
         self.evaluations += 1
         return results.innovations
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -231,7 +231,8 @@ def _separations(
         by = [derivative_step(rival, name, plant) for name in names]
         spans.append((len(thetas), names, by))
         thetas += [rival, *(moved(rival, name, step, plant) for name, step in zip(names, by, strict=True))]
-    outs = trial.several(thetas)
+    # The phases of the campaign are not those of an experiment.
+    outs = trial.several([replace(theta, phases_s=()) for theta in thetas])
     base = outs[0]
     shared = {name: (outs[1 + k] - base) / steps[k] for k, name in enumerate(common)}
     found = []

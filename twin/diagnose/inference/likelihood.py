@@ -52,7 +52,6 @@ class Criterion:
         self, evidence: Evidence, plant: Plant, tick_s: float, *, workers: int = 2, budget: Budget | None = None
     ) -> None:
         self.evidence, self.plant, self.tick_s = evidence, plant, tick_s
-        self.shift_s: FloatArray = np.zeros(len(evidence.series))  # phases of a periodic cause, `search/periodic.py`
         # Recordings do not touch: where one begins in the middle, two workers share a run.
         begins = np.flatnonzero(np.diff(evidence.series.recording, prepend=-1))
         n = len(evidence.series)
@@ -125,15 +124,15 @@ class Criterion:
         """`dead_time` of the recordings, which no model changes."""
         return dead_time(self.evidence.records)
 
-    def outputs(self, theta: Theta, shift_s: FloatArray | None = None) -> FloatArray:
-        """Innovations and their covariance, shape (n, 5); `shift_s` as `self.shift_s`, for once."""
+    def outputs(self, theta: Theta) -> FloatArray:
+        """Innovations and their covariance, shape (n, 5)."""
         self.pay(theta)
-        return self._outputs(theta, shift_s)
+        return self._outputs(theta)
 
-    def _outputs(self, theta: Theta, shift_s: FloatArray | None = None, known: Steps = NO_STEPS) -> FloatArray:
+    def _outputs(self, theta: Theta, known: Steps = NO_STEPS) -> FloatArray:
         """Paid for; `known`: as `filtered` takes it."""
         results = room_for(len(self.evidence.series), states_in(theta.vector()))
-        self._fill(theta, slice(0, len(results.innovations)), results, shift_s, known)
+        self._fill(theta, slice(0, len(results.innovations)), results, known)
         self.evaluations += 1
         return results.innovations
 
@@ -142,12 +141,11 @@ class Criterion:
         theta: Theta,
         part: slice,
         results: Results,
-        shift_s: FloatArray | None = None,
         known: Steps = NO_STEPS,
     ) -> None:
         """Whole recordings into their place of the results."""
         samples = self.evidence.samples
-        samples = samples._replace(t=samples.t + (self.shift_s if shift_s is None else shift_s))
+        samples = samples._replace(t=theta.shifted(samples.t, self.evidence.series.recording))
         fill(theta.system(self.plant, self.tick_s), samples.part(part), known.part(part), results.part(part))
 
     def run(self, theta: Theta) -> Results:
@@ -173,7 +171,7 @@ class Criterion:
         ]
         self.pay(*thetas, reuse=reuse)
         steps = {Reuse.NOTHING: NO_STEPS, Reuse.SLOPES: at.steps.slopes_alone, Reuse.STEPS: at.steps}
-        return list(self._pool.map(lambda theta, ask: self._outputs(theta, None, steps[ask]), thetas, reuse))
+        return list(self._pool.map(lambda theta, ask: self._outputs(theta, steps[ask]), thetas, reuse))
 
     def several(self, thetas: Sequence[Theta]) -> list[FloatArray]:
         """`outputs` of each."""
@@ -206,9 +204,9 @@ class Criterion:
         self.pay(*thetas)
         return [value if math.isfinite(value) else -math.inf for value in self._pool.map(self._value, thetas)]
 
-    def white(self, theta: Theta, shift_s: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """(log-likelihood of each sample, shape (n,); whitened innovations, shape (n, 2)); `shift_s`: `outputs`."""
-        out = self.outputs(theta, shift_s=shift_s)
+    def white(self, theta: Theta) -> tuple[FloatArray, FloatArray]:
+        """(log-likelihood of each sample, shape (n,); whitened innovations, shape (n, 2))."""
+        out = self.outputs(theta)
         loglik, white = np.zeros(len(out)), np.full((len(out), 2), np.nan)
         whiten(out, loglik, white)
         return loglik, white

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.campaign import Plant
+from twin.estimation.record import FloatArray
 from twin.estimation.structures import NoiseLevels, Stops, System
 from twin.model.causes.catalogue import BY_NAME, neutral
 from twin.model.causes.cause import CauseParameter
@@ -44,6 +45,8 @@ class Theta:
     stop_low_m: float = 0.0
     stop_high_m: float = 0.0
     causes: tuple[tuple[str, float], ...] = ()  # (coordinate, value), in the order of acceptance
+    # Phases of a periodic force, as shifts of the time of each recording, s: its clock is not the board's.  (): all 0.
+    phases_s: tuple[float, ...] = ()
     least_i_c_a: float = 1e-6  # the sensors are not better than this: a noise level at 0 finds no way back
     least_x_m: float = 1e-8
 
@@ -88,6 +91,10 @@ class Theta:
             x_max_m=plant.x_max_m,
             travel_m=plant.travel_m,
         )
+
+    def shifted(self, t: FloatArray, recording: NDArray[np.int32]) -> FloatArray:
+        """The times t with the phase of the recording that each sample belongs to, both of shape (n,), s."""
+        return t + np.array(self.phases_s)[recording] if self.phases_s else t
 
     def noise(self, tick_s: float) -> NoiseLevels:
         """The noise levels, as the filter takes them; `tick_s`: that they refer to, s."""

@@ -45,6 +45,7 @@ class Score:
     visible: float  # share of the signature that nothing in the model takes up
     beside: tuple[tuple[str, float], ...]  # moves of the other coordinates that go with a whole step
     chance: float = 0.0  # gain that the search for the cause's other parameters makes out of nothing
+    phases_s: tuple[float, ...] = ()  # of a periodic force, as `Theta` has them
     others: tuple[tuple[str, float], ...] = ()  # values of the cause's other parameters, where not the usual ones
 
     @property
