@@ -18,36 +18,47 @@ import os
 import shutil
 import time
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, ParamSpec, TypeAlias, TypeVar, cast
 
 P = ParamSpec("P")
 R = TypeVar("R")
 Packed: TypeAlias = tuple[Any, ...]  # tuple(of a NamedTuple of numbers)
+_IN_MACHINE_CODE = b"@kernel", b"@inlined", b"(NamedTuple)"
 OLD_S = 7 * 86400.0  # machine code of sources that are no more, untouched for so long, is removed
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` on its first call and keep the machine code on disk where that is possible."""
+    return _compiled(function)
+
+
+def inlined(function: Callable[P, R]) -> Callable[P, R]:
+    """A kernel that becomes part of the kernels that call it: one of a few lines whose call would cost as much."""
+    return _compiled(function, forceinline=True)
+
+
+def _compiled(function: Callable[P, R], *, forceinline: bool = False) -> Callable[P, R]:
     try:
         import numba
     except ImportError:
         return function
+    compile_it: Any = partial(numba.njit, nogil=True, error_model="numpy", forceinline=forceinline)
     # numba reads CACHE_DIR while it decorates; what is decorated elsewhere keeps its own place.
     config: Any = numba.config
     here, config.CACHE_DIR = config.CACHE_DIR, _folder()
     try:
-        return cast(Callable[P, R], numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+        return cast(Callable[P, R], compile_it(cache=True)(function))
     except RuntimeError:
         # A read-only installation (a container's) without a home directory has no place for numba's cache.
-        return cast(Callable[P, R], numba.njit(nogil=True, error_model="numpy")(function))
+        return cast(Callable[P, R], compile_it()(function))
     finally:
         config.CACHE_DIR = here
 
 
 def sources_hash(package: Path) -> str:
-    """Of every file with kernels below `package`, its name included."""
+    """Of every file with kernels, or with named tuples that they may take, below `package`, its name included."""
     # os.walk: pathlib takes three times as long, and every start of the command waits for this.
     digest = hashlib.sha256()
     for folder, below, files in os.walk(package):
@@ -57,7 +68,7 @@ def sources_hash(package: Path) -> str:
                 path = os.path.join(folder, file)
                 with open(path, "rb", buffering=0) as source:
                     data = source.read()
-                if b"@kernel" in data:
+                if any(mark in data for mark in _IN_MACHINE_CODE):
                     digest.update(os.path.relpath(path, package).encode() + b"\0" + data)
     return digest.hexdigest()[:16]
 

@@ -14,11 +14,12 @@ import numpy as np
 
 from protocol.errors import DataError
 from twin.diagnose.evidence.gather import gather
-from twin.estimation.ekf import LOST
-from twin.estimation.innovations import FLIES, FOLLOWS, USE_X
+from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_X
 from twin.estimation.record import FloatArray, Record
-from twin.estimation.rollout import SETTLE_S, predict_ahead, within_reach
-from twin.estimation.rollout_periodic import has_phase, predict_in_phase
+from twin.estimation.rollout import SETTLE_S, within_reach
+from twin.estimation.rollout_periodic import has_phase
+from twin.estimation.rollout_periodic import predict as predict_readings
+from twin.estimation.structures import AT_THE_ENDS, System
 from twin.model.causes.catalogue import found_by
 from twin.model.extended import position_reading
 from twin.model.extension import base, vector
@@ -80,10 +81,8 @@ def predict(model: Model, record: Record, ahead: int) -> Prediction:
     s = evidence.series
     point = point_of(model, record)
     tick_s = record.interval_s
-    noise = (point.sigma_i_c_a, point.sigma_x_m, point.process_i_c_a, point.process_a_m_s2, tick_s)
-    ahead_of = predict_in_phase if has_phase(c) else predict_ahead
-    x_hat = ahead_of(tuple(p), c, noise, (0.0, 0.0), evidence.t, s.step, s.u, s.i, s.x, s.flags, tick_s, ahead)
-    x_hat = within_reach(x_hat, p, c, (0.0, 0.0))
+    system = System(tuple(p), c, point.noise(tick_s), AT_THE_ENDS)
+    x_hat = within_reach(predict_readings(system, evidence.samples, ahead), p, c, AT_THE_ENDS)
     sampled = s.flags & LOST == 0  # the series has a row for a lost sample, the recording has none
     flags, x_hat = s.flags[sampled], x_hat[sampled]
     there = np.isfinite(x_hat)

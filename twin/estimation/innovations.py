@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from twin.compiled import Packed, kernel
 from twin.estimation.record import FloatArray
+from twin.estimation.structures import NoiseLevels
 from twin.estimation.transition import Physics, moments, transit
 
 FOLLOWS, FLIES, USE_I, USE_X = 1, 2, 4, 8
+RESTS_LOW, RESTS_HIGH, RESTS_UNSEEN, LOST = 16, 32, 64, 128
 SPEED_STD_M_S = 0.5  # of a ball whose speed nobody has seen yet
-OUT_COLUMNS = 5  # nu_i, nu_x, S_ii, S_ix, S_xx; NaN where nothing was predicted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +56,7 @@ class Series:
 @kernel
 def run_filter(
     physics: Packed,
-    noise: tuple[float, float, float, float, float],
+    noise: NoiseLevels,
     step: NDArray[np.float64],
     u: NDArray[np.float64],
     y_i: NDArray[np.float64],
@@ -68,8 +69,7 @@ def run_filter(
 
     Args:
         physics: tuple(Physics).
-        noise: standard deviations (i_c in A, x in m, disturbance of i_c in A per tick, acceleration in m/s^2), and the
-            length of that tick in s: over other intervals the variance of the disturbance grows with their length.
+        noise: of readings and motion.
         step: time to the sample before, s, shape (n,).
         u: u_c from each sample on, V, shape (n,).
         y_i: measured i_c, A, shape (n,).
@@ -80,7 +80,8 @@ def run_filter(
             where nobody wants them.
     """
     p = Physics(*physics)
-    r_i, r_x, q_per_s, a2 = noise[0] ** 2, noise[1] ** 2, noise[2] ** 2 / noise[4], noise[3] ** 2
+    r_i, r_x, a2 = noise.sigma_i_c_a**2, noise.sigma_x_m**2, noise.process_a_m_s2**2
+    q_per_s = noise.process_i_c_a**2 / noise.tick_s
     m = np.empty(9)
     at = -1.0
     i, x, v = 0.0, 0.0, 0.0

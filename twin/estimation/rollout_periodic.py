@@ -14,12 +14,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.compiled import Packed, kernel
-from twin.estimation.ekf import OUT_COLUMNS, run_extended
+from twin.compiled import kernel
+from twin.estimation.ekf.filter import filtered
 from twin.estimation.innovations import whiten
-from twin.estimation.rollout import SETTLE_S, roll
+from twin.estimation.rollout import SETTLE_S, predict_ahead, roll_out
+from twin.estimation.structures import Samples, System
 from twin.model.causes import periodic_disturbance
-from twin.model.extended import STATES
 
 PHASES = 24  # of 16 the parabola left 8 % more error under 8 mN at 1.5 Hz
 MEMORY_S = 2.0
@@ -30,35 +30,21 @@ def has_phase(c: NDArray[np.float64]) -> bool:
     return bool(c[periodic_disturbance.AMPLITUDE] != 0.0)
 
 
-def predict_in_phase(
-    base: Packed,
-    c: NDArray[np.float64],
-    noise: tuple[float, float, float, float, float],
-    stops_m: tuple[float, float],
-    t: NDArray[np.float64],
-    step: NDArray[np.float64],
-    u: NDArray[np.float64],
-    y_i: NDArray[np.float64],
-    y_x: NDArray[np.float64],
-    flags: NDArray[np.uint8],
-    tick_s: float,
-    ahead: int,
-    *,
-    settle_s: float = SETTLE_S,
-) -> NDArray[np.float64]:
-    """`horizon.predict_ahead` for causes with a phase; the arguments and x_hat are the same."""
-    n = len(u)
+def predict(system: System, samples: Samples, ahead: int, *, settle_s: float = SETTLE_S) -> NDArray[np.float64]:
+    """`rollout.predict_ahead` of any model, with the phase found where it has one; the arguments are the same."""
+    c = system.c
+    if not has_phase(c):
+        return predict_ahead(system, samples, ahead, settle_s=settle_s)
+    n = len(samples.u)
     explains, x_hat = np.full((PHASES, n), np.nan), np.empty((PHASES, n))
-    forget, everywhere = math.exp(-tick_s / MEMORY_S), np.ones(n, np.bool_)
-    state, out = np.empty((n, STATES)), np.empty((n, OUT_COLUMNS))
+    forget = math.exp(-system.noise.tick_s / MEMORY_S)
     for phase in range(PHASES):
-        shifted = t + phase / PHASES / c[periodic_disturbance.FREQUENCY]
-        run_extended(base, c, noise, stops_m, shifted, step, u, y_i, y_x, flags, out, state)
+        shifted = samples._replace(t=samples.t + phase / PHASES / c[periodic_disturbance.FREQUENCY])
+        found = filtered(system, shifted, state=True)
         loglik = np.zeros(n)
-        whiten(out, loglik, np.empty((n, 2)))
+        whiten(found.innovations, loglik, np.empty((n, 2)))
         remembered(loglik, forget, ahead, explains[phase])
-        settle = max(round(settle_s / tick_s), 2)
-        roll(base, c, shifted, step, u, flags, state, ahead, settle, everywhere, x_hat[phase])
+        x_hat[phase] = roll_out(system, shifted, found.state, ahead, settle_s=settle_s)
     return _at_the_best(explains, x_hat)
 
 

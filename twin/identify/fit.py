@@ -20,8 +20,10 @@ import numpy as np
 
 from protocol.campaign import Plant
 from twin.estimation.innovations import FOLLOWS, USE_I, USE_X, Series, information, run_filter, whiten
+from twin.estimation.optimiser import Damping, covariance_of, inverse, newton
 from twin.estimation.prepare import BLOCK_SAMPLES
 from twin.estimation.record import FloatArray
+from twin.estimation.structures import NoiseLevels
 from twin.estimation.transition import GAP_MIN_SHARE, Physics
 
 PARAMETERS = ("K_A", "T_A", "K_c", "b")
@@ -57,6 +59,10 @@ class Point:
     sigma_x_m: float
     process_i_c_a: float
     process_a_m_s2: float
+
+    def noise(self, tick_s: float) -> NoiseLevels:
+        """The noise levels, as the filter takes them; `tick_s`: that they refer to, s."""
+        return NoiseLevels(self.sigma_i_c_a, self.sigma_x_m, self.process_i_c_a, self.process_a_m_s2, tick_s)
 
     def moved(self, name: str, by: float, mass_kg: float) -> Point:
         """One coordinate moved: by a logarithm, b by `by` times m (so that its unit is 1/s)."""
@@ -160,10 +166,9 @@ class Likelihood:
     def _filter(self, point: Point, block: slice, state: FloatArray = _NO_STATE) -> FloatArray:
         part = self.series.part(block)
         out = np.empty((len(part), 5))
-        noise = tuple(getattr(point, name) for name in NOISES)
         run_filter(
             tuple(physics(point, self.plant)),
-            (*noise, self.tick_s),
+            point.noise(self.tick_s),
             part.step,
             part.u,
             part.i,
@@ -198,13 +203,13 @@ def physics(point: Point, plant: Plant) -> Physics:
 def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: int = PASSES) -> Fit:
     """Climb to the maximum from `start`; coordinates not in `free` stay."""
     mass = likelihood.plant.mass_kg
-    point, damping, decrement, converged = start, 1e-3, np.inf, False
+    point, damping, decrement, converged = start, Damping(), np.inf, False
     used = slow = 0
     loglik, score, fisher, _ = likelihood.gradient(point, free)
     for _ in range(passes):
         used += 1
         active = _active(point, free, score, likelihood.drag_most * mass)
-        step, decrement = _newton(score, fisher, active, damping)
+        step, decrement = newton(score, fisher, active, damping.value)
         if decrement < DONE or (slow >= 3 and decrement < NEAR):
             converged = True
             break
@@ -213,25 +218,18 @@ def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: in
         value = likelihood.value(trial)
         if np.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
             slow = slow + 1 if value - loglik < 0.05 else 0
-            point, damping = trial, max(damping * 0.1, 1e-9)
+            damping.taken()
+            point = trial
             loglik, score, fisher, _ = likelihood.gradient(point, free)
-        else:
-            damping = max(damping, 1e-4) * 10.0
-            if damping > 1e8:
-                break
+        elif not damping.refused():
+            break
     converged = converged or decrement < NEAR
     active = _active(point, free, score, likelihood.drag_most * mass)
-    covariance = np.full((len(free), len(free)), np.inf)
-    if active.any():
-        inner = _inverse(fisher[np.ix_(active, active)])
-        covariance[np.ix_(active, active)] = inner
-    for place in np.flatnonzero(~active):  # at its floor: known to be as good as zero
-        covariance[place, :] = covariance[:, place] = 0.0
     return Fit(
         point=point,
         loglik=loglik,
         free=tuple(free),
-        covariance=covariance,
+        covariance=covariance_of(fisher, active),  # at its floor a number is known to be as good as zero
         converged=converged,
         passes=used,
         decrement=float(decrement),
@@ -242,7 +240,7 @@ def sandwich(likelihood: Likelihood, found: Fit, lags: int) -> Fit:
     """The fit with the covariance that holds for coloured residuals too: F^-1 (Newey-West sum of scores) F^-1."""
     _, _, fisher, middle = likelihood.gradient(found.point, found.free, lags=lags)
     active = np.diag(found.covariance) > 0.0
-    inner = _inverse(fisher[np.ix_(active, active)])
+    inner = inverse(fisher[np.ix_(active, active)])
     robust = np.zeros_like(found.covariance)
     robust[np.ix_(active, active)] = inner @ middle[np.ix_(active, active)] @ inner
     return replace(found, robust=robust)
@@ -299,23 +297,6 @@ def _active(
     return ~np.array(stuck, np.bool_)
 
 
-def _newton(
-    score: FloatArray, fisher: FloatArray, active: np.ndarray[tuple[int], np.dtype[np.bool_]], damping: float
-) -> tuple[FloatArray, float]:
-    step = np.zeros(len(score))
-    if not active.any():
-        return step, 0.0
-    g, F = score[active], fisher[np.ix_(active, active)]
-    if not (np.isfinite(g).all() and np.isfinite(F).all()):
-        return step, np.inf
-    scale = np.sqrt(np.maximum(np.diag(F), 1e-12))
-    scaled = F / np.outer(scale, scale)
-    step[active] = np.linalg.lstsq(scaled + damping * np.eye(len(g)), g / scale, rcond=1e-14)[0] / scale
-    # Undamped: a step that damping has made small is no sign of a maximum.
-    whole = np.linalg.lstsq(scaled, g / scale, rcond=1e-14)[0] / scale
-    return step, float(np.sqrt(max(float(whole @ g), 0.0)))
-
-
 def _move(point: Point, free: Sequence[str], step: FloatArray, mass_kg: float) -> Point:
     # One factor for all: a step cut coordinate by coordinate points elsewhere.
     most = [_DRAG_MOST if name == "b" else _MOST[name] for name in free]
@@ -325,10 +306,3 @@ def _move(point: Point, free: Sequence[str], step: FloatArray, mass_kg: float) -
         by = float(np.clip(step[place] * factor, -most[place], most[place]))
         point = point.moved(name, by, mass_kg)
     return point
-
-
-def _inverse(matrix: FloatArray) -> FloatArray:
-    if not np.isfinite(matrix).all():
-        return np.full(matrix.shape, np.inf)
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return np.asarray(np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-13) / np.outer(scale, scale))

@@ -122,10 +122,11 @@ class Mirror:
                 flying,
                 sync == IN_STEP,
             )
-            if answer[0][4]:
+            (_, _, _, _, valid), _, _, _, _, changed, changes = answer
+            if valid:
                 self.counters["innovations"] += 1
-            if answer[5]:
-                alarms += self.comparison.messages(answer[6])
+            if changed:
+                alarms += self.comparison.messages(changes)
         else:
             alarms += self.comparison.skip()
         for alarm in alarms:

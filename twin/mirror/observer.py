@@ -18,6 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.compiled import Packed, kernel
+from twin.estimation.ekf.correct import position_slopes
+from twin.estimation.ekf.predict import carry
+from twin.estimation.innovations import SPEED_STD_M_S
 from twin.model.causes import amplifier_gain_drift, current_sensor_gain, eddy_current_lag, position_sensor_lag
 from twin.model.extended import (
     FIELD,
@@ -38,7 +41,6 @@ from twin.model.simulate import PlantNumbers, over
 
 SETTLE_S = 0.1  # the estimate forgets its start within about 1 / (unstable pole) = 12 ms; eight of them
 CONTACT_SHARE = 0.01  # of the travel: nearer to a stop than this counts as contact
-SPEED_STD_M_S = 0.5  # of a ball whose speed nobody has seen yet
 WARMTH_STD = 0.3  # A^2, of a coil whose past nobody has seen
 TICKS = STATES
 INPUTS = STATES + 1
@@ -92,31 +94,15 @@ def ekf_step(
     for column in range(m):
         for row in range(m):
             F[row, column] = (work[column, active[row]] - z[active[row]]) / _DELTA[active[column]]
-    for a in range(m):
-        for b in range(m):
-            total = 0.0
-            for k in range(m):
-                total += F[a, k] * P[k, b]
-            G[a, b] = total
-    for a in range(m):
-        for b in range(a, m):
-            total = 0.0
-            for k in range(m):
-                total += G[a, k] * F[b, k]
-            P[a, b] = total
-            P[b, a] = total
+    carry(F, P, G, m)
     for a in range(3):
         P[a, a] += numbers[a]
 
     gain = c[current_sensor_gain.GAIN]
-    shown = z[SENSOR]
-    if not lags:
-        shown = position_reading(base, c, z[X], z[I_C])
-    for a in range(m):
-        h_x[a] = 1.0 if lags and active[a] == SENSOR else 0.0
-    if not lags:
-        h_x[0] = (position_reading(base, c, z[X], z[I_C] + 1e-3) - shown) / 1e-3
-        h_x[1] = (position_reading(base, c, z[X] + 1e-6, z[I_C]) - shown) / 1e-6
+    sensor = -1
+    if lags:
+        sensor = 4 if eddies else 3
+    shown = position_slopes(p.base, c, z, sensor, h_x)
     n_i, n_x = y_i - current_reading(c, z[I_C]), y_x - shown
     s00, s01, s11 = numbers[3], 0.0, numbers[4]
     for a in range(m):

@@ -90,10 +90,11 @@ class Output:
         answer, row = self._answer, ALARMS.index(alarm)
         if answer is None:
             return False
+        (_, _, _, _, valid), _, of_x, of_i, _, _, _ = answer
         if row == 0:  # the innovation
-            return answer[0][4]
-        of_signal = answer[2] if row == 1 else answer[3]
-        return self.sync == IN_STEP and self._sample.closed_loop and math.isfinite(of_signal[1])
+            return valid
+        _, normalised, _, _, _ = of_x if row == 1 else of_i
+        return self.sync == IN_STEP and self._sample.closed_loop and math.isfinite(normalised)
 
     def _compared(self) -> pb.Divergence:
         sample, answer = self._sample, self._answer

@@ -10,7 +10,7 @@ Rule 2: the amplifier is integrated exactly within a substep (any T_A, any limit
         the current at start, middle and end.  The first substep is short: the current bends right after u_c has
         changed.  After 2 ms x is off by less than 60 nm, a hundredth of the sensor noise; by 0.2 um under jumps of 1 A
         where the coil's plane is at the stop (tests/twin/model/test_simulate.py).
-Rule 3: delays are not in here: they are a matter of which u_c is in force (`drive_over` in twin/estimation/ekf.py).
+Rule 3: delays are not in here: they are a matter of which u_c is in force (twin/estimation/propagate.py).
 Rule 4: stops are inelastic, as in `simulate.py`, and only where the caller asks for them.
 """
 

@@ -18,10 +18,9 @@ from twin.estimation.record import BoolArray, FloatArray, runs
 from twin.identify.fit import FLOORS, physics
 from twin.identify.horizon import HORIZONS_S, predict
 from twin.model.extended import SENSOR
-from twin.model.extension import base
 from twin.model.parameters import Model
 from twin.model.simulate import over, plant_numbers, rig_at
-from twin.validate.extended import predictions, window
+from twin.validate.extended import predictions, samples_of, system_of, window
 from twin.validate.source import Filtered
 
 SETTLE_S = 0.1  # the filter's own start
@@ -78,7 +77,9 @@ def multi_step(runs_: Sequence[Filtered], model: Model) -> tuple[Ahead, ...]:
             predict(numbers, run.state, s.step, s.u, s.x, s.flags, ahead, settle, error, still)
             if run.full is not None:
                 there = np.isfinite(still)
-                error = np.where(there, s.x - predictions(s, run.full, model, ahead, settle), np.nan)
+                error = np.where(
+                    there, s.x - predictions(s, run.full, model, run.point.noise(tick_s), ahead, SETTLE_S), np.nan
+                )
             good = np.isfinite(error)
             if good.any():
                 errors.append(error)
@@ -127,11 +128,11 @@ def _effective(error: FloatArray, count: int) -> float:
 
 
 def _floor_m(run: Filtered, model: Model, tick_s: float, ahead: int, predicted: BoolArray) -> float:
-    s, point = run.series, run.point
     # Process noise takes up what a model gets wrong: with it a model without the rig's drag lay below its own floor.
-    noise = (point.sigma_i_c_a, point.sigma_x_m, FLOORS["process_i_c_a"], FLOORS["process_a_m_s2"], tick_s)
-    numbers, c, t = tuple(base(model)), plant_numbers(model, tick_s).c, np.cumsum(s.step)
-    return floor_rmse(numbers, c, noise, (0.0, 0.0), t, s.step, s.u, s.i, s.x, s.flags, ahead, predicted)
+    noise = run.point.noise(tick_s)._replace(
+        process_i_c_a=FLOORS["process_i_c_a"], process_a_m_s2=FLOORS["process_a_m_s2"]
+    )
+    return floor_rmse(system_of(model, noise), samples_of(run.series), ahead, predicted)
 
 
 def windows(runs_: Sequence[Filtered], model: Model, *, shown_s: float = 0.8) -> Windows | None:

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.estimation.ekf import OUT_COLUMNS, drive_over, run_extended
+from twin.estimation.ekf.filter import filtered
 from twin.estimation.innovations import FOLLOWS, Series, whiten
+from twin.estimation.propagate import propagate
 from twin.estimation.record import FloatArray
-from twin.estimation.rollout import roll
+from twin.estimation.rollout import roll_out
+from twin.estimation.structures import AT_THE_ENDS, NoiseLevels, Samples, System
 from twin.identify.fit import Point
 from twin.model.extended import (
     FIELD,
@@ -33,14 +35,21 @@ from twin.model.simulate import plant_numbers
 
 def filter_extended(series: Series, point: Point, model: Model, tick_s: float) -> tuple[FloatArray, FloatArray]:
     """(whitened innovations, shape (n, 2); corrected states of `extended.py`, shape (n, 6)) of one recording."""
-    n = len(series)
-    out, state, white = np.empty((n, OUT_COLUMNS)), np.empty((n, STATES)), np.full((n, 2), np.nan)
-    noise = (point.sigma_i_c_a, point.sigma_x_m, point.process_i_c_a, point.process_a_m_s2, tick_s)
-    c = plant_numbers(model, tick_s).c
-    s, t = series, np.cumsum(series.step)
-    run_extended(tuple(base(model)), c, noise, (0.0, 0.0), t, s.step, s.u, s.i, s.x, s.flags, out, state)
-    whiten(out, np.zeros(n), white)
-    return white, state
+    found = filtered(system_of(model, point.noise(tick_s)), samples_of(series), state=True)
+    white = np.full((len(series), 2), np.nan)
+    whiten(found.innovations, np.zeros(len(series)), white)
+    return white, found.state
+
+
+def system_of(model: Model, noise: NoiseLevels) -> System:
+    """The model with this noise, as the filter takes them."""
+    return System(tuple(base(model)), plant_numbers(model, noise.tick_s).c, noise, AT_THE_ENDS)
+
+
+def samples_of(series: Series) -> Samples:
+    """A series of one recording, as the filter takes it."""
+    s = series
+    return Samples(np.cumsum(s.step), s.step, s.u, s.i, s.x, s.flags)
 
 
 def as_shown(state: FloatArray, model: Model) -> FloatArray:
@@ -52,29 +61,17 @@ def as_shown(state: FloatArray, model: Model) -> FloatArray:
     return shown
 
 
-def predictions(series: Series, state: FloatArray, model: Model, ahead: int, settle: int) -> FloatArray:
+def predictions(
+    series: Series, state: FloatArray, model: Model, noise: NoiseLevels, ahead: int, settle_s: float
+) -> FloatArray:
     """Reading of x predicted for each sample `ahead` samples earlier, m, shape (n,); NaN where there is none.
 
     Within the stops, as the rig's ball is: what the sensor shows there without a current.
     """
-    x_hat = np.empty(len(series))
-    t = np.cumsum(series.step)
-    c = plant_numbers(model, 1e-3).c
-    roll(
-        tuple(base(model)),
-        c,
-        t,
-        series.step,
-        series.u,
-        series.flags,
-        state,
-        ahead,
-        settle,
-        np.ones(len(t), np.bool_),
-        x_hat,
-    )
-    p = Base(*base(model))
-    stops = [position_reading(p, c, position, 0.0) for position in (0.0, p.travel_m)]
+    system = system_of(model, noise)
+    x_hat = roll_out(system, samples_of(series), state, ahead, settle_s=settle_s)
+    p = Base(*system.base)
+    stops = [position_reading(p, system.c, position, 0.0) for position in (0.0, p.travel_m)]
     return np.clip(x_hat, min(stops), max(stops))
 
 
@@ -86,7 +83,7 @@ def window(series: Series, state: FloatArray, model: Model, begin: int, length: 
     first = int(breaks[-1]) if len(breaks) else 0
     out[0] = y[SENSOR]
     for k in range(1, length - 1):
-        drive_over(tuple(base(model)), c, y, series.u, begin + k, first, 0.0, float(series.step[begin + k]), True)
+        propagate(tuple(base(model)), c, y, series.u, begin + k, first, 0.0, float(series.step[begin + k]), True)
         out[k] = y[SENSOR]
     return out
 
@@ -109,6 +106,6 @@ def current(u: FloatArray, step: FloatArray, start_a: float, x: FloatArray, mode
     shown[0] = start_a
     for k in range(1, len(u)):
         y[X], y[V] = x[k - 1], 0.0
-        drive_over(p, c, y, u, k, 0, 0.0, float(step[k]), False)
+        propagate(p, c, y, u, k, 0, 0.0, float(step[k]), False)
         shown[k] = current_reading(c, y[I_C])
     return shown

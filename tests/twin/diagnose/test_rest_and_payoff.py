@@ -20,8 +20,7 @@ from twin.diagnose.inference.theta import BASE, STOPS, Theta
 from twin.diagnose.search.candidate_starts import beside, start_of
 from twin.diagnose.search.prediction_benefit import removed
 from twin.diagnose.search.score_test import screen
-from twin.estimation.ekf import RESTS_LOW
-from twin.estimation.innovations import USE_X
+from twin.estimation.innovations import RESTS_LOW, USE_X
 from twin.model.causes.catalogue import BY_NAME
 from twin.readers.campaign import read_campaign
 

@@ -11,8 +11,7 @@ from protocol.campaign import Kind, Plant
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.evidence.sensor_noise import sensor_noise
 from twin.estimation.contact import at_converter_end, bounces, held_samples, near_converter_end
-from twin.estimation.ekf import RESTS_LOW
-from twin.estimation.innovations import FLIES, USE_X
+from twin.estimation.innovations import FLIES, RESTS_LOW, USE_X
 from twin.estimation.record import FloatArray, Record
 
 PLANT = Plant(name="ce152", mass_kg=8.28e-3, travel_m=5.7e-3, x_max_m=8.1e-3, gravity_m_s2=9.81)

@@ -50,12 +50,9 @@ def flown(theta: Theta, *, seed: int, seconds: float = 40.0) -> Evidence:
 
 def compared(theta: Theta, evidence: Evidence, samples: int) -> tuple[float, float]:
     """(measured error over floor, standard error of that) so many samples ahead, under the true model."""
-    s = evidence.series
-    error = predictions(evidence, theta, PLANT, TICK_S, samples) - s.x
+    error = predictions(evidence, theta, PLANT, TICK_S, samples) - evidence.series.x
     predicted = np.isfinite(error)
-    noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, TICK_S)
-    base, c, stops = tuple(theta.base(PLANT)), theta.vector(), (theta.stop_low_m, theta.stop_high_m)
-    floor = floor_rmse(base, c, noise, stops, evidence.t, s.step, s.u, s.i, s.x, s.flags, samples, predicted)
+    floor = floor_rmse(theta.system(PLANT, TICK_S), evidence.samples, samples, predicted)
     count = int(predicted.sum())
     assert count > 3000
     measured = math.sqrt(float(np.mean(error[predicted] ** 2)))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X, run_filter
+from twin.estimation.structures import NoiseLevels
 from twin.estimation.transition import Physics, moments, transit
 
 
@@ -67,7 +68,7 @@ def test_compiled_and_plain_filter_agree() -> None:
     numbers = (0.3, 3e-4, 6.8e-4, 2.5, 9.81, 8.1e-3, 5.7e-5, 5.7e-3)
     inputs = (
         numbers,
-        (2e-3, 5e-6, 1e-4, 0.02, 2e-3),
+        NoiseLevels(2e-3, 5e-6, 1e-4, 0.02, 2e-3),
         np.full(n, 2e-3),
         2.1 + 0.01 * rng.normal(size=n),
         0.63 + 2e-3 * rng.normal(size=n),

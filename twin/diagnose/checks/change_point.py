@@ -17,12 +17,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.diagnose.inference.adequacy import adequate
 from twin.diagnose.inference.budget import Spent
-from twin.diagnose.inference.fisher_scoring import PASSES, climb, inverse
-from twin.diagnose.inference.likelihood import Criterion, Run
+from twin.diagnose.inference.fisher_scoring import PASSES, climb
+from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import Theta, derivative_step, moved
 from twin.diagnose.search.equivalence import stand_ins
@@ -30,9 +29,10 @@ from twin.diagnose.search.probes import probes_of
 from twin.diagnose.search.score_test import LEAST_INFORMATION, VISIBLE, probed
 from twin.diagnose.search.state import Selection
 from twin.diagnose.search.stepwise import select
-from twin.estimation.ekf import OUT_COLUMNS
 from twin.estimation.innovations import information
+from twin.estimation.optimiser import inverse
 from twin.estimation.record import BoolArray, FloatArray, Record, runs
+from twin.estimation.structures import NO_STEPS, Results, Steps, room_for
 from twin.model.causes.cause import Cause
 from twin.model.extended import STATES
 
@@ -80,22 +80,19 @@ class Switched(Criterion):
         cuts = [0, *(np.flatnonzero(np.diff(held)) + 1).tolist(), len(held)]
         self._pieces = [(slice(a, b), bool(held[a])) for a, b in itertools.pairwise(cuts) if b > a]
 
-    def _outputs(
-        self, theta: Theta, state: NDArray[np.float64] = _NO_STATE, shift_s: FloatArray | None = None
-    ) -> FloatArray:
+    def _outputs(self, theta: Theta, known: Steps = NO_STEPS) -> FloatArray:
         """As `Criterion._outputs`; the filter begins anew at each recording, so the pieces do not touch."""
         if not theta.causes:
-            return super()._outputs(theta, state, shift_s)
-        out, absent = np.empty((len(self.evidence.series), OUT_COLUMNS)), replace(theta, causes=())
+            return super()._outputs(theta)
+        results, absent = room_for(len(self.evidence.series), 3), replace(theta, causes=())
         for piece, holds in self._pieces:
-            self._fill(theta if holds else absent, piece, out, state, shift_s)
+            self._fill(theta if holds else absent, piece, results)
         self.evaluations += 1
-        return out
+        return results.innovations
 
-    def run(self, theta: Theta) -> Run:
-        """Without what others would take over: two models share it."""
-        nothing = np.empty((0, STATES))
-        return Run(out=self.outputs(theta), slopes=np.empty((0, 0, 0)), before=nothing, after=nothing)
+    def run(self, theta: Theta) -> Results:
+        """Without steps that others would take over: two models share it."""
+        return room_for(0, 0)._replace(innovations=self.outputs(theta))
 
 
 def find_change(

@@ -19,12 +19,13 @@ from protocol.errors import DataError
 from twin.diagnose.checks.consistency import MATTERS
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.adequacy import adequate
-from twin.diagnose.inference.fisher_scoring import PASSES, Fit, climb, inverse
+from twin.diagnose.inference.fisher_scoring import PASSES, Fit, climb
 from twin.diagnose.inference.initial_guess import no_better, start_theta
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor, expected
 from twin.diagnose.inference.theta import BASE, FLOORS, coordinates_of, roused
 from twin.estimation.innovations import FLIES, information
+from twin.estimation.optimiser import inverse
 from twin.estimation.record import runs
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause

@@ -26,10 +26,10 @@ from twin.estimation.contact import (
     range_ends,
     stop_readings,
 )
-from twin.estimation.ekf import RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN
-from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X, Series
+from twin.estimation.innovations import FLIES, FOLLOWS, RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN, USE_I, USE_X, Series
 from twin.estimation.prepare import Usage, prepare
 from twin.estimation.record import BoolArray, FloatArray, Record, runs
+from twin.estimation.structures import Samples
 from twin.identify.starting.liftoff import LiftOff, equilibria, lift_offs
 
 TRIM_SAMPLES = 2
@@ -50,6 +50,12 @@ class Evidence:
     low_m: float | None  # reading at the lower stop; None: not seen
     high_m: float | None
     notes: tuple[str, ...]
+
+    @property
+    def samples(self) -> Samples:
+        """The series, as the filter takes it."""
+        s = self.series
+        return Samples(self.t, s.step, s.u, s.i, s.x, s.flags)
 
     def names(self) -> list[str]:
         """Of the recordings."""

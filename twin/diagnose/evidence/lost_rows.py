@@ -17,8 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.estimation.ekf import LOST
-from twin.estimation.innovations import FLIES, FOLLOWS
+from twin.estimation.innovations import FLIES, FOLLOWS, LOST
 from twin.estimation.record import REGULAR_SHARE, BoolArray, FloatArray, Record
 
 

@@ -6,8 +6,7 @@ import numpy as np
 
 from twin.diagnose.evidence.gather import Evidence
 from twin.estimation.contact import HELD_SAMPLES, at_converter_end, near_converter_end
-from twin.estimation.ekf import RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN
-from twin.estimation.innovations import FLIES, USE_I, USE_X, Series
+from twin.estimation.innovations import FLIES, RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN, USE_I, USE_X, Series
 from twin.estimation.record import BoolArray, FloatArray, runs
 
 RESTLESS = 5.0  # of the median window's sum of squares: of ten thousand windows of noise none reaches it

@@ -20,7 +20,7 @@ from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, law
 from twin.diagnose.experiments.equilibrium import carrying_current
 from twin.diagnose.inference.theta import Theta
-from twin.estimation.ekf import drive_over
+from twin.estimation.propagate import propagate
 from twin.estimation.record import FloatArray, Record
 from twin.model.extended import I_C, SENSOR, Base, V, X, current_reading, position_reading, sensor_lag_s
 
@@ -145,7 +145,7 @@ def play(
     for n in range(len(t)):
         if n > 0:
             held_x, shown = y[X], y[SENSOR]
-            drive_over(base, c, y, u, n, 0, t[n - 1], step[n], True)
+            propagate(base, c, y, u, n, 0, t[n - 1], step[n], True)
             if clamped:
                 y[X], y[V] = held_x, 0.0
             else:

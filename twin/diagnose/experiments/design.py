@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,12 +33,12 @@ from twin.diagnose.experiments.external_measurements import measurement_for
 from twin.diagnose.experiments.menu import MENU, Item, schedule_of, sentence
 from twin.diagnose.experiments.virtual_recordings import input_limit, simulate
 from twin.diagnose.inference.budget import Budget
-from twin.diagnose.inference.fisher_scoring import Fit, inverse
+from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import NOISES, PARAMETERS, STOPS, derivative_step, moved
 from twin.diagnose.search.candidate_fits import MARGIN, Trial
-from twin.estimation.ekf import RESTS_HIGH, RESTS_LOW
-from twin.estimation.innovations import information
+from twin.estimation.innovations import RESTS_HIGH, RESTS_LOW, information
+from twin.estimation.optimiser import inverse
 from twin.estimation.record import FloatArray, Record
 from twin.model.causes.catalogue import with_trait
 
@@ -231,7 +231,8 @@ def _separations(
         by = [derivative_step(rival, name, plant) for name in names]
         spans.append((len(thetas), names, by))
         thetas += [rival, *(moved(rival, name, step, plant) for name, step in zip(names, by, strict=True))]
-    outs = trial.several(thetas)
+    # The phases of the campaign are not those of an experiment.
+    outs = trial.several([replace(theta, phases_s=()) for theta in thetas])
     base = outs[0]
     shared = {name: (outs[1 + k] - base) / steps[k] for k, name in enumerate(common)}
     found = []

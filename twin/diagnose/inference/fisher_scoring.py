@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from protocol.campaign import Plant
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import NOISES, Theta, most_step, moved
+from twin.estimation.optimiser import Damping, covariance_of, newton
 from twin.estimation.record import FloatArray
 
 DONE = 0.02  # of a standard error
@@ -53,30 +54,27 @@ def spreads(criterion: Criterion, fit: Fit) -> dict[str, float]:
     """Standard errors of all free numbers, in their own units, at fresh derivatives."""
     _, score, fisher = criterion.gradient(fit.theta, fit.free)
     active = _active(fit.theta, fit.free, score, criterion.plant)
-    covariance = np.zeros_like(fisher)
-    if active.any():
-        covariance[np.ix_(active, active)] = inverse(fisher[np.ix_(active, active)])
-    at = replace(fit, covariance=covariance)
+    at = replace(fit, covariance=covariance_of(fisher, active))
     return {name: at.std(name, criterion.plant) for name in fit.free}
 
 
 def climb(criterion: Criterion, start: Theta, free: Sequence[str], *, passes: int = PASSES, done: float = DONE) -> Fit:
     """Climb to the maximum from `start`; coordinates not in `free` stay."""
     plant = criterion.plant
-    theta, damping, converged, slow = start, 1e-3, False, 0
+    theta, damping, converged, slow = start, Damping(), False, 0
     run = criterion.run(theta)
-    rough = criterion.loudness(run.out) < LOUD
+    rough = criterion.loudness(run.innovations) < LOUD
     base, change = criterion.derivatives(theta, free, run, rough=rough)
     loglik, score, fisher = criterion.slopes(theta, free, base, change)
     decrement, fresh, exact = math.inf, True, not rough
     for _ in range(passes):
         active = _active(theta, free, score, plant)
-        step, decrement = _newton(score, fisher, active, damping)
+        step, decrement = newton(score, fisher, active, damping.value)
         if decrement < CLOSE and not exact:
             base, change = criterion.derivatives(theta, free, run)
             loglik, score, fisher = criterion.slopes(theta, free, base, change)
             active, exact = _active(theta, free, score, plant), True
-            step, decrement = _newton(score, fisher, active, damping)
+            step, decrement = newton(score, fisher, active, damping.value)
         if decrement < done or (slow >= 2 and decrement < NEAR):
             converged = True
             break
@@ -90,34 +88,30 @@ def climb(criterion: Criterion, start: Theta, free: Sequence[str], *, passes: in
         for place, name in enumerate(free):
             trial = moved(trial, name, step[place], plant)
         beyond = criterion.run(trial)
-        value = criterion.loglik(beyond.out) + criterion.outside(trial)
+        value = criterion.loglik(beyond.innovations) + criterion.outside(trial)
         if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
             slow = slow + 1 if value - loglik < 0.05 else 0
-            theta, damping, base = trial, max(damping * 0.1, 1e-9), beyond.out
-            run = beyond
+            damping.taken()
+            theta, base, run = trial, beyond.innovations, beyond
             fresh = decrement > CLOSE
             if fresh:
-                exact = criterion.loudness(run.out) >= LOUD
+                exact = criterion.loudness(run.innovations) >= LOUD
                 base, change = criterion.derivatives(theta, free, run, rough=not exact)
         elif not (fresh and exact):
             base, change = criterion.derivatives(theta, free, run)
             fresh = exact = True
         else:
-            damping = max(damping, 1e-4) * 10.0
-            if damping > 1e8:
-                break
-            continue
+            if damping.refused():
+                continue
+            break
         loglik, score, fisher = criterion.slopes(theta, free, base, change)
     active = _active(theta, free, score, plant)
-    covariance = np.zeros((len(free), len(free)))
-    if active.any():
-        covariance[np.ix_(active, active)] = inverse(fisher[np.ix_(active, active)])
-    _, left = _newton(score, fisher, active, damping)
+    _, left = newton(score, fisher, active, damping.value)
     return Fit(
         theta=theta,
         loglik=loglik,
         free=tuple(free),
-        covariance=covariance,
+        covariance=covariance_of(fisher, active),
         converged=converged or decrement < NEAR,
         ahead=0.5 * left * left,
     )
@@ -132,25 +126,3 @@ def _active(theta: Theta, free: Sequence[str], score: FloatArray, plant: Plant) 
         ],
         np.bool_,
     )
-
-
-def _newton(
-    score: FloatArray, fisher: FloatArray, active: NDArray[np.bool_], damping: float
-) -> tuple[FloatArray, float]:
-    step = np.zeros(len(score))
-    if not active.any():
-        return step, 0.0
-    g, F = score[active], fisher[np.ix_(active, active)]
-    if not (np.isfinite(g).all() and np.isfinite(F).all()):
-        return step, math.inf
-    scale = np.sqrt(np.maximum(np.diag(F), 1e-12))
-    scaled = F / np.outer(scale, scale)
-    step[active] = np.linalg.lstsq(scaled + damping * np.eye(len(g)), g / scale, rcond=1e-14)[0] / scale
-    whole = np.linalg.lstsq(scaled, g / scale, rcond=1e-14)[0] / scale
-    return step, float(np.sqrt(max(float(whole @ g), 0.0)))
-
-
-def inverse(matrix: FloatArray) -> FloatArray:
-    """Inverse of an information matrix, scaled for rounding."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return np.asarray(np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-13) / np.outer(scale, scale))

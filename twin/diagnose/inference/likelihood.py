@@ -7,60 +7,34 @@ Rule 3: a run is paid from the budget before it begins, by who asks for it.
 
 from __future__ import annotations
 
-import itertools
 import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.campaign import Plant
 from twin.diagnose.evidence.dead_time import dead_time
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.inference.budget import Budget, Spent
 from twin.diagnose.inference.theta import NOISES, STOP_UNIT_M, STOPS, Theta, derivative_step, moved
-from twin.estimation.ekf import (
-    ALONE,
-    ALONG,
-    NOISE_ALONG,
-    OUT_COLUMNS,
-    RECORDS,
-    RESTS_HIGH,
-    RESTS_LOW,
-    run_along,
-    states_in,
-)
-from twin.estimation.innovations import FLIES, information, whiten
-from twin.estimation.pace import pace_of
+from twin.estimation.ekf.filter import fill
+from twin.estimation.ekf.memory import states_in
+from twin.estimation.innovations import FLIES, RESTS_HIGH, RESTS_LOW, information, whiten
+from twin.estimation.pace import Reuse, pace_of
 from twin.estimation.record import FloatArray
+from twin.estimation.structures import NO_STEPS, Results, Steps, room_for
 from twin.identify.starting.liftoff import LiftOff
 from twin.model.causes.catalogue import with_trait
-from twin.model.extended import STATES, magnetic_force, position_reading
+from twin.model.extended import magnetic_force, position_reading
 
 T = TypeVar("T")
 R = TypeVar("R")
 STOP_STD_M = 2e-5  # how well anybody knows where a stop is
-_NO_STATE = np.empty((0, STATES))
-_NO_SPREAD = np.empty((0, 3, 3))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
-    """The filter of one model along the evidence, and what a run of a model nearby takes over."""
-
-    out: FloatArray  # shape (n, 5)
-    slopes: FloatArray  # of each step, shape (n, m, m)
-    before: FloatArray  # the correction: states, shape (n, 6)
-    after: FloatArray
-
-
-_NO_RUN = Run(out=np.empty((0, OUT_COLUMNS)), slopes=np.empty((0, 3, 3)), before=_NO_STATE, after=_NO_STATE)
 
 
 class Criterion:
@@ -78,7 +52,6 @@ class Criterion:
         self, evidence: Evidence, plant: Plant, tick_s: float, *, workers: int = 2, budget: Budget | None = None
     ) -> None:
         self.evidence, self.plant, self.tick_s = evidence, plant, tick_s
-        self.shift_s: FloatArray = np.zeros(len(evidence.series))  # phases of a periodic cause, `search/periodic.py`
         # Recordings do not touch: where one begins in the middle, two workers share a run.
         begins = np.flatnonzero(np.diff(evidence.series.recording, prepend=-1))
         n = len(evidence.series)
@@ -105,14 +78,14 @@ class Criterion:
         finally:
             self.whole = before
 
-    def pay(self, *thetas: Theta, modes: Sequence[int] = ()) -> None:
-        """For a run of each; `modes` as `beside` takes them.
+    def pay(self, *thetas: Theta, reuse: Sequence[Reuse] = ()) -> None:
+        """For a run of each; `reuse` as `beside` takes it.
 
         Raises:
             Spent: they are not affordable.
         """
-        each = zip(thetas, modes or [ALONE] * len(thetas), strict=True)
-        self.budget.take(sum(self.pace.steps(theta.vector(), mode) for theta, mode in each))
+        each = zip(thetas, reuse or [Reuse.NOTHING] * len(thetas), strict=True)
+        self.budget.take(sum(self.pace.steps(theta.vector(), ask) for theta, ask in each))
 
     def close(self) -> None:
         """End the workers."""
@@ -151,89 +124,54 @@ class Criterion:
         """`dead_time` of the recordings, which no model changes."""
         return dead_time(self.evidence.records)
 
-    def outputs(
-        self, theta: Theta, state: NDArray[np.float64] = _NO_STATE, shift_s: FloatArray | None = None
-    ) -> FloatArray:
-        """Innovations and their covariance, shape (n, 5); `shift_s` as `self.shift_s`, for once."""
+    def outputs(self, theta: Theta) -> FloatArray:
+        """Innovations and their covariance, shape (n, 5)."""
         self.pay(theta)
-        return self._outputs(theta, state, shift_s)
+        return self._outputs(theta)
 
-    def _outputs(self, theta: Theta, state: FloatArray = _NO_STATE, shift_s: FloatArray | None = None) -> FloatArray:
-        """Paid for."""
-        out = np.empty((len(self.evidence.series), OUT_COLUMNS))
-        self._fill(theta, slice(0, len(out)), out, state, shift_s)
+    def _outputs(self, theta: Theta, known: Steps = NO_STEPS) -> FloatArray:
+        """Paid for; `known`: as `filtered` takes it."""
+        results = room_for(len(self.evidence.series), states_in(theta.vector()))
+        self._fill(theta, slice(0, len(results.innovations)), results, known)
         self.evaluations += 1
-        return out
+        return results.innovations
 
     def _fill(
         self,
         theta: Theta,
         part: slice,
-        out: FloatArray,
-        state: FloatArray = _NO_STATE,
-        shift_s: FloatArray | None = None,
-        mode: int = ALONE,
-        at: Run = _NO_RUN,
+        results: Results,
+        known: Steps = NO_STEPS,
     ) -> None:
-        """`outputs` of whole recordings, into their place; `mode`, `at`: as `run_along` takes them."""
-        s, t = self.evidence.series, self.evidence.t + (self.shift_s if shift_s is None else shift_s)
-        noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, self.tick_s)
-        run_along(
-            tuple(theta.base(self.plant)),
-            theta.vector(),
-            noise,
-            (theta.stop_low_m, theta.stop_high_m),
-            t[part],
-            s.step[part],
-            s.u[part],
-            s.i[part],
-            s.x[part],
-            s.flags[part],
-            out[part],
-            state[part],
-            mode,
-            at.slopes[part],
-            at.before[part],
-            at.after[part],
-            _NO_SPREAD,
-        )
+        """Whole recordings into their place of the results."""
+        samples = self.evidence.samples
+        samples = samples._replace(t=theta.shifted(samples.t, self.evidence.series.recording))
+        fill(theta.system(self.plant, self.tick_s), samples.part(part), known.part(part), results.part(part))
 
-    def run(self, theta: Theta) -> Run:
-        """`outputs` with what `derivatives` take over from it."""
+    def run(self, theta: Theta) -> Results:
+        """Innovations, with the steps that `derivatives` take over from here."""
         self.pay(theta)
-        n, m = len(self.evidence.series), states_in(theta.vector())
-        done = Run(
-            out=np.empty((n, OUT_COLUMNS)),
-            slopes=np.empty((n, m, m)),
-            before=np.empty((n, STATES)),
-            after=np.empty((n, STATES)),
-        )
-        list(self._pool.map(lambda part: self._fill(theta, part, done.out, mode=RECORDS, at=done), self._halves))
+        done = room_for(len(self.evidence.series), states_in(theta.vector()), steps=True)
+        list(self._pool.map(lambda part: self._fill(theta, part, done), self._halves))
         self.evaluations += 1
         return done
 
-    def beside(self, thetas: Sequence[Theta], at: Run, modes: Sequence[int]) -> list[FloatArray]:
+    def beside(self, thetas: Sequence[Theta], at: Results, reuse: Sequence[Reuse]) -> list[FloatArray]:
         """`outputs` of models near that of `at`, with what was found there.
 
         Args:
             thetas: the models.
             at: the run.
-            modes: ALONE for a whole filter, ALONG with the slopes of the steps, NOISE_ALONG with the steps, too.
+            reuse: what each takes over from there.
         """
-        states = at.slopes.shape[1]
-        modes = [
-            mode if states_in(theta.vector()) == states else ALONE for theta, mode in zip(thetas, modes, strict=True)
+        known, states, _ = at.steps.slopes.shape
+        reuse = [
+            ask if known and states_in(theta.vector()) == states else Reuse.NOTHING
+            for theta, ask in zip(thetas, reuse, strict=True)
         ]
-        self.pay(*thetas, modes=modes)
-        return list(self._pool.map(self._beside, thetas, modes, itertools.repeat(at)))
-
-    def _beside(self, theta: Theta, mode: int, at: Run) -> FloatArray:
-        if mode == ALONE:
-            return self._outputs(theta)
-        out = np.empty_like(at.out)
-        self._fill(theta, slice(0, len(out)), out, mode=mode, at=at)
-        self.evaluations += 1
-        return out
+        self.pay(*thetas, reuse=reuse)
+        steps = {Reuse.NOTHING: NO_STEPS, Reuse.SLOPES: at.steps.slopes_alone, Reuse.STEPS: at.steps}
+        return list(self._pool.map(lambda theta, ask: self._outputs(theta, steps[ask]), thetas, reuse))
 
     def several(self, thetas: Sequence[Theta]) -> list[FloatArray]:
         """`outputs` of each."""
@@ -266,9 +204,9 @@ class Criterion:
         self.pay(*thetas)
         return [value if math.isfinite(value) else -math.inf for value in self._pool.map(self._value, thetas)]
 
-    def white(self, theta: Theta, shift_s: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """(log-likelihood of each sample, shape (n,); whitened innovations, shape (n, 2)); `shift_s`: `outputs`."""
-        out = self.outputs(theta, shift_s=shift_s)
+    def white(self, theta: Theta) -> tuple[FloatArray, FloatArray]:
+        """(log-likelihood of each sample, shape (n,); whitened innovations, shape (n, 2))."""
+        out = self.outputs(theta)
         loglik, white = np.zeros(len(out)), np.full((len(out), 2), np.nan)
         whiten(out, loglik, white)
         return loglik, white
@@ -300,7 +238,7 @@ class Criterion:
         return 0.5 * math.log(max(force, 1e-12) / weight) / sigma
 
     def derivatives(
-        self, theta: Theta, names: Sequence[str], at: Run | None = None, *, rough: bool = False
+        self, theta: Theta, names: Sequence[str], at: Results | None = None, *, rough: bool = False
     ) -> tuple[FloatArray, FloatArray]:
         """(outputs, shape (n, 5); their derivatives by the coordinates, shape (count, n, 5)).
 
@@ -319,9 +257,9 @@ class Criterion:
             # With dry friction the slopes are taken as wide as the state is uncertain: a matter of the noise as well.
             smooth = not any(name.partition(".")[0] in with_trait("sticks") and value for name, value in theta.causes)
             near = [rough or (smooth and name in NOISES) for name in steps]
-            modes = [NOISE_ALONG if name in NOISES else ALONG for name in steps]
-            modes = [mode if ask else ALONE for mode, ask in zip(modes, near, strict=True)]
-            base, outs = at.out, self.beside(beside, at, modes)
+            reuse = [Reuse.STEPS if name in NOISES else Reuse.SLOPES for name in steps]
+            reuse = [ask if may else Reuse.NOTHING for ask, may in zip(reuse, near, strict=True)]
+            base, outs = at.innovations, self.beside(beside, at, reuse)
         change = np.empty((len(names), *base.shape))
         filtered = iter(outs)
         for place, name in enumerate(names):

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.campaign import Plant
+from twin.estimation.record import FloatArray
+from twin.estimation.structures import NoiseLevels, Stops, System
 from twin.model.causes.catalogue import BY_NAME, neutral
 from twin.model.causes.cause import CauseParameter
 from twin.model.extended import Base
@@ -43,6 +45,8 @@ class Theta:
     stop_low_m: float = 0.0
     stop_high_m: float = 0.0
     causes: tuple[tuple[str, float], ...] = ()  # (coordinate, value), in the order of acceptance
+    # Phases of a periodic force, as shifts of the time of each recording, s: its clock is not the board's.  (): all 0.
+    phases_s: tuple[float, ...] = ()
     least_i_c_a: float = 1e-6  # the sensors are not better than this: a noise level at 0 finds no way back
     least_x_m: float = 1e-8
 
@@ -87,6 +91,19 @@ class Theta:
             x_max_m=plant.x_max_m,
             travel_m=plant.travel_m,
         )
+
+    def shifted(self, t: FloatArray, recording: NDArray[np.int32]) -> FloatArray:
+        """The times t with the phase of the recording that each sample belongs to, both of shape (n,), s."""
+        return t + np.array(self.phases_s)[recording] if self.phases_s else t
+
+    def noise(self, tick_s: float) -> NoiseLevels:
+        """The noise levels, as the filter takes them; `tick_s`: that they refer to, s."""
+        return NoiseLevels(self.sigma_i_c_a, self.sigma_x_m, self.process_i_c_a, self.process_a_m_s2, tick_s)
+
+    def system(self, plant: Plant, tick_s: float) -> System:
+        """The model and its noise, as the filter takes them; `tick_s`: that process noise refers to, s."""
+        stops = Stops(self.stop_low_m, self.stop_high_m)
+        return System(tuple(self.base(plant)), self.vector(), self.noise(tick_s), stops)
 
 
 def parameter_of(name: str) -> CauseParameter:

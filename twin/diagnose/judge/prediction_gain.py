@@ -20,8 +20,8 @@ from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import Theta
 from twin.estimation.prediction_floor import floor_rmse
 from twin.estimation.record import BoolArray, FloatArray
-from twin.estimation.rollout import predict_ahead, within_reach
-from twin.estimation.rollout_periodic import has_phase, predict_in_phase
+from twin.estimation.rollout import within_reach
+from twin.estimation.rollout_periodic import predict
 
 HORIZONS_S = (0.002, 0.010, 0.020, 0.040)
 BLOCK_S = 0.5
@@ -54,13 +54,9 @@ class Gain:
 
 def predictions(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float, samples: int) -> FloatArray:
     """x_hat, shape (n,), of every sample `samples` ahead; NaN where there is none."""
-    s = evidence.series
-    noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, tick_s)
-    c = theta.vector()
-    ahead = predict_in_phase if has_phase(c) else predict_ahead
-    stops, p = (theta.stop_low_m, theta.stop_high_m), theta.base(plant)
-    x_hat = ahead(tuple(p), c, noise, stops, evidence.t, s.step, s.u, s.i, s.x, s.flags, tick_s, samples)
-    return within_reach(x_hat, p, c, stops)
+    system = theta.system(plant, tick_s)
+    x_hat = predict(system, evidence.samples, samples)
+    return within_reach(x_hat, theta.base(plant), system.c, system.stops)
 
 
 def gain(
@@ -106,7 +102,4 @@ def bootstrap(first: FloatArray, second: FloatArray, block: int, seed: int) -> t
 def _floor_m(
     evidence: Evidence, theta: Theta, floor: Floor, plant: Plant, tick_s: float, samples: int, predicted: BoolArray
 ) -> float:
-    s, quiet = evidence.series, floor.quiet(theta)
-    noise = (quiet.sigma_i_c_a, quiet.sigma_x_m, quiet.process_i_c_a, quiet.process_a_m_s2, tick_s)
-    stops, base, c = (theta.stop_low_m, theta.stop_high_m), tuple(theta.base(plant)), theta.vector()
-    return floor_rmse(base, c, noise, stops, evidence.t, s.step, s.u, s.i, s.x, s.flags, samples, predicted)
+    return floor_rmse(floor.quiet(theta).system(plant, tick_s), evidence.samples, samples, predicted)

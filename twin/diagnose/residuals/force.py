@@ -26,7 +26,7 @@ from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.inference.theta import Theta
 from twin.diagnose.residuals.regimes import Blocks, Estimate, by_edges, estimate, even_edges, means, shared_edges, solid
 from twin.diagnose.search import periodic
-from twin.estimation.ekf import OUT_COLUMNS, run_extended
+from twin.estimation.ekf.filter import filtered as along
 from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X
 from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import CATALOGUE
@@ -75,12 +75,10 @@ class Filtered:
 def filtered(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float) -> Filtered:
     """The residuals of one model."""
     s = evidence.series
-    state, out = np.empty((len(s), STATES)), np.empty((len(s), OUT_COLUMNS))
-    noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, tick_s)
-    base, c = tuple(theta.base(plant)), theta.vector()
+    system = theta.system(plant, tick_s)
+    base, c = system.base, system.c
     c[periodic.CAUSE.strength.place] = 0.0  # the force of what has no clock here is left in the residual
-    stops = (theta.stop_low_m, theta.stop_high_m)
-    run_extended(base, c, noise, stops, evidence.t, s.step, s.u, s.i, s.x, s.flags, out, state)
+    out, state, _, _ = along(system, evidence.samples, state=True)
     modelled, seen = np.empty(len(s)), np.empty(len(s))
     quiet = c.copy()
     for cause in CATALOGUE:

@@ -10,7 +10,7 @@ import numpy as np
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.residuals.force import Filtered
 from twin.diagnose.residuals.regimes import Bin, Blocks, Labels, Regime, by_edges, error_bins, even_edges, shared_edges
-from twin.estimation.ekf import LOST
+from twin.estimation.innovations import LOST
 from twin.estimation.record import FloatArray, runs
 from twin.estimation.step_figures import DWELL_S
 from twin.model.extended import V

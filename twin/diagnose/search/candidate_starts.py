@@ -32,7 +32,7 @@ _STEADY = 5  # samples of the same u_c
 
 def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
     """The best of the starts by the likelihood itself."""
-    cause = BY_NAME[score.cause]
+    cause, theta = BY_NAME[score.cause], replace(theta, phases_s=score.phases_s or theta.phases_s)
     starts = [_linear(criterion, theta, score, cause, part, names) for names in _alone_or_all(score) for part in _PARTS]
     if cause.family == "amplifier":
         gains, times = {theta.K_A}, {theta.T_A}

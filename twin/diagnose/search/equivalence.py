@@ -21,7 +21,6 @@ from twin.diagnose.search.candidate_starts import beside
 from twin.diagnose.search.forward_step import THRESHOLD, Say
 from twin.diagnose.search.score_test import screen
 from twin.diagnose.search.state import FEW, MOST_TOGETHER, Selection, material, superfluous, without
-from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 
@@ -86,7 +85,7 @@ def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Tria
             found.causes = [trial.cause if name == cause else name for name in found.causes if name != other]
             found.fit, gain = fit, fit.loglik - found.base.loglik
             found.gains = {name: found.gains.get(name, gain) for name in found.causes}
-            found.remember(fit, criterion)
+            found.remember(fit)
             return True
     return False
 
@@ -143,7 +142,7 @@ def _rivals(
     trials = criterion.each(lambda trial: _again(criterion, own, trial) if trial.cause in alike else trial, trials)
     trials = sorted((trial for trial in trials if inside(trial)), key=lambda trial: -trial.gain)
     shaken = found.gains.get(periodic.CAUSE.name, 0.0) if periodic.AMPLITUDE in at.free else 0.0
-    shifts = _rephase(criterion, own, trials, alike, shaken)
+    _rephase(criterion, own, trials, alike, shaken)
     trials.sort(key=lambda trial: -trial.gain)
     if trials and trials[0].gain > own.gain + MARGIN:
         own = _again(criterion, trials[0], own)
@@ -151,7 +150,6 @@ def _rivals(
     if trials and trials[0].gain > own.gain + MARGIN:
         say(f"{trials[0].cause} explains more than {cause} beside the others: it takes its place")
         best = trials[0]
-        criterion.shift_s = shifts.get(best.cause, criterion.shift_s)
         found.causes[found.causes.index(cause)] = best.cause
         found.fit, found.gains[best.cause] = best.fit, best.gain
         if periodic.CAUSE.name in found.causes:
@@ -168,25 +166,20 @@ def _rivals(
     return any(_one_for_two(criterion, found, cause, trial, say) for trial in news)
 
 
-def _rephase(
-    criterion: Criterion, own: Trial, trials: list[Trial], alike: set[str], shaken: float
-) -> dict[str, FloatArray]:
-    """Those `alike` that are behind `own` by what phases can make, fitted with phases of their own; their shifts.
+def _rephase(criterion: Criterion, own: Trial, trials: list[Trial], alike: set[str], shaken: float) -> None:
+    """Those `alike` that are behind `own` by what phases can make, fitted with phases of their own, in place.
 
     `shaken` is what the periodic force gains.
 
     A lag of the sensor turns what shakes the ball as it is read, one of the field does not: with the other's phases the
     right cause of two simulated flights was 990 behind the wrong one, with its own 110 before.
     """
-    shifts: dict[str, FloatArray] = {}
     least, most = own.gain - _TURNED * shaken, own.gain + MARGIN
     behind = [n for n, trial in enumerate(trials) if trial.cause in alike and least < trial.gain < most]
     for n in behind[:_REPHASED] if shaken > 0.0 else ():
-        before, trial = criterion.shift_s, trials[n]
+        trial = trials[n]
         fit = periodic.settled(criterion, periodic.rephased(criterion, trial.fit, PASSES), PASSES)
         trials[n] = replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
-        shifts[trial.cause], criterion.shift_s = criterion.shift_s, before
-    return shifts
 
 
 def _again(criterion: Criterion, own: Trial, rival: Trial) -> Trial:
@@ -194,6 +187,7 @@ def _again(criterion: Criterion, own: Trial, rival: Trial) -> Trial:
     if own.gain - rival.gain < MARGIN:
         return rival
     start = beside(criterion, own.fit.theta, BY_NAME[own.cause], BY_NAME[rival.cause])
+    start = replace(start, phases_s=rival.fit.theta.phases_s)
     if criterion.value(start) <= rival.fit.loglik:
         return rival
     fit = climb(criterion, start, rival.fit.free)

@@ -83,14 +83,11 @@ def forward(
     names = ", ".join(score.cause for score in worth)
     with criterion.budget.question(f"the fit of {len(worth)} candidates ({names})"):
         trials = fitted(criterion, at, worth, least * excess if material else 0.0, _pays(least))
-        before = criterion.shift_s
         if trials and any(name == periodic.AMPLITUDE for name, _ in at.theta.causes):
             # What shifts the response shifts the phase of what shakes the ball: with the old one it gains too little.
             fit = periodic.rephased(criterion, trials[0].fit, PASSES)
             trials[0] = replace(trials[0], fit=fit, gain=trials[0].gain + fit.loglik - trials[0].fit.loglik)
         step = decided(criterion, at, floor, scores, trials, gained, least)
-    if not trials or step.taken != trials[0].cause:
-        criterion.shift_s = before
     return step
 
 
@@ -162,7 +159,6 @@ def _with_line(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score
     line = periodic.find_line(criterion, at.theta)
     if line is None:
         return scores
-    criterion.shift_s = line.shift_s
     score = Score(
         cause=periodic.CAUSE.name,
         probe=line.amplitude_n,
@@ -174,5 +170,6 @@ def _with_line(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score
         beside=(),
         chance=line.chance,
         others=((periodic.FREQUENCY, line.frequency_hz),),
+        phases_s=line.phases_s,
     )
     return sorted([*scores, score], key=lambda found: -found.gain)

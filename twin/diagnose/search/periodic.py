@@ -8,7 +8,7 @@ Rule 2: a line counts against the spectrum around it, so that coloured innovatio
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import Theta
 from twin.estimation.innovations import FLIES
-from twin.estimation.record import FloatArray, runs
+from twin.estimation.record import runs
 from twin.model.causes.catalogue import found_by
 
 CAUSE = found_by("spectral-line")
@@ -39,7 +39,7 @@ class Line:
     amplitude_n: float
     gain: float  # of log-likelihood
     chance: float  # of it, that the best of all frequencies and free phases make out of noise
-    shift_s: FloatArray  # of time, for each sample of the series, shape (n,)
+    phases_s: tuple[float, ...]  # of each recording, as `Theta` has them
 
 
 def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None) -> Line | None:
@@ -50,15 +50,16 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
         return None
     probe = CAUSE.strength.probes[0]
     at = theta.having(FREQUENCY, frequency).having(AMPLITUDE, probe)
+    count = len(criterion.evidence.records)
     quarter = 0.25 / frequency
     base = criterion.outputs(theta)
     # Not with the phases of a line that was found before: the two would be no quarter of a period apart.
-    sine, cosine = (criterion.outputs(at, shift_s=np.full(len(series), shift)) for shift in (0.0, quarter))
+    sine, cosine = (criterion.outputs(replace(at, phases_s=(by,) * count)) for by in (0.0, quarter))
     scale = np.sqrt(base[:, 4])
     residual = base[:, 1] / scale
     columns = np.column_stack((sine[:, 1] - base[:, 1], cosine[:, 1] - base[:, 1])) / scale[:, None]
     good = np.isfinite(residual) & np.isfinite(columns).all(axis=1)
-    shift = np.zeros(len(series))
+    phases_s = [0.0] * count
     gain, weighted, weight, phases = 0.0, 0.0, 0.0, 0
     for number in np.unique(series.recording):
         own = series.recording == number
@@ -78,7 +79,7 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
         weighted, weight = weighted + size * float(np.trace(normal)), weight + float(np.trace(normal))
         pair = -pair
         by = math.atan2(pair[1], pair[0]) / (2.0 * math.pi * frequency)
-        shift[own] = _about(by, float(criterion.evidence.t[use].mean()), frequency)
+        phases_s[number] = _about(by, float(criterion.evidence.t[use].mean()), frequency)
     if weight == 0.0:
         return None
     return Line(
@@ -86,7 +87,7 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
         amplitude_n=probe * weighted / weight,
         gain=gain,
         chance=math.log(_PAD) + phases,
-        shift_s=shift,
+        phases_s=tuple(phases_s),
     )
 
 
@@ -94,7 +95,7 @@ def rephased(criterion: Criterion, fit: Fit, passes: int) -> Fit:
     """The fit with phases that belong to its own frequency; the old one where they gain nothing."""
     frequency = fit.theta.value(FREQUENCY)
     line = find_line(criterion, fit.theta.without(CAUSE.name), frequency)
-    return fit if line is None else _turned(criterion, fit, line.shift_s, passes)
+    return fit if line is None else _turned(criterion, fit, line.phases_s, passes)
 
 
 def settled(criterion: Criterion, fit: Fit, passes: int) -> Fit:
@@ -111,28 +112,28 @@ def settled(criterion: Criterion, fit: Fit, passes: int) -> Fit:
     return fit
 
 
-def _turned(criterion: Criterion, fit: Fit, shift_s: FloatArray, passes: int) -> Fit:
-    """The fit with these phases, which then hold; where they gain nothing it and its own."""
-    before, criterion.shift_s = criterion.shift_s, shift_s
-    again = climb(criterion, fit.theta, fit.free, passes=passes)
-    if again.loglik > fit.loglik:
-        return again
-    criterion.shift_s = before
-    return fit
+def _turned(criterion: Criterion, fit: Fit, phases_s: tuple[float, ...], passes: int) -> Fit:
+    """The fit with these phases; where they gain nothing it and its own."""
+    again = climb(criterion, replace(fit.theta, phases_s=phases_s), fit.free, passes=passes)
+    return again if again.loglik > fit.loglik else fit
 
 
-def _nearer(criterion: Criterion, theta: Theta) -> FloatArray:
-    """Phases a Newton step nearer to the best of each recording, shape (n,) of s."""
-    series, shift = criterion.evidence.series, criterion.shift_s.copy()
+def _nearer(criterion: Criterion, theta: Theta) -> tuple[float, ...]:
+    """Phases a Newton step nearer to the best of each recording, s."""
+    series = criterion.evidence.series
+    phases_s = list(theta.phases_s or (0.0,) * len(criterion.evidence.records))
     step = _STEP / (2.0 * math.pi * theta.value(FREQUENCY))
-    less, here, more = (criterion.white(theta, criterion.shift_s + by)[0] for by in (-step, 0.0, step))
+    less, here, more = (
+        criterion.white(replace(theta, phases_s=tuple(phase + by for phase in phases_s)))[0]
+        for by in (-step, 0.0, step)
+    )
     for number in np.unique(series.recording):
         own = series.recording == number
         slope, curve = float(np.sum((more - less)[own])), float(np.sum((more - 2.0 * here + less)[own]))
         by = step * float(np.clip(0.5 * slope / curve, -_FAR_STEPS, _FAR_STEPS)) if curve < 0.0 else 0.0
         middle = float(criterion.evidence.t[own].mean())
-        shift[own] = _about(float(shift[own][0]) - by, middle, theta.value(FREQUENCY))
-    return shift
+        phases_s[number] = _about(phases_s[number] - by, middle, theta.value(FREQUENCY))
+    return tuple(phases_s)
 
 
 def _about(shift_s: float, middle_s: float, frequency_hz: float) -> float:

@@ -31,12 +31,8 @@ def removed(criterion: Criterion, before: Theta, after: Theta) -> float:
 
 
 def _square_errors(criterion: Criterion, theta: Theta) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    s, tick_s, stops = criterion.evidence.series, criterion.tick_s, (theta.stop_low_m, theta.stop_high_m)
-    ahead = max(round(HORIZON_S / tick_s), 1)
+    ahead = max(round(HORIZON_S / criterion.tick_s), 1)
     criterion.budget.take(criterion.pace.steps_ahead(theta.vector(), ahead))
-    noise = (theta.sigma_i_c_a, theta.sigma_x_m, theta.process_i_c_a, theta.process_a_m_s2, tick_s)
-    base = tuple(theta.base(criterion.plant))
-    x_hat = predict_ahead(
-        base, theta.vector(), noise, stops, criterion.evidence.t, s.step, s.u, s.i, s.x, s.flags, tick_s, ahead
-    )
-    return np.asarray((x_hat - s.x) ** 2)
+    samples = criterion.evidence.samples
+    x_hat = predict_ahead(theta.system(criterion.plant, criterion.tick_s), samples, ahead)
+    return np.asarray((x_hat - samples.x) ** 2)

@@ -17,12 +17,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.diagnose.inference.fisher_scoring import inverse
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import Theta, coordinates_of, derivative_step, moved
 from twin.diagnose.search.probes import probes_of
-from twin.estimation.ekf import ALONE, ALONG
 from twin.estimation.innovations import information
+from twin.estimation.optimiser import inverse
+from twin.estimation.pace import Reuse
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 
@@ -45,6 +45,7 @@ class Score:
     visible: float  # share of the signature that nothing in the model takes up
     beside: tuple[tuple[str, float], ...]  # moves of the other coordinates that go with a whole step
     chance: float = 0.0  # gain that the search for the cause's other parameters makes out of nothing
+    phases_s: tuple[float, ...] = ()  # of a periodic force, as `Theta` has them
     others: tuple[tuple[str, float], ...] = ()  # values of the cause's other parameters, where not the usual ones
 
     @property
@@ -77,7 +78,8 @@ def screen(
     change[:k] = by_free
     beside = [probed(theta, cause, probe) for cause, probe in trials]
     # The slopes of a ball that may stick are not those of one that cannot.
-    outs = criterion.beside(beside, run, [ALONE if "sticks" in cause.traits else ALONG for cause, _ in trials])
+    reuse = [Reuse.NOTHING if "sticks" in cause.traits else Reuse.SLOPES for cause, _ in trials]
+    outs = criterion.beside(beside, run, reuse)
     for place, out in enumerate(outs, k):
         np.subtract(out, base, out=change[place])
     del outs

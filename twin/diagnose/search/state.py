@@ -14,7 +14,6 @@ from twin.diagnose.inference.theta import roused
 from twin.diagnose.search import periodic
 from twin.diagnose.search.candidate_fits import MARGIN, Trial
 from twin.diagnose.search.forward_step import BESIDE_NOISE, THRESHOLD, Round
-from twin.estimation.record import FloatArray
 
 MOST_TOGETHER = 3
 FEW = 5  # candidates that are fitted in a round
@@ -31,34 +30,33 @@ class Selection:
     classes: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # rivals within MARGIN
     runner_up: dict[str, float] = field(default_factory=dict)  # lead over the best rival outside the class
     rounds: list[Round] = field(default_factory=list)
-    # Models of fewer causes by what is free in them, each with the phases of periodic forces that it was fitted with.
-    smaller: dict[frozenset[str], tuple[Fit, FloatArray]] = field(default_factory=dict)
+    smaller: dict[frozenset[str], Fit] = field(default_factory=dict)  # models of fewer causes, by what is free in them
 
     def become(self, other: Selection) -> None:
         """What `other` is, from here on."""
         for one in fields(self):
             setattr(self, one.name, getattr(other, one.name))
 
-    def remember(self, fit: Fit, criterion: Criterion) -> None:
+    def remember(self, fit: Fit) -> None:
         """Keep a fit for `recall`."""
-        self.smaller[frozenset(fit.free)] = fit, criterion.shift_s
+        self.smaller[frozenset(fit.free)] = fit
 
-    def recall(self, free: Sequence[str], criterion: Criterion) -> Fit | None:
+    def recall(self, free: Sequence[str]) -> Fit | None:
         """The fit of these numbers, where one is known and its phases are those of today."""
-        fit, shift_s = self.smaller.get(frozenset(free), (None, criterion.shift_s))
-        return fit if shift_s is criterion.shift_s or periodic.AMPLITUDE not in free else None
+        fit = self.smaller.get(frozenset(free))
+        stale = fit and periodic.AMPLITUDE in free and fit.theta.phases_s != self.fit.theta.phases_s
+        return None if stale else fit
 
 
 @contextmanager
-def whole(criterion: Criterion, found: Selection) -> Iterator[None]:
+def whole(found: Selection) -> Iterator[None]:
     """A step of the search, undone where the budget does not pay it to its end."""
-    shift_s, before = criterion.shift_s, replace(found, causes=[*found.causes], gains={**found.gains})
+    before = replace(found, causes=[*found.causes], gains={**found.gains})
     before.rounds = [*found.rounds]
     try:
         yield
     except Spent:
         found.become(before)
-        criterion.shift_s = shift_s
         raise
 
 
@@ -77,10 +75,10 @@ def superfluous(criterion: Criterion, found: Selection, floor: Floor, smaller: F
 def without(criterion: Criterion, found: Selection, cause: str, passes: int = PASSES) -> Fit:
     """The model that was found less one cause; known where the search came that way, or was asked before."""
     free = tuple(name for name in found.fit.free if not name.startswith(cause + "."))
-    known = found.recall(free, criterion)
+    known = found.recall(free)
     if known is not None and (known.converged or known.ahead < MARGIN):
         return known
     start = roused(found.fit.theta.without(cause)) if known is None else known.theta
     fit = climb(criterion, start, free, passes=passes)
-    found.remember(fit, criterion)
+    found.remember(fit)
     return fit

@@ -101,7 +101,7 @@ def _search(
             break
         before = set(found.causes)
         _settle(criterion, found, thorough)
-        with whole(criterion, found), criterion.budget.question(_who_stands_in(found.causes)):
+        with whole(found), criterion.budget.question(_who_stands_in(found.causes)):
             doubt = floor if thorough else None
             stand_ins(criterion, found, doubt, candidates=candidates, few=few, quick=quick, say=say)
         _settle(criterion, found, thorough)
@@ -113,7 +113,7 @@ def _search(
 def _settle(criterion: Criterion, found: Selection, thorough: bool) -> None:
     """The phases of a periodic force as they are beside all others."""
     if thorough and periodic.CAUSE.name in found.causes:
-        with whole(criterion, found), criterion.budget.question("how the periodic force stands beside the others"):
+        with whole(found), criterion.budget.question("how the periodic force stands beside the others"):
             found.fit = periodic.settled(criterion, found.fit, PASSES)
 
 
@@ -129,7 +129,7 @@ def _add(
 ) -> bool:
     """One step forward, and out with what it makes superfluous (`passes` tell); False where nothing earns its place."""
     gained = found.fit.loglik - found.base.loglik
-    with whole(criterion, found):
+    with whole(found):
         step = forward(criterion, found.fit, floor, candidates, few, gained, least, say)
     return _taken(criterion, found, floor, step, say, passes)
 
@@ -144,12 +144,12 @@ def _taken(criterion: Criterion, found: Selection, floor: Floor, step: Round, sa
     found.fit = step.trials[0].fit
     found.gains[step.taken] = step.trials[0].gain
     if periodic.CAUSE.name in found.causes:
-        with whole(criterion, found), criterion.budget.question("how the periodic force stands beside the others"):
+        with whole(found), criterion.budget.question("how the periodic force stands beside the others"):
             found.fit = periodic.rephased(criterion, found.fit, PASSES)
-    found.remember(found.fit, criterion)
+    found.remember(found.fit)
     say(f"taken: {step.taken} ({step.why})")
     if len(found.causes) > 1:
-        with whole(criterion, found), criterion.budget.question("whether each cause is needed beside the later ones"):
+        with whole(found), criterion.budget.question("whether each cause is needed beside the later ones"):
             backward(criterion, found, floor, say, passes)
     return True
 
@@ -166,10 +166,9 @@ def _together(
     if not refused.trials or refused.trials[0].gain < SHARE_TOGETHER * excess:
         return found
     say("too little alone; does it, with others, leave nothing but noise?")
-    with whole(criterion, found), criterion.budget.question("whether several causes explain together what none does"):
+    with whole(found), criterion.budget.question("whether several causes explain together what none does"):
         again = _asked_again(criterion, found, floor, refused)
         for first in _firsts(again):
-            shift_s = criterion.shift_s
             more = replace(found, causes=[*found.causes], gains={**found.gains}, rounds=found.rounds[:-1])
             goes_on = _taken(criterion, more, floor, first, say, PASSES)
             while goes_on and len(more.causes) < MOST_TOGETHER and material(criterion, more, floor):
@@ -177,7 +176,6 @@ def _together(
                 goes_on = _add(criterion, more, floor, candidates, few, least, say)
             if not material(criterion, more, floor):
                 return more
-            criterion.shift_s = shift_s
     return found
 
 

@@ -17,8 +17,7 @@ from twin.diagnose.experiments.virtual_recordings import Schedule, simulate
 from twin.diagnose.inference.theta import Theta
 from twin.diagnose.search.forward_step import THRESHOLD
 from twin.diagnose.search.score_test import screen
-from twin.estimation.ekf import LOST
-from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X
+from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_I, USE_X
 from twin.estimation.record import BoolArray, Record
 from twin.estimation.rollout import SETTLE_S, predict_ahead
 from twin.prediction import predict
@@ -133,10 +132,8 @@ def test_nothing_is_predicted_across_a_lost_input() -> None:
     gone[500] = True
     evidence = gather([less(record, gone)], PLANT)
     s, ahead = evidence.series, 10
-    noise = (NOISY.sigma_i_c_a, NOISY.sigma_x_m, NOISY.process_i_c_a, NOISY.process_a_m_s2, TICK_S)
-    base, c = tuple(NOISY.base(PLANT)), NOISY.vector()
 
-    x_hat = predict_ahead(base, c, noise, (0.0, 0.0), evidence.t, s.step, s.u, s.i, s.x, s.flags, TICK_S, ahead)
+    x_hat = predict_ahead(NOISY.system(PLANT, TICK_S), evidence.samples, ahead)
 
     there = np.isfinite(x_hat)
     begins = np.flatnonzero(s.flags & FLIES != 0)[0] + ahead + round(SETTLE_S / TICK_S)

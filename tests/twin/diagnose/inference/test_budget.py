@@ -9,7 +9,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from board51 import main
@@ -29,7 +28,7 @@ from twin.diagnose.pipeline import diagnose
 from twin.diagnose.search.periodic import AMPLITUDE, CAUSE, FREQUENCY
 from twin.diagnose.search.state import Selection
 from twin.diagnose.search.stepwise import select
-from twin.estimation.pace import pace_of
+from twin.estimation.pace import Reuse, pace_of
 from twin.model.causes.catalogue import BY_NAME
 
 SHORT = 12.0 * MILLION  # the rounds of the small foreign campaign take more
@@ -68,7 +67,7 @@ def test_the_whole_question_is_unanswered_not_its_parts() -> None:
 def test_work_side_by_side_gets_equal_shares_whoever_is_first(workers: int) -> None:
     """Four runs each of three climbers: the budget pays for ten, the shares for three each."""
     evidence = gather(narrow(THETA, seconds=2.0), PLANT)
-    run = pace_of(evidence.series).steps(THETA.vector(), 0)
+    run = pace_of(evidence.series).steps(THETA.vector(), Reuse.NOTHING)
     budget = Budget(10.5 * run)
     criterion = Criterion(evidence, PLANT, TICK_S, workers=workers, budget=budget)
 
@@ -166,7 +165,6 @@ def lagging() -> Iterator[tuple[Criterion, Selection]]:
 
 
 def searched(criterion: Criterion) -> Selection:
-    criterion.shift_s = np.zeros(len(criterion.evidence.series))
     with criterion.free():
         base = climb(criterion, QUIET, BASE)
         floor = floor_of(criterion, base.theta)

@@ -12,10 +12,12 @@ from tests.twin.diagnose.evidence.test_lost_rows import drawn, less
 from tests.twin.diagnose.simulated_rig import PLANT, THETA, TICK_S, criterion_of, fitted, narrow, strong
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.fisher_scoring import LOUD
-from twin.diagnose.inference.likelihood import Criterion, Run
+from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import BASE, NOISES, STOPS, Theta, coordinates_of, moved
 from twin.diagnose.search.score_test import screen
+from twin.estimation.pace import Reuse
 from twin.estimation.record import FloatArray
+from twin.estimation.structures import Results
 
 CASES = [
     THETA,
@@ -45,7 +47,7 @@ def score_of(criterion: Criterion, theta: Theta, *, rough: bool | None) -> tuple
 def test_a_run_is_the_filter_bit_by_bit(theta: Theta) -> None:
     criterion = criterion_of(narrow(theta, seconds=2.0))
 
-    assert np.array_equal(criterion.run(theta).out, criterion.outputs(theta), equal_nan=True)
+    assert np.array_equal(criterion.run(theta).innovations, criterion.outputs(theta), equal_nan=True)
     criterion.close()
 
 
@@ -93,7 +95,7 @@ def test_rough_derivatives_point_to_where_the_likelihood_rises(theta: Theta) -> 
 class Exact(Criterion):
     """The filter itself wherever the slopes of another run would do."""
 
-    def beside(self, thetas: Sequence[Theta], at: Run, modes: Sequence[int]) -> list[FloatArray]:
+    def beside(self, thetas: Sequence[Theta], at: Results, reuse: Sequence[Reuse]) -> list[FloatArray]:
         return self.several(thetas)
 
 

@@ -12,13 +12,18 @@ from tests.twin.diagnose.simulated_rig import PLANT, TICK_S, strong
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.fisher_scoring import PASSES, climb
 from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.theta import BASE, coordinates_of
+from twin.diagnose.inference.theta import BASE, Theta, coordinates_of
 from twin.diagnose.search import equivalence as rivals
-from twin.diagnose.search.periodic import AMPLITUDE, CAUSE, FREQUENCY, find_line, rephased, settled
+from twin.diagnose.search.periodic import AMPLITUDE, CAUSE, FREQUENCY, Line, find_line, rephased, settled
 from twin.diagnose.search.state import Selection
 from twin.model.causes.catalogue import BY_NAME
 
 FORCE_N, FREQUENCY_HZ = 2e-3, 7.3
+
+
+def with_line(line: Line) -> Theta:
+    theta = QUIET.having(AMPLITUDE, line.amplitude_n).having(FREQUENCY, line.frequency_hz)
+    return replace(theta, phases_s=line.phases_s)
 
 
 def test_a_line_is_the_same_after_the_phases_of_another_were_taken_over() -> None:
@@ -29,16 +34,16 @@ def test_a_line_is_the_same_after_the_phases_of_another_were_taken_over() -> Non
     try:
         first = find_line(criterion, QUIET)
         assert first is not None
-        criterion.shift_s = first.shift_s
-        again = find_line(criterion, QUIET)
-        found = QUIET.having(AMPLITUDE, first.amplitude_n).having(FREQUENCY, first.frequency_hz)
+        turned = replace(QUIET, phases_s=first.phases_s)
+        again = find_line(criterion, turned)
+        found = turned.having(AMPLITUDE, first.amplitude_n).having(FREQUENCY, first.frequency_hz)
         gain = criterion.value(found) - criterion.value(QUIET)
     finally:
         criterion.close()
 
     assert again is not None
     assert (again.amplitude_n, again.gain) == (first.amplitude_n, first.gain)
-    np.testing.assert_array_equal(again.shift_s, first.shift_s)
+    assert again.phases_s == first.phases_s
     assert first.frequency_hz == pytest.approx(FREQUENCY_HZ, abs=0.01)
     assert first.amplitude_n == pytest.approx(FORCE_N, rel=0.05)
     assert gain == pytest.approx(first.gain, rel=0.1)
@@ -53,8 +58,11 @@ def test_the_frequency_is_found_with_recordings_that_are_a_minute_into_the_campa
     try:
         line = find_line(criterion, QUIET, FREQUENCY_HZ + 0.01)
         assert line is not None
-        criterion.shift_s = line.shift_s
-        start = QUIET.having(AMPLITUDE, line.amplitude_n).having(FREQUENCY, line.frequency_hz)
+        start = (
+            replace(QUIET, phases_s=line.phases_s)
+            .having(AMPLITUDE, line.amplitude_n)
+            .having(FREQUENCY, line.frequency_hz)
+        )
         fit = rephased(criterion, climb(criterion, start, (*BASE, AMPLITUDE, FREQUENCY)), PASSES)
     finally:
         criterion.close()
@@ -71,8 +79,11 @@ def test_a_short_recording_has_a_phase_of_its_own() -> None:
     try:
         line = find_line(criterion, QUIET, FREQUENCY_HZ)
         assert line is not None
-        criterion.shift_s = line.shift_s
-        theta = QUIET.having(AMPLITUDE, line.amplitude_n).having(FREQUENCY, line.frequency_hz)
+        theta = (
+            replace(QUIET, phases_s=line.phases_s)
+            .having(AMPLITUDE, line.amplitude_n)
+            .having(FREQUENCY, line.frequency_hz)
+        )
         _, white = criterion.white(theta)
         own = criterion.evidence.series.recording == 1
     finally:
@@ -86,13 +97,11 @@ def test_each_recording_settles_at_the_phase_of_its_own() -> None:
     criterion = Criterion(gather([steps(rig, seed=seed) for seed in (3, 4, 5)], PLANT), PLANT, TICK_S, workers=1)
     free = (*BASE, AMPLITUDE, FREQUENCY)
     turn_s = 1.0 / (2.0 * np.pi * FREQUENCY_HZ)
-    recording = criterion.evidence.series.recording
     try:
         best = climb(criterion, rig, free)
-        criterion.shift_s = np.where(recording == 1, 0.6, np.where(recording == 2, -0.3, 0.0)) * turn_s
-        off = climb(criterion, rig, free)
+        off = climb(criterion, replace(rig, phases_s=(0.0, 0.6 * turn_s, -0.3 * turn_s)), free)
         fit = settled(criterion, off, PASSES)
-        turns = [float(np.median(criterion.shift_s[recording == k])) / turn_s % (2.0 * np.pi) for k in range(3)]
+        turns = [phase / turn_s % (2.0 * np.pi) for phase in fit.theta.phases_s]
     finally:
         criterion.close()
 
@@ -114,10 +123,8 @@ def test_a_rival_has_the_phases_that_belong_to_it(monkeypatch: pytest.MonkeyPatc
     try:
         base = climb(criterion, QUIET, BASE)
         false = settled(criterion, rephased(criterion, climb(criterion, start, free), PASSES), PASSES)
-        shift_s = criterion.shift_s
         for most in (0, 2):
             monkeypatch.setattr(rivals, "_REPHASED", most)
-            criterion.shift_s = shift_s
             causes = [CAUSE.name, sensor]
             gained = dict.fromkeys(causes, false.loglik - base.loglik)
             found = Selection(base=base, fit=false, causes=causes, gains=gained)

@@ -1,0 +1,1 @@
+"""The extended Kalman filter: one run along a series, predict, start, correct, and its memory."""

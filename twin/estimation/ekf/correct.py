@@ -1,0 +1,194 @@
+"""At a sample in the filter: what begins there, and what its readings say."""
+
+from __future__ import annotations
+
+from twin.compiled import Packed, inlined, kernel
+from twin.estimation.ekf.memory import Floats, Memory, base_of
+from twin.estimation.innovations import SPEED_STD_M_S
+from twin.model.causes import position_sensor_lag
+from twin.model.extended import (
+    FIELD,
+    I_C,
+    SENSOR,
+    WARMTH,
+    Base,
+    V,
+    X,
+    current_of_reading,
+    current_reading,
+    position_of_reading,
+    position_reading,
+)
+
+_ACCELERATION_M_S2 = 15.0  # of a flight's beginning
+_WARMTH = (0.25, 0.3)  # A^2: of a recording's start, mean and standard deviation
+_CURRENT_VARIANCE = 1e2  # A^2, of a start without a reading
+
+
+@kernel
+def _forget(f: Memory, row: int) -> None:
+    for k in range(f.m):
+        f.P[row, k] = 0.0
+        f.P[k, row] = 0.0
+
+
+@kernel
+def forget(f: Memory) -> None:
+    """State and covariance are 0, and the ball does not fly."""
+    f.in_flight = False
+    for row in range(len(f.y)):
+        f.y[row] = 0.0
+    for row in range(f.m):
+        _forget(f, row)
+
+
+@kernel
+def measure_current(f: Memory, reading: float) -> None:
+    """The current as it is read, A."""
+    _forget(f, 0)
+    f.y[I_C] = current_of_reading(f.c[:], reading)
+    f.P[0, 0] = f.r_i / (f.h_i[0] * f.h_i[0])
+
+
+@kernel
+def start_recording(f: Memory, reads: bool, reading: float, u: float) -> None:
+    """Current and warmth at the first sample of a chain: as read, A, or where u_c tends to, V."""
+    if reads:
+        measure_current(f, reading)
+    else:
+        _forget(f, 0)
+        f.y[I_C], f.P[0, 0] = f.base[0] * u, _CURRENT_VARIANCE
+    f.y[FIELD] = f.y[I_C]
+    if f.warmth >= 0:
+        _forget(f, f.warmth)
+        f.y[WARMTH], f.P[f.warmth, f.warmth] = _WARMTH[0], _WARMTH[1] ** 2
+
+
+@kernel
+def start_flight(f: Memory, reading: float) -> None:
+    """Position at the first reading of a flight, m, the speed unknown."""
+    p, c, y, P = Base(*base_of(f)), f.c[:], f.y[:], f.P
+    for k in range(f.m):
+        if k != 0 and k != f.warmth:
+            _forget(f, k)
+    y[X], y[V] = position_of_reading(p, c, reading, y[I_C]), 0.0
+    y[SENSOR] = reading
+    f.in_flight, f.speed_seen = True, False
+    # A reading that shows the current, too, places the ball as well as the current is known.
+    shown = (position_reading(p, c, y[X], y[I_C] + 1e-3) - position_reading(p, c, y[X], y[I_C])) / 1e-3
+    P[1, 1], P[2, 2] = f.r_x + shown * shown * P[0, 0], SPEED_STD_M_S**2
+    if f.field >= 0:
+        P[f.field, f.field] = P[0, 0]
+        P[0, f.field] = P[0, 0]
+        P[f.field, 0] = P[0, 0]
+    for k in (0, f.field, f.warmth):
+        if k >= 0:
+            P[1, k] = -shown * P[0, k]
+            P[k, 1] = P[1, k]
+    if f.sensor >= 0:
+        # The sensor lags a ball of unknown speed: where x is depends on it.
+        tau = c[position_sensor_lag.TAU]
+        P[1, 1] += (tau * SPEED_STD_M_S) ** 2 + (tau * tau * _ACCELERATION_M_S2) ** 2
+        P[1, f.sensor] = f.r_x
+        P[f.sensor, 1] = f.r_x
+        P[1, 2] = tau * SPEED_STD_M_S**2
+        P[2, 1] = P[1, 2]
+        P[f.sensor, f.sensor] = f.r_x
+
+
+@inlined
+def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x: bool) -> None:
+    """Innovations of the readings, and the correction by them, i_c first.
+
+    Args:
+        f: the filter.
+        out: receives nu_i, nu_x, S_ii, S_ix, S_xx, shape (5,).
+        i: A.
+        x: m.
+        use_i: whether i counts.
+        use_x: whether x counts; the ball flies.
+    """
+    P, m = f.P, f.m
+    n_i, n_x = i - current_reading(f.c[:], f.y[I_C]), 0.0
+    if use_x:
+        n_x = x - position_slopes(base_of(f), f.c[:], f.y[:], f.sensor, f.h_x[:])
+        # The reading that tells how fast the ball was: nobody predicted it, and a model with friction would predict it
+        # better only because friction narrows any guess.
+        if f.speed_seen:
+            out[1], out[4] = n_x, variance(f, f.h_x[:], f.r_x)
+            if use_i:
+                s_ix = 0.0
+                for a in range(m):
+                    s_ix += f.h_i[0] * P[0, a] * f.h_x[a]
+                out[3] = s_ix
+        f.speed_seen = True
+    if use_i:
+        out[0], out[2] = n_i, correct(f, f.h_i[:], f.r_i, n_i)
+        if use_x:
+            for a in range(m):
+                n_x -= f.h_x[a] * f.K[a] * n_i
+    if use_x:
+        correct(f, f.h_x[:], f.r_x, n_x)
+    if f.field < 0:
+        f.y[FIELD] = f.y[I_C]
+    if f.sensor < 0:
+        f.y[SENSOR] = position_reading(Base(*base_of(f)), f.c[:], f.y[X], f.y[I_C])
+
+
+@kernel
+def compare_at_stop(f: Memory, out: Floats, x: float, stop_m: float, use_i: bool) -> None:
+    """The position sensor alone, where the ball lies at a stop; arguments as in `take_readings`."""
+    out[1], out[4] = x - position_reading(Base(*base_of(f)), f.c[:], stop_m, f.y[I_C]), f.r_x
+    if use_i:
+        out[3] = 0.0
+
+
+@inlined
+def position_slopes(base: Packed, c: Floats, y: Floats, sensor: int, h: Floats) -> float:
+    """The reading of x in state y, m; h, shape (m,) or longer, receives its slopes; `sensor` as in `Memory`."""
+    for a in range(len(h)):
+        h[a] = 0.0
+    if sensor >= 0:
+        h[sensor] = 1.0
+        return float(y[SENSOR])
+    p = Base(*base)
+    shown = position_reading(p, c, y[X], y[I_C])
+    h[0] = (position_reading(p, c, y[X], y[I_C] + 1e-3) - shown) / 1e-3
+    h[1] = (position_reading(p, c, y[X] + 1e-6, y[I_C]) - shown) / 1e-6
+    return shown
+
+
+@inlined
+def variance(f: Memory, h: Floats, r: float) -> float:
+    """Of a reading with these slopes and so much noise: r + h' P h."""
+    total = r
+    for a in range(f.m):
+        for b in range(f.m):
+            total += h[a] * f.P[a, b] * h[b]
+    return total
+
+
+@inlined
+def correct(f: Memory, h: Floats, r: float, innovation: float) -> float:
+    """Correct state and covariance by one reading; returns the variance of its innovation, leaves K.
+
+    Of a ball that is held current and warmth alone are corrected.
+    """
+    P, K, m = f.P, f.K, f.m
+    s = r
+    for a in range(m):
+        K[a] = 0.0
+        for b in range(m):
+            K[a] += P[a, b] * h[b]
+    for a in range(m):
+        s += h[a] * K[a]
+    for a in range(m):
+        K[a] /= s
+    for a in range(m):
+        if a == 0 or f.in_flight or a == f.warmth:
+            f.y[f.places[a]] += K[a] * innovation
+    for a in range(m):
+        for b in range(a, m):
+            P[a, b] -= K[a] * K[b] * s
+            P[b, a] = P[a, b]
+    return s

@@ -1,0 +1,138 @@
+"""The extended Kalman filter of the extended model: prediction errors along a whole campaign.
+
+The state is that of `twin/model/extended.py`; what is predicted comes from there alone, the sensitivities are its
+differences.  For each sample: predict (`predict.py`), start what begins there, correct (`correct.py`).
+
+Rule 1: the flags are those of `../innovations.py`, and RESTS_LOW, RESTS_HIGH: the ball lies at a stop, whose place is
+        known.  There the position sensor is tested alone: its offset, scale and crosstalk show without any force.
+        RESTS_UNSEEN: it lies beyond the range of its sensor, and i_c is that of a ball at rest.  LOST: in the row of
+        a lost sample (`twin/diagnose/evidence/lost_rows.py`) nothing was read, and u_c from it on is unknown.
+Rule 2: only the states that the causes at hand give a life of their own are in the covariance: with the paper's model
+        three, so that a candidate costs what it needs.
+Rule 3: the first reading that tells the speed of a flight corrects the state and is not counted as predicted.
+Rule 4: warmth at the start of a recording is unknown, and the filter finds it.
+Rule 5: the two readings of i_c behind a lost sample correct the state and are not counted as predicted, whatever delay
+        the model has: the first of them told its u_c (`../propagate.py`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from twin.compiled import kernel
+from twin.estimation.ekf.correct import (
+    compare_at_stop,
+    correct,
+    forget,
+    measure_current,
+    start_flight,
+    start_recording,
+    take_readings,
+)
+from twin.estimation.ekf.memory import Memory, base_of, copy_square, memory_for, states_in
+from twin.estimation.ekf.predict import add_process_noise, carry, differences, doubt_input, predict_held, step_along
+from twin.estimation.innovations import FLIES, FOLLOWS, LOST, RESTS_HIGH, RESTS_LOW, USE_I, USE_X
+from twin.estimation.propagate import copy, delay_s, find_input, propagate
+from twin.estimation.structures import NO_STEPS, Results, Samples, Steps, System, room_for
+from twin.model.extended import I_C, SHORT_S, V, X, current_reading
+
+UNKNOWN_INPUTS = 2  # samples after a start whose u_c may not be in force yet; not a matter of the model at hand
+
+
+def filtered(
+    system: System,
+    samples: Samples,
+    known: Steps = NO_STEPS,
+    *,
+    state: bool = False,
+    spread: bool = False,
+    steps: bool = False,
+) -> Results:
+    """The filter of one model along a series.
+
+    Args:
+        system: the model and its noise.
+        samples: of the series.
+        known: steps of a model nearby, to be taken from there: the slopes, and with its states the steps themselves,
+            for a model that differs in its noise alone.
+        state: whether the states are wanted; likewise
+        spread: their covariance,
+        steps: the steps.
+    """
+    results = room_for(len(samples.u), states_in(system.c), state=state, spread=spread, steps=steps)
+    fill(system, samples, known, results)
+    return results
+
+
+def fill(system: System, samples: Samples, known: Steps, results: Results) -> None:
+    """`filtered` into room that is there; arguments as there."""
+    _run(memory_for(system), samples, known, results)
+
+
+@kernel
+def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
+    t, step, u, y_i, y_x, flags = samples
+    out, state, spread, found = results
+    inputs = u.copy()  # those of lost samples are found
+    for n in range(len(u)):
+        for column in range(out.shape[1]):
+            out[n, column] = np.nan
+        follows, flies = flags[n] & FOLLOWS != 0 and n > 0, flags[n] & FLIES != 0
+        use_i, use_x = flags[n] & USE_I != 0, flags[n] & USE_X != 0
+        f.in_flight = f.in_flight and flies and follows
+        if f.in_flight:
+            T_s = step[n]
+            copy(f.here[:], f.y[:])
+            lost = n - 1 - int(delay_s(f.c[:]) / T_s)  # its input comes into force on the way here
+            unknown = lost >= f.first and flags[lost] & LOST != 0
+            if unknown and use_i:
+                find_input(base_of(f), f.c[:], f.here[:], inputs, lost, n, f.first, t[n - 1], T_s, y_i[n], f.moved[:])
+            if known.after.shape[0] > 0 and not unknown:
+                step_along(f, known.slopes[n], known.before[n], known.after[n - 1])
+            else:
+                propagate(base_of(f), f.c[:], f.y[:], inputs, n, f.first, t[n - 1], T_s, False)
+            if known.slopes.shape[0] > 0:
+                copy_square(f.F, known.slopes[n], f.m)
+            else:
+                differences(f, inputs, n, t[n - 1], T_s)
+            if found.slopes.shape[0] > 0:
+                copy_square(found.slopes[n], f.F, f.m)
+                copy(found.before[n], f.y[:])
+            carry(f.F, f.P, f.G, f.m)
+            if unknown:
+                doubt_input(f, inputs, lost, n, t[n - 1], T_s)
+            add_process_noise(f, T_s)
+        elif follows:
+            predict_held(f, inputs, n, t[n - 1], step[n], y_x[n - 1])
+        if not follows:
+            f.first = n
+            start_recording(f, use_i, y_i[n], u[n])
+            use_i = False
+        elif use_i and step[n] > SHORT_S:
+            blind = not f.in_flight and flags[n - 1] & USE_I == 0
+            if blind or n - f.first <= UNKNOWN_INPUTS:
+                # Nobody recorded what was in force before the first sample, nor how the ball moved where i_c is not
+                # used: the current is measured anew.
+                measure_current(f, y_i[n])
+                use_i = False
+        if flies and not f.in_flight:
+            if use_x:
+                start_flight(f, y_x[n])
+            use_x = False
+        if use_i and f.in_flight and n - f.first > 1 and (flags[n - 1] | flags[n - 2]) & LOST != 0:
+            correct(f, f.h_i[:], f.r_i, y_i[n] - current_reading(f.c[:], f.y[I_C]))
+            use_i = False
+        if use_x and not f.in_flight and flags[n] & (RESTS_LOW | RESTS_HIGH) != 0:
+            compare_at_stop(f, out[n], y_x[n], f.low_m if flags[n] & RESTS_LOW != 0 else f.high_m, use_i)
+        take_readings(f, out[n], y_i[n], y_x[n], use_i, use_x and f.in_flight)
+        if found.after.shape[0] > 0:
+            copy(found.after[n], f.y[:])
+        if spread.shape[0] > 0:
+            copy_square(spread[n], f.P, f.m)
+        if state.shape[0] > 0:
+            for k in range(state.shape[1]):
+                state[n, k] = f.y[k] if f.in_flight else np.nan
+        if not math.isfinite(f.y[X] + f.y[I_C] + f.y[V]):
+            forget(f)  # the parameters are impossible: nothing sensible follows in this chain

@@ -1,0 +1,115 @@
+"""The filter's numbers and its memory, as one record that its kernels share.
+
+A record, as compiled code passes it by its address: a tuple of as many arrays has all of them counted at each call,
+which took ten times as long as a step with known slopes.  Matrices have room for all states; the first m are used.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.compiled import Packed, inlined
+from twin.estimation.structures import System
+from twin.model.causes import amplifier_gain_drift, current_sensor_gain, eddy_current_lag, position_sensor_lag
+from twin.model.causes.catalogue import neutral
+from twin.model.extended import FIELD, I_C, SENSOR, STATES, WARMTH, Base, V, X
+
+Floats = NDArray[np.float64]
+
+
+class Memory(Protocol):
+    """A model, its noise, and what the filter carries from sample to sample; m states in the covariance."""
+
+    base: Floats  # tuple(Base), shape (8,)
+    c: Floats  # the causes' parameters, shape (PLACES,)
+    r_i: float  # variance of a reading of i_c, A^2
+    r_x: float  # of x, m^2
+    q_i: float  # of the disturbance of i_c, A^2/s
+    q_a: float  # of the acceleration, constant over an interval, m^2/s^4
+    low_m: float  # where the ball lies at the lower stop
+    high_m: float  # at the upper stop
+    m: int
+    places: NDArray[np.int64]  # of the m states in the state: I_C, X, V first, as they are numbered
+    field: int  # place in the covariance; -1: not in it
+    sensor: int
+    warmth: int
+    first: int  # sample of this chain
+    in_flight: bool
+    speed_seen: bool  # in this flight
+    y: Floats  # the state, shape (6,)
+    here: Floats  # at the sample before
+    moved: Floats  # room, like the next four
+    back: Floats
+    K: Floats
+    h_i: Floats  # slopes of the reading of i_c
+    h_x: Floats  # of x
+    P: Floats  # covariance, shape (6, 6)
+    F: Floats  # d state / d state before
+    G: Floats  # room
+
+
+def states_in(c: Floats) -> int:
+    """How many states the causes leave active: m."""
+    return len(active_states(c))
+
+
+def active_states(c: Floats) -> list[int]:
+    """The states that the causes give a life of their own, I_C, X, V first."""
+    own = (
+        (FIELD, c[eddy_current_lag.TAU] > 0.0),
+        (SENSOR, c[position_sensor_lag.TAU] > 0.0),
+        (WARMTH, c[amplifier_gain_drift.LOSS] != 0.0),
+    )
+    return [I_C, X, V, *(state for state, lives in own if lives)]
+
+
+@cache
+def _fields() -> np.dtype[np.void]:
+    one, square = (STATES,), (STATES, STATES)
+    numbers = ("r_i", "r_x", "q_i", "q_a", "low_m", "high_m")
+    counts = ("m", "field", "sensor", "warmth", "first")
+    vectors = ("y", "here", "moved", "back", "K", "h_i", "h_x")
+    fields: list[Any] = [("base", float, (len(Base._fields),)), ("c", float, (len(neutral()),))]
+    fields += [(name, float) for name in numbers] + [(name, np.int64) for name in counts]
+    fields += [("places", np.int64, one), ("in_flight", np.bool_), ("speed_seen", np.bool_)]
+    fields += [(name, float, one) for name in vectors] + [(name, float, square) for name in ("P", "F", "G")]
+    return np.dtype(fields, align=True)
+
+
+def memory_for(system: System) -> Memory:
+    """The record of a filter that has seen nothing yet."""
+    records = np.zeros(1, _fields())
+    record: Any = records[0]
+    c, noise, places = system.c, system.noise, active_states(system.c)
+    record["base"], record["c"] = system.base, c
+    record["r_i"], record["r_x"] = noise.sigma_i_c_a * noise.sigma_i_c_a, noise.sigma_x_m * noise.sigma_x_m
+    record["q_i"], record["q_a"] = (
+        noise.process_i_c_a * noise.process_i_c_a / noise.tick_s,
+        noise.process_a_m_s2 * noise.process_a_m_s2,
+    )
+    record["low_m"], record["high_m"] = system.stops.low_m, record["base"][-1] + system.stops.high_m
+    record["m"] = len(places)
+    record["places"][: len(places)] = places
+    for name, state in (("field", FIELD), ("sensor", SENSOR), ("warmth", WARMTH)):
+        record[name] = places.index(state) if state in places else -1
+    record["h_i"][0] = c[current_sensor_gain.GAIN]
+    return cast(Memory, records.view(np.recarray)[0])
+
+
+@inlined
+def base_of(memory: Memory) -> Packed:
+    """The paper's parameters, tuple(Base)."""
+    b = memory.base
+    return b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]
+
+
+@inlined
+def copy_square(to: Floats, of: Floats, m: int) -> None:
+    """Fill the first m rows and columns of `to` from `of`."""
+    for row in range(m):
+        for column in range(m):
+            to[row, column] = of[row, column]

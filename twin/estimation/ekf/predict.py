@@ -1,0 +1,153 @@
+"""From sample n - 1 to n in the filter: state and covariance, in flight and of a held ball."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.compiled import inlined, kernel
+from twin.estimation.ekf.memory import Floats, Memory, base_of
+from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, current_held, propagate
+from twin.model.causes import (
+    amplifier_gain_drift,
+    coulomb_friction,
+    freewheel_diode,
+    position_dependent_inductance,
+    slew_rate_limit,
+)
+from twin.model.extended import FIELD, I_C, WARMTH, Base, V, X
+
+_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4])  # of the states, for differences
+
+
+@inlined
+def step_along(f: Memory, slopes: Floats, before: Floats, after: Floats) -> None:
+    """The state at n by the step of a model nearby, to first order.
+
+    Args:
+        f: with the state at n - 1 in `here`.
+        slopes: of that step, shape (m, m).
+        before: where it led to, shape (6,).
+        after: where it began, shape (6,).
+    """
+    for row in range(f.m):
+        total = before[f.places[row]]
+        for k in range(f.m):
+            total += slopes[row, k] * (f.here[f.places[k]] - after[f.places[k]])
+        f.y[f.places[row]] = total
+    if f.field < 0:
+        f.y[FIELD] = f.y[I_C]
+
+
+@kernel
+def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None:
+    """Fill F with d state(n) / d state(n - 1); the other arguments as `propagate` takes them."""
+    base, c, moved, back = base_of(f), f.c[:], f.moved[:], f.back[:]
+    rubs = c[coulomb_friction.FORCE] != 0.0
+    for column in range(f.m):
+        a = f.places[column]
+        delta = _DELTA[a]
+        wide = rubs and a <= V  # with dry friction as wide as the state is uncertain
+        if wide:
+            delta = max(delta, math.sqrt(f.P[column, column]))
+        copy(moved, f.here[:])
+        moved[a] += delta
+        if a == I_C and f.field < 0:
+            moved[FIELD] = moved[I_C]
+        propagate(base, c, moved, inputs, n, f.first, t, T_s, False)
+        if wide:
+            copy(back, f.here[:])
+            back[a] -= delta
+            if a == I_C and f.field < 0:
+                back[FIELD] = back[I_C]
+            propagate(base, c, back, inputs, n, f.first, t, T_s, False)
+            for row in range(f.m):
+                f.F[row, column] = (moved[f.places[row]] - back[f.places[row]]) / (2.0 * delta)
+        else:
+            for row in range(f.m):
+                f.F[row, column] = (moved[f.places[row]] - f.y[f.places[row]]) / delta
+
+
+@inlined
+def carry(F: Floats, P: Floats, G: Floats, m: int) -> None:
+    """P = F P F' in their first m rows and columns; G: room."""
+    for row in range(m):
+        for column in range(m):
+            total = 0.0
+            for k in range(m):
+                total += F[row, k] * P[k, column]
+            G[row, column] = total
+    for row in range(m):
+        for column in range(row, m):
+            total = 0.0
+            for k in range(m):
+                total += G[row, k] * F[column, k]
+            P[row, column] = total
+            P[column, row] = total
+
+
+@inlined
+def add_process_noise(f: Memory, T_s: float) -> None:
+    """What the disturbances of an interval add to the covariance."""
+    P, a2 = f.P, f.q_a
+    P[0, 0] += f.q_i * T_s
+    P[1, 1] += 0.25 * a2 * T_s**4
+    P[1, 2] += 0.5 * a2 * T_s**3
+    P[2, 1] = P[1, 2]
+    P[2, 2] += a2 * T_s**2
+
+
+@kernel
+def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: float) -> None:
+    """What not knowing u_c of the sample `lost` adds to the covariance; the others as `propagate` takes them."""
+    moved, K = f.moved[:], f.K
+    inputs[lost] += INPUT_DELTA_V
+    copy(moved, f.here[:])
+    propagate(base_of(f), f.c[:], moved, inputs, n, f.first, t, T_s, False)
+    inputs[lost] -= INPUT_DELTA_V
+    for row in range(f.m):
+        K[row] = UNKNOWN_INPUT_V * (moved[f.places[row]] - f.y[f.places[row]]) / INPUT_DELTA_V
+    for row in range(f.m):
+        for column in range(f.m):
+            f.P[row, column] += K[row] * K[column]
+
+
+@kernel
+def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, reading: float) -> None:
+    """The current (and the warmth) of a ball held where it was read; the others as `propagate` takes them."""
+    base, c, y, P, moved, warm = base_of(f), f.c[:], f.y[:], f.P, f.moved[:], f.warmth
+    p = Base(*base)
+    held = min(max(reading, 0.0), p.travel_m)
+    copy(moved, y)
+    y[X], y[V], moved[X], moved[V] = held, 0.0, held, 0.0
+    if amplifier_alone(c) and f.m == 3:
+        y[I_C] = current_held(base, c, y[I_C], inputs, n, f.first, T_s, y[WARMTH])
+        f_ii = math.exp(-T_s / p.T_A)
+    else:
+        # A ball that is held does not move within an interval either: the weight of a house, and no gravity.
+        held_base = (p.K_A, p.T_A, p.K_c, p.b, 1e12, 0.0, p.x_max_m, p.travel_m)
+        rubs = c[coulomb_friction.FORCE]
+        c[coulomb_friction.FORCE] = 0.0  # it needs fine substeps, and holds nothing here
+        moved[I_C] += _DELTA[I_C]
+        propagate(held_base, c, moved, inputs, n, f.first, t, T_s, False)
+        propagate(held_base, c, y, inputs, n, f.first, t, T_s, False)
+        c[coulomb_friction.FORCE] = rubs
+        f_ii = (moved[I_C] - y[I_C]) / _DELTA[I_C]
+    if warm >= 0:
+        f_iw = -p.K_A * c[amplifier_gain_drift.LOSS] * inputs[n - 1] * (1.0 - f_ii)
+        P[0, 0] = f_ii * f_ii * P[0, 0] + f_iw * f_iw * P[warm, warm]
+        P[0, 0] += 2.0 * f_ii * f_iw * P[0, warm]
+        P[0, warm] = f_ii * P[0, warm] + f_iw * P[warm, warm]
+        P[warm, 0] = P[0, warm]
+    else:
+        P[0, 0] = f_ii * f_ii * P[0, 0]
+    P[0, 0] += f.q_i * T_s
+
+
+@kernel
+def amplifier_alone(c: NDArray[np.float64]) -> bool:
+    """Whether no cause bends the response of the current, so that a held ball's needs no integration."""
+    straight = c[slew_rate_limit.RATE] == math.inf and c[position_dependent_inductance.GROWTH] == 0.0
+    return bool(straight and c[freewheel_diode.DROP] == 0.0)
