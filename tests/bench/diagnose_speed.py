@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from protocol.campaign import load
-from tests.twin.diagnose.foreign import hall_campaign
-from tests.twin.diagnose.hidden_campaign import make_campaign
+from tests.harness.diagnose.foreign import hall_campaign
+from tests.harness.diagnose.hidden_campaign import make_campaign
 from twin.diagnose.pipeline import diagnose
 from twin.diagnose.residuals.summary import shown
 

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from protocol.errors import DataError, UsageError
-from tests.twin.diagnose.draws import PARTS, Part, draw_hidden
-from tests.twin.diagnose.scoring import Outcome
-from tests.twin.diagnose.tally import page, rates, removed_median, seconds
-from tests.twin.diagnose.trial import program_digest, run_trial
+from tests.harness.diagnose.draws import PARTS, Part, draw_hidden
+from tests.harness.diagnose.scoring import Outcome
+from tests.harness.diagnose.tally import page, rates, removed_median, seconds
+from tests.harness.diagnose.trial import program_digest, run_trial
 
 WORKERS = 2
 DEFAULT_RUNS = 2  # per part: what a benchmark among others may take

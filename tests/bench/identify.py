@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from tests.twin.identify.independent_plant import Ball, wandering
+from tests.harness.twin.independent_plant import Ball, wandering
 from twin.estimation.prepare import prepare
 from twin.estimation.record import Record
 from twin.identify.fit import NAMES, Fit, Likelihood, fit

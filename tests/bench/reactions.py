@@ -18,12 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from protocol.bus import board51_pb2 as pb
-from tests.gateway.access.access_peers import fresh, guarded_rig, made_folder
-from tests.gateway.gateway_peers import Bus, client, free_port, wait_for
-from tests.gateway.views.bus_peers import played_gateway, ticking
-from tests.gateway.views.chromium import ABSENT, CHROMIUM, chromium
-from tests.gateway.views.hmi_peers import Page, Process, frame, hmi
 from tests.gateway.views.test_hmi_slow_reader import never_reading
+from tests.harness.gateway.access_peers import fresh, guarded_rig, made_folder
+from tests.harness.gateway.bus_peers import played_gateway, ticking
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
+from tests.harness.gateway.gateway_peers import Bus, client, free_port, wait_for
+from tests.harness.gateway.hmi_peers import Page, Process, frame, hmi
 
 Row = dict[str, Any]
 ROUNDS = 5

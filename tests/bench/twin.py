@@ -18,7 +18,7 @@ if __name__ == "__main__":  # run as a file: the packages lie two levels up
     sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from protocol.bus import board51_pb2 as pb
-from tests.twin.rig import T_S, Rig
+from tests.harness.twin.rig import T_S, Rig
 from twin.mirror.mirror import Mirror
 from twin.mirror.offline import run_log
 from twin.model.nominal import nominal

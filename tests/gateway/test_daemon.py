@@ -25,7 +25,7 @@ from protocol.bus.endpoint import zenoh_config
 from protocol.errors import ServiceError
 from protocol.log.reader import read
 from protocol.log.scan import Scan
-from tests.gateway.gateway_peers import (
+from tests.harness.gateway.gateway_peers import (
     Bus,
     ScriptedBoard,
     client,

@@ -12,7 +12,7 @@ import zenoh
 
 from protocol.bus.endpoint import check_endpoint, zenoh_config
 from protocol.errors import ConfigError
-from tests.protocol.stopped_subscriber import STALL_S, longest_round_s
+from tests.harness.gateway.stopped_subscriber import STALL_S, longest_round_s
 
 
 def _endpoint() -> str:

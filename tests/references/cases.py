@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from tests.twin.diagnose.hidden_campaign import PlantName, make_campaign
-from tests.twin.rig import G, M, Rig
+from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
+from tests.harness.twin.rig import G, M, Rig
 
 ROOT = Path(__file__).parents[2]
 

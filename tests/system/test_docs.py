@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import expect
 
-from tests.gateway.views.chromium import ABSENT, CHROMIUM, chromium
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
 from tests.patience import HANG_S
 
 ROOT = Path(__file__).parents[2]

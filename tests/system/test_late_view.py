@@ -11,11 +11,11 @@ import zenoh
 from gateway.views.feed import Feed
 from gateway.views.opcua.server import OpcuaSettings
 from protocol.bus import topics
-from tests.gateway.gateway_peers import client, wait_for
-from tests.gateway.views.bus_peers import played_gateway
-from tests.gateway.views.opcua_peers import Served, peer, until
-from tests.twin.rig import Rig
-from tests.twin.twin_bus import introduce_to
+from tests.harness.gateway.bus_peers import played_gateway
+from tests.harness.gateway.gateway_peers import client, wait_for
+from tests.harness.gateway.opcua_peers import Served, peer, until
+from tests.harness.twin.rig import Rig
+from tests.harness.twin.twin_bus import introduce_to
 from twin.mirror.bus.service import TwinService
 from twin.mirror.settings import Settings
 from twin.model.nominal import nominal

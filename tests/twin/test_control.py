@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from protocol.bus import board51_pb2 as pb
-from tests.twin.one_tick import tick
+from tests.harness.twin.one_tick import tick
 from twin.control import LawNumbers, c2d, equilibrium, integral_behind, law, law_numbers, linearise
 from twin.model.nominal import nominal
 from twin.model.simulate import plant_numbers

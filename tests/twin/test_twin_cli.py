@@ -14,8 +14,8 @@ import pytest
 import board51
 from protocol.bus import board51_pb2 as pb
 from protocol.log.reader import LogReader
+from tests.harness.twin.rig import G, M, Rig
 from tests.patience import HANG_S
-from tests.twin.rig import G, M, Rig
 from twin.model.nominal import nominal
 from twin.model.parameters import model_to_dict
 from twin.readers.log import TwinLog, entries, parse

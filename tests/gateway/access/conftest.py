@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gateway.access.folder import SecurityFolder
-from tests.gateway.access.access_peers import GuardedRig, guarded_rig, made_folder
+from tests.harness.gateway.access_peers import GuardedRig, guarded_rig, made_folder
 
 
 @pytest.fixture(scope="session")

@@ -16,8 +16,8 @@ from gateway.access.bus_rules import LARGEST_COMMAND, LARGEST_MESSAGE
 from gateway.access.folder import SecurityFolder
 from protocol.bus import board51_pb2 as pb
 from protocol.log.reader import read
-from tests.gateway.access.access_peers import Client, GuardedRig, fresh, guarded_rig
-from tests.gateway.gateway_peers import ScriptedBoard, gateway_and_client, gateway_config, wait_for
+from tests.harness.gateway.access_peers import Client, GuardedRig, fresh, guarded_rig
+from tests.harness.gateway.gateway_peers import ScriptedBoard, gateway_and_client, gateway_config, wait_for
 from tests.patience import HANG_S
 
 pytestmark = pytest.mark.xdist_group("guarded-bus")

@@ -16,7 +16,7 @@ from gateway.link.command_handler import KEPT_IDS, KEPT_S
 from gateway.link.driver import BoardDriver
 from gateway.link.io_thread import LinkThread
 from protocol.bus import board51_pb2 as pb
-from tests.gateway.gateway_peers import Collector, ScriptedBoard, wait_for
+from tests.harness.gateway.gateway_peers import Collector, ScriptedBoard, wait_for
 
 S = 1_000_000_000
 START_NS = 1_700_000_000 * S

@@ -18,8 +18,8 @@ from gateway.access.private import write_private
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.endpoint import refused_by_router, zenoh_config
 from protocol.errors import ConfigError
-from tests.gateway.access.access_peers import Client, GuardedRig, fresh, guarded_rig, join
-from tests.gateway.gateway_peers import free_port, wait_for
+from tests.harness.gateway.access_peers import Client, GuardedRig, fresh, guarded_rig, join
+from tests.harness.gateway.gateway_peers import free_port, wait_for
 
 pytestmark = pytest.mark.xdist_group("guarded-bus")
 PATIENCE_S = 0.5  # a router that takes a client takes it within 0.1 s

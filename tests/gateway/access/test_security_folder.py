@@ -29,8 +29,8 @@ from gateway.access.users import User, Users
 from gateway.config import GatewayConfig, LogConfig, SecurityConfig, ZenohConfig, load_config
 from protocol.bus.identity import find_identity
 from protocol.errors import ConfigError, UsageError
-from tests.gateway.access.access_peers import PASSWORD, PEOPLE
-from tests.gateway.gateway_peers import ScriptedBoard, free_port, gateway_config, running, wait_for
+from tests.harness.gateway.access_peers import PASSWORD, PEOPLE
+from tests.harness.gateway.gateway_peers import ScriptedBoard, free_port, gateway_config, running, wait_for
 
 
 @pytest.fixture

@@ -16,8 +16,8 @@ from gateway.views.bins import channels
 from gateway.views.feed import SILENT_S, TWIN_GONE_S, BoardFeed, Feed
 from gateway.views.hmi.snapshot import rest
 from protocol.bus import board51_pb2 as pb
-from tests.gateway.gateway_peers import ScriptedBoard, client, gateway_config, running, wait_for
-from tests.gateway.views.bus_peers import PlayedGateway, feed_of, played_gateway
+from tests.harness.gateway.bus_peers import PlayedGateway, feed_of, played_gateway
+from tests.harness.gateway.gateway_peers import ScriptedBoard, client, gateway_config, running, wait_for
 
 
 @pytest.fixture

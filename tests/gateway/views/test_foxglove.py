@@ -19,8 +19,8 @@ from gateway.commands.foxglove import layout
 from gateway.views.foxglove import FoxgloveView
 from protocol.bus import topics
 from protocol.errors import ServiceError
-from tests.gateway.gateway_peers import client, free_port
-from tests.gateway.views.bus_peers import PlayedGateway, played_gateway, ticking
+from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
+from tests.harness.gateway.gateway_peers import client, free_port
 from tests.patience import HANG_S
 
 

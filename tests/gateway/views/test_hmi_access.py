@@ -18,9 +18,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from gateway.access.roles import Role
 from gateway.access.users import User, remove_user, set_user
 from protocol.bus import board51_pb2 as pb
-from tests.gateway.gateway_peers import wait_for
-from tests.gateway.views.bus_peers import PlayedGateway, played_gateway
-from tests.gateway.views.hmi_peers import PASSWORDS, Page, drain, frame, hmi, users_file
+from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway
+from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.gateway.hmi_peers import PASSWORDS, Page, drain, frame, hmi, users_file
 
 pytestmark = pytest.mark.xdist_group("hmi-access")
 STOP = "/api/rig/stop"

@@ -13,7 +13,7 @@ import pytest
 
 import board51
 from protocol.bus import board51_pb2 as pb
-from tests.gateway.views.bus_peers import feed_of, played_gateway
+from tests.harness.gateway.bus_peers import feed_of, played_gateway
 
 ROOT = Path(__file__).parents[3]
 # The page itself, and whoever writes what its lists show: alarms, events, replies.

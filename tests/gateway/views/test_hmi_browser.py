@@ -11,9 +11,9 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from protocol.bus import board51_pb2 as pb
-from tests.gateway.gateway_peers import Bus, client, wait_for
-from tests.gateway.views.chromium import ABSENT, CHROMIUM, chromium
-from tests.gateway.views.rig_peers import Rig, emulated_rig
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
+from tests.harness.gateway.gateway_peers import Bus, client, wait_for
+from tests.harness.gateway.rig_peers import Rig, emulated_rig
 from tests.patience import HANG_MS
 
 pytestmark = [

@@ -14,10 +14,10 @@ from playwright.sync_api import Page as Tab
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import load
 from protocol.log.reader import read
-from tests.gateway.access.access_peers import PASSWORD, guarded_rig, made_folder
-from tests.gateway.gateway_peers import free_port, wait_for
-from tests.gateway.views.chromium import ABSENT, CHROMIUM, chromium
-from tests.gateway.views.hmi_peers import Page, Process, hmi
+from tests.harness.gateway.access_peers import PASSWORD, guarded_rig, made_folder
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
+from tests.harness.gateway.gateway_peers import free_port, wait_for
+from tests.harness.gateway.hmi_peers import Page, Process, hmi
 
 pytestmark = pytest.mark.xdist_group("hmi-access")
 in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason=ABSENT)

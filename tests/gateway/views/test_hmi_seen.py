@@ -10,10 +10,10 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from protocol.bus import board51_pb2 as pb
-from tests.gateway.gateway_peers import wait_for
-from tests.gateway.views.bus_peers import PlayedGateway, played_gateway, ticking
-from tests.gateway.views.chromium import ABSENT, CHROMIUM, chromium
-from tests.gateway.views.hmi_peers import hmi
+from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
+from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
+from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.gateway.hmi_peers import hmi
 
 pytestmark = [
     pytest.mark.xdist_group("hmi-seen"),

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.gateway.gateway_peers import wait_for
-from tests.gateway.views.bus_peers import played_gateway, ticking
-from tests.gateway.views.hmi_peers import Page, frame, hmi
+from tests.harness.gateway.bus_peers import played_gateway, ticking
+from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.gateway.hmi_peers import Page, frame, hmi
 
 
 @contextmanager

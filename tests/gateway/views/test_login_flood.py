@@ -11,9 +11,9 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.gateway.gateway_peers import wait_for
-from tests.gateway.views.bus_peers import played_gateway
-from tests.gateway.views.hmi_peers import Page, hmi, users_file
+from tests.harness.gateway.bus_peers import played_gateway
+from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.gateway.hmi_peers import Page, hmi, users_file
 
 pytestmark = pytest.mark.xdist_group("hmi-access")
 THREADS = 6

@@ -17,8 +17,8 @@ from gateway.views.opcua import sessions, subscriptions
 from gateway.views.opcua.operations import Operations
 from gateway.views.opcua.server import OpcuaSettings
 from gateway.views.opcua.sessions import GuardedServer, Reception
-from tests.gateway.views.bus_peers import played_gateway, ticking
-from tests.gateway.views.opcua_peers import Served, peer
+from tests.harness.gateway.bus_peers import played_gateway, ticking
+from tests.harness.gateway.opcua_peers import Served, peer
 
 S = ua.StatusCodes
 

@@ -32,8 +32,8 @@ from gateway.access.users import User
 from gateway.views.opcua.security import Security
 from gateway.views.opcua.server import OpcuaSettings
 from protocol.errors import ConfigError
-from tests.gateway.views.bus_peers import played_gateway, ticking
-from tests.gateway.views.opcua_peers import NAMESPACE, Peer, Served
+from tests.harness.gateway.bus_peers import played_gateway, ticking
+from tests.harness.gateway.opcua_peers import NAMESPACE, Peer, Served
 from tests.patience import HANG_S
 
 S = ua.StatusCodes

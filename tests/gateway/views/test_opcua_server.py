@@ -16,8 +16,8 @@ from gateway.views.opcua.server import OpcuaSettings
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import ServiceError
 from protocol.wire.messages import Flag
-from tests.gateway.views.bus_peers import played_gateway, ticking
-from tests.gateway.views.opcua_peers import Kept, Peer, Served, peer, received, subscribe, until
+from tests.harness.gateway.bus_peers import played_gateway, ticking
+from tests.harness.gateway.opcua_peers import Kept, Peer, Served, peer, received, subscribe, until
 
 S = ua.StatusCodes
 DOUBLE = ua.VariantType.Double

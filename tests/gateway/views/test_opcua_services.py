@@ -17,8 +17,8 @@ from gateway.views.opcua.capabilities import FACETS, TRANSPORT
 from gateway.views.opcua.items import is_news
 from gateway.views.opcua.server import OpcuaSettings
 from protocol.bus import board51_pb2 as pb
-from tests.gateway.views.bus_peers import played_gateway, ticking
-from tests.gateway.views.opcua_peers import Kept, Peer, Served, monitor, peer, received, until
+from tests.harness.gateway.bus_peers import played_gateway, ticking
+from tests.harness.gateway.opcua_peers import Kept, Peer, Served, monitor, peer, received, until
 
 S = ua.StatusCodes
 T = ua.TimestampsToReturn

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 import board51
 from gateway.emulator.plant.rig import CE152
 from protocol.errors import DataError, UsageError
-from tests.twin.identify.emulated_campaign import run_campaign
+from tests.harness.twin.emulated_campaign import run_campaign
 from twin import Campaign, Model, design, diagnose, identify, predict, validate
 from twin.estimation.record import Record
 

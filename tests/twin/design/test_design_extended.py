@@ -13,8 +13,8 @@ import board51
 from gateway.emulator.firmware.flash import POSITION, gains_in_counts
 from gateway.emulator.plant.rig import CE152
 from protocol.wire.messages import Law, Mode, Shape
-from tests.twin.identify.emulated_campaign import Lab
-from tests.twin.model.true_model import true_model
+from tests.harness.twin.emulated_campaign import Lab
+from tests.harness.twin.true_model import true_model
 from twin.control import discrete, equilibrium, linearise
 from twin.design.design import Design, design
 from twin.model.linear import linearise as numerically

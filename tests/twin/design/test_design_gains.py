@@ -11,7 +11,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import UsageError
-from tests.twin.one_tick import tick
+from tests.harness.twin.one_tick import tick
 from twin.control import law, law_numbers, linearise
 from twin.design.board import Converters, to_mantissa
 from twin.design.design import Design, design

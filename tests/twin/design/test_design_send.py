@@ -14,7 +14,7 @@ import board51
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.endpoint import zenoh_config
-from tests.twin.rig import Rig
+from tests.harness.twin.rig import Rig
 
 
 def free_endpoint() -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.twin.diagnose.agreement import disagreements
+from tests.harness.diagnose.agreement import disagreements
 from twin.diagnose import result
 from twin.diagnose.equilibria import to_json as static_json
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.campaign import Campaign, load
-from tests.twin.diagnose.hidden_campaign import make_campaign
-from tests.twin.diagnose.known_diagnosis import QUIET
+from tests.harness.diagnose.hidden_campaign import make_campaign
+from tests.harness.diagnose.known_diagnosis import QUIET
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import STOPS, derivative_step, moved

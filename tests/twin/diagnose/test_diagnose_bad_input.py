@@ -15,8 +15,8 @@ import pytest
 
 import board51
 from protocol.campaign import load
-from tests.twin.diagnose.hidden_campaign import make_campaign
-from tests.twin.identify.independent_plant import Ball, wandering
+from tests.harness.diagnose.hidden_campaign import make_campaign
+from tests.harness.twin.independent_plant import Ball, wandering
 from twin.diagnose.checks.change_point import apart, in_time
 from twin.diagnose.checks.consistency import beginnings, contradictions
 from twin.diagnose.evidence.gather import gather

@@ -16,8 +16,8 @@ import pytest
 
 import board51
 from protocol.campaign import load
-from tests.twin.diagnose.agreement import disagreements
-from tests.twin.diagnose.hidden_campaign import PlantName, make_campaign
+from tests.harness.diagnose.agreement import disagreements
+from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
 from twin.diagnose.pipeline import diagnose
 from twin.diagnose.result import Diagnosis, to_json
 from twin.model.parameters import Model, load_model, model_to_dict

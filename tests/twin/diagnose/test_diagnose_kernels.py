@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tests.twin.identify.independent_plant import Ball, wandering
+from tests.harness.twin.independent_plant import Ball, wandering
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.fisher_scoring import climb
 from twin.diagnose.inference.likelihood import Criterion

@@ -10,9 +10,9 @@ import pytest
 from scipy.stats import binom
 
 from tests.bench.diagnosis import play
-from tests.twin.diagnose.draws import GRADES, Part, draw_hidden
-from tests.twin.diagnose.scoring import Outcome
-from tests.twin.diagnose.trial import ROOT, program_digest
+from tests.harness.diagnose.draws import GRADES, Part, draw_hidden
+from tests.harness.diagnose.scoring import Outcome
+from tests.harness.diagnose.trial import ROOT, program_digest
 
 CAUSES = 26
 RATE = 0.9  # required: 95 % of strong causes and of nothing, 90 % of the unknown, 85 % of medium ones

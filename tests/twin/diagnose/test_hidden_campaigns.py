@@ -12,7 +12,7 @@ import pytest
 
 from gateway.emulator.plant.effects import EFFECTS
 from protocol.campaign import load
-from tests.twin.diagnose.draws import (
+from tests.harness.diagnose.draws import (
     DELAYING,
     GRADES,
     INVISIBLE,
@@ -22,7 +22,7 @@ from tests.twin.diagnose.draws import (
     in_the_data,
     record_hidden,
 )
-from tests.twin.diagnose.hidden_campaign import Grounded, PlantName, draw_rig, make_campaign
+from tests.harness.diagnose.hidden_campaign import Grounded, PlantName, draw_rig, make_campaign
 from twin.identify.pipeline import identify
 from twin.readers.campaign import read_campaign
 

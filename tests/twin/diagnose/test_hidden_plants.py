@@ -10,7 +10,7 @@ import pytest
 
 from gateway.emulator.plant.effects import EFFECTS
 from gateway.emulator.plant.rig import CE152
-from tests.twin.diagnose.hidden_campaign import (
+from tests.harness.diagnose.hidden_campaign import (
     MIDDLE_M,
     Bench,
     EmulatedBench,
@@ -21,8 +21,8 @@ from tests.twin.diagnose.hidden_campaign import (
     draw_rig,
     play,
 )
-from tests.twin.diagnose.outside import OUTSIDE
-from tests.twin.diagnose.second_plant import NAMES, SecondBench
+from tests.harness.diagnose.outside import OUTSIDE
+from tests.harness.diagnose.second_plant import NAMES, SecondBench
 
 RIG = replace(CE152, position_noise_m=1e-12, current_noise_a=1e-12)
 STEP, HIGH, LOOP_X, LOOP_I = "step", "step at the top stop", "x in closed loop", "i_c in closed loop"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.twin.diagnose.simulated_rig import ITEMS, criterion_of, made, narrow, strong
+from tests.harness.diagnose.simulated_rig import ITEMS, criterion_of, made, narrow, strong
 from twin.diagnose.inference.adequacy import adequate, where_left
 from twin.diagnose.inference.fisher_scoring import climb
 from twin.diagnose.inference.likelihood import STOP_STD_M, Criterion

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.twin.diagnose.hidden_campaign import make_campaign
-from tests.twin.diagnose.trial import ROOT, clean_environment
+from tests.harness.diagnose.hidden_campaign import make_campaign
+from tests.harness.diagnose.trial import ROOT, clean_environment
 
 # Its own code.  Not here: the emulator, the tests, everything else of the repository.
 OWN = (ROOT / "board51.py", ROOT / "protocol", ROOT / "twin", ROOT / "__pycache__")
@@ -90,7 +90,7 @@ def test_identify_reads_nothing_but_the_campaign_folder(tmp_path: Path) -> None:
         "open(c + '/../truth.json').read()",
         "import os; os.listdir(c + '/..')",
         "import gateway.emulator.plant.effects",
-        "import tests.twin.diagnose.draws",
+        "import tests.harness.diagnose.draws",
         "import subprocess; subprocess.run(['cat', c + '/../truth.json'])",
         "import subprocess, sys; subprocess.run([sys.executable, '-c', 'open(\"' + c + '/../truth.json\")'])",
     ],

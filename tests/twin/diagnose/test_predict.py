@@ -18,8 +18,8 @@ from gateway.emulator.plant.rig import CE152
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
 from protocol.wire.messages import Shape
-from tests.twin.identify.emulated_campaign import TICK_S, Lab
-from tests.twin.model.true_model import true_model
+from tests.harness.twin.emulated_campaign import TICK_S, Lab
+from tests.harness.twin.true_model import true_model
 from twin.estimation.record import Record
 from twin.identify.fit import Point
 from twin.identify.horizon import horizons

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from protocol.campaign import Campaign, load
-from tests.twin.diagnose.hidden_campaign import make_campaign
+from tests.harness.diagnose.hidden_campaign import make_campaign
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.evidence.sensor_noise import sensor_noise
 from twin.diagnose.inference.fisher_scoring import climb

@@ -13,8 +13,8 @@ import pytest
 from protocol.errors import DataError, UsageError
 from tests.bench.diagnosis import play
 from tests.bench.diagnosis import run as run_bench
-from tests.twin.diagnose.scoring import Answer, Judgement, Named, Outcome, judge, read_answer, removed_share
-from tests.twin.diagnose.tally import Rate, confusion, page, rates, reliability, removed_median, wilson
+from tests.harness.diagnose.scoring import Answer, Judgement, Named, Outcome, judge, read_answer, removed_share
+from tests.harness.diagnose.tally import Rate, confusion, page, rates, reliability, removed_median, wilson
 
 # The example of design.md.
 DIAGNOSIS: dict[str, Any] = {

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gateway.emulator.plant.effects import EFFECTS
-from tests.twin.diagnose.known_diagnosis import campaign, fit_of
-from tests.twin.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, strong
+from tests.harness.diagnose.known_diagnosis import campaign, fit_of
+from tests.harness.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, strong
 from twin.diagnose.evidence.gather import Evidence, gather
 from twin.diagnose.experiments.closed_loop import Converters
 from twin.diagnose.experiments.virtual_recordings import Schedule, simulate

@@ -13,7 +13,7 @@ from gateway.emulator.plant.rig import CE152
 from protocol.campaign import Campaign, parse
 from protocol.errors import DataError
 from protocol.wire.messages import Shape
-from tests.twin.identify.emulated_campaign import Lab, campaign_of, random_rig, run_campaign
+from tests.harness.twin.emulated_campaign import Lab, campaign_of, random_rig, run_campaign
 from twin.estimation.record import Record
 from twin.identify.pipeline import identify_records
 

@@ -13,7 +13,7 @@ from scipy.io import savemat
 import board51
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
-from tests.twin.identify.independent_plant import Ball, wandering
+from tests.harness.twin.independent_plant import Ball, wandering
 from twin.estimation.record import Record
 from twin.model.parameters import load_model
 from twin.readers.log import TwinLog

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.twin.identify.emulated_campaign import TRUTHS, campaign_of, random_rig, run_campaign, truth
+from tests.harness.twin.emulated_campaign import TRUTHS, campaign_of, random_rig, run_campaign, truth
 from twin.identify.pipeline import identify_records
 
 CAMPAIGNS = 60

@@ -9,8 +9,8 @@ import pytest
 
 from gateway.emulator.firmware.flash import INPUT
 from protocol.wire.messages import Mode, Shape
-from tests.twin.identify.emulated_campaign import TRUTHS, Lab, campaign_of, random_rig, run_campaign, truth
-from tests.twin.identify.independent_plant import Ball, wandering
+from tests.harness.twin.emulated_campaign import TRUTHS, Lab, campaign_of, random_rig, run_campaign, truth
+from tests.harness.twin.independent_plant import Ball, wandering
 from twin.estimation.prepare import BLOCK_SAMPLES, prepare
 from twin.estimation.record import Record
 from twin.identify.pipeline import identify_records

@@ -12,8 +12,8 @@ from gateway.emulator.firmware.flash import INPUT, POSITION
 from gateway.emulator.plant.rig import CE152
 from protocol.campaign import parse
 from protocol.wire.messages import Mode, Shape
-from tests.twin.identify.emulated_campaign import Lab
-from tests.twin.identify.independent_plant import Ball, wandering
+from tests.harness.twin.emulated_campaign import Lab
+from tests.harness.twin.independent_plant import Ball, wandering
 from twin.estimation.record import Record
 from twin.identify.horizon import horizons
 from twin.identify.pipeline import identify_records

@@ -12,8 +12,8 @@ from gateway.emulator.plant.effects import EFFECTS
 from gateway.emulator.plant.rig import CE152
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import Shape
-from tests.twin.identify.emulated_campaign import TICK_S, Lab
-from tests.twin.model.true_model import true_model
+from tests.harness.twin.emulated_campaign import TICK_S, Lab
+from tests.harness.twin.true_model import true_model
 from twin.mirror.mirror import Mirror
 from twin.mirror.output import Output
 from twin.model.parameters import Model

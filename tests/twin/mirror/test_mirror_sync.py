@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from protocol.bus import board51_pb2 as pb
-from tests.twin.rig import Rig
+from tests.harness.twin.rig import Rig
 from twin.mirror.mirror import IN_STEP, OUT_OF_STEP, SETTLING, Mirror
 from twin.mirror.output import Output
 from twin.model.nominal import nominal

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import DataError
-from tests.twin.model.true_model import cause, true_model
+from tests.harness.twin.true_model import cause, true_model
 from twin.model.causes.catalogue import CATALOGUE, neutral
 from twin.model.extension import sentences, vector
 from twin.model.parameters import load_model, model_from_dict, model_to_dict

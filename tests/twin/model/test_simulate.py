@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tests.twin.one_tick import numbers, tick
+from tests.harness.twin.one_tick import numbers, tick
 from twin.model.nominal import nominal
 from twin.model.parameters import Model
 from twin.model.simulate import PlantNumbers, plant_numbers

@@ -14,7 +14,7 @@ import pytest
 import board51
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
-from tests.twin.identify.independent_plant import Ball
+from tests.harness.twin.independent_plant import Ball
 from tests.twin.validate.test_validate_verdicts import BALL, captured, controller_of, model_of, steps
 from twin.estimation.record import Record
 from twin.model.parameters import model_to_dict

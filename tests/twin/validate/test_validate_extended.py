@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 import board51
-from tests.twin.diagnose.hidden_campaign import draw_rig, make_campaign
-from tests.twin.model.true_model import true_model
+from tests.harness.diagnose.hidden_campaign import draw_rig, make_campaign
+from tests.harness.twin.true_model import true_model
 from twin.model.parameters import model_to_dict
 
 SEED = 3

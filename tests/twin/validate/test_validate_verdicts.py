@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from protocol.campaign import Controller, OperatingPoint, Plant
-from tests.twin.identify.independent_plant import Ball
+from tests.harness.twin.independent_plant import Ball
 from twin.estimation.record import Capture, Record
 from twin.estimation.step_figures import FIGURES, find_steps, measure
 from twin.model.parameters import PARAMETERS, Model, Noise, Parameter

@@ -8,9 +8,18 @@ import numpy as np
 import pytest
 
 from gateway.emulator.plant.rig import CE152
-from tests.twin.diagnose.simulated_rig import MIDDLE_M, PLANT, THETA, TICK_S, controller, criterion_of, fitted, strong
-from tests.twin.identify.emulated_campaign import Lab
-from tests.twin.model.true_model import true_model
+from tests.harness.diagnose.simulated_rig import (
+    MIDDLE_M,
+    PLANT,
+    THETA,
+    TICK_S,
+    controller,
+    criterion_of,
+    fitted,
+    strong,
+)
+from tests.harness.twin.emulated_campaign import Lab
+from tests.harness.twin.true_model import true_model
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.evidence.lost_rows import bridged
 from twin.diagnose.experiments.virtual_recordings import Schedule, simulate

@@ -11,7 +11,7 @@ from gateway.emulator.firmware.flash import POSITION
 from gateway.emulator.plant.rig import CE152, PlantConstants
 from protocol.campaign import Controller, OperatingPoint, Plant
 from protocol.wire.messages import Shape
-from tests.twin.diagnose.simulated_rig import (
+from tests.harness.diagnose.simulated_rig import (
     ITEMS,
     MIDDLE_M,
     PLANT,
@@ -24,7 +24,7 @@ from tests.twin.diagnose.simulated_rig import (
     narrow,
     strong,
 )
-from tests.twin.identify.emulated_campaign import Lab
+from tests.harness.twin.emulated_campaign import Lab
 from twin.diagnose.experiments import design as experiments
 from twin.diagnose.experiments.design import ENOUGH_Z, Proposal, propose
 from twin.diagnose.experiments.external_measurements import measurement_for

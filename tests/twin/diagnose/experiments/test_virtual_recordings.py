@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from protocol.wire.messages import Shape
-from tests.twin.diagnose.simulated_rig import (
+from tests.harness.diagnose.simulated_rig import (
     ITEMS,
     MIDDLE_M,
     PLANT,
@@ -19,7 +19,7 @@ from tests.twin.diagnose.simulated_rig import (
     narrow,
     strong,
 )
-from tests.twin.identify.emulated_campaign import Lab
+from tests.harness.twin.emulated_campaign import Lab
 from twin.diagnose.evidence.sensor_noise import sensor_noise
 from twin.diagnose.experiments.closed_loop import Converters, converters_of
 from twin.diagnose.experiments.equilibrium import (

@@ -13,9 +13,9 @@ import pytest
 
 from board51 import main
 from protocol.campaign import load
-from tests.twin.diagnose.foreign import hall_campaign
-from tests.twin.diagnose.known_diagnosis import QUIET, steps
-from tests.twin.diagnose.simulated_rig import PLANT, THETA, TICK_S, narrow, strong
+from tests.harness.diagnose.foreign import hall_campaign
+from tests.harness.diagnose.known_diagnosis import QUIET, steps
+from tests.harness.diagnose.simulated_rig import PLANT, THETA, TICK_S, narrow, strong
 from tests.twin.diagnose.test_diagnose_campaign import comparable
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.evidence.shorten import ALL_SAMPLES, FLIGHT_SAMPLES, shortened

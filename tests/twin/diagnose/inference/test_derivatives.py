@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.harness.diagnose.simulated_rig import PLANT, THETA, TICK_S, criterion_of, fitted, narrow, strong
 from tests.twin.diagnose.evidence.test_lost_rows import drawn, less
-from tests.twin.diagnose.simulated_rig import PLANT, THETA, TICK_S, criterion_of, fitted, narrow, strong
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.fisher_scoring import LOUD
 from twin.diagnose.inference.likelihood import Criterion

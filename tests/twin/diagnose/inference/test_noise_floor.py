@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from tests.twin.diagnose.known_diagnosis import QUIET, steps
-from tests.twin.diagnose.simulated_rig import PLANT, TICK_S, strong
+from tests.harness.diagnose.known_diagnosis import QUIET, steps
+from tests.harness.diagnose.simulated_rig import PLANT, TICK_S, strong
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from tests.twin.diagnose.simulated_rig import PLANT, THETA, TICK_S, narrow
+from tests.harness.diagnose.simulated_rig import PLANT, THETA, TICK_S, narrow
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.likelihood import Criterion
 

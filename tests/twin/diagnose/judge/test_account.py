@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.twin.diagnose.agreement import disagreements
-from tests.twin.diagnose.known_diagnosis import QUIET, diagnosis, fit_of
-from tests.twin.diagnose.simulated_rig import controller
+from tests.harness.diagnose.agreement import disagreements
+from tests.harness.diagnose.known_diagnosis import QUIET, diagnosis, fit_of
+from tests.harness.diagnose.simulated_rig import controller
 from twin.diagnose.checks.confidence import MOST
 from twin.diagnose.judge.account import account_of, verdict_of
 from twin.diagnose.judge.prediction_gain import FEWEST_BLOCKS, Gain, bootstrap

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from protocol.campaign import load
-from tests.twin.diagnose.hidden_campaign import make_campaign
-from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from tests.harness.diagnose.hidden_campaign import make_campaign
+from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.pipeline import diagnose
 from twin.diagnose.report.other_causes import trifles_of

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.twin.diagnose.known_diagnosis import diagnosis
-from tests.twin.diagnose.simulated_rig import controller
+from tests.harness.diagnose.known_diagnosis import diagnosis
+from tests.harness.diagnose.simulated_rig import controller
 from twin.diagnose.report.figures import short_label
 from twin.diagnose.report.page import to_html
 from twin.diagnose.report.sentences import finding_sentence, measured, quantity, summary_sentence

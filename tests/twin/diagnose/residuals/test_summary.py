@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tests.twin.diagnose.known_diagnosis import QUIET, diagnosis, steps
-from tests.twin.diagnose.simulated_rig import PLANT, TICK_S, controller, strong
+from tests.harness.diagnose.known_diagnosis import QUIET, diagnosis, steps
+from tests.harness.diagnose.simulated_rig import PLANT, TICK_S, controller, strong
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.residuals.force import filtered, parabola

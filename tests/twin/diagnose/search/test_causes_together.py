@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from protocol.campaign import load
-from tests.twin.diagnose.hidden_campaign import make_campaign
-from tests.twin.diagnose.known_diagnosis import fit_of
-from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from tests.harness.diagnose.hidden_campaign import make_campaign
+from tests.harness.diagnose.known_diagnosis import fit_of
+from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.fisher_scoring import climb
 from twin.diagnose.inference.initial_guess import no_better, start_theta

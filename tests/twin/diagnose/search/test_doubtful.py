@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
 from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.noise_floor import floor_of
 from twin.diagnose.inference.theta import BASE, STOPS, coordinates_of, roused

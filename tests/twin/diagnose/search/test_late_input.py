@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
 from twin.diagnose.evidence.dead_time import dead_time
 from twin.diagnose.inference.noise_floor import floor_of
 from twin.diagnose.search.candidate_fits import fitted as tried

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.twin.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
 from twin.diagnose.inference.fisher_scoring import PASSES
 from twin.diagnose.inference.noise_floor import floor_of
 from twin.diagnose.search import stepwise as select

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.twin.diagnose.known_diagnosis import QUIET, steps
-from tests.twin.diagnose.simulated_rig import PLANT, TICK_S, strong
+from tests.harness.diagnose.known_diagnosis import QUIET, steps
+from tests.harness.diagnose.simulated_rig import PLANT, TICK_S, strong
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.fisher_scoring import PASSES, climb
 from twin.diagnose.inference.likelihood import Criterion

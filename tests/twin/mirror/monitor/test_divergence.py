@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binom, chi2
 
 from protocol.bus import board51_pb2 as pb
-from tests.twin.rig import T_S, G, M, Rig
+from tests.harness.twin.rig import T_S, G, M, Rig
 from twin.control import law_numbers
 from twin.mirror.mirror import IN_STEP, Mirror
 from twin.mirror.monitor.alarms import PLACES, TURNED_OFF, TURNED_ON, UNCHANGED, decide, message, white_threshold

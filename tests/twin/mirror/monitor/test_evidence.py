@@ -9,10 +9,10 @@ import pytest
 
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
+from tests.harness.twin.rig import T_S, Rig
+from tests.harness.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait_for_count
 from tests.twin.mirror.bus.test_handover import alarms as alarms_on_bus
 from tests.twin.mirror.bus.test_handover import divergences, offset_rig
-from tests.twin.rig import T_S, Rig
-from tests.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait_for_count
 from twin.mirror.bus.request import NAME
 from twin.mirror.bus.service import TwinService
 from twin.mirror.mirror import IN_STEP, OUT_OF_STEP, Mirror

@@ -10,7 +10,7 @@ import pytest
 
 import board51
 from protocol.bus import board51_pb2 as pb
-from tests.twin.rig import Rig
+from tests.harness.twin.rig import Rig
 from twin.mirror.bus.handover import believe
 from twin.model.nominal import nominal
 from twin.readers.log import TwinLog

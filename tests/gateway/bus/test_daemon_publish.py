@@ -1,0 +1,92 @@
+"""The publisher's queue: never blocks, drops the oldest, counts, keeps order."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from gateway.bus.publisher import Publisher, PublishQueue
+from gateway.bus.status import percentile
+from tests.harness.gateway.gateway_peers import wait_for
+from tests.patience import HANG_S
+
+
+class Gated:
+    """Takes payloads once the gate is open."""
+
+    def __init__(self) -> None:
+        self.gate = threading.Event()
+        self.entered = threading.Event()
+        self.taken: list[bytes] = []
+
+    def put(self, payload: bytes, /) -> None:
+        self.entered.set()
+        self.gate.wait(HANG_S)
+        self.taken.append(payload)
+
+
+def payloads(start: int, end: int) -> list[bytes]:
+    return [str(n).encode() for n in range(start, end)]
+
+
+def test_a_stalled_bus_costs_the_oldest_and_the_caller_nothing() -> None:
+    target, publisher = Gated(), Publisher("test", capacity=100)
+    channel = PublishQueue(target)
+    publisher.start()
+    publisher.put(channel, payloads(0, 1))
+    assert target.entered.wait(HANG_S)
+
+    for n in range(0, 10_000, 10):
+        publisher.put(channel, payloads(n, n + 10))
+    waiting, dropped, meanwhile = channel.waiting, channel.dropped, list(target.taken)
+    target.gate.set()
+    wait_for(lambda: len(target.taken) == 101, "rest of the queue")
+
+    assert meanwhile == []  # 1000 calls came back from a bus that took nothing
+    assert (waiting, dropped) == (100, 9900)
+    assert target.taken == [*payloads(0, 1), *payloads(9900, 10_000)]
+    publisher.stop()
+
+
+def test_latency_is_from_the_read_to_the_last_put_of_that_read() -> None:
+    target, publisher = Gated(), Publisher("test", capacity=100)
+    channel = PublishQueue(target)
+    publisher.start()
+    publisher.put(channel, payloads(0, 3), time.monotonic_ns() - 50_000_000)
+    target.gate.set()
+
+    latencies_s = wait_for(channel.take_latencies_s, "latency")
+
+    assert len(latencies_s) == 1
+    assert latencies_s[0] >= 0.05
+    assert channel.take_latencies_s() == []
+    publisher.stop()
+
+
+def test_what_waits_is_put_before_the_end() -> None:
+    target, publisher = Gated(), Publisher("test", capacity=1000)
+    target.gate.set()
+    publisher.put(PublishQueue(target), payloads(0, 500))
+
+    publisher.start()
+    publisher.stop(patience_s=10.0)
+
+    assert target.taken == payloads(0, 500)
+
+
+def test_a_stalled_bus_does_not_hold_up_the_end() -> None:
+    target, publisher = Gated(), Publisher("test", capacity=1000)
+    publisher.start()
+    publisher.put(PublishQueue(target), payloads(0, 5))
+
+    assert target.entered.wait(HANG_S)
+    publisher.stop(patience_s=0.2)
+
+    assert target.taken == []  # it is still stalled
+    target.gate.set()
+
+
+def test_percentiles_are_of_the_nearest_rank() -> None:
+    values = [float(n) for n in range(100)]
+
+    assert (percentile(values, 0.5), percentile(values, 0.99), percentile([], 0.5)) == (50.0, 99.0, 0.0)

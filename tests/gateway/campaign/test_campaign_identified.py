@@ -1,0 +1,52 @@
+"""What the campaign is for: its folder gives back the emulated rig, and says nothing against its own recordings."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import board51
+from gateway.emulator.plant.rig import CE152
+from tests.harness.gateway.campaign_line import emulated_line
+
+TRUTH = {
+    "K_A": CE152.amplifier_gain_a_v,
+    "T_A": CE152.amplifier_time_constant_s,
+    "K_c": CE152.force_constant_n_m2_a2,
+    "b": CE152.drag_n_s_m,
+}
+
+
+@pytest.mark.slow
+def test_a_quick_campaign_gives_the_rig_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, model = tmp_path / "c", tmp_path / "model.json"
+    with emulated_line(tmp_path) as line:
+        assert line.run(folder, "--quick") == 0
+    capsys.readouterr()
+
+    assert board51.main(["identify", str(folder), "--out", str(model)]) == 0
+
+    said = capsys.readouterr()
+    assert not [text for text in said.out.splitlines() + said.err.splitlines() if text.startswith("!")]
+    parameters = json.loads(model.read_text())["parameters"]
+    for name, true in TRUTH.items():
+        found = parameters[name]
+        assert found["verdict"] == "identified", name
+        # 4 standard errors: one good campaign in 4000 would fail for one of the four parameters.
+        assert abs(found["value"] - true) < 4 * found["std"], (name, found)
+
+
+@pytest.mark.slow
+def test_the_default_campaign_is_judged_and_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, model = tmp_path / "c", tmp_path / "model.json"
+    with emulated_line(tmp_path) as line:
+        assert line.run(folder) == 0
+    assert board51.main(["identify", str(folder), "--out", str(model)]) == 0
+    capsys.readouterr()
+
+    code = board51.main(["validate", str(folder), "--model", str(model), "--out", str(tmp_path / "v")])
+
+    assert code == 0
+    assert "The model explains these recordings" in capsys.readouterr().out

@@ -1,0 +1,134 @@
+"""Rule 3 under a line that repeats, delays and damages: what a host asked for once happens at most once."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+
+from gateway.emulator.firmware.board import Firmware
+from gateway.emulator.firmware.flash import LIMITS
+from protocol.wire.decoder import State, StreamDecoder
+from protocol.wire.messages import Message, Reason
+from tests.harness.gateway.board_host import Bench, Host, frame
+
+# A capture is a command that shows how often it was executed: each one gives one CAPTURE_DONE.
+CAPTURE = {"u_from": 0, "u_to": 1, "pre": 0, "count": 1}
+
+
+class RetryingHost(RuleBasedStateMachine):
+    """A host with one command outstanding, on a line that loses and doubles frames."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.host = Host()
+        self.id = 1
+        self.wanted = 0  # distinct commands that reached the board at least once
+        self.outstanding: bytes | None = None
+        self.reached = False
+
+    @rule()
+    def begin(self) -> None:
+        """A new command, once the last one is answered or given up."""
+        self.id = self.id % 255 + 1
+        self.outstanding = frame("CAPTURE", id=self.id, **CAPTURE)
+        self.reached = False
+        self.host.run(15)  # so that a capture in progress never is the reason for a refusal
+
+    @rule(times=st.integers(1, 4), gap=st.integers(0, 3))
+    def deliver(self, times: int, gap: int) -> None:
+        """The frame arrives, perhaps several times."""
+        if self.outstanding is None:
+            return
+        for _ in range(times):
+            self.host.firmware.feed(self.outstanding)
+            self.host.run(gap, alive=False)
+        self.wanted += not self.reached
+        self.reached = True
+
+    @rule(at=st.integers(0, 14), bit=st.integers(0, 7))
+    def deliver_damaged(self, at: int, bit: int) -> None:
+        """The frame arrives with one bit flipped: never executed.
+
+        A damaged delimiter at its end may leave the CRC right and the length wrong; that NACK must not be kept, or the
+        repetition of the command would get it too.
+        """
+        if self.outstanding is None:
+            return
+        damaged = bytearray(self.outstanding)
+        damaged[at] ^= 1 << bit
+        self.host.firmware.feed(bytes(damaged) + b"\x00")
+
+    @rule()
+    def say_hello_again(self) -> None:
+        """The same session: ids stay."""
+        self.host.firmware.feed(frame("HELLO", id=self.host.next_id(), session=1, version_min=1, version_max=1))
+
+    @invariant()
+    def executed_once(self) -> None:
+        """As many captures as distinct commands, and the same answer to the same command."""
+        self.host.run(15, alive=False)
+        done = sum(event.int("code") == 10 for event in self.host.events)
+        assert done == self.wanted
+        answers = [a for a in self.host.answers if a.name != "IDENTITY" and a.int("id") == self.id]
+        answers = [a for a in answers if not (a.name == "NACK" and a.int("reason") == Reason.BAD_LENGTH)]
+        assert len({(a.name, *a.values.values()) for a in answers}) <= 1
+
+
+RetryingHost.TestCase.settings = settings(max_examples=40, stateful_step_count=25, deadline=None)
+TestRetryingHost = RetryingHost.TestCase
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    jumps=st.lists(st.integers(-300, 300), min_size=1, max_size=12),
+    repeats=st.lists(st.integers(1, 3), min_size=12, max_size=12),
+)
+def test_repeated_references_use_up_the_allowance_once(jumps: list[int], repeats: list[int]) -> None:
+    once, often = Host(), Host()
+
+    x_ref = 2034
+    for jump, times in zip(jumps, repeats, strict=False):
+        x_ref = min(max(x_ref + jump, LIMITS.x_ref_min), LIMITS.x_ref_max)
+        once.firmware.feed(frame("SET_REFERENCE", id=once.next_id(), x_ref=x_ref))
+        repeated = frame("SET_REFERENCE", id=often.next_id(), x_ref=x_ref)
+        for _ in range(times):
+            often.firmware.feed(repeated)
+        once.run(1, alive=False)
+        often.run(1, alive=False)
+
+    assert once.firmware.loop.reference.allowance == often.firmware.loop.reference.allowance
+    assert once.states == often.states
+
+
+@settings(max_examples=200, deadline=None)
+@given(data=st.lists(st.binary(max_size=80), max_size=8), at=st.integers(0, 2000))
+def test_no_bytes_make_the_firmware_fail_or_drive_the_coil(data: list[bytes], at: int) -> None:
+    firmware = Firmware(Bench())
+
+    for piece in data:
+        firmware.feed(piece, into_tick_us=at)
+        firmware.tick()
+
+    received = StreamDecoder().feed(firmware.take_output())
+    assert all(event.u_c == 0 for event in received if isinstance(event, State))
+    assert all(isinstance(event, State | Message) for event in received)
+
+
+@settings(max_examples=50, deadline=None)
+@given(cuts=st.lists(st.integers(0, 40), max_size=6))
+def test_chunks_of_a_command_do_not_matter(cuts: list[int]) -> None:
+    data = frame("SET_MODE", id=9, mode=1) + frame("SET_STREAM", id=10, divider=2)
+    edges = [0, *sorted(cut for cut in cuts if cut < len(data)), len(data)]
+    host, whole = Host(), Host()
+
+    for a, b in pairwise(edges):
+        host.firmware.feed(data[a:b])
+    whole.firmware.feed(data)
+    host.run(3)
+    whole.run(3)
+
+    assert host.answers == whole.answers
+    assert host.states == whole.states

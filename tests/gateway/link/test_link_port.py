@@ -1,0 +1,126 @@
+"""Ports: what opens, what does not, and why."""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from gateway.link.port import Port, PortProblem, check_url, open_port
+from protocol.errors import ConfigError
+from tests.harness.gateway.gateway_peers import free_port
+from tests.patience import HANG_S
+
+
+@pytest.fixture
+def pty() -> Iterator[tuple[int, str]]:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    yield master, os.ttyname(slave)
+    os.close(slave)
+    os.close(master)
+
+
+def problem(url: str) -> PortProblem:
+    opened = open_port(url, 115200)
+    assert isinstance(opened, PortProblem)
+    return opened
+
+
+def test_bytes_pass_both_ways_without_blocking(pty: tuple[int, str]) -> None:
+    master, name = pty
+    port = open_port(name, 115200)
+    assert isinstance(port, Port)
+
+    assert not port.read()
+    os.write(master, b"\x00\x11\x13\x0a\x00")
+    select.select([port.fd], [], [], 5.0)
+
+    assert port.read() == b"\x00\x11\x13\x0a\x00"
+    assert port.write(b"\x00\x0a\x04") == 3
+    assert os.read(master, 10) == b"\x00\x0a\x04"
+    port.close()
+
+
+def test_a_second_gateway_on_a_tty_is_told_so(pty: tuple[int, str]) -> None:
+    first = open_port(pty[1], 115200)
+    assert isinstance(first, Port)
+
+    second = problem(pty[1])
+    first.close()
+
+    assert second.kind == "port-busy"
+    assert "second gateway" in second.text
+    third = open_port(pty[1], 115200)
+    assert isinstance(third, Port)
+    third.close()
+
+
+def test_what_is_not_there_is_absent(tmp_path: Path) -> None:
+    assert problem(str(tmp_path / "ttyUSB0")).kind == "port-absent"
+    assert problem(str(tmp_path / "ttyUSB*")).kind == "port-absent"
+    assert problem(f"socket://127.0.0.1:{free_port()}").kind == "port-absent"
+
+
+def test_a_file_is_not_a_serial_device(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("hello")
+
+    assert problem(str(tmp_path / "notes.txt")).kind == "port-failed"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may open everything")
+def test_a_port_without_permission_says_which_group(pty: tuple[int, str]) -> None:
+    os.chmod(pty[1], 0)
+
+    assert "dialout" in problem(pty[1]).text
+
+
+def test_a_pattern_takes_the_first_match_that_is_free(pty: tuple[int, str], tmp_path: Path) -> None:
+    (tmp_path / "usb-a-gone").symlink_to(tmp_path / "nothing")
+    (tmp_path / "usb-b").symlink_to(pty[1])
+
+    port = open_port(str(tmp_path / "usb-*"), 115200)
+
+    assert isinstance(port, Port)
+    assert port.name == str(tmp_path / "usb-b")
+    port.close()
+
+
+def test_the_end_of_a_pty_is_the_end_of_the_port() -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    port = open_port(os.ttyname(slave), 115200)
+    assert isinstance(port, Port)
+    os.close(slave)
+
+    os.close(master)
+
+    select.select([port.fd], [], [], 5.0)
+    assert port.read() == b""
+    assert port.write(b"x") is None
+    port.close()
+
+
+def test_a_handler_without_a_descriptor_is_pumped() -> None:
+    port = open_port("loop://", 115200)
+    assert isinstance(port, Port)
+
+    assert port.write(b"around") == 6
+    received, deadline_s = b"", time.monotonic() + HANG_S
+    while received != b"around" and time.monotonic() < deadline_s:
+        select.select([port.fd], [], [], 1.0)
+        received += port.read() or b""
+
+    assert received == b"around"
+    port.close()
+
+
+@pytest.mark.parametrize("url", ["nonsense://x", "socket://host", "socket://host:port", "socket://:80"])
+def test_a_url_that_can_never_open_is_a_configuration_error(url: str) -> None:
+    with pytest.raises(ConfigError, match="port"):
+        check_url(url)

@@ -1,0 +1,228 @@
+"""A log back onto the bus, and the bus into a log: every message, byte for byte, in order and in time."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import zenoh
+
+import board51
+from gateway.record.replay import SESSIONS_PER_PASS, pace
+from gateway.record.writer import LogWriter
+from protocol.bus import board51_pb2 as pb
+from protocol.bus.endpoint import zenoh_config
+from protocol.log.reader import LogReader, RawLogRecord
+from tests.patience import HANG_S
+
+REPO = Path(__file__).parents[3]
+START_NS = 1_700_000_000_000_000_000
+Arrived = tuple[str, str, bytes]  # key, encoding, payload
+
+
+def until(condition: Callable[[], bool], *, seconds: float = HANG_S) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.005)
+
+
+@pytest.fixture
+def endpoint() -> str:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return f"tcp/127.0.0.1:{server.getsockname()[1]}"
+
+
+@contextmanager
+def subscriber(endpoint: str) -> Iterator[list[Arrived]]:
+    """The router, with everything that arrives."""
+    found: list[Arrived] = []
+
+    def arrived(sample: zenoh.Sample) -> None:
+        found.append((str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes()))
+
+    with zenoh.open(zenoh.Config.from_json5(zenoh_config("router", listen=[endpoint]))) as session:
+        session.declare_subscriber("board51/**", arrived)
+        yield found
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """1000 ticks with everything that a gateway and a twin leave."""
+    writer = LogWriter(tmp_path / "run.mcap")
+    parameters = pb.Parameters(session=1, sample_time_s=0.002, host_time_ns=START_NS)
+    writer.write("board51/rig/parameters", parameters.SerializeToString(), START_NS)
+    for tick in range(1000):
+        now_ns = START_NS + tick * 2_000_000
+        state = pb.State(sequence=tick, tick=tick, session=1, host_time_ns=now_ns, x_m=tick * 1e-6, t_s=tick * 0.002)
+        writer.write("board51/rig/raw", pb.RawBytes(data=b"\x00", host_time_ns=now_ns).SerializeToString(), now_ns)
+        writer.write("board51/rig/state", state.SerializeToString(), now_ns)
+        writer.write("board51/rig/twin/state", pb.TwinState(tick=tick, x_m=1.0).SerializeToString(), now_ns)
+    writer.close()
+    return tmp_path / "run.mcap"
+
+
+def logged(log: Path, *topics: str) -> list[tuple[str, bytes]]:
+    return [(record.key, record.data) for record in LogReader(log).raw(topics_=topics or None)]
+
+
+def test_a_fast_replay_sends_the_log_and_nothing_else(
+    log: Path, endpoint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with subscriber(endpoint) as found:
+        assert board51.main(["replay", str(log), "--speed", "0", "--connect", endpoint, "--json"]) == 0
+        until(lambda: len(found) >= 1001)
+
+    assert [(key, payload) for key, _, payload in found] == logged(log, "parameters", "state")
+    assert {encoding for _, encoding, _ in found} == {
+        "application/protobuf;board51.v1.Parameters",
+        "application/protobuf;board51.v1.State",
+    }
+    report = json.loads(capsys.readouterr().out)
+    assert report["messages"] == 1001
+    assert report["log_seconds"] == pytest.approx(1.998)
+
+
+def test_choices_apply(log: Path, endpoint: str) -> None:
+    options = ["--speed", "0", "--start", "0.5", "--end", "0.6", "--topic", "twin/state", "--as", "ghost"]
+    with subscriber(endpoint) as found:
+        assert board51.main(["replay", str(log), "--connect", endpoint, *options]) == 0
+        until(lambda: len(found) >= 50)
+
+    assert [key for key, _, _ in found] == ["board51/ghost/twin/state"] * 50
+    assert [pb.TwinState.FromString(payload).tick for _, _, payload in found] == list(range(250, 300))
+
+
+class Clock(threading.Event):
+    """Time that passes while somebody waits, and at no other moment."""
+
+    now_s = 0.0
+
+    def wait(self, timeout: float | None = None) -> bool:
+        assert timeout is not None
+        self.now_s += timeout
+        return False
+
+
+@pytest.mark.parametrize("speed", [1.0, 4.0])
+def test_time_is_kept(speed: float) -> None:
+    records = [RawLogRecord("k", "s", "b", "state", b"", START_NS + n * 10_000_000) for n in range(41)]
+    sent: list[float] = []
+    clock = Clock()
+
+    count, span_s = pace(
+        records, speed=speed, stop=clock, send=lambda _: sent.append(clock.now_s), now_s=lambda: clock.now_s
+    )
+
+    assert (count, span_s) == (41, 0.4)
+    assert sent == pytest.approx([n * 0.01 / speed for n in range(41)])
+
+
+def test_a_retained_message_of_before_does_not_delay_the_rest() -> None:
+    times = [0, 5_000_000_000, 1_000_000_000, 5_001_000_000]
+    records = [RawLogRecord("k", "s", "b", "state", b"", START_NS + at) for at in times]
+    sent: list[int] = []
+
+    pace(records, speed=100.0, stop=threading.Event(), send=lambda record: sent.append(record.time_ns - START_NS))
+
+    assert sent == times  # in the order of the log
+
+
+def test_each_pass_of_a_loop_has_its_own_session(log: Path, endpoint: str) -> None:
+    with subscriber(endpoint) as found:
+        process = subprocess.Popen(
+            [sys.executable, "board51.py", "replay", str(log), "--speed", "0", "--loop", "--connect", endpoint],
+            cwd=REPO, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        until(lambda: len(found) > 2500)
+        process.send_signal(signal.SIGTERM)
+        output, _ = process.communicate(timeout=HANG_S)
+
+    assert process.returncode == 0
+    assert "messages" in output
+    states = [pb.State.FromString(payload) for key, _, payload in found if key.endswith("/state")]
+    assert {state.session for state in states[:2000]} == {1, 1 + SESSIONS_PER_PASS}
+    assert [state.tick for state in states[:2000]] == [*range(1000), *range(1000)]
+
+
+def test_a_living_board_is_not_overwritten(log: Path, endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with zenoh.open(zenoh.Config.from_json5(zenoh_config("router", listen=[endpoint]))) as session:
+        with session.liveliness().declare_token("board51/rig/alive"):
+            assert board51.main(["replay", str(log), "--connect", endpoint, "--wait", "0"]) == 1
+
+    assert "board51/rig is alive on this bus. Replay under another name (--as NAME)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--speed", "-1"], "not a speed"),
+        (["--connect", "localhost"], "not a zenoh endpoint"),
+        (["--topic", "twin/alarm"], "has nothing of twin/alarm"),
+        (["--board", "other"], "has nothing of other"),
+        (["--as", "Two Words"], "is not a name"),
+        (["--pty", "/tmp/x"], "take bytes"),
+        (["--connect", "tcp/127.0.0.1:1", "--listen", "tcp/127.0.0.1:1"], "exclude each other"),
+    ],
+)
+def test_wrong_use_is_told_in_one_line(
+    log: Path, options: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert board51.main(["replay", str(log), *options]) == 2
+
+    said = capsys.readouterr().err
+    assert says in said
+    assert said.count("\n") == 1
+
+
+def test_record_logs_what_a_replay_sends(log: Path, endpoint: str, tmp_path: Path) -> None:
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    with zenoh.open(zenoh.Config.from_json5(zenoh_config("router", listen=[endpoint]))):
+        process = subprocess.Popen(
+            [sys.executable, "board51.py", "record", "-o", str(logs), "--connect", endpoint],
+            cwd=REPO, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        assert process.stderr is not None
+        assert "recording board51/*/**" in process.stderr.readline()
+        options = ["--speed", "0", "--topic", "parameters", "--topic", "state", "--topic", "twin/state"]
+        assert board51.main(["replay", str(log), "--connect", endpoint, *options]) == 0
+        until(lambda: any(_size(file) > 3000 for file in logs.iterdir()))
+        until(_quiet(logs))
+        process.send_signal(signal.SIGTERM)
+        output, _ = process.communicate(timeout=HANG_S)
+
+    assert process.returncode == 0
+    assert "2001 messages in 1 part(s), 0 dropped" in output
+    recorded = LogReader(next(logs.iterdir()))
+    assert recorded.scans[0].indexed
+    assert [(r.key, r.data) for r in recorded.raw()] == logged(log, "parameters", "state", "twin/state")
+    times = {r.time_ns for r in recorded.raw(topics_=["state"])}
+    assert times == {START_NS + tick * 2_000_000 for tick in range(1000)}  # the gateway's time, not this host's
+
+
+def _size(file: Path) -> int:
+    return os.stat(file).st_size
+
+
+def _quiet(logs: Path) -> Callable[[], bool]:
+    """True once the log has not grown for 0.3 s."""
+    seen = [0, time.monotonic()]
+
+    def check() -> bool:
+        size = sum(_size(file) for file in logs.iterdir())
+        if size != seen[0]:
+            seen[:] = [size, time.monotonic()]
+        return time.monotonic() - seen[1] > 0.3
+
+    return check

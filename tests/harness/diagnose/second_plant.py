@@ -1,0 +1,534 @@
+"""A second rig and a second board, written from equations alone: nothing of emulator or twin.
+
+What differs from `gateway/emulator/plant/physics.py` although it is meant to be the same effect:
+
+- integration: operators split, each solved exactly (amplifier, field, sensor: exponentials) or implicitly (drag, dry
+  friction), 10 us a step; an impact reflects the overshoot instead of being searched for;
+- amplifier-gain-drift: the resistance grows, gain K_A / (1 + loss w), not K_A (1 - loss w); its time constant is the
+  rig's, 20 to 45 s;
+- core-saturation: field i_0 tanh(i/i_0) with i_0 = i_s sqrt(2/3): the same departure from i as i / sqrt(1 + (i/i_s)^2)
+  to third order, 1 % less at lift-off with i_s = 1.5 A;
+- position-sensor-nonlinearity: half a sine of height bow instead of a parabola: 5 % of bow between them at most;
+- periodic-disturbance: frequency and phase are the rig's, 5 to 11 Hz;
+- prbs and multisine come from a generator of random numbers, the law computes in floating point.
+
+Effects that the catalogue does not know are in the same equations; `outside.py` names them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, ParamSpec, TypeVar, cast
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.emulator.plant.rig import PlantConstants
+from tests.harness.diagnose.hidden_campaign import (
+    CAPTURE_COUNT,
+    CAPTURE_PRE,
+    CAPTURE_S,
+    MIDDLE_M,
+    Signal,
+    designed_gains,
+)
+
+FloatArray = NDArray[np.float64]
+P = ParamSpec("P")
+R = TypeVar("R")
+
+TICK_S = 2e-3
+STEP_S = 10e-6
+RING = 4096  # steps of memory: 41 ms, twice the longest delay
+SLOWEST_REBOUND_M_S = 1e-3
+MODE_HZ, MODE_DAMPING = 35.0, 0.05  # lateral-resonance
+RIPPLE_HZ = 100.0  # supply-ripple: twice the mains
+PATCH_M, PATCH_HALF_WIDTH_M = 2.4e-3, 0.15e-3  # friction-patch
+WIRE_FROM_M = 2.5e-3  # wire-spring: slack below
+DRIFT_TIME_S = 40.0  # sensor-warm-up
+
+# 12-bit converters like the board's: (offset, one count)
+CURRENT_ADC = (0.0, 2.0 / 4096)
+POSITION_ADC = (-54.4e-6, 5.0 / 4096 / 855.0)
+INPUT_DAC = (0.0, 5.0 / 4096)
+
+
+class Numbers(NamedTuple):
+    """Rig and effects; SI units, names of effects where they are their strength."""
+
+    m: float
+    g: float
+    travel: float
+    plane: float  # x of the pole of the force
+    gap_mid: float
+    K_c: float
+    K_A: float
+    T_A: float
+    b: float
+    bounce: float
+    i_most: float
+    loss: float
+    heating_s: float
+    slew: float
+    dead_zone: float
+    amplifier_offset: float
+    growth: float
+    emf: float
+    delay_steps: int
+    exponent: float
+    saturation: float  # 0: none, else i_0
+    residual: float
+    eddy: float
+    drag2: float
+    friction: float
+    force: float
+    shake: float
+    shake_hz: float
+    shake_phase: float
+    x_offset: float
+    x_gain: float
+    bow: float
+    x_lag: float
+    crosstalk: float
+    i_offset: float
+    i_gain: float
+    sampling_steps: int
+    # outside the catalogue
+    hysteresis: float
+    stick: float
+    warm_up: float
+    wire: float
+    resonance: float
+    ripple: float
+    patch: float
+    contact: float
+
+
+def njit(function: Callable[P, R]) -> Callable[P, R]:
+    return cast("Callable[P, R]", numba.njit(cache=True)(function))
+
+
+# What the rig remembers, in one array: i_c, field, x, v, warmth, sensor, hysteresis, position and speed of the lateral
+# mode, reading that is held, contact (1 good, 0 bad)
+COIL, F, X, V, W, S, H, Q, QV, HELD, CONTACT = range(11)
+
+
+@njit
+def reading(x: float, i: float, t: float, c: Numbers) -> float:
+    """What the position sensor tends to, m."""
+    bowed = x + c.bow * math.sin(math.pi * min(max(x / c.travel, 0.0), 1.0))
+    warm = c.warm_up * (1.0 - math.exp(-t / DRIFT_TIME_S)) if c.warm_up != 0.0 else 0.0
+    return c.x_gain * bowed + c.x_offset + c.crosstalk * i + warm
+
+
+@njit
+def lift(x: float, field: float, c: Numbers) -> float:
+    """Magnetic force (3), N."""
+    field += c.residual
+    if c.saturation > 0.0:
+        field = c.saturation * math.tanh(field / c.saturation)
+    gap = c.plane - x
+    force = c.K_c * (field / gap) ** 2
+    return force if c.exponent == 2.0 else force * math.exp((c.exponent - 2.0) * math.log(c.gap_mid / gap))
+
+
+@njit
+def pass_time(
+    y: FloatArray, k: int, count: int, u: float, c: Numbers, inputs: FloatArray, i_past: FloatArray, x_past: FloatArray
+) -> int:
+    """`count` steps with u held; returns the number of the step reached."""
+    h = STEP_S
+    field_share = 1.0 - math.exp(-h / c.eddy) if c.eddy > 0.0 else 1.0
+    sensor_share = 1.0 - math.exp(-h / c.x_lag) if c.x_lag > 0.0 else 1.0
+    decay = math.exp(-h / c.T_A)
+    mode = 2.0 * math.pi * MODE_HZ
+    for _ in range(count):
+        t = k * h
+        inputs[k % RING] = u
+        drive = inputs[(k - c.delay_steps) % RING]
+        if c.ripple != 0.0:
+            drive *= 1.0 + c.ripple * math.sin(2.0 * math.pi * RIPPLE_HZ * t)
+        i, x, v = y[COIL], y[X], y[V]
+        gap = c.plane - x
+
+        # (1) with the heated coil, solved exactly over the step
+        gain = c.K_A / (1.0 + c.loss * y[W])
+        if y[CONTACT] == 0.0:
+            gain *= 1.0 - c.contact
+        goal = gain * max(drive - c.dead_zone, 0.0) + c.amplifier_offset
+        goal = min(max(goal, 0.0), c.i_most)
+        goal -= c.emf * i * v * (c.gap_mid / gap) ** 2
+        if c.growth != 0.0:
+            bottom, top = 1.0 / c.plane, 1.0 / (c.plane - c.travel)
+            decay = math.exp(-h / (c.T_A * (1.0 + c.growth * (1.0 / gap - bottom) / (top - bottom))))
+        change = (goal - i) * (1.0 - decay)
+        change = min(max(change, -c.slew * h), c.slew * h)
+        i_new = min(i + change, max(c.i_most, i))
+        i_mean = 0.5 * (i + i_new)
+        y[COIL] = i_new
+        y[W] += h / c.heating_s * (i_mean * i_mean - y[W])
+
+        # the field in the gap: play (hysteresis), then the lag of eddy currents
+        if c.hysteresis > 0.0:
+            y[H] = min(max(y[H], i_new - c.hysteresis), i_new + c.hysteresis)
+            source = y[H]
+        else:
+            source = i_new
+        before = y[F]
+        y[F] = before + (source - before) * field_share
+        field = 0.5 * (before + y[F])
+
+        # (6): half a drift, a kick with drag taken implicitly and friction as a projection, half a drift
+        x_half = x + 0.5 * h * v
+        force = lift(x_half, field, c) - c.m * c.g + c.force
+        if c.shake != 0.0:
+            force += c.shake * math.sin(2.0 * math.pi * c.shake_hz * (t + 0.5 * h) + c.shake_phase)
+        if c.wire != 0.0 and x_half > WIRE_FROM_M:
+            force -= c.wire * (x_half - WIRE_FROM_M) ** 3
+        drag = 0.5 * h * (c.b + c.drag2 * abs(v)) / c.m
+        v_new = (v * (1.0 - drag) + h * force / c.m) / (1.0 + drag)
+        dry = c.friction
+        if c.patch != 0.0 and abs(x_half - PATCH_M) < PATCH_HALF_WIDTH_M:
+            dry += c.patch
+        if dry > 0.0:
+            grip = h * dry / c.m
+            v_new = 0.0 if abs(v_new) <= grip else v_new - math.copysign(grip, v_new)
+        x_new = x_half + 0.5 * h * v_new
+        over = x_new if x_new < 0.0 else x_new - c.travel if x_new > c.travel else 0.0
+        if over != 0.0:
+            stop = x_new - over
+            if v_new * over > 0.0 and abs(v_new) > SLOWEST_REBOUND_M_S:
+                v_new *= -c.bounce
+                x_new = stop - c.bounce * over
+            else:
+                v_new = 0.0 if v_new * over > 0.0 else v_new
+                x_new = stop
+        y[X], y[V] = x_new, v_new
+
+        if c.resonance != 0.0:
+            # symplectic Euler: the mode is driven by the ball's acceleration
+            y[QV] += h * (-mode * mode * y[Q] - 2.0 * MODE_DAMPING * mode * y[QV] + c.resonance * (v_new - v) / h)
+            y[Q] += h * y[QV]
+
+        y[S] += (reading(x_new, i_new, t, c) + y[Q] - y[S]) * sensor_share
+        k += 1
+        i_past[k % RING] = y[COIL]
+        x_past[k % RING] = y[S]
+    return k
+
+
+@njit
+def convert(value: float, offset: float, lsb: float) -> float:
+    """A 12-bit converter there and back."""
+    return offset + lsb * min(max(math.floor((value - offset) / lsb + 0.5), 0.0), 4095.0)
+
+
+@njit
+def sense(
+    y: FloatArray, k: int, c: Numbers, i_past: FloatArray, x_past: FloatArray, i_noise: float, x_noise: float
+) -> tuple[float, float]:
+    """(i_c, x) after the converters."""
+    at = (k - c.sampling_steps) % RING
+    x = x_past[at] + x_noise
+    if c.stick > 0.0:
+        if abs(x - y[HELD]) > c.stick:
+            y[HELD] = x
+        x = y[HELD]
+    i = c.i_gain * i_past[at] + c.i_offset + i_noise
+    return convert(i, CURRENT_ADC[0], CURRENT_ADC[1]), convert(x, POSITION_ADC[0], POSITION_ADC[1])
+
+
+@njit
+def run_ticks(
+    y: FloatArray,
+    k: int,
+    u: float,
+    closed: bool,
+    signal: FloatArray,
+    law: FloatArray,
+    memory: FloatArray,
+    noise: FloatArray,
+    wrong_bit: FloatArray,
+    good_contact: FloatArray,
+    c: Numbers,
+    inputs: FloatArray,
+    i_past: FloatArray,
+    x_past: FloatArray,
+    out: FloatArray,
+) -> tuple[int, float]:
+    """Ticks of 2 ms: time passes, the sensors are read, the input for the next 2 ms is set.
+
+    Args:
+        y: What the rig remembers; updated.
+        k: Steps done.
+        u: Input in force, V.
+        closed: Whether the law runs (else u = signal).
+        signal: x_ref in m or u_c in V, shape (n,).
+        law: (K [4], i_0, x_0, u_0) of (13), (18), (19).
+        memory: (integral, x before, whether there is one); updated.
+        noise: Of i_c in A and x in m, shape (n, 2).
+        wrong_bit: Counts of x toggled by an error, shape (n,).
+        good_contact: 1 or 0, shape (n,).
+        c: Numbers.
+        inputs: Ring of inputs.
+        i_past: Ring of currents.
+        x_past: Ring of positions.
+        out: t, u_c, i_c, x, x_ref, shape (n, 5); filled.
+
+    Returns:
+        (steps done, input in force).
+    """
+    steps = round(TICK_S / STEP_S)
+    for n in range(len(signal)):
+        y[CONTACT] = good_contact[n]
+        k = pass_time(y, k, steps, u, c, inputs, i_past, x_past)
+        i_m, x_m = sense(y, k, c, i_past, x_past, noise[n, 0], noise[n, 1])
+        if wrong_bit[n] > 0.0:
+            count = round((x_m - POSITION_ADC[0]) / POSITION_ADC[1])
+            up = (count // int(wrong_bit[n])) % 2 == 0
+            x_m += POSITION_ADC[1] * (wrong_bit[n] if up else -wrong_bit[n])
+        if closed:
+            speed = (x_m - memory[1]) / TICK_S if memory[2] > 0.0 else 0.0
+            e = signal[n] - x_m
+            wanted = law[6] - (law[0] * (i_m - law[4]) + law[1] * (x_m - law[5]) + law[2] * speed + law[3] * memory[0])
+            u = convert(min(max(wanted, 0.0), 5.0), INPUT_DAC[0], INPUT_DAC[1])
+            # the integral rests while it would push further into the limit; more of it means more input
+            if not ((wanted > 5.0 and -law[3] * e > 0.0) or (wanted < 0.0 and -law[3] * e < 0.0)):
+                memory[0] += e * TICK_S
+            memory[1], memory[2] = x_m, 1.0
+        else:
+            u = signal[n]
+        out[n, 0], out[n, 1], out[n, 2], out[n, 3] = k * STEP_S, u, i_m, x_m
+        out[n, 4] = signal[n] if closed else MIDDLE_M
+    return k, u
+
+
+@njit
+def capture_samples(
+    y: FloatArray,
+    k: int,
+    u_from: float,
+    u_to: float,
+    noise: FloatArray,
+    c: Numbers,
+    inputs: FloatArray,
+    i_past: FloatArray,
+    x_past: FloatArray,
+    out: FloatArray,
+) -> int:
+    """i_c every 40 us, the step at sample CAPTURE_PRE, whose sample still shows what was before."""
+    k = pass_time(y, k, round(20e-3 / STEP_S), u_from, c, inputs, i_past, x_past)
+    for n in range(CAPTURE_COUNT):
+        u = u_to if n >= CAPTURE_PRE else u_from
+        i_m, _ = sense(y, k, c, i_past, x_past, noise[n, 0], noise[n, 1])
+        out[n, 0], out[n, 1], out[n, 2] = k * STEP_S, u, i_m
+        k = pass_time(y, k, round(CAPTURE_S / STEP_S), u, c, inputs, i_past, x_past)
+    return k
+
+
+class SecondBench:
+    """The second rig under its own board; a `hidden_campaign.Bench`.
+
+    Args:
+        rig: Its numbers.
+        effects: Strength by name of the catalogue's effects.
+        seed: Of noise and of what in an effect is the rig's own.
+        believed: The rig that the law was designed for.
+        outside: Strength by name of `outside.OUTSIDE`.
+    """
+
+    def __init__(
+        self,
+        rig: PlantConstants,
+        effects: Mapping[str, float],
+        *,
+        seed: int,
+        believed: PlantConstants,
+        outside: Mapping[str, float] | None = None,
+    ) -> None:
+        self._rig, self._believed = rig, believed
+        self._own, noise, chance = np.random.SeedSequence([22, seed]).spawn(3)
+        self._noise, self._chance = np.random.default_rng(noise), np.random.default_rng(chance)
+        self._outside = dict(outside or {})
+        self._bit_error_rate = self._outside.pop("bit-errors", 0.0)
+        self.change(effects)
+        self._k, self._u = 0, 0.0
+        self._good = 1.0
+        self._y = np.zeros(11)
+        self._rings = (np.zeros(RING), np.zeros(RING), np.zeros(RING))
+        self._law = np.array(
+            [
+                *designed_gains(believed),
+                believed.equilibrium_current_a(MIDDLE_M),
+                MIDDLE_M,
+                believed.equilibrium_input_v(MIDDLE_M),
+            ]
+        )
+        self._memory = np.zeros(3)
+        self._place(0.0, 0.0)
+
+    def idle(self, ticks: int) -> FloatArray:
+        return self._run(np.zeros(ticks), closed=False)
+
+    def open_loop(self, signal: Signal, ticks: int) -> FloatArray:
+        return self._run(np.clip(on_grid(wave(signal, ticks), INPUT_DAC), 0.0, 5.0), closed=False)
+
+    def fly(self, x_m: float) -> None:
+        self._place(x_m, self._believed.equilibrium_current_a(x_m))
+        self._u = self._believed.equilibrium_input_v(x_m)
+        self._memory[:] = 0.0
+
+    def closed_loop(self, signal: Signal, ticks: int) -> FloatArray:
+        return self._run(on_grid(wave(signal, ticks), POSITION_ADC), closed=True)
+
+    def capture(self, u_from_v: float, u_to_v: float) -> FloatArray:
+        out = np.empty((CAPTURE_COUNT, 3))
+        u_from, u_to = (float(on_grid(np.array([u]), INPUT_DAC)[0]) for u in (u_from_v, u_to_v))
+        held = self._y[HELD]
+        self._k = capture_samples(
+            self._y, self._k, u_from, u_to, self._draw_noise(CAPTURE_COUNT), self._c, *self._rings, out
+        )
+        self._y[HELD] = held
+        self._run(np.zeros(1), closed=False)  # back on the grid of ticks, coil off
+        return out
+
+    def change(self, effects: Mapping[str, float]) -> None:
+        self._loss = effects.get("lost-samples", 0.0)
+        self._c = numbers(self._rig, effects, self._outside, np.random.default_rng(self._own))
+
+    def _place(self, x_m: float, i_a: float) -> None:
+        y = self._y
+        y[COIL] = y[F] = y[H] = i_a
+        y[X], y[V], y[Q], y[QV] = x_m, 0.0, 0.0, 0.0
+        y[S] = y[HELD] = reading(x_m, i_a, self._k * STEP_S, self._c)
+        self._rings[1][:], self._rings[2][:] = i_a, y[S]
+
+    def _draw_noise(self, n: int) -> FloatArray:
+        return self._noise.standard_normal((n, 2)) * (self._rig.current_noise_a, self._rig.position_noise_m)
+
+    def _run(self, signal: FloatArray, *, closed: bool) -> FloatArray:
+        n = len(signal)
+        out = np.empty((n, 5))
+        hit = self._chance.random(n) < self._bit_error_rate
+        wrong_bit = np.where(hit, 2.0 ** self._chance.integers(4, 9, n), 0.0)
+        # A loose contact changes its mind every 0.4 s on average.
+        flips = np.cumsum(self._chance.random(n) < TICK_S / 0.4)
+        good = (flips + (1.0 - self._good)) % 2 == 0 if self._c.contact else np.ones(n, np.bool_)
+        self._good = float(good[-1])
+        self._k, self._u = run_ticks(
+            self._y,
+            self._k,
+            self._u,
+            closed,
+            signal,
+            self._law,
+            self._memory,
+            self._draw_noise(n),
+            wrong_bit,
+            good.astype(float),
+            self._c,
+            *self._rings,
+            out,
+        )
+        kept = self._chance.random(n) >= self._loss
+        return out[kept]
+
+
+def numbers(
+    rig: PlantConstants, effects: Mapping[str, float], outside: Mapping[str, float], own: np.random.Generator
+) -> Numbers:
+    """The constants of the equations; `own` draws what is the rig's own."""
+    unknown = set(effects) - NAMES
+    assert not unknown, unknown
+
+    def strength(name: str, neutral: float = 0.0) -> float:
+        return float(effects.get(name, neutral))
+
+    heating_s, shake_hz, shake_phase = own.uniform(20.0, 45.0), own.uniform(5.0, 11.0), own.uniform(0.0, 2.0 * math.pi)
+    saturation = strength("core-saturation", math.inf)
+    plane = rig.travel_m + rig.coil_plane_above_stop_m
+    return Numbers(
+        m=rig.mass_kg,
+        g=rig.gravity_m_s2,
+        travel=rig.travel_m,
+        plane=plane + strength("air-gap-offset"),
+        gap_mid=plane - 0.5 * rig.travel_m,
+        K_c=rig.force_constant_n_m2_a2,
+        K_A=rig.amplifier_gain_a_v,
+        T_A=rig.amplifier_time_constant_s,
+        b=rig.drag_n_s_m,
+        bounce=rig.restitution,
+        i_most=min(rig.current_max_a, strength("current-limit", math.inf)),
+        loss=strength("amplifier-gain-drift"),
+        heating_s=float(heating_s),
+        slew=strength("slew-rate-limit", math.inf),
+        dead_zone=strength("amplifier-dead-zone"),
+        amplifier_offset=strength("amplifier-offset"),
+        growth=strength("position-dependent-inductance"),
+        emf=strength("motional-emf"),
+        delay_steps=round(strength("actuation-delay") / STEP_S),
+        exponent=strength("force-exponent", 2.0),
+        saturation=saturation * math.sqrt(2.0 / 3.0) if math.isfinite(saturation) else 0.0,
+        residual=strength("residual-magnetism"),
+        eddy=strength("eddy-current-lag"),
+        drag2=strength("quadratic-drag"),
+        friction=strength("coulomb-friction"),
+        force=strength("constant-force"),
+        shake=strength("periodic-disturbance"),
+        shake_hz=float(shake_hz),
+        shake_phase=float(shake_phase),
+        x_offset=strength("position-sensor-offset"),
+        x_gain=strength("position-sensor-gain", 1.0),
+        bow=strength("position-sensor-nonlinearity"),
+        x_lag=strength("position-sensor-lag"),
+        crosstalk=strength("sensor-crosstalk"),
+        i_offset=strength("current-sensor-offset"),
+        i_gain=strength("current-sensor-gain", 1.0),
+        sampling_steps=round(strength("sampling-delay") / STEP_S),
+        hysteresis=outside.get("force-hysteresis", 0.0),
+        stick=outside.get("sensor-sticks", 0.0),
+        warm_up=outside.get("sensor-warm-up", 0.0),
+        wire=outside.get("wire-spring", 0.0),
+        resonance=outside.get("lateral-resonance", 0.0),
+        ripple=outside.get("supply-ripple", 0.0),
+        patch=outside.get("friction-patch", 0.0),
+        contact=outside.get("loose-contact", 0.0),
+    )
+
+
+NAMES = frozenset(
+    "amplifier-gain-drift current-limit slew-rate-limit amplifier-dead-zone amplifier-offset"
+    " position-dependent-inductance motional-emf actuation-delay air-gap-offset force-exponent core-saturation"
+    " residual-magnetism eddy-current-lag quadratic-drag coulomb-friction constant-force periodic-disturbance"
+    " position-sensor-offset position-sensor-gain position-sensor-nonlinearity position-sensor-lag sensor-crosstalk"
+    " current-sensor-offset current-sensor-gain sampling-delay lost-samples".split()
+)
+
+
+def on_grid(values: FloatArray, converter: tuple[float, float]) -> FloatArray:
+    """Values that the converter can hold."""
+    offset, lsb = converter
+    return np.asarray(offset + lsb * np.round((values - offset) / lsb))
+
+
+def wave(signal: Signal, ticks: int) -> FloatArray:
+    """The signal tick by tick, in its own unit, shape (ticks,)."""
+    s = np.arange(ticks)
+    rng = np.random.default_rng([33, signal.seed])
+    place = (s % signal.period) / signal.period
+    if signal.shape == "rectangle":
+        shape = np.where(place < 0.5, 1.0, -1.0)
+    elif signal.shape == "sawtooth":
+        shape = 2.0 * place - 1.0
+    elif signal.shape == "prbs":
+        shape = rng.choice((-1.0, 1.0), ticks // signal.period + 1)[s // signal.period]
+    elif signal.shape == "multisine":
+        grid = np.arange(signal.period) / signal.period
+        phases = rng.uniform(0.0, 1.0, 8)
+        period = sum(np.sin(2.0 * math.pi * (h * grid + phases[h - 1])) for h in range(1, 9))
+        shape = (period / np.max(np.abs(period)))[s % signal.period]
+    else:
+        shape = np.zeros(ticks)
+    return np.asarray(signal.offset + signal.amplitude * shape)

@@ -1,0 +1,87 @@
+"""A bus for twins under test: a router in this process, a board that publishes, a subscriber that remembers."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import zenoh
+
+from protocol.bus import board51_pb2 as pb
+from protocol.bus import topics
+from protocol.bus.endpoint import zenoh_config
+from tests.harness.twin.rig import Rig
+from tests.patience import HANG_S
+from twin.mirror.bus.service import TwinService
+
+
+def free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@contextmanager
+def router(endpoint: str) -> Iterator[zenoh.Session]:
+    with zenoh.open(zenoh.Config.from_json5(zenoh_config("router", listen=[endpoint]))) as session:
+        yield session
+
+
+def wait(condition: Callable[[], bool], what: str, seconds: float = HANG_S) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, f"no {what} within {seconds} s"
+        time.sleep(0.01)
+
+
+def wait_for_count(found: Callable[[], int], count: int, what: str, seconds: float = HANG_S) -> None:
+    deadline = time.monotonic() + seconds
+    while (now := found()) != count:
+        assert time.monotonic() < deadline, f"{now} instead of {count} {what} within {seconds} s"
+        time.sleep(0.01)
+
+
+class Heard:
+    """What a subscriber on everything of one site has received, by key."""
+
+    def __init__(self, session: zenoh.Session, site: str) -> None:
+        self.payloads: dict[str, list[bytes]] = defaultdict(list)
+        self.encodings: dict[str, str] = {}
+        session.declare_subscriber(f"{site}/**", self._take)
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        self.payloads[key].append(sample.payload.to_bytes())
+        self.encodings[key] = str(sample.encoding)
+
+
+def publish(session: zenoh.Session, states: list[pb.State], *, board: str = "rig") -> None:
+    """As a gateway does: blocking, so that nothing is lost here."""
+    for state in states:
+        session.put(
+            topics.key("lab", board, "state"),
+            state.SerializeToString(),
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )
+
+
+def introduce(session: zenoh.Session, service: TwinService, rig: Rig, *, board: str = "rig") -> None:
+    """`introduce_to` of a board of the site `lab`."""
+    introduce_to(session, service, rig, topics.key("lab", board, "parameters"))
+
+
+def introduce_to(session: zenoh.Session, service: TwinService, rig: Rig, key: str) -> None:
+    """Repeat the parameters, as a gateway does, until the twin has heard them; then messages get through.
+
+    `matching_status` does not say that: zenoh drops what is sent before its routes are computed, some ms after it.
+    """
+    heard_before = service.parameters_heard
+
+    def heard() -> bool:
+        session.put(key, rig.parameters().SerializeToString())
+        return service.parameters_heard > heard_before
+
+    wait(heard, "parameters at the twin")
