@@ -473,7 +473,8 @@ def test_a_terminal_that_closes_ends_it_cleanly(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_it_cleanly_and_moves_nothing(number: signal.Signals, tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    with Emulator() as emulator:
+    with ExitStack() as stack:
+        emulator = stack.enter_context(Emulator())
         # Not a second, as by default: the next gateway may take longer to come on a busy machine.
         board = f'[[board]]\nname = "rig"\nport = "{emulator.urls[0]}"\nhost_loss_timeout_s = 30.0\n'
         (tmp_path / "gateway.toml").write_text(board)
@@ -481,6 +482,8 @@ def test_a_signal_ends_it_cleanly_and_moves_nothing(number: signal.Signals, tmp_
         gateway = subprocess.Popen(
             [sys.executable, "-m", "board51", "gateway", *arguments], stderr=subprocess.PIPE, text=True
         )
+        stack.enter_context(gateway)
+        stack.callback(gateway.kill)  # where the test fails before the signal
         with client(endpoint) as bus:
             closed_loop_when_up(bus)
             bus.await_states(100)

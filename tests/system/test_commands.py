@@ -98,7 +98,7 @@ def test_the_list_of_commands_answers_without_importing_them() -> None:
         (["export", "absent.mcap", "--format", "csv", "-o", "x.csv"], "absent.mcap"),
         (["recover", "absent.mcap", "-o", "x.mcap"], "absent.mcap"),
         (["replay", "absent.mcap"], "absent.mcap"),
-        (["record", "-o", "/proc/no/logs"], "/proc/no/logs cannot be made"),
+        (["record", "-o", "/proc/no/logs"], "/proc/no/logs cannot be written"),
         (["identify", "absent.toml"], "absent.toml"),
         (["validate", "absent.toml", "--model", "ce152", "--out", "v"], "absent.toml"),
         (["design", "absent.json"], "absent.json"),

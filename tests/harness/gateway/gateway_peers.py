@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import select
 import socket
@@ -212,8 +213,11 @@ class Bus:
 
 @contextmanager
 def client(endpoint: str) -> Iterator[Bus]:
-    config = zenoh_config("client", connect=[endpoint])  # waits up to 5 s
-    with zenoh.open(zenoh.Config.from_json5(config)) as session:
+    config = json.loads(zenoh_config("client", connect=[endpoint]))
+    config["connect"]["timeout_ms"] = round(
+        1e3 * HANG_S
+    )  # a gateway that is just started may take long on a busy machine
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
         yield Bus(session)
 
 
