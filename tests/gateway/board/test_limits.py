@@ -62,6 +62,7 @@ def test_what_is_not_a_command_is_refused(payload: bytes, reason: str) -> None:
 
     assert refused is not None
     assert refused.reason == reason
+    assert refused.text.endswith(".")
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,7 @@ def test_a_fault_has_its_name_and_the_time_of_its_event_until_the_flag_falls() -
         wait_for(lambda: not active(bus), "its end")
 
 
+@pytest.mark.slow
 def test_a_link_that_is_down_says_since_when_and_why(tmp_path: Path) -> None:
     config = gateway_config(str(tmp_path / "nothing"))
     with running(config), client(config.zenoh.listen[0]) as early:

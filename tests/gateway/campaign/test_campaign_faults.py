@@ -111,6 +111,7 @@ def test_somebody_elses_command_spoils_a_recording(tmp_path: Path) -> None:
     assert "test sent set_reference to the board in between" in row["said"][0]
 
 
+@pytest.mark.slow
 def test_somebody_elses_stop_ends_the_campaign(tmp_path: Path) -> None:
     with emulated_line(tmp_path) as line:
         process = line.start(tmp_path / "c", "--quick", "--experiment", "steps")

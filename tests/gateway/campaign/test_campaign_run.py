@@ -20,6 +20,7 @@ STEPS = ("--quick", "--experiment", "steps", "--json")
 SHORT = ("--quick", "--experiment", "rest", "--experiment", "amplifier-steps", "--experiment", "steps", "--json")
 
 
+@pytest.mark.slow
 def test_a_campaign_is_recorded_continued_and_left_parked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "c"
     with emulated_line(tmp_path) as line:

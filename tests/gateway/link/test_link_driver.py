@@ -131,6 +131,7 @@ def test_a_board_that_answers_but_sends_no_state_is_not_streaming() -> None:
         assert told == ("silent", "answering")
 
 
+@pytest.mark.slow
 def test_an_answer_that_comes_too_late_for_its_command_shows_that_the_board_hears() -> None:
     """A pipe or a computer that holds answers up for longer than all repetitions last is no cut line."""
     held: list[bytes] = []

@@ -6,6 +6,8 @@ import asyncio
 import time
 from pathlib import Path
 
+import pytest
+
 from protocol.bus import board51_pb2 as pb
 from protocol.log.reader import read
 from tests.harness.gateway.gateway_peers import ScriptedBoard, client, free_port, gateway_config, running, wait_for
@@ -26,6 +28,7 @@ async def acknowledged_in(port: int) -> str:
         return await until(look, "acknowledgement over OPC UA")
 
 
+@pytest.mark.slow
 def test_an_acknowledgement_on_the_page_is_seen_over_opc_ua_and_logged_with_its_name(tmp_path: Path) -> None:
     logs = tmp_path / "gateway-log"
     with ScriptedBoard() as board:

@@ -77,6 +77,7 @@ def test_a_client_that_knows_only_the_protocol_reads_the_samples(gateway: Played
     assert [time_ns for time_ns, _ in messages] == [s.host_time_ns for s in states]
 
 
+@pytest.mark.slow
 def test_junk_is_counted_and_not_passed_on(gateway: PlayedGateway) -> None:
     with client(gateway.endpoint) as bus, ticking(gateway, "rig1"):
         view = FoxgloveView(bus.session, "board51", "127.0.0.1", 0)

@@ -187,6 +187,7 @@ def test_a_stop_that_the_network_held_up_acts_when_it_arrives(page: Page, bus: B
     expect(page.locator(SAID)).to_contain_text("coil off")
 
 
+@pytest.mark.slow
 def test_an_excitation_around_any_reference_is_ended_by_its_button(page: Page, bus: Bus) -> None:
     close_loop(bus)
     wait_for(lambda: bus.states()[-1].x_m > 1e-3, "flight")
@@ -201,6 +202,7 @@ def test_an_excitation_around_any_reference_is_ended_by_its_button(page: Page, b
     assert end.reply.accepted, end.reply.text
 
 
+@pytest.mark.slow
 def test_what_was_refused_does_not_stand_as_if_in_force(page: Page, bus: Bus) -> None:
     close_loop(bus)
     field, said = page.locator('[data-number="reference"]'), page.locator(".toast[data-state=bad]")

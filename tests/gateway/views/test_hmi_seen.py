@@ -211,6 +211,7 @@ def test_the_banner_waits_for_a_sample_and_believes_no_answer(page: Page, site: 
     expect(page.locator(SAID)).to_contain_text("whether the coil is off is not known")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("when", ["opened while nothing comes", "the samples end"])
 def test_in_a_lost_state_everything_is_marked_as_last_known(page: Page, site: Site, when: str) -> None:
     with site.live():
@@ -233,6 +234,7 @@ def test_in_a_lost_state_everything_is_marked_as_last_known(page: Page, site: Si
     expect(page.locator('[data-live="log"]')).to_contain_text("last known: ")  # no status for seconds either
 
 
+@pytest.mark.slow
 def test_a_board_that_does_not_answer_is_told_in_the_bar(page: Page, site: Site) -> None:
     page.goto(f"{site.url}/rig/rig")
     site.gateway.send("status", pb.Status(link="streaming", to_board="unanswered", log_state="writing"))

@@ -163,6 +163,7 @@ def test_composites_can_be_recorded(tmp_path: Path) -> None:
         assert load(tmp_path / str(seed)).recordings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("limit_a", "shown"), [(0.9, True), (1.5, False)])
 def test_a_limit_is_in_the_data_where_it_was_reached(tmp_path: Path, limit_a: float, shown: bool) -> None:
     hidden = Hidden(part="causes", seed=3, plant="emulator", effects={"current-limit": limit_a})

@@ -77,6 +77,7 @@ def test_diagnose_reads_nothing_but_the_campaign_folder(tmp_path: Path) -> None:
     assert leaked == set()
 
 
+@pytest.mark.slow
 def test_identify_reads_nothing_but_the_campaign_folder(tmp_path: Path) -> None:
     done, leaked = run_on_a_hidden_campaign(tmp_path, "-m", "board51", "identify", "{campaign}", "--out", "{out}.json")
 

@@ -114,6 +114,7 @@ def gateway(session: zenoh.Session, *boards: str) -> Iterator[None]:
         thread.join()
 
 
+@pytest.mark.slow
 def test_without_a_log_here_the_bus_is_listened_to() -> None:
     endpoint, said = free_endpoint(), list[str]()
     with router(endpoint) as own, gateway(own, "rig"), open_client((endpoint,)) as session:

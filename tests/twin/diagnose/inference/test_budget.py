@@ -101,6 +101,7 @@ def test_the_answer_at_the_end_of_a_budget_does_not_depend_on_the_number_of_work
     assert json.dumps(one, sort_keys=True) == json.dumps(two, sort_keys=True)
 
 
+@pytest.mark.slow
 def test_quick_has_a_budget_without_being_asked_and_a_sufficient_one_changes_nothing(foreign: Path) -> None:
     found = diagnose(load(foreign), quick=True)
     free = diagnose(load(foreign), quick=True, budget=math.inf)

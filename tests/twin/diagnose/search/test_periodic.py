@@ -92,6 +92,7 @@ def test_a_short_recording_has_a_phase_of_its_own() -> None:
     assert 0.8 < np.nanmean(white[own, 1] ** 2) < 1.2
 
 
+@pytest.mark.slow
 def test_each_recording_settles_at_the_phase_of_its_own() -> None:
     rig = strong(CAUSE.name, FORCE_N, QUIET).having(FREQUENCY, FREQUENCY_HZ)
     criterion = Criterion(gather([steps(rig, seed=seed) for seed in (3, 4, 5)], PLANT), PLANT, TICK_S, workers=1)
