@@ -214,9 +214,7 @@ class Bus:
 @contextmanager
 def client(endpoint: str) -> Iterator[Bus]:
     config = json.loads(zenoh_config("client", connect=[endpoint]))
-    config["connect"]["timeout_ms"] = round(
-        1e3 * HANG_S
-    )  # a gateway that is just started may take long on a busy machine
+    config["connect"]["timeout_ms"] = round(1e3 * HANG_S)  # a gateway that was just started may take long
     with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
         yield Bus(session)
 
