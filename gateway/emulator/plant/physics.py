@@ -19,9 +19,13 @@ far under the noise; an Euler step of that error would have to be far below 1 ns
 
 from __future__ import annotations
 
+import hashlib
 import math
+import os
 from collections.abc import Callable
-from typing import NamedTuple, ParamSpec, TypeVar, cast
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,10 +94,22 @@ def _compiled(function: Callable[P, R]) -> Callable[P, R]:
         import numba
     except ImportError:
         return function
+    config: Any = numba.config
+    here, config.CACHE_DIR = config.CACHE_DIR, _cache_folder()  # read while it decorates
     try:
         return cast("Callable[P, R]", numba.njit(cache=True)(function))
     except RuntimeError:  # no directory that a cache could be written to
         return cast("Callable[P, R]", numba.njit(function))
+    finally:
+        config.CACHE_DIR = here
+
+
+@cache
+def _cache_folder() -> str:
+    """Of the machine code of these very lines: what lies there of a class with a former name, numba cannot read."""
+    file = Path(__file__)
+    parent = os.environ.get("NUMBA_CACHE_DIR") or file.parent / "__pycache__"
+    return str(Path(parent) / f"plant-{hashlib.sha256(file.read_bytes()).hexdigest()[:16]}")
 
 
 @_compiled
