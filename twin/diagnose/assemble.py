@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 
 from protocol.campaign import Campaign, Plant
+from twin.diagnose import settings
 from twin.diagnose.checks.change_point import Change
 from twin.diagnose.checks.confidence import confidence_of
 from twin.diagnose.checks.consistency import beginnings, contradictions
@@ -37,8 +38,6 @@ from twin.diagnose.result import (
     fit_parameters,
 )
 from twin.diagnose.search.candidate_fits import Trial
-from twin.diagnose.search.forward_step import SHARE
-from twin.diagnose.search.prediction_benefit import HORIZON_S
 from twin.diagnose.search.state import Selection
 from twin.estimation.pace import pace_of
 from twin.estimation.record import Record
@@ -157,7 +156,7 @@ def told(
             campaign, found.fit, spread, records, under.excess(found.fit.loglik), "extended by board51 diagnose"
         ),
         warnings=tuple(dict.fromkeys(warnings)),
-        quick=asked.quick or asked.share < SHARE,
+        quick=asked.quick or asked.share < settings.LEAST_SHARE,
         stages_s=stages,
         selection=found,
         floor=floor,
@@ -203,7 +202,7 @@ def _affordable(
 ) -> list[int]:
     """The horizons that the budget pays for, that of the answer first."""
     pace, paid = pace_of(judge.series), set()
-    for samples in sorted(horizons, key=lambda samples: abs(samples * tick_s - HORIZON_S)):
+    for samples in sorted(horizons, key=lambda samples: abs(samples * tick_s - settings.BENEFIT_HORIZON_S)):
         with suppress(Spent), budget.question(f"the error of x {1e3 * samples * tick_s:.0f} ms ahead"):
             budget.take(sum(pace.steps_ahead(theta.vector(), samples) for theta in thetas))
             paid.add(samples)

@@ -20,6 +20,7 @@ import numpy as np
 
 from protocol.campaign import Campaign
 from protocol.errors import DataError
+from twin.diagnose import settings
 from twin.diagnose.assemble import Asked, Say, Searched, testable_causes, timed, told
 from twin.diagnose.checks.change_point import find_change
 from twin.diagnose.checks.outlier_recording import Odd, odd_one
@@ -35,7 +36,6 @@ from twin.diagnose.inference.theta import BASE, STOPS, Theta
 from twin.diagnose.judge.given_model import check_plant
 from twin.diagnose.report.sentences import change_sentence
 from twin.diagnose.result import Diagnosis
-from twin.diagnose.search.forward_step import SHARE
 from twin.diagnose.search.stepwise import select
 from twin.estimation.innovations import FLIES, FOLLOWS
 from twin.estimation.record import Record
@@ -54,7 +54,7 @@ def diagnose(
     data: Path | None = None,
     model: Model | None = None,
     quick: bool = False,
-    share: float = SHARE,
+    share: float = settings.LEAST_SHARE,
     seed: int = 0,
     workers: int = 2,
     budget: float | None = None,
@@ -106,7 +106,7 @@ def diagnose_records(
     *,
     model: Model | None = None,
     quick: bool = False,
-    share: float = SHARE,
+    share: float = settings.LEAST_SHARE,
     seed: int = 0,
     workers: int = 2,
     budget: Budget | None = None,

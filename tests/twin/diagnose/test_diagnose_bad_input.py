@@ -17,6 +17,7 @@ import board51
 from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.twin.independent_plant import Ball, wandering
+from twin.diagnose import settings
 from twin.diagnose.checks.change_point import apart, in_time
 from twin.diagnose.checks.consistency import beginnings, contradictions
 from twin.diagnose.evidence.gather import gather
@@ -24,7 +25,7 @@ from twin.diagnose.evidence.sample_loss import lost_samples
 from twin.diagnose.evidence.sensor_noise import noise_error, sensor_noise
 from twin.diagnose.inference.fisher_scoring import climb
 from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.noise_floor import MATERIAL, Floor, floor_of
+from twin.diagnose.inference.noise_floor import Floor, floor_of
 from twin.diagnose.inference.theta import BASE, Theta
 from twin.diagnose.pipeline import diagnose
 from twin.estimation.record import FloatArray, Record
@@ -427,7 +428,7 @@ def test_the_sensor_noise_is_found_at_rest_and_makes_the_floor(campaigns: Path) 
     assert 2.3e-6 < floor.sigma_x_m < 12.5e-6
     assert 0.0 < error < 0.05
     assert not floor.material(floor.loglik - error * floor.readings)
-    assert floor.material(floor.loglik - 4.0 * max(error, MATERIAL) * floor.readings)
+    assert floor.material(floor.loglik - 4.0 * max(error, settings.NOISE_TOLERANCE) * floor.readings)
     assert Floor(sigma_i_c_a=1.0, sigma_x_m=1.0, measured=True, loglik=0.0, readings=100).material(-3.0)
 
 

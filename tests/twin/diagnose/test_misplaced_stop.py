@@ -5,10 +5,11 @@ from __future__ import annotations
 import pytest
 
 from tests.harness.diagnose.simulated_rig import ITEMS, criterion_of, made, narrow, strong
+from twin.diagnose import settings
 from twin.diagnose.inference.adequacy import adequate, where_left
 from twin.diagnose.inference.fisher_scoring import climb
-from twin.diagnose.inference.likelihood import STOP_STD_M, Criterion
-from twin.diagnose.inference.noise_floor import MISPLACED_M, floor_of
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.noise_floor import floor_of
 from twin.diagnose.inference.theta import BASE, STOPS, coordinates_of
 from twin.diagnose.search.score_test import screen
 
@@ -30,7 +31,7 @@ def test_a_coil_and_a_stop_in_the_wrong_place_are_no_adequate_model(criterion: C
 
     fine, why = adequate(criterion, fit, floor)
 
-    assert fit.theta.stop_low_m == pytest.approx(OFFSET_M, abs=2.0 * STOP_STD_M)
+    assert fit.theta.stop_low_m == pytest.approx(OFFSET_M, abs=2.0 * settings.STOP_STD_M)
     assert not floor.audible(fit.loglik)  # nothing but the stop speaks against it
     assert floor.material(fit.loglik)
     assert not fine
@@ -42,7 +43,7 @@ def test_the_right_cause_puts_the_stop_back(criterion: Criterion) -> None:
     fit = climb(criterion, strong(HIDDEN, OFFSET_M), (*BASE, *STOPS, *coordinates_of(HIDDEN)))
     floor = floor_of(criterion, fit.theta)
 
-    assert floor.misplaced_m < MISPLACED_M
+    assert floor.misplaced_m < settings.MISPLACED_STOP_M
     assert adequate(criterion, fit, floor) == (True, "")
 
 
@@ -53,6 +54,6 @@ def test_the_screen_knows_where_a_stop_is(criterion: Criterion) -> None:
 
     scores = {score.cause: score for score in screen(criterion, fit.theta, free)}
 
-    lacking = 0.5 * (fit.theta.stop_low_m**2 + fit.theta.stop_high_m**2) / STOP_STD_M**2
+    lacking = 0.5 * (fit.theta.stop_low_m**2 + fit.theta.stop_high_m**2) / settings.STOP_STD_M**2
     assert scores[HIDDEN].gain == pytest.approx(lacking, rel=0.1)
     assert scores[HIDDEN].testable

@@ -18,15 +18,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from twin.diagnose import settings
 from twin.diagnose.inference.adequacy import adequate
 from twin.diagnose.inference.budget import Spent
-from twin.diagnose.inference.fisher_scoring import PASSES, climb
+from twin.diagnose.inference.fisher_scoring import climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import Theta, derivative_step, moved
 from twin.diagnose.search.equivalence import stand_ins
 from twin.diagnose.search.probes import probes_of
-from twin.diagnose.search.score_test import LEAST_INFORMATION, VISIBLE, probed
+from twin.diagnose.search.score_test import probed
 from twin.diagnose.search.state import Selection
 from twin.diagnose.search.stepwise import select
 from twin.estimation.innovations import information
@@ -36,11 +37,6 @@ from twin.estimation.structures import NO_STEPS, Results, Steps, room_for
 from twin.model.causes.cause import Cause
 from twin.model.extended import STATES
 
-CLEAR = 25.0  # of log-likelihood: the places that were tried make 6 of it by chance
-_AHEAD = 1.2  # of the gain without a change
-_SHARE = 0.4  # of what is left, of each cause: nothing but noise may remain
-_SAME = 0.01  # of the gain
-_TRIED = 2  # places with a search of their own
 _NO_STATE = np.empty((0, STATES))
 
 
@@ -133,15 +129,22 @@ def find_change(
         say(f"did something change between {names[0]} and {names[1]}?")
         switched = Switched(criterion, [n in side for n in range(len(records))], workers=workers)
         chosen = select(
-            switched, found.base, floor, candidates=candidates, few=few, share=_SHARE, classes=False, say=say
+            switched,
+            found.base,
+            floor,
+            candidates=candidates,
+            few=few,
+            share=settings.CHANGE_SHARE,
+            classes=False,
+            say=say,
         )
         if criterion.budget.closed:
             raise Spent
         if chosen.causes and adequate(switched, chosen.fit, floor.under(switched, chosen.fit.theta))[0]:
             stand_ins(switched, chosen, candidates=candidates, few=few, quick=True, say=say)
-            always = climb(criterion, chosen.fit.theta, chosen.fit.free, passes=PASSES)
+            always = climb(criterion, chosen.fit.theta, chosen.fit.free, passes=settings.PASSES)
             gain = chosen.fit.loglik - max(always.loglik, found.fit.loglik)
-            if gain > CLEAR:
+            if gain > settings.CHANGE_GAIN:
                 return Change(
                     before=names[0],
                     after=names[1],
@@ -202,8 +205,12 @@ def _places(
     chosen: list[tuple[float, int, bool]] = []
     for gain, place, begins in gains:
         # Recordings that no cause shows in lie on either side with the same gain, and would have the same answer.
-        other = all(abs(gain - known) > _SAME * gain or begins != side for known, _, side in chosen)
-        if gain > _AHEAD * whole + CLEAR and other and len(chosen) < _TRIED:
+        other = all(abs(gain - known) > settings.CHANGE_SAME * gain or begins != side for known, _, side in chosen)
+        if (
+            gain > settings.CHANGE_AHEAD * whole + settings.CHANGE_GAIN
+            and other
+            and len(chosen) < settings.CHANGE_PLACES
+        ):
             chosen.append((gain, place, begins))
     return [(place, begins) for _, place, begins in chosen]
 
@@ -215,7 +222,7 @@ def _best_gain(scores: FloatArray, fishers: FloatArray, side: BoolArray, inner: 
     for place in range(k, scores.shape[1]):
         cross, own = fisher[:k, place], float(fisher[place, place])
         left = own - float(cross @ inner @ cross)
-        if own > 0.0 and math.isfinite(own) and left > VISIBLE * own and left > LEAST_INFORMATION:
+        if own > 0.0 and math.isfinite(own) and left > settings.VISIBLE * own and left > settings.LEAST_INFORMATION:
             slope = float(score[place] - cross @ inner @ total)
             best = max(best, 0.5 * slope * slope / left)
     return best

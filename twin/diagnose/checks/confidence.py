@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import math
 
+from twin.diagnose import settings
 from twin.diagnose.judge.account import Verdict
 from twin.diagnose.search.state import Selection
 
-_HALF_LEAD = 6.0  # of log-likelihood
-_UNCALIBRATED = 0.8
 # At most, by verdict.  Of the names that stood beside `unknown-cause` in two draws of the whole matrix 6 of 21 were
 # right; none was counted yet beside `partly-explained`.
 MOST: dict[Verdict, float] = {
     "causes-found": 0.98,
-    "partly-explained": 0.98 * _UNCALIBRATED,
+    "partly-explained": 0.98 * settings.CONFIDENCE_UNCALIBRATED,
     "unknown-cause": 0.294,
     "unfinished": 0.294,
 }
@@ -34,5 +33,5 @@ def confidence_of(found: Selection, cause: str, verdict: Verdict, quick: bool) -
         quick: without classes, not calibrated.
     """
     lead = found.runner_up.get(cause, found.gains.get(cause, 0.0))
-    sure = 1.0 - 0.5 * math.exp(-max(lead, 0.0) / _HALF_LEAD)
-    return round(MOST[verdict] * sure * (_UNCALIBRATED if quick else 1.0), 3)
+    sure = 1.0 - 0.5 * math.exp(-max(lead, 0.0) / settings.CONFIDENCE_LEAD)
+    return round(MOST[verdict] * sure * (settings.CONFIDENCE_UNCALIBRATED if quick else 1.0), 3)

@@ -16,6 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import parameter_of, unit_of
@@ -24,11 +25,6 @@ from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME
 
 BLOCK_S = 1.0
-SURE = 8.0  # standard errors
-MATTERS = {"K_A": 0.03, "K_c": 0.05}  # of the logarithm
-ABSENT = 0.25  # of the later strength
-SPLIT_GAIN = 25.0  # of log-likelihood
-_LEAST_Z = 4.0  # of the effect after the split
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,17 +73,17 @@ def stretches(criterion: Criterion, fit: Fit, names: Sequence[str]) -> dict[str,
 
 def contradictions(criterion: Criterion, fit: Fit) -> list[str]:
     """A sentence for each recording that asks for another K_A or K_c than the rest."""
-    names = tuple(MATTERS)
+    names = tuple(settings.DRIFT)
     asked = stretches(criterion, fit, names)
     sentences = []
-    for name, least in MATTERS.items():
+    for name, least in settings.DRIFT.items():
         for number, recording in enumerate(criterion.evidence.names()):
             own = [stretch for stretch in asked[name] if stretch.recording == number]
             if not own:
                 continue
             weights = np.array([stretch.std**-2 for stretch in own])
             move = float(np.sum(weights * [stretch.move for stretch in own]) / weights.sum())
-            if abs(move) > least and abs(move) * math.sqrt(float(weights.sum())) > SURE:
+            if abs(move) > least and abs(move) * math.sqrt(float(weights.sum())) > settings.DRIFT_ERRORS:
                 sentences.append(
                     f"{recording} contradicts the others: alone it asks for {name} {100 * math.expm1(move):+.0f} %"
                 )
@@ -110,9 +106,9 @@ def beginnings(criterion: Criterion, fit: Fit, causes: Sequence[str]) -> list[Be
         weights = np.array([stretch.std**-2 for stretch in own])
         strengths = here + np.array([stretch.move for stretch in own])
         place, gain, before, after = _split(strengths, weights)
-        late = abs(before) < ABSENT * abs(after) and after * here > 0.0
-        sure = abs(after) * math.sqrt(float(weights[place:].sum())) > _LEAST_Z
-        if gain > SPLIT_GAIN and late and sure:
+        late = abs(before) < settings.BEGINNING_ABSENT * abs(after) and after * here > 0.0
+        sure = abs(after) * math.sqrt(float(weights[place:].sum())) > settings.BEGINNING_Z
+        if gain > settings.BEGINNING_GAIN and late and sure:
             stretch = own[place]
             found.append(
                 Beginning(

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from protocol.errors import DataError
-from twin.diagnose.checks.consistency import MATTERS
+from twin.diagnose import settings
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.adequacy import adequate
-from twin.diagnose.inference.fisher_scoring import PASSES, Fit, climb
+from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.initial_guess import no_better, start_theta
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor, expected
@@ -29,10 +29,6 @@ from twin.estimation.optimiser import inverse
 from twin.estimation.record import runs
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
-
-CLEAR = 50.0  # of log-likelihood, by numbers of its own
-_FLOWN = 500  # samples in flight: fewer do not fix four numbers
-_FEWEST = 4  # recordings: of two that disagree nobody knows which is the odd one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,13 +59,13 @@ def odd_one(criterion: Criterion, base: Fit, floor: Floor) -> Odd | None:
     """
     evidence = criterion.evidence
     series, names = evidence.series, BASE[:4]
-    if len(np.unique(series.recording[series.flags & FLIES != 0])) < _FEWEST:
+    if len(np.unique(series.recording[series.flags & FLIES != 0])) < settings.OUTLIER_RECORDINGS:
         return None
     out, change = criterion.derivatives(base.theta, names)
-    best: tuple[float, int] = (CLEAR, -1)
+    best: tuple[float, int] = (settings.OUTLIER_GAIN, -1)
     for number in range(len(evidence.records)):
         own = np.asarray(series.recording == number)
-        if np.count_nonzero(series.flags[own] & FLIES) < _FLOWN:
+        if np.count_nonzero(series.flags[own] & FLIES) < settings.OUTLIER_SAMPLES:
             continue
         (piece,) = runs(own)
         each, fisher = np.empty((piece.stop - piece.start, len(names))), np.zeros((len(names), len(names)))
@@ -93,7 +89,7 @@ def odd_one(criterion: Criterion, base: Fit, floor: Floor) -> Odd | None:
     try:
         # Another rig has its coil at another height, too.
         (coil,) = (name for cause in CATALOGUE if _moves_coil(cause) for name in coordinates_of(cause.name))
-        fit = climb(alone, start.having(coil, 0.0), (*BASE, coil), passes=2 * PASSES)
+        fit = climb(alone, start.having(coil, 0.0), (*BASE, coil), passes=2 * settings.PASSES)
         agreed = climb(others, roused(base.theta), base.free)
         # With the noise of its own sensors: another rig has others.
         quiet = replace(
@@ -104,11 +100,11 @@ def odd_one(criterion: Criterion, base: Fit, floor: Floor) -> Odd | None:
         loglik, readings = expected(alone.outputs(quiet))
         if not adequate(alone, fit, replace(floor, loglik=loglik, readings=readings))[0]:
             return None
-        moves = {name: math.log(fit.theta.value(name) / agreed.theta.value(name)) for name in MATTERS}
+        moves = {name: math.log(fit.theta.value(name) / agreed.theta.value(name)) for name in settings.DRIFT}
     finally:
         alone.close()
         others.close()
-    large = tuple((name, math.expm1(by)) for name, by in moves.items() if abs(by) > MATTERS[name])
+    large = tuple((name, math.expm1(by)) for name, by in moves.items() if abs(by) > settings.DRIFT[name])
     return Odd(recording=number, name=record.name, moves=large) if large else None
 
 

@@ -19,8 +19,8 @@ from scipy.stats import t as t_distribution
 
 from protocol.campaign import Campaign, Plant
 from protocol.errors import DataError
+from twin.diagnose import settings
 from twin.diagnose.equilibria.points import (
-    LEVEL,
     Points,
     StaticFit,
     added_current,
@@ -43,10 +43,6 @@ from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.extended import current_of_reading, magnetic_force, position_of_reading
 from twin.model.nominal import nominal
 
-ABSORBED = 1e-4  # of what (3) leaves: a cause that takes away less beside K_c is K_c under another name
-TIE = 1.01  # ratio of sums of squares
-MOST_SURE = 0.98
-ENOUGH_Z = 3.0
 _METHOD = "least squares in i_c over the points of rest"
 Verdict = Literal["causes-found", "model-adequate", "unknown-cause"]
 
@@ -129,7 +125,7 @@ def diagnose_points(
     for name in names:
         say(f"trying {name}")
         fit = fit_static(points, plant, name)
-        if base.rss_a2 - fit.rss_a2 < ABSORBED * base.rss_a2 and is_absorbed(points, plant, base, name):
+        if base.rss_a2 - fit.rss_a2 < settings.STATIC_ABSORBED * base.rss_a2 and is_absorbed(points, plant, base, name):
             absorbed.append(name)
             continue
         explained.append(_explanation(points, plant, base, fit))
@@ -197,7 +193,7 @@ def separation(one: Explanation, other: Explanation) -> float:
 def proposal_for(one: Explanation, other: Explanation) -> tuple[str, float, str]:
     """(what to measure, separation in standard errors, command) to tell two members apart."""
     z = separation(one, other)
-    if z >= ENOUGH_Z:
+    if z >= settings.STATIC_Z:
         what = (
             f"fly wide steps in closed loop: the unstable pole at mid-travel is {one.pole_per_s:.1f} 1/s with"
             f" {one.name} and {other.pole_per_s:.1f} 1/s with {other.name}"
@@ -208,7 +204,7 @@ def proposal_for(one: Explanation, other: Explanation) -> tuple[str, float, str]
 
 def _explanation(points: Points, plant: Plant, base: StaticFit, fit: StaticFit) -> Explanation:
     F, p = f_test(base, fit)
-    if p > LEVEL or fit.at_bound:
+    if p > settings.STATIC_LEVEL or fit.at_bound:
         # It will not be named: nobody asks how large it is.
         nan = math.nan
         nothing = np.full(len(points), nan)
@@ -238,19 +234,21 @@ def _verdict(
     possible: Sequence[Explanation], base: StaticFit, round_a: float, tests: int
 ) -> tuple[list[Explanation], Verdict, float]:
     """(members of the class, verdict, confidence that it is one of them)."""
-    if not possible or possible[0].p * tests > LEVEL:
+    if not possible or possible[0].p * tests > settings.STATIC_LEVEL:
         # Nothing earns a name.  (3) is only known to be wrong where it is off by more than rounding.
         rough = base.std_a > 3.0 * round_a > 0.0 and base.freedom > 0
         return [], "unknown-cause" if rough else "model-adequate", 0.0
     best = possible[0]
-    limit = float(f_distribution.ppf(1.0 - LEVEL, best.fit.freedom, best.fit.freedom))
-    members = [one for one in possible if one.fit.rss_a2 <= limit * best.fit.rss_a2 and one.p * tests <= LEVEL]
+    limit = float(f_distribution.ppf(1.0 - settings.STATIC_LEVEL, best.fit.freedom, best.fit.freedom))
+    members = [
+        one for one in possible if one.fit.rss_a2 <= limit * best.fit.rss_a2 and one.p * tests <= settings.STATIC_LEVEL
+    ]
     order = {cause.name: place for place, cause in enumerate(CATALOGUE)}
     families = {"force": 0, "motion": 1, "sensing": 2, "amplifier": 3, "timing": 4}
-    tied = [one for one in members if one.fit.rss_a2 <= TIE * best.fit.rss_a2]
+    tied = [one for one in members if one.fit.rss_a2 <= settings.STATIC_TIE * best.fit.rss_a2]
     tied.sort(key=lambda one: (families[BY_NAME[one.name].family], order[one.name]))
     rest = [one for one in members if one not in tied]
-    return [*tied, *rest], "causes-found", min(MOST_SURE, 1.0 - min(best.p * tests, 1.0))
+    return [*tied, *rest], "causes-found", min(settings.STATIC_CONFIDENCE, 1.0 - min(best.p * tests, 1.0))
 
 
 def _remarks(points: Points, computed: float | None, members: Sequence[Explanation]) -> list[str]:
@@ -310,7 +308,7 @@ def _extended(
         name: replace(entry, std=None, ci95=None, verdict="assumed", method=f"{origin}; not in these data")
         for name, entry in like.parameters.items()
     }
-    t = float(t_distribution.ppf(1.0 - LEVEL / 2.0, max(fit.freedom, 1)))
+    t = float(t_distribution.ppf(1.0 - settings.STATIC_LEVEL / 2.0, max(fit.freedom, 1)))
     std = standard_error(points, plant, fit, of_gain=True) * fit.theta.K_c
     parameters["K_c"] = file.Parameter(
         value=fit.theta.K_c,

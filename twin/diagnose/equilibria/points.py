@@ -22,14 +22,13 @@ from scipy.stats import f as f_distribution
 from protocol.campaign import Plant
 from protocol.errors import DataError
 from twin.compiled import Packed, kernel
+from twin.diagnose import settings
 from twin.diagnose.inference.theta import Theta, parameter_of
 from twin.estimation.record import FloatArray, Record
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Vector
 from twin.model.extended import Base, acceleration, current_reading, position_of_reading
 
-FEWEST = 3  # points: K_c, one cause, and one to be wrong about
-LEVEL = 0.05
 _MOST_A = 1e3
 _STARTS = (-8.0, -1.0, 1.0, 8.0)  # times the first probe
 
@@ -74,7 +73,7 @@ class StaticFit:
         return math.sqrt(self.rss_a2 / self.freedom) if self.freedom > 0 else math.nan
 
 
-def points_of(records: Sequence[Record], plant: Plant, fewest: int = FEWEST) -> Points:
+def points_of(records: Sequence[Record], plant: Plant, fewest: int = settings.STATIC_POINTS) -> Points:
     """The rows of equilibria recordings, at least so many.
 
     Raises:
@@ -98,7 +97,7 @@ def points_of(records: Sequence[Record], plant: Plant, fewest: int = FEWEST) -> 
     if good.sum() < fewest or (fewest > 1 and np.ptp(x[good]) < 0.05 * plant.travel_m):
         raise DataError(
             f"{good.sum()} points of rest over {np.ptp(x[good]) * 1e3 if good.any() else 0.0:.2g} mm are too few",
-            remedy=f"Hold the ball at {FEWEST} heights or more, spread over the travel",
+            remedy=f"Hold the ball at {settings.STATIC_POINTS} heights or more, spread over the travel",
         )
     return Points(
         x_m=x[good],
@@ -205,7 +204,7 @@ def interval(points: Points, plant: Plant, fit: StaticFit) -> tuple[float, float
     """
     strength = BY_NAME[fit.cause].strength
     best = strength.coordinate(fit.theta.value(_coordinate(fit.cause)))
-    limit = fit.rss_a2 * (1.0 + float(f_distribution.ppf(1.0 - LEVEL, 1, fit.freedom)) / fit.freedom)
+    limit = fit.rss_a2 * (1.0 + float(f_distribution.ppf(1.0 - settings.STATIC_LEVEL, 1, fit.freedom)) / fit.freedom)
     ends = []
     for edge in sorted(_edges(fit.cause)):
         sign = 1.0 if edge > best else -1.0

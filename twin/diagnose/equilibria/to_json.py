@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from twin.diagnose import settings
 from twin.diagnose.equilibria.diagnosis import Explanation, StaticDiagnosis, parameters_of, proposal_for
 from twin.diagnose.report.sentences import quantity
 from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
-
-NEARLY = 0.9  # of the squares: a cause that takes so much away is worth mentioning though too few points hold it
 
 
 def sentence_of(found: StaticDiagnosis) -> str:
@@ -32,7 +31,7 @@ def sentence_of(found: StaticDiagnosis) -> str:
     if found.verdict == "unknown-cause":
         nearest = next((one for one in found.others if not one.fit.at_bound), None)
         taken = 0.0 if nearest is None else 1.0 - nearest.fit.rss_a2 / found.base.rss_a2
-        if nearest is None or taken < NEARLY:
+        if nearest is None or taken < settings.STATIC_NEARLY:
             return f"{wrong}; no single cause of the catalogue explains it."
         by_chance = 100 * min(nearest.p * len(found.others), 1.0)
         return (

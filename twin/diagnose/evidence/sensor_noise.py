@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from twin.diagnose import settings
 from twin.diagnose.evidence.gather import Evidence
 from twin.estimation.contact import HELD_SAMPLES, at_converter_end, near_converter_end
 from twin.estimation.innovations import FLIES, RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN, USE_I, USE_X, Series
 from twin.estimation.record import BoolArray, FloatArray, runs
 
-RESTLESS = 5.0  # of the median window's sum of squares: of ten thousand windows of noise none reaches it
 _LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
 
 
@@ -51,7 +51,7 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
     result = []
     for channel in squares:
         middle = float(np.median(channel)) if channel else 0.0
-        usual = [one for one in channel if one <= RESTLESS * middle] if middle > 0.0 else channel
+        usual = [one for one in channel if one <= settings.RESTLESS * middle] if middle > 0.0 else channel
         result.append((sum(usual), len(usual) * (HELD_SAMPLES - 2)))
     return result
 

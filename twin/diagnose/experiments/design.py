@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from protocol.campaign import Controller
+from twin.diagnose import settings
 from twin.diagnose.evidence.gather import Evidence, gather
 from twin.diagnose.experiments.closed_loop import converters_of
 from twin.diagnose.experiments.equilibrium import lift_off_input
@@ -36,13 +37,13 @@ from twin.diagnose.inference.budget import Budget
 from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import NOISES, PARAMETERS, STOPS, derivative_step, moved
-from twin.diagnose.search.candidate_fits import MARGIN, Trial
+from twin.diagnose.search.candidate_fits import Trial
 from twin.estimation.innovations import RESTS_HIGH, RESTS_LOW, information
 from twin.estimation.optimiser import inverse
 from twin.estimation.record import FloatArray, Record
 from twin.model.causes.catalogue import with_trait
 
-ENOUGH_Z = math.sqrt(2.0 * MARGIN)  # from here on two causes are no longer one class
+ENOUGH_Z = math.sqrt(2.0 * settings.EQUIVALENT_GAIN)  # from here on two causes are no longer one class
 CONTACT_MOST = 0.05  # of an experiment's samples: more, and the loop does not hold the ball
 _NEAR_STOP = 0.02  # of the travel
 _SEED = 1

@@ -12,15 +12,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.noise_floor import MISPLACED_M, Floor
+from twin.diagnose.inference.noise_floor import Floor
 from twin.estimation.innovations import FLIES
 from twin.estimation.whiteness import whiteness
-
-COLOURED = 0.06  # autocorrelation of innovations: four times what identify calls small
-_SURE = 4.0  # standard errors, 1 / sqrt(n): the largest of 50 autocorrelations
-LOUD = 1.5  # mean square of whitened innovations, of one recording against all
 
 
 def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
@@ -32,11 +29,11 @@ def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
         return False, (
             f"what is left is larger than the sensor noise: {per_reading:.2f} of log-likelihood per reading are missing"
         )
-    if floor.misplaced_m > MISPLACED_M:
+    if floor.misplaced_m > settings.MISPLACED_STOP_M:
         return False, f"it needs {_misplaced(floor)}; if the travel in the campaign file is wrong, mend it there"
     counts = [count for count in np.isfinite(white).sum(axis=0).tolist() if count]
-    chance = _SURE / math.sqrt(min(counts)) if counts else math.inf
-    if colour.worst > max(COLOURED, chance):
+    chance = settings.AUTOCORRELATION_ERRORS / math.sqrt(min(counts)) if counts else math.inf
+    if colour.worst > max(settings.MOST_AUTOCORRELATION, chance):
         return False, f"what is left is not white: its autocorrelation reaches {colour.worst:.2f}"
     return True, ""
 
@@ -47,7 +44,7 @@ def _misplaced(floor: Floor) -> str:
 
 def where_left(criterion: Criterion, fit: Fit, floor: Floor) -> str:
     """Where the innovations are largest: recording, height, direction, channel; or at a stop, if only that is wrong."""
-    if floor.misplaced_m > MISPLACED_M and not (floor.measured and floor.audible(fit.loglik)):
+    if floor.misplaced_m > settings.MISPLACED_STOP_M and not (floor.measured and floor.audible(fit.loglik)):
         return f"at rest: the model needs {_misplaced(floor)}"
     series = criterion.evidence.series
     _, white = criterion.white(fit.theta)
@@ -69,6 +66,6 @@ def where_left(criterion: Criterion, fit: Fit, floor: Floor) -> str:
         edges = np.quantile(x, np.linspace(0.0, 1.0, 6))
         means = [float(w[(x >= a) & (x <= b)].mean()) for a, b in pairwise(edges)]
         place = int(np.argmax(means))
-        if means[place] > LOUD * min(means):
+        if means[place] > settings.UNEVEN_SQUARE * min(means):
             parts.append(f"with the ball at {edges[place] * 1e3:.2f} to {edges[place + 1] * 1e3:.2f} mm")
     return "; ".join(parts)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.campaign import Plant
+from twin.diagnose import settings
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import NOISES, Theta, most_step, moved
 from twin.estimation.optimiser import Damping, covariance_of, newton
@@ -22,8 +23,6 @@ from twin.estimation.record import FloatArray
 DONE = 0.02  # of a standard error
 NEAR = 0.3
 CLOSE = 3.0  # standard errors from the maximum: the derivatives are as good as those of the next point
-LOUD = 1.5  # mean square of the whitened innovations: with more, rough derivatives may point the wrong way
-PASSES = 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,12 +57,14 @@ def spreads(criterion: Criterion, fit: Fit) -> dict[str, float]:
     return {name: at.std(name, criterion.plant) for name in fit.free}
 
 
-def climb(criterion: Criterion, start: Theta, free: Sequence[str], *, passes: int = PASSES, done: float = DONE) -> Fit:
+def climb(
+    criterion: Criterion, start: Theta, free: Sequence[str], *, passes: int = settings.PASSES, done: float = DONE
+) -> Fit:
     """Climb to the maximum from `start`; coordinates not in `free` stay."""
     plant = criterion.plant
     theta, damping, converged, slow = start, Damping(), False, 0
     run = criterion.run(theta)
-    rough = criterion.loudness(run.innovations) < LOUD
+    rough = criterion.loudness(run.innovations) < settings.EXACT_SLOPES_SQUARE
     base, change = criterion.derivatives(theta, free, run, rough=rough)
     loglik, score, fisher = criterion.slopes(theta, free, base, change)
     decrement, fresh, exact = math.inf, True, not rough
@@ -95,7 +96,7 @@ def climb(criterion: Criterion, start: Theta, free: Sequence[str], *, passes: in
             theta, base, run = trial, beyond.innovations, beyond
             fresh = decrement > CLOSE
             if fresh:
-                exact = criterion.loudness(run.innovations) >= LOUD
+                exact = criterion.loudness(run.innovations) >= settings.EXACT_SLOPES_SQUARE
                 base, change = criterion.derivatives(theta, free, run, rough=not exact)
         elif not (fresh and exact):
             base, change = criterion.derivatives(theta, free, run)

@@ -7,13 +7,12 @@ from dataclasses import replace
 
 from protocol.campaign import Plant
 from protocol.errors import DataError
+from twin.diagnose import settings
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.evidence.sensor_noise import sensor_noise
 from twin.diagnose.inference.theta import Theta, most_drag
 from twin.estimation.record import Record
 from twin.identify.starting.regression import AmplifierStart, amplifier_start, ball_start
-
-_LEAST_NOISE = 0.7  # of the sensor noise at rest
 
 
 def start_theta(records: Sequence[Record], plant: Plant) -> Theta:
@@ -57,8 +56,8 @@ def _start(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:
 def no_better(theta: Theta, evidence: Evidence) -> Theta:
     """With sensors that are at best somewhat better than at rest."""
     sigma_i, sigma_x = sensor_noise(evidence)
-    least_i = _LEAST_NOISE * sigma_i if sigma_i else theta.least_i_c_a
-    least_x = _LEAST_NOISE * sigma_x if sigma_x else theta.least_x_m
+    least_i = settings.LEAST_NOISE * sigma_i if sigma_i else theta.least_i_c_a
+    least_x = settings.LEAST_NOISE * sigma_x if sigma_x else theta.least_x_m
     return replace(
         theta,
         least_i_c_a=least_i,

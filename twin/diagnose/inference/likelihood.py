@@ -18,6 +18,7 @@ from typing import TypeVar
 import numpy as np
 
 from protocol.campaign import Plant
+from twin.diagnose import settings
 from twin.diagnose.evidence.dead_time import dead_time
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.inference.budget import Budget, Spent
@@ -34,7 +35,6 @@ from twin.model.extended import magnetic_force, position_reading
 
 T = TypeVar("T")
 R = TypeVar("R")
-STOP_STD_M = 2e-5  # how well anybody knows where a stop is
 
 
 class Criterion:
@@ -226,7 +226,7 @@ class Criterion:
 
     def _residuals(self, theta: Theta) -> FloatArray:
         """Of the stops, then of the static points, in standard errors."""
-        stops = [theta.stop_low_m / STOP_STD_M, theta.stop_high_m / STOP_STD_M]
+        stops = [theta.stop_low_m / settings.STOP_STD_M, theta.stop_high_m / settings.STOP_STD_M]
         return np.array(stops + [self._static(theta, point) for point in self.evidence.statics])
 
     def _static(self, theta: Theta, point: LiftOff) -> float:

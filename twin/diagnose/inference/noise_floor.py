@@ -14,15 +14,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from twin.diagnose import settings
 from twin.diagnose.evidence.sensor_noise import noise_error, sensor_noise
-from twin.diagnose.inference.likelihood import STOP_STD_M, Criterion
+from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import FLOORS, Theta
 from twin.estimation.innovations import USE_X
 from twin.estimation.record import FloatArray
-
-MATERIAL = 0.02  # of log-likelihood per reading: what a 2 % error of the noise level makes
-_SURE = 3.0  # standard errors of the noise level, where the ball rested too shortly for 2 %; 2.5: 3 of 60 false alarms
-MISPLACED_M = 5.0 * STOP_STD_M  # a stop so far from where the plant has it contradicts the plant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,11 +56,11 @@ class Floor:
 
     def material(self, loglik: float) -> bool:
         """Whether that is more than the noise level's own error, or a stop is where it cannot be."""
-        return self.misplaced_m > MISPLACED_M or self.audible(loglik)
+        return self.misplaced_m > settings.MISPLACED_STOP_M or self.audible(loglik)
 
     def audible(self, loglik: float) -> bool:
         """Whether that is more than the noise level's own error."""
-        return self.excess(loglik) > max(MATERIAL, _SURE * self.error) * self.readings
+        return self.excess(loglik) > max(settings.NOISE_TOLERANCE, settings.NOISE_ERRORS * self.error) * self.readings
 
 
 def floor_of(criterion: Criterion, theta: Theta) -> Floor:

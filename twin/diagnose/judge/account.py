@@ -20,17 +20,15 @@ Rule 5: names hold in part where what is left on the judges is less than noise m
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from twin.diagnose import settings
 from twin.diagnose.judge.prediction_gain import Gain
 from twin.diagnose.search.state import Selection
 from twin.estimation.prediction_floor import TOLERANCE
 
-_TWICE = math.sqrt(2.0)  # of error over floor: what is left is as large as the noise
-_FAIR = 0.5  # of the mean square above the floor
 Verdict = Literal["causes-found", "partly-explained", "model-adequate", "unknown-cause", "unfinished"]
 
 
@@ -105,4 +103,4 @@ def verdict_of(*, named: bool, fine: bool, gain: Gain | None, finished: bool = T
 
 
 def _holds(gain: Gain | None) -> bool:
-    return gain is not None and gain.ci95_floor[1] < _TWICE and gain.removed >= _FAIR
+    return gain is not None and gain.ci95_floor[1] < settings.PARTLY_ERROR and gain.removed >= settings.PARTLY_SHARE

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import spreads
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.report.sentences import bound_sentence
 from twin.diagnose.result import NotTestable, RuledOut, Trifle, fit_parameters
 from twin.diagnose.search.candidate_fits import inside
-from twin.diagnose.search.forward_step import THRESHOLD
 from twin.diagnose.search.state import Selection
 from twin.estimation.record import Record
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
@@ -59,7 +59,7 @@ def trifles_of(criterion: Criterion, found: Selection) -> list[Trifle]:
     entries = []
     for trial in last.trials:
         beside = {name.partition(".")[0] for name in trial.fit.free if "." in name} - {trial.cause}
-        seen = trial.gain >= THRESHOLD and inside(trial) and trial.fit.converged
+        seen = trial.gain >= settings.LEAST_GAIN and inside(trial) and trial.fit.converged
         # Where one cause took the place of another since, the round was about another model.
         if seen and trial.cause not in classes and beside == set(found.causes):
             parameters = fit_parameters(trial.fit, trial.cause, spreads(criterion, trial.fit))

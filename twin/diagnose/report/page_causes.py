@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import html
 
+from twin.diagnose import settings
 from twin.diagnose.judge.account import Account
 from twin.diagnose.report.figures import drawn, round_figure
 from twin.diagnose.report.sentences import LACKED, capital, percent, sizes
 from twin.diagnose.result import Diagnosis, Finding, Proposal
-from twin.diagnose.search.forward_step import THRESHOLD
 from twin.model.causes.catalogue import BY_NAME
 from twin.page import bullets, figures, folded, paragraph, table
 
@@ -17,7 +17,7 @@ def ranking(found: Diagnosis) -> str:
     """Each round of the search as bars."""
     rounds = found.selection.rounds
     drawings = [
-        drawn(round_figure(step, number, THRESHOLD), f"Round {number}: {step.why}")
+        drawn(round_figure(step, number, settings.LEAST_GAIN), f"Round {number}: {step.why}")
         for number, step in enumerate(rounds, start=1)
         if step.scores
     ]
@@ -26,7 +26,7 @@ def ranking(found: Diagnosis) -> str:
     text = (
         "By how much each cause would improve the log-likelihood of all recordings for fitting together. Dark: fitted, "
         "with everything else fitted again; pale: estimated by its score; green with a tick: taken. The dotted line is "
-        f"what a cause must gain at least ({THRESHOLD:g}, so that chance hardly ever brings in one of two dozen). "
+        f"the least gain of a cause that is taken ({settings.LEAST_GAIN:g}: by chance once in 4000 for thirty causes). "
         "Causes that these recordings cannot show are left out. The search ends when nothing earns its place."
     )
     return figures(drawings) + paragraph(text)

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from twin.diagnose.inference.fisher_scoring import PASSES, Fit, climb
+from twin.diagnose import settings
+from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import coordinates_of, parameter_of
 from twin.diagnose.search.candidate_starts import start_of
@@ -18,15 +19,7 @@ from twin.diagnose.search.prediction_benefit import removed
 from twin.diagnose.search.score_test import Score
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 
-MARGIN = 4.5  # of log-likelihood: fits that are nearer to each other say the same
-_SHORT = 2  # passes of a first fit
-# Then: passes, least share of the best gain, most candidates that go on.
-_HEATS = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))
-_STEEPER = 8.0  # the likelihood of a cause that is far away rises up to five times as much as its slope promises
-_STEEPER_DELAY = 50.0  # that of a delay is flat where there is none
 _SAME = {cause.name: cause.same_samples_as for cause in CATALOGUE if cause.same_samples_as}
-_DOUBT = 0.2  # of the best gain: so much more than its slope promises a candidate may reach in the first heats
-_FAVOURITES = 2  # best of the screen: they go through the first heat, however slowly they begin to climb
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,12 +53,16 @@ def fitted(
     copies = {same: one for same, one in _SAME.items() if one in names and same in names}
     scores = [score for score in scores if score.cause not in copies]
     trials = criterion.each(partial(_begun, criterion, at), scores)
-    favourites = {score.cause for score in scores[:_FAVOURITES]}
-    for heat, (passes, hopeless, most) in enumerate(_HEATS):
+    favourites = {score.cause for score in scores[: settings.SAFE_CANDIDATES]}
+    for heat, (passes, hopeless, most) in enumerate(settings.HALVING):
         trials.sort(key=lambda trial: -_expected(trial))
         best = max((trial.gain for trial in trials), default=0.0)
-        last = heat == len(_HEATS) - 1 and bool(trials)
-        overtaken = best - MARGIN if last else (1.0 - _DOUBT) * best - MARGIN
+        last = heat == len(settings.HALVING) - 1 and bool(trials)
+        overtaken = (
+            best - settings.EQUIVALENT_GAIN
+            if last
+            else (1.0 - settings.STEEPNESS_DOUBT) * best - settings.EQUIVALENT_GAIN
+        )
         if last and all(_promise(trial) < wanted for trial in trials):
             leader = max(trials, key=lambda trial: trial.gain)
             least_pay = 0.5 * pays
@@ -85,7 +82,9 @@ def fitted(
 
 
 def _begun(criterion: Criterion, at: Fit, score: Score) -> Trial:
-    fit = climb(criterion, start_of(criterion, at.theta, score), _with(at.free, score.cause), passes=_SHORT)
+    fit = climb(
+        criterion, start_of(criterion, at.theta, score), _with(at.free, score.cause), passes=settings.PASSES_FIRST
+    )
     return Trial(cause=score.cause, fit=fit, gain=fit.loglik - at.loglik - score.chance)
 
 
@@ -112,7 +111,7 @@ def renamed(trial: Trial, cause: str) -> Trial:
     )
 
 
-def climbed(criterion: Criterion, trial: Trial, passes: int = PASSES) -> Trial:
+def climbed(criterion: Criterion, trial: Trial, passes: int = settings.PASSES) -> Trial:
     """The same after more passes."""
     fit = climb(criterion, trial.fit.theta, trial.fit.free, passes=passes)
     return replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
@@ -120,7 +119,7 @@ def climbed(criterion: Criterion, trial: Trial, passes: int = PASSES) -> Trial:
 
 def worth_the_whole(trial: Trial, best: Trial) -> bool:
     """Whether it is near enough to the best to be fitted to the end."""
-    return trial.gain >= _HEATS[-1][1] * best.gain
+    return trial.gain >= settings.HALVING[-1][1] * best.gain
 
 
 def _expected(trial: Trial) -> float:
@@ -135,7 +134,7 @@ def _promise(trial: Trial) -> float:
 
 def rises(cause: str) -> float:
     """How far the likelihood may rise above what its slope promises."""
-    return _STEEPER_DELAY if BY_NAME[cause].family == "timing" else _STEEPER
+    return settings.STEEPNESS_DELAY if BY_NAME[cause].family == "timing" else settings.STEEPNESS
 
 
 def _with(free: tuple[str, ...], cause: str) -> tuple[str, ...]:

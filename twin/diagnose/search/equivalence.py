@@ -2,7 +2,7 @@
 
     each cause: out with it, every other in its place -> who explains more takes it; who explains as much is its class
 
-Rule: causes whose best fits differ by less than MARGIN of log-likelihood are one class: z = sqrt(2 MARGIN) = 3.
+Rule: causes whose best fits differ by less than EQUIVALENT_GAIN of log-likelihood are one class.
 """
 
 from __future__ import annotations
@@ -11,24 +11,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from twin.diagnose.inference.fisher_scoring import PASSES, Fit, climb
+from twin.diagnose import settings
+from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import roused
 from twin.diagnose.search import periodic
-from twin.diagnose.search.candidate_fits import MARGIN, Trial, fitted, inside, renamed, rises, same_as
+from twin.diagnose.search.candidate_fits import Trial, fitted, inside, renamed, rises, same_as
 from twin.diagnose.search.candidate_starts import beside
-from twin.diagnose.search.forward_step import THRESHOLD, Say
+from twin.diagnose.search.forward_step import Say
 from twin.diagnose.search.score_test import screen
-from twin.diagnose.search.state import FEW, MOST_TOGETHER, Selection, material, superfluous, without
+from twin.diagnose.search.state import Selection, material, superfluous, without
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
-
-_CLEAR = 60.0  # of log-likelihood: a rival so far behind is out, whatever more he gains
-_COMPARABLE = 0.2  # of the cause's own gain on the screen: what stands in for it shows there, too
-_TURNED = 0.5  # of what a periodic force gains: phases that were 8 degrees off cost a quarter
-_REPHASED = 2  # rivals that get phases of their own
-_ALIKE = 0.8  # of the cause's own gain on the screen: it may do the same, and have begun to climb at a worse place
 
 
 def stand_ins(
@@ -37,7 +32,7 @@ def stand_ins(
     floor: Floor | None = None,
     *,
     candidates: Sequence[Cause] = CATALOGUE,
-    few: int = FEW,
+    few: int = settings.CANDIDATES,
     quick: bool = False,
     say: Say = lambda line: None,
 ) -> None:
@@ -52,7 +47,7 @@ def stand_ins(
         return floor is not None and len(found.causes) > 1 and material(criterion, found, floor)
 
     found.classes, found.runner_up = {}, {}
-    if 1 < len(found.causes) <= MOST_TOGETHER and not quick:
+    if 1 < len(found.causes) <= settings.MOST_TOGETHER and not quick:
         criterion.each(lambda cause: without(criterion, found, cause), found.causes)
     for cause in found.causes[::-1] if doubtful() else list(found.causes):
         if quick and len(found.causes) > 1:
@@ -69,7 +64,7 @@ def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Tria
 
     Two that stand in for a third are never superfluous one by one.
     """
-    least = found.fit.loglik - MARGIN
+    least = found.fit.loglik - settings.EQUIVALENT_GAIN
     others = sorted(set(found.causes) - {cause, trial.cause}, key=lambda name: found.gains[name])
 
     def less(other: str) -> Fit:
@@ -113,7 +108,7 @@ def _rivals(
     else:
         at, known = without(criterion, found, cause), {}
     own = Trial(cause=cause, fit=found.fit, gain=found.fit.loglik - at.loglik)
-    needless = own.gain < THRESHOLD if floor is None else superfluous(criterion, found, floor, at)
+    needless = own.gain < settings.LEAST_GAIN if floor is None else superfluous(criterion, found, floor, at)
     if needless and len(found.causes) > 1:
         found.causes.remove(cause)
         found.gains.pop(cause)
@@ -123,42 +118,42 @@ def _rivals(
     others = [entry for entry in candidates if entry.name not in found.causes]
     scores = screen(criterion, at.theta, at.free, [*others, BY_NAME[cause]])
     shown = {score.cause: score.gain for score in scores}
-    comparable = _COMPARABLE * shown.get(cause, 0.0)
-    alike = {name for name, gain in shown.items() if gain > _ALIKE * shown.get(cause, 0.0)}
+    comparable = settings.COMPARABLE_SCORE * shown.get(cause, 0.0)
+    alike = {name for name, gain in shown.items() if gain > settings.ALIKE_SCORE * shown.get(cause, 0.0)}
     alike |= {entry.name for entry in candidates if entry.family == BY_NAME[cause].family}
     same = same_as(cause) & {entry.name for entry in others}
     scores = [score for score in scores if score.cause not in (*known, cause, *same) and score.testable]
-    scores = [score for score in scores if score.gain > 0.3 * THRESHOLD]
+    scores = [score for score in scores if score.gain > 0.3 * settings.LEAST_GAIN]
     if not everyone:
         scores = [
             score
             for score in scores
             if score.gain > comparable
-            if score.cause in alike or score.gain * rises(score.cause) > own.gain - _CLEAR
+            if score.cause in alike or score.gain * rises(score.cause) > own.gain - settings.OUT_OF_CLASS_GAIN
         ][: max(few - len(known), 2)]
     trials = [trial for trial in known.values() if trial.cause not in (cause, *same)]
     trials += [renamed(own, other) for other in same]
-    trials += fitted(criterion, at, scores, beaten=-math.inf if everyone else own.gain - _CLEAR)
+    trials += fitted(criterion, at, scores, beaten=-math.inf if everyone else own.gain - settings.OUT_OF_CLASS_GAIN)
     trials = criterion.each(lambda trial: _again(criterion, own, trial) if trial.cause in alike else trial, trials)
     trials = sorted((trial for trial in trials if inside(trial)), key=lambda trial: -trial.gain)
     shaken = found.gains.get(periodic.CAUSE.name, 0.0) if periodic.AMPLITUDE in at.free else 0.0
     _rephase(criterion, own, trials, alike, shaken)
     trials.sort(key=lambda trial: -trial.gain)
-    if trials and trials[0].gain > own.gain + MARGIN:
+    if trials and trials[0].gain > own.gain + settings.EQUIVALENT_GAIN:
         own = _again(criterion, trials[0], own)
         found.fit = own.fit
-    if trials and trials[0].gain > own.gain + MARGIN:
+    if trials and trials[0].gain > own.gain + settings.EQUIVALENT_GAIN:
         say(f"{trials[0].cause} explains more than {cause} beside the others: it takes its place")
         best = trials[0]
         found.causes[found.causes.index(cause)] = best.cause
         found.fit, found.gains[best.cause] = best.fit, best.gain
         if periodic.CAUSE.name in found.causes:
-            found.fit = periodic.rephased(criterion, found.fit, PASSES)
+            found.fit = periodic.rephased(criterion, found.fit, settings.PASSES)
         found.gains.pop(cause, None)
         trials = [own, *trials[1:]]
         own, cause = best, best.cause
-    near = tuple(trial for trial in trials if own.gain - trial.gain < MARGIN)
-    far = [trial.gain for trial in trials if own.gain - trial.gain >= MARGIN]
+    near = tuple(trial for trial in trials if own.gain - trial.gain < settings.EQUIVALENT_GAIN)
+    far = [trial.gain for trial in trials if own.gain - trial.gain >= settings.EQUIVALENT_GAIN]
     found.classes[cause] = near
     found.runner_up[cause] = own.gain - max(far, default=0.0)
     found.gains[cause] = own.gain
@@ -174,17 +169,17 @@ def _rephase(criterion: Criterion, own: Trial, trials: list[Trial], alike: set[s
     A lag of the sensor turns what shakes the ball as it is read, one of the field does not: with the other's phases the
     right cause of two simulated flights was 990 behind the wrong one, with its own 110 before.
     """
-    least, most = own.gain - _TURNED * shaken, own.gain + MARGIN
+    least, most = own.gain - settings.PHASE_SHARE * shaken, own.gain + settings.EQUIVALENT_GAIN
     behind = [n for n, trial in enumerate(trials) if trial.cause in alike and least < trial.gain < most]
-    for n in behind[:_REPHASED] if shaken > 0.0 else ():
+    for n in behind[: settings.PHASE_CANDIDATES] if shaken > 0.0 else ():
         trial = trials[n]
-        fit = periodic.settled(criterion, periodic.rephased(criterion, trial.fit, PASSES), PASSES)
+        fit = periodic.settled(criterion, periodic.rephased(criterion, trial.fit, settings.PASSES), settings.PASSES)
         trials[n] = replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
 
 
 def _again(criterion: Criterion, own: Trial, rival: Trial) -> Trial:
     """Who is behind, fitted from the numbers that came out beside `own`."""
-    if own.gain - rival.gain < MARGIN:
+    if own.gain - rival.gain < settings.EQUIVALENT_GAIN:
         return rival
     start = beside(criterion, own.fit.theta, BY_NAME[own.cause], BY_NAME[rival.cause])
     start = replace(start, phases_s=rival.fit.theta.phases_s)

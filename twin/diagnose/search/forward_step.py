@@ -9,7 +9,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from twin.diagnose.inference.fisher_scoring import PASSES, Fit
+from twin.diagnose import settings
+from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.search import periodic
@@ -19,14 +20,8 @@ from twin.diagnose.search.score_test import Score, probed, screen
 from twin.model.causes.catalogue import BY_NAME, with_trait
 from twin.model.causes.cause import Cause
 
-THRESHOLD = 10.0  # of log-likelihood: z = 4.5, and more than the most of 30 candidates reaches by chance
-TRIFLE = 0.005  # of what the causes found so far gain together: below, it mends how they are written, not the rig
-BESIDE_NOISE = 0.015  # the same, once what is left is hardly more than noise
-SHARE = 0.2  # of the excess that is left
-PAYS = 0.5  # of the mean square error of x 20 ms ahead: a smaller share will do for a cause that removes so much
 # A ball that is held is predicted well wherever it hovers, by whatever the model lacks: no evidence of what holds it.
 HOLDS = with_trait("sticks")
-_FAR_BEHIND = 0.02  # of the best gain on the screen: such a candidate will not be the best
 Say = Callable[[str], None]
 
 
@@ -70,10 +65,12 @@ def forward(
         floor = floor.under(criterion, at.theta)
     excess, material = floor.excess(at.loglik), floor.material(at.loglik)
     # What cannot become a fair share is not fitted.
-    wanted = (min(TRIFLE, least) if material else BESIDE_NOISE) * gained
-    if least > SHARE and material:
+    wanted = (min(settings.MINOR_SHARE, least) if material else settings.MINOR_SHARE_AT_NOISE) * gained
+    if least > settings.LEAST_SHARE and material:
         wanted = max(wanted, least * excess)
-    gain_least = max(0.5 * THRESHOLD, _FAR_BEHIND * max((score.gain for score in scores), default=0.0))
+    gain_least = max(
+        0.5 * settings.LEAST_GAIN, settings.LEAST_SCORE_SHARE * max((score.gain for score in scores), default=0.0)
+    )
     worth = [
         score
         for score in scores
@@ -85,7 +82,7 @@ def forward(
         trials = fitted(criterion, at, worth, least * excess if material else 0.0, _pays(least))
         if trials and any(name == periodic.AMPLITUDE for name, _ in at.theta.causes):
             # What shifts the response shifts the phase of what shakes the ball: with the old one it gains too little.
-            fit = periodic.rephased(criterion, trials[0].fit, PASSES)
+            fit = periodic.rephased(criterion, trials[0].fit, settings.PASSES)
             trials[0] = replace(trials[0], fit=fit, gain=trials[0].gain + fit.loglik - trials[0].fit.loglik)
         step = decided(criterion, at, floor, scores, trials, gained, least)
     return step
@@ -109,13 +106,13 @@ def decided(
     share = best.gain / excess if excess > 0.0 else 1.0
     why = f"log-likelihood +{best.gain:.0f}"
     taken = ""
-    if best.gain < THRESHOLD:
+    if best.gain < settings.LEAST_GAIN:
         why = f"{best.cause} would be best, with a gain of {best.gain:.1f}: chance does that"
     elif not possible:
         why = f"{best.cause} would be best, but outside its physical range"
-    elif best.gain < min(TRIFLE, least) * gained:
+    elif best.gain < min(settings.MINOR_SHARE, least) * gained:
         why = f"{best.cause} would be best, but is a trifle beside what was found"
-    elif not floor.material(at.loglik) and best.gain < BESIDE_NOISE * gained:
+    elif not floor.material(at.loglik) and best.gain < settings.MINOR_SHARE_AT_NOISE * gained:
         why = f"{best.cause} would be best, but hardly more than noise is left, and it is a trifle"
     elif floor.material(at.loglik) and share < least and not _pays_off(criterion, at, best, pays):
         why = f"{best.cause} would be best, but explains {100 * share:.0f} % of what is left"
@@ -131,7 +128,7 @@ def _pays_off(criterion: Criterion, at: Fit, best: Trial, pays: float) -> bool:
 
 def _pays(least: float) -> float:
     """Who asks for more of the whole is not content with a part of x."""
-    return PAYS if least <= SHARE else 1.0
+    return settings.LEAST_BENEFIT if least <= settings.LEAST_SHARE else 1.0
 
 
 def _with_dead_time(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score]:

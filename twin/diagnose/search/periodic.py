@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import Theta
@@ -25,8 +26,6 @@ _PAD = 1 << 16
 _TURNS = 4  # of the phases, at most
 _STEP = 0.1  # rad, to take the slope of a phase by
 _FAR_STEPS = 4.0  # of these at once
-_SETTLED = 4.5  # of log-likelihood: phases that gain less say the same
-_NEIGHBOURS_HZ = 3.0
 _LONG_SAMPLES = 500  # for a spectrum
 _FEW_SAMPLES = 50  # for a phase: with none of its own, a recording would be shaken at a wrong time
 
@@ -107,7 +106,7 @@ def settled(criterion: Criterion, fit: Fit, passes: int) -> Fit:
     for _ in range(_TURNS):
         turned = _turned(criterion, fit, _nearer(criterion, fit.theta), passes)
         gained, fit = turned.loglik - fit.loglik, turned
-        if gained < _SETTLED:
+        if gained < settings.PHASE_GAIN:
             break
     return fit
 
@@ -166,6 +165,6 @@ def _strongest(criterion: Criterion, theta: Theta) -> float | None:
         return None
     low, high = CAUSE.parameters[1].low, min(CAUSE.parameters[1].high, 0.4 / interval)
     inside = (frequencies >= low) & (frequencies <= high)
-    width = max(round(_NEIGHBOURS_HZ / float(frequencies[1])), 3)
+    width = max(round(settings.LINE_NEIGHBOURS_HZ / float(frequencies[1])), 3)
     around = np.convolve(power, np.ones(2 * width + 1) / (2 * width + 1), mode="same")
     return float(frequencies[inside][int(np.argmax((power / np.maximum(around, 1e-12))[inside]))])

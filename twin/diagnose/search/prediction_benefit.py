@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from twin.diagnose import settings
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import Theta
 from twin.estimation.rollout import predict_ahead
 from twin.estimation.rollout_periodic import has_phase
-
-HORIZON_S = 0.02
-_FEWEST = 200  # predictions
 
 
 def removed(criterion: Criterion, before: Theta, after: Theta) -> float:
@@ -23,7 +21,7 @@ def removed(criterion: Criterion, before: Theta, after: Theta) -> float:
         return 0.0  # the phase was fitted to these very recordings
     first, second = (_square_errors(criterion, theta) for theta in (before, after))
     both = np.isfinite(first) & np.isfinite(second)
-    if np.count_nonzero(both) < _FEWEST:
+    if np.count_nonzero(both) < settings.BENEFIT_PREDICTIONS:
         return 0.0
     # The worst hundredth speaks of single events, not of the rig.
     usual = both & (first <= np.quantile(first[both], 0.99))
@@ -31,7 +29,7 @@ def removed(criterion: Criterion, before: Theta, after: Theta) -> float:
 
 
 def _square_errors(criterion: Criterion, theta: Theta) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    ahead = max(round(HORIZON_S / criterion.tick_s), 1)
+    ahead = max(round(settings.BENEFIT_HORIZON_S / criterion.tick_s), 1)
     criterion.budget.take(criterion.pace.steps_ahead(theta.vector(), ahead))
     samples = criterion.evidence.samples
     x_hat = predict_ahead(theta.system(criterion.plant, criterion.tick_s), samples, ahead)

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.diagnose import settings
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import Theta, coordinates_of, derivative_step, moved
 from twin.diagnose.search.probes import probes_of
@@ -25,11 +26,6 @@ from twin.estimation.optimiser import inverse
 from twin.estimation.pace import Reuse
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
-
-# Of the square of a signature: what must be left of it beside the parameters.  Less is rounding; more would leave out a
-# displaced sensor, which shows most at rest, where the places of the stops take it up.
-VISIBLE = 1e-7
-LEAST_INFORMATION = 1.0  # a signature of less than one standard error at its usual probe cannot be seen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +47,9 @@ class Score:
     @property
     def testable(self) -> bool:
         """Whether these data can show it."""
-        return self.visible >= VISIBLE and self.detectable >= LEAST_INFORMATION * min(self.fineness, 1.0)
+        return self.visible >= settings.VISIBLE and self.detectable >= settings.LEAST_INFORMATION * min(
+            self.fineness, 1.0
+        )
 
     @property
     def fineness(self) -> float:

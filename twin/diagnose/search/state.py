@@ -6,17 +6,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 
+from twin.diagnose import settings
 from twin.diagnose.inference.budget import Spent
-from twin.diagnose.inference.fisher_scoring import PASSES, Fit, climb
+from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import roused
 from twin.diagnose.search import periodic
-from twin.diagnose.search.candidate_fits import MARGIN, Trial
-from twin.diagnose.search.forward_step import BESIDE_NOISE, THRESHOLD, Round
-
-MOST_TOGETHER = 3
-FEW = 5  # candidates that are fitted in a round
+from twin.diagnose.search.candidate_fits import Trial
+from twin.diagnose.search.forward_step import Round
 
 
 @dataclass(slots=True, kw_only=True)
@@ -27,7 +25,7 @@ class Selection:
     fit: Fit
     causes: list[str] = field(default_factory=list)
     gains: dict[str, float] = field(default_factory=dict)
-    classes: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # rivals within MARGIN
+    classes: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # rivals within EQUIVALENT_GAIN
     runner_up: dict[str, float] = field(default_factory=dict)  # lead over the best rival outside the class
     rounds: list[Round] = field(default_factory=list)
     smaller: dict[frozenset[str], Fit] = field(default_factory=dict)  # models of fewer causes, by what is free in them
@@ -68,15 +66,15 @@ def material(criterion: Criterion, found: Selection, floor: Floor) -> bool:
 def superfluous(criterion: Criterion, found: Selection, floor: Floor, smaller: Fit) -> bool:
     """Whether `smaller`, the model less one of its causes, does as well: what would not be taken now is not kept."""
     loss = found.fit.loglik - smaller.loglik
-    trifle = loss < BESIDE_NOISE * (found.fit.loglik - found.base.loglik)
-    return loss < THRESHOLD or (trifle and not floor.under(criterion, smaller.theta).material(smaller.loglik))
+    trifle = loss < settings.MINOR_SHARE_AT_NOISE * (found.fit.loglik - found.base.loglik)
+    return loss < settings.LEAST_GAIN or (trifle and not floor.under(criterion, smaller.theta).material(smaller.loglik))
 
 
-def without(criterion: Criterion, found: Selection, cause: str, passes: int = PASSES) -> Fit:
+def without(criterion: Criterion, found: Selection, cause: str, passes: int = settings.PASSES) -> Fit:
     """The model that was found less one cause; known where the search came that way, or was asked before."""
     free = tuple(name for name in found.fit.free if not name.startswith(cause + "."))
     known = found.recall(free)
-    if known is not None and (known.converged or known.ahead < MARGIN):
+    if known is not None and (known.converged or known.ahead < settings.EQUIVALENT_GAIN):
         return known
     start = roused(found.fit.theta.without(cause)) if known is None else known.theta
     fit = climb(criterion, start, free, passes=passes)

@@ -15,25 +15,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from twin.diagnose import settings
 from twin.diagnose.inference.budget import Spent
-from twin.diagnose.inference.fisher_scoring import PASSES, Fit
+from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.search import periodic
-from twin.diagnose.search.candidate_fits import MARGIN, climbed, inside, worth_the_whole
+from twin.diagnose.search.candidate_fits import climbed, inside, worth_the_whole
 from twin.diagnose.search.equivalence import stand_ins
-from twin.diagnose.search.forward_step import SHARE, Round, Say, decided, forward
-from twin.diagnose.search.state import FEW, MOST_TOGETHER, Selection, material, superfluous, whole, without
+from twin.diagnose.search.forward_step import Round, Say, decided, forward
+from twin.diagnose.search.state import Selection, material, superfluous, whole, without
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
-
-SHARE_TOGETHER = 0.05  # of what is left, where together with others it leaves nothing but noise
-SHARE_LAST = 0.8  # of the last of them
-MOST_CAUSES = 4
-_PASSES_QUICK = 10  # of a model without one of its causes: enough to see that it is worse, hardly by how much
-_NEARLY = 0.7  # of the best gain: one of two that hide each other may be behind a false one
-_FIRSTS = 4  # such that are tried
-_TURNS = 3  # forward and backward, while one cause takes the place of another and more than noise is left
 
 
 def select(
@@ -42,9 +35,9 @@ def select(
     floor: Floor,
     *,
     candidates: Sequence[Cause] = CATALOGUE,
-    few: int = FEW,
+    few: int = settings.CANDIDATES,
     quick: bool = False,
-    share: float = SHARE,
+    share: float = settings.LEAST_SHARE,
     classes: bool = True,
     say: Say = lambda line: None,
 ) -> Selection:
@@ -57,7 +50,7 @@ def select(
         candidates: the causes to try.
         few: candidates that are fitted in a round.
         quick: leaves out causes that only count together, and stand-ins for one of several.
-        share: least part of what is left that a cause must explain; below SHARE more causes are taken, too.
+        share: least part of what is left that a cause must explain; below LEAST_SHARE more causes are taken, too.
         classes: whether stand-ins are looked for; else `stand_ins` may be asked later.
         say: takes lines of progress.
     """
@@ -87,11 +80,11 @@ def _search(
     classes: bool,
     say: Say,
 ) -> None:
-    most = MOST_CAUSES if share >= SHARE else len(candidates)
-    thorough = share == SHARE and not quick
-    for _ in range(_TURNS if thorough and classes else 1):
+    most = settings.MOST_CAUSES if share >= settings.LEAST_SHARE else len(candidates)
+    thorough = share == settings.LEAST_SHARE and not quick
+    for _ in range(settings.ROUND_TRIPS if thorough and classes else 1):
         while len(found.causes) < most and _add(
-            criterion, found, floor, candidates, few, share, say, _PASSES_QUICK if quick else PASSES
+            criterion, found, floor, candidates, few, share, say, settings.PASSES_QUICK if quick else settings.PASSES
         ):
             pass
         # With the most causes there is no refused round, whose trials `_together` takes up.
@@ -114,7 +107,7 @@ def _settle(criterion: Criterion, found: Selection, thorough: bool) -> None:
     """The phases of a periodic force as they are beside all others."""
     if thorough and periodic.CAUSE.name in found.causes:
         with whole(found), criterion.budget.question("how the periodic force stands beside the others"):
-            found.fit = periodic.settled(criterion, found.fit, PASSES)
+            found.fit = periodic.settled(criterion, found.fit, settings.PASSES)
 
 
 def _add(
@@ -125,7 +118,7 @@ def _add(
     few: int,
     least: float,
     say: Say,
-    passes: int = PASSES,
+    passes: int = settings.PASSES,
 ) -> bool:
     """One step forward, and out with what it makes superfluous (`passes` tell); False where nothing earns its place."""
     gained = found.fit.loglik - found.base.loglik
@@ -145,7 +138,7 @@ def _taken(criterion: Criterion, found: Selection, floor: Floor, step: Round, sa
     found.gains[step.taken] = step.trials[0].gain
     if periodic.CAUSE.name in found.causes:
         with whole(found), criterion.budget.question("how the periodic force stands beside the others"):
-            found.fit = periodic.rephased(criterion, found.fit, PASSES)
+            found.fit = periodic.rephased(criterion, found.fit, settings.PASSES)
     found.remember(found.fit)
     say(f"taken: {step.taken} ({step.why})")
     if len(found.causes) > 1:
@@ -163,16 +156,20 @@ def _together(
     """
     refused = found.rounds[-1]
     excess = floor.under(criterion, found.fit.theta).excess(found.fit.loglik)
-    if not refused.trials or refused.trials[0].gain < SHARE_TOGETHER * excess:
+    if not refused.trials or refused.trials[0].gain < settings.LEAST_SHARE_TOGETHER * excess:
         return found
     say("too little alone; does it, with others, leave nothing but noise?")
     with whole(found), criterion.budget.question("whether several causes explain together what none does"):
         again = _asked_again(criterion, found, floor, refused)
         for first in _firsts(again):
             more = replace(found, causes=[*found.causes], gains={**found.gains}, rounds=found.rounds[:-1])
-            goes_on = _taken(criterion, more, floor, first, say, PASSES)
-            while goes_on and len(more.causes) < MOST_TOGETHER and material(criterion, more, floor):
-                least = SHARE_TOGETHER if len(more.causes) < MOST_TOGETHER - 1 else SHARE_LAST
+            goes_on = _taken(criterion, more, floor, first, say, settings.PASSES)
+            while goes_on and len(more.causes) < settings.MOST_TOGETHER and material(criterion, more, floor):
+                least = (
+                    settings.LEAST_SHARE_TOGETHER
+                    if len(more.causes) < settings.MOST_TOGETHER - 1
+                    else settings.LEAST_SHARE_LAST
+                )
                 goes_on = _add(criterion, more, floor, candidates, few, least, say)
             if not material(criterion, more, floor):
                 return more
@@ -185,21 +182,23 @@ def _firsts(again: Round) -> list[Round]:
         return []
     firsts = [again]
     for trial in again.trials[1:]:
-        near = trial.gain > _NEARLY * again.trials[0].gain and inside(trial)
-        if near and all(abs(trial.gain - first.trials[0].gain) > MARGIN for first in firsts):
+        near = trial.gain > settings.FIRST_SHARE * again.trials[0].gain and inside(trial)
+        if near and all(abs(trial.gain - first.trials[0].gain) > settings.EQUIVALENT_GAIN for first in firsts):
             others = tuple(other for other in again.trials if other is not trial)
             why = f"instead, log-likelihood +{trial.gain:.0f}"
             firsts.append(replace(again, trials=(trial, *others), taken=trial.cause, why=why))
-    return firsts[:_FIRSTS]
+    return firsts[: settings.FIRSTS]
 
 
 def _asked_again(criterion: Criterion, found: Selection, floor: Floor, refused: Round) -> Round:
     """The round that took nothing, with a smaller share to ask for; what was not worth the whole climb has it now."""
-    least = SHARE_TOGETHER if len(found.causes) < MOST_TOGETHER - 1 else SHARE_LAST
+    least = (
+        settings.LEAST_SHARE_TOGETHER if len(found.causes) < settings.MOST_TOGETHER - 1 else settings.LEAST_SHARE_LAST
+    )
     trials = [
         trial
         if trial.fit.converged or not worth_the_whole(trial, refused.trials[0])
-        else climbed(criterion, trial, PASSES)
+        else climbed(criterion, trial, settings.PASSES)
         for trial in refused.trials
     ]
     trials.sort(key=lambda trial: -trial.gain)

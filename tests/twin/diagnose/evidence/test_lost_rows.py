@@ -20,11 +20,11 @@ from tests.harness.diagnose.simulated_rig import (
 )
 from tests.harness.twin.emulated_campaign import Lab
 from tests.harness.twin.true_model import true_model
+from twin.diagnose import settings
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.evidence.lost_rows import bridged
 from twin.diagnose.experiments.virtual_recordings import Schedule, simulate
 from twin.diagnose.inference.theta import Theta
-from twin.diagnose.search.forward_step import THRESHOLD
 from twin.diagnose.search.score_test import screen
 from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_I, USE_X
 from twin.estimation.record import BoolArray, Record
@@ -64,7 +64,7 @@ def test_lost_samples_are_no_reason_to_name_a_cause(seed: int) -> None:
     gains = {score.cause: 0.5 * score.z**2 for score in screen(criterion, base.theta, base.free)}
 
     for cause in ("constant-force", "eddy-current-lag", "position-sensor-lag"):
-        assert gains[cause] < THRESHOLD
+        assert gains[cause] < settings.LEAST_GAIN
     criterion.close()
 
 

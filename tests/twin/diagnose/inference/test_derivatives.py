@@ -10,8 +10,8 @@ import pytest
 
 from tests.harness.diagnose.simulated_rig import PLANT, THETA, TICK_S, criterion_of, fitted, narrow, strong
 from tests.twin.diagnose.evidence.test_lost_rows import drawn, less
+from twin.diagnose import settings
 from twin.diagnose.evidence.gather import gather
-from twin.diagnose.inference.fisher_scoring import LOUD
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import BASE, NOISES, STOPS, Theta, coordinates_of, moved
 from twin.diagnose.search.score_test import screen
@@ -75,7 +75,7 @@ def test_rough_derivatives_point_to_where_the_likelihood_rises(theta: Theta) -> 
     """The slope by b is off by two standard errors there: why the end of a climb takes the exact ones."""
     criterion = criterion_of(narrow(theta, seconds=2.0))
     off = replace(theta, K_c=1.02 * theta.K_c, process_a_m_s2=0.4)  # which makes the misfit no surprise
-    assert criterion.loudness(criterion.outputs(off)) < LOUD
+    assert criterion.loudness(criterion.outputs(off)) < settings.EXACT_SLOPES_SQUARE
 
     values = []
     for rough in (None, True):

@@ -11,11 +11,12 @@ import pytest
 from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from twin.diagnose import settings
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.pipeline import diagnose
 from twin.diagnose.report.other_causes import trifles_of
 from twin.diagnose.search.candidate_fits import Trial
-from twin.diagnose.search.forward_step import THRESHOLD, Round
+from twin.diagnose.search.forward_step import Round
 from twin.diagnose.search.state import Selection
 
 INDUCTANCE = "position-dependent-inductance"
@@ -66,10 +67,12 @@ def test_what_chance_makes_what_stands_in_and_what_belongs_to_another_model_are_
     def after(last: Round) -> list[Round]:
         return [last]
 
-    assert trial.gain > 2.0 * THRESHOLD
+    assert trial.gain > 2.0 * settings.LEAST_GAIN
     assert listed() == ["position-sensor-lag"]
     assert listed(rounds=after(replace(found.rounds[-1], taken="position-sensor-lag"))) == []
-    assert listed(rounds=after(replace(found.rounds[-1], trials=(replace(trial, gain=0.9 * THRESHOLD),)))) == []
+    assert (
+        listed(rounds=after(replace(found.rounds[-1], trials=(replace(trial, gain=0.9 * settings.LEAST_GAIN),)))) == []
+    )
     assert listed(classes={"constant-force": (trial,)}) == []
     assert listed(causes=["air-gap-offset"]) == []
     assert listed(rounds=[]) == []

@@ -11,6 +11,7 @@ from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.known_diagnosis import fit_of
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from twin.diagnose import settings
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.fisher_scoring import climb
 from twin.diagnose.inference.initial_guess import no_better, start_theta
@@ -19,7 +20,7 @@ from twin.diagnose.inference.noise_floor import Floor, floor_of
 from twin.diagnose.inference.theta import BASE, STOPS, coordinates_of
 from twin.diagnose.search import forward_step as forward
 from twin.diagnose.search import stepwise as search
-from twin.diagnose.search.candidate_fits import MARGIN, Trial
+from twin.diagnose.search.candidate_fits import Trial
 from twin.diagnose.search.candidate_starts import beside
 from twin.diagnose.search.equivalence import stand_ins
 from twin.diagnose.search.score_test import probed
@@ -36,7 +37,7 @@ def test_causes_that_hide_each_other_are_taken_together_or_not_at_all(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without the rule of the payoff, which would take the first of these two by itself."""
-    monkeypatch.setattr(forward, "PAYS", 1.0)
+    monkeypatch.setattr(settings, "LEAST_BENEFIT", 1.0)
     make_campaign(tmp_path / "both", effects=HIDDEN, seed=310, plant="independent", quick=True)
     campaign = load(tmp_path / "both")
     records = read_campaign(campaign)
@@ -97,7 +98,7 @@ def test_one_cause_takes_the_place_of_two_that_stand_in_for_it(tmp_path: Path) -
 
     assert unmoved.causes == list(three)
     assert set(found.causes) == set(found.gains) == set(HIDDEN)
-    assert found.fit.loglik > fit.loglik - MARGIN
+    assert found.fit.loglik > fit.loglik - settings.EQUIVALENT_GAIN
     assert found.fit.theta.value("air-gap-offset.d_m") == pytest.approx(3e-4, rel=0.05)
 
 
@@ -149,9 +150,9 @@ def test_a_ball_that_is_held_is_well_predicted_and_that_proves_no_friction(monke
         )
         floor_excess = floor.excess(base.loglik)
         trial = Trial(cause="coulomb-friction", fit=rubs, gain=0.1 * floor_excess)
-        held = forward.decided(criterion, base, floor, [], [trial], 0.0, forward.SHARE)
+        held = forward.decided(criterion, base, floor, [], [trial], 0.0, settings.LEAST_SHARE)
         monkeypatch.setattr(forward, "HOLDS", frozenset())
-        other = forward.decided(criterion, base, floor, [], [trial], 0.0, forward.SHARE)
+        other = forward.decided(criterion, base, floor, [], [trial], 0.0, settings.LEAST_SHARE)
     finally:
         criterion.close()
 

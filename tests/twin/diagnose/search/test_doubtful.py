@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.noise_floor import floor_of
 from twin.diagnose.inference.theta import BASE, STOPS, coordinates_of, roused
-from twin.diagnose.search.candidate_fits import MARGIN
 from twin.diagnose.search.candidate_starts import start_of
 from twin.diagnose.search.equivalence import stand_ins
-from twin.diagnose.search.forward_step import THRESHOLD, Round
+from twin.diagnose.search.forward_step import Round
 from twin.diagnose.search.score_test import screen
 from twin.diagnose.search.state import Selection
 from twin.model.causes.catalogue import BY_NAME
@@ -45,7 +45,7 @@ def test_a_cause_that_turns_out_to_explain_nothing_is_dropped() -> None:
     assert found.causes == [GAP]
     assert set(found.gains) == {GAP}
     assert found.fit.free == (*BASE, *coordinates_of(GAP))
-    assert found.fit.loglik > before - THRESHOLD
+    assert found.fit.loglik > before - settings.LEAST_GAIN
 
 
 @pytest.mark.slow
@@ -72,7 +72,7 @@ def test_beside_dry_friction_a_doubtful_name_goes_to_one_that_the_screen_hardly_
     assert true.loglik - rubs.loglik > 50.0 * shown[MAGNETISM]
     assert MAGNETISM not in spared.causes
     assert asked.causes == [FRICTION, MAGNETISM]
-    assert asked.fit.loglik > true.loglik - MARGIN
+    assert asked.fit.loglik > true.loglik - settings.EQUIVALENT_GAIN
     assert asked.fit.theta.value("residual-magnetism.i_r_a") == pytest.approx(0.04, rel=0.03)
 
 

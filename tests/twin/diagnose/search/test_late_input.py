@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
+from twin.diagnose import settings
 from twin.diagnose.evidence.dead_time import dead_time
 from twin.diagnose.inference.noise_floor import floor_of
 from twin.diagnose.search.candidate_fits import fitted as tried
-from twin.diagnose.search.forward_step import SHARE, forward
+from twin.diagnose.search.forward_step import forward
 from twin.diagnose.search.score_test import screen
 from twin.diagnose.search.stepwise import select
 from twin.estimation.record import Record
@@ -52,7 +53,7 @@ def test_a_delay_is_found_behind_the_time_constant_that_stood_in_for_it(late: li
     floor = floor_of(criterion, base.theta)
     by_slope = {score.cause: score.gain for score in screen(criterion, base.theta, base.free, DELAYS)}
 
-    step = forward(criterion, base, floor, DELAYS, 3, 0.0, SHARE, lambda line: None)
+    step = forward(criterion, base, floor, DELAYS, 3, 0.0, settings.LEAST_SHARE, lambda line: None)
 
     assert base.theta.T_A > 4.0 * FAST.T_A
     assert step.taken == "actuation-delay"

@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
-from twin.diagnose.inference.fisher_scoring import PASSES
+from twin.diagnose import settings
 from twin.diagnose.inference.noise_floor import floor_of
 from twin.diagnose.search import stepwise as select
 from twin.diagnose.search.equivalence import stand_ins
-from twin.diagnose.search.forward_step import BESIDE_NOISE, THRESHOLD, Round
+from twin.diagnose.search.forward_step import Round
 from twin.diagnose.search.score_test import probed
 from twin.diagnose.search.state import Selection
 from twin.model.causes.catalogue import BY_NAME
@@ -31,14 +31,14 @@ def test_a_trifle_beside_a_later_cause_goes_if_noise_remains(strength: float, ke
 
         floor = floor_of(criterion, rig)
         asked = replace(found, causes=[*found.causes], gains={**found.gains})
-        select.backward(criterion, found, floor, lambda line: None, PASSES)
+        select.backward(criterion, found, floor, lambda line: None, settings.PASSES)
         stand_ins(criterion, asked, floor, candidates=(BY_NAME["quadratic-drag"],), few=3)
     finally:
         criterion.close()
 
     loss, gained = both.loglik - alone.loglik, both.loglik - base.loglik
-    assert loss > THRESHOLD  # no question of chance
-    assert (loss > BESIDE_NOISE * gained) == kept
+    assert loss > settings.LEAST_GAIN  # no question of chance
+    assert (loss > settings.MINOR_SHARE_AT_NOISE * gained) == kept
     assert found.causes == ([FIRST, LATER] if kept else [LATER])
     assert (found.fit is both) == kept
     assert asked.causes == found.causes, "nor is what an exchange has left next to nothing"

@@ -9,8 +9,9 @@ import pytest
 
 from tests.harness.diagnose.known_diagnosis import QUIET, steps
 from tests.harness.diagnose.simulated_rig import PLANT, TICK_S, strong
+from twin.diagnose import settings
 from twin.diagnose.evidence.gather import gather
-from twin.diagnose.inference.fisher_scoring import PASSES, climb
+from twin.diagnose.inference.fisher_scoring import climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import BASE, Theta, coordinates_of
 from twin.diagnose.search import equivalence as rivals
@@ -63,7 +64,7 @@ def test_the_frequency_is_found_with_recordings_that_are_a_minute_into_the_campa
             .having(AMPLITUDE, line.amplitude_n)
             .having(FREQUENCY, line.frequency_hz)
         )
-        fit = rephased(criterion, climb(criterion, start, (*BASE, AMPLITUDE, FREQUENCY)), PASSES)
+        fit = rephased(criterion, climb(criterion, start, (*BASE, AMPLITUDE, FREQUENCY)), settings.PASSES)
     finally:
         criterion.close()
 
@@ -101,7 +102,7 @@ def test_each_recording_settles_at_the_phase_of_its_own() -> None:
     try:
         best = climb(criterion, rig, free)
         off = climb(criterion, replace(rig, phases_s=(0.0, 0.6 * turn_s, -0.3 * turn_s)), free)
-        fit = settled(criterion, off, PASSES)
+        fit = settled(criterion, off, settings.PASSES)
         turns = [phase / turn_s % (2.0 * np.pi) for phase in fit.theta.phases_s]
     finally:
         criterion.close()
@@ -123,9 +124,9 @@ def test_a_rival_has_the_phases_that_belong_to_it(monkeypatch: pytest.MonkeyPatc
     answers = {}
     try:
         base = climb(criterion, QUIET, BASE)
-        false = settled(criterion, rephased(criterion, climb(criterion, start, free), PASSES), PASSES)
+        false = settled(criterion, rephased(criterion, climb(criterion, start, free), settings.PASSES), settings.PASSES)
         for most in (0, 2):
-            monkeypatch.setattr(rivals, "_REPHASED", most)
+            monkeypatch.setattr(settings, "PHASE_CANDIDATES", most)
             causes = [CAUSE.name, sensor]
             gained = dict.fromkeys(causes, false.loglik - base.loglik)
             found = Selection(base=base, fit=false, causes=causes, gains=gained)

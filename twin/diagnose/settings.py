@@ -1,0 +1,152 @@
+"""Every number by which `diagnose` decides, with what it means and where it comes from.
+
+Three kinds of origin are marked:
+
+- *level*: follows from an error rate, which is stated;
+- *tuned*: chosen on simulated campaigns of the matrix (the seeds of its evaluation draws are not among them);
+- *reasoned*: an engineer's judgement, neither derived nor tuned.
+
+Log-likelihoods are natural logarithms.  Twice a gain of one parameter is chi-square with one degree of freedom where
+the parameter is absent (S. S. Wilks, Annals of Mathematical Statistics 9(1), 1938), so a gain g is z = sqrt(2 g)
+standard errors.  What each number does to the answers when it is halved and doubled: docs/theory/settings.md.
+
+Modules read these as attributes (`settings.LEAST_GAIN`), so that a benchmark can vary them.
+"""
+
+# --- Noise and adequacy: is what is left only sensor noise? ---
+
+# Level.  Share of the noise level by which it may be off: 2 % of a standard deviation is 0.02 of log-likelihood per
+# reading, and a converter's rounding and the filter's linearisation make about 1 %.
+NOISE_TOLERANCE = 0.02
+# Level.  Standard errors of the noise level, where the rest was too short for 2 %: one-sided 0.13 % per campaign.
+# Measured: 2.5 gave 3 false alarms in 60 campaigns with nothing hidden, 3.0 none.
+NOISE_ERRORS = 3.0
+# Level.  Autocorrelation of the whitened innovations, in standard errors 1 / sqrt(n): the largest of 50 lags exceeds 4
+# by chance in 0.3 % of campaigns (two-sided normal tail times 50).
+AUTOCORRELATION_ERRORS = 4.0
+# Reasoned.  Autocorrelation below which nothing physical is missing, however many samples prove it: such a rest adds
+# less than 0.4 % to the error of a one-step prediction.
+MOST_AUTOCORRELATION = 0.06
+# Reasoned.  How well a plant's data give the place of a stop, m, one standard deviation (a caliper).
+STOP_STD_M = 2e-5
+# Level.  A stop farther from its place contradicts the plant: 5 standard deviations, 6e-7 two-sided.
+MISPLACED_STOP_M = 5.0 * STOP_STD_M
+# Reasoned.  The fit may not make the sensors better than this share of their noise at rest.
+LEAST_NOISE = 0.7
+# Level.  Sum of squares of a window at rest over the median window's: above, something moved.  Of 1e4 windows of white
+# noise none is expected there (chi-square with 23 degrees of freedom: 1e-13 each).
+RESTLESS = 5.0
+# Reasoned.  Mean square of the innovations at one height over the smallest, from which a height is mentioned.
+UNEVEN_SQUARE = 1.5
+
+# --- Score test: can these data show a cause at all? ---
+
+# Reasoned.  Share of the square of a signature that nothing else in the model takes up.  Less is rounding; more would
+# leave out a displaced sensor, which shows most at rest, where the places of the stops take it up.
+VISIBLE = 1e-7
+# Level.  Standard errors that a cause of its usual strength makes: with less than one it cannot be seen.
+LEAST_INFORMATION = 1.0
+
+# --- Stepwise selection: does a cause earn its place? ---
+
+# Level.  Gain of log-likelihood: z = 4.5, two-sided 7.7e-6 for one cause, 2.3e-4 for the best of thirty.
+LEAST_GAIN = 10.0
+# Tuned.  Share of what is missing that a cause must explain while more than noise is missing: a significant but minor
+# effect beside a large unexplained rest is how a false name looks.
+LEAST_SHARE = 0.2
+# Tuned.  The same for a cause that leaves, together with others, nothing but noise; and for the last of them.
+LEAST_SHARE_TOGETHER = 0.05
+LEAST_SHARE_LAST = 0.8
+# Tuned.  A smaller share is enough for a cause that removes this much of the mean square error of x, BENEFIT_HORIZON_S
+# ahead, over at least BENEFIT_PREDICTIONS predictions.
+LEAST_BENEFIT = 0.5
+BENEFIT_HORIZON_S = 0.02
+BENEFIT_PREDICTIONS = 200
+# Tuned.  Share of what the causes gain together, below which a gain corrects their form and is no cause of its own.
+MINOR_SHARE = 0.005
+# Tuned.  The same once hardly more than noise is left.
+MINOR_SHARE_AT_NOISE = 0.015
+# Reasoned.  Causes in one answer; causes that are asked to explain together what none explains alone.
+MOST_CAUSES = 4
+MOST_TOGETHER = 3
+
+# --- Equivalence classes: which other cause would do as well? ---
+
+# Level.  Difference of log-likelihood below which two causes are one class: z = 3, so that the true one is left out of
+# its class in 0.13 % of cases (one-sided).
+EQUIVALENT_GAIN = 4.5
+# Reasoned.  So far behind, a candidate is outside the class whatever its fit may still gain.
+OUT_OF_CLASS_GAIN = 60.0
+# Tuned.  Share of the cause's own score from which a candidate may be its equivalent, and from which it is fitted again
+# from the cause's own numbers.
+COMPARABLE_SCORE = 0.2
+ALIKE_SCORE = 0.8
+# Reasoned.  Share of a periodic force's gain that phases of another cause may cost (8 degrees cost a quarter), and the
+# number of candidates that are fitted with phases of their own.
+PHASE_SHARE = 0.5
+PHASE_CANDIDATES = 2
+
+# --- A periodic force ---
+
+LINE_NEIGHBOURS_HZ = 3.0  # reasoned: the spectrum on either side that a line is compared with
+PHASE_GAIN = EQUIVALENT_GAIN  # phases that gain less say the same
+
+# --- Effort: which candidates are fitted, and how far.  Tuned for time; a wrong number costs a name, not its truth. ---
+
+CANDIDATES = 5  # fitted in a round
+LEAST_SCORE_SHARE = 0.02  # of the best score: candidates below are not fitted
+PASSES = 30  # of a fit, at most
+PASSES_FIRST = 2  # of a candidate's first fit
+PASSES_QUICK = 10  # of a model without one of its causes, with --quick
+HALVING = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))  # then: passes, least share of the best gain, most candidates
+STEEPNESS = 8.0  # a likelihood rises at most so much above what its slope promises (five times was seen)
+STEEPNESS_DELAY = 50.0  # the same of a delay, whose likelihood is flat at zero
+STEEPNESS_DOUBT = 0.2  # share of the best gain that an early fit may be behind its end
+SAFE_CANDIDATES = 2  # with the best scores: they pass the first halving in any case
+FIRST_SHARE = 0.7  # of the best gain: candidates that may be first where several explain a rest together
+FIRSTS = 4  # of these
+ROUND_TRIPS = 3  # forward and backward, while causes take each other's places
+EXACT_SLOPES_SQUARE = 1.5  # mean square of the innovations above which rough slopes may point the wrong way
+
+# --- Checks: is it the same effect in all recordings? ---
+
+# Level.  Standard errors by which a block of a recording must contradict the others: 1e-15, many blocks are asked.
+DRIFT_ERRORS = 8.0
+# Reasoned.  Change of the logarithm of a parameter below which a drift does not matter.
+DRIFT = {"K_A": 0.03, "K_c": 0.05}
+# Level.  Gain of a beginning within a recording (z = 7), z of the effect after it; reasoned: the share of the later
+# strength below which an effect is absent.
+BEGINNING_GAIN = 25.0
+BEGINNING_Z = 4.0
+BEGINNING_ABSENT = 0.25
+# Level.  Gain of a change between recordings over the same causes all the time; the places that are tried make about 6
+# by chance.
+CHANGE_GAIN = 25.0
+CHANGE_AHEAD = 1.2  # reasoned: and so many times the score without a change
+CHANGE_SHARE = 0.4  # reasoned: share of what is left that each cause must explain
+CHANGE_SAME = 0.01  # reasoned: share of the gain by which two places are the same
+CHANGE_PLACES = 2  # effort: places that are searched with fits
+# Level.  Gain by parameters of its own that makes a recording an outlier (z > 9 for four parameters, 1e-20).
+OUTLIER_GAIN = 50.0
+OUTLIER_SAMPLES = 500  # reasoned: in flight; fewer do not fix four parameters
+OUTLIER_RECORDINGS = 4  # reasoned: of two that disagree, neither is known to be the outlier
+
+# --- Verdict and confidence ---
+
+# Reasoned.  `partly-explained`: error of x over its noise floor, at most, and the least share of the mean square above
+# the floor that the causes remove.
+PARTLY_ERROR = 2.0**0.5
+PARTLY_SHARE = 0.5
+# Reasoned.  Lead of log-likelihood over which the doubt falls by e; factor of what is not calibrated.
+CONFIDENCE_LEAD = 6.0
+CONFIDENCE_UNCALIBRATED = 0.8
+
+# --- Diagnosis from points of rest alone ---
+
+STATIC_LEVEL = 0.05  # level: of the F test, divided by the number of causes tried
+STATIC_POINTS = 3  # reasoned: K_c, one cause, and one degree of freedom
+STATIC_ABSORBED = 1e-4  # reasoned: share of the squares below which a cause is K_c under another name
+STATIC_TIE = 1.01  # reasoned: ratio of sums of squares
+STATIC_Z = 3.0  # level: separation that an experiment must promise, as EQUIVALENT_GAIN
+STATIC_NEARLY = 0.9  # reasoned: share of the squares from which a cause is mentioned though too few points hold it
+STATIC_CONFIDENCE = 0.98  # reasoned: at most
