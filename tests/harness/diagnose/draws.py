@@ -7,6 +7,7 @@ Rule 1: consecutive seeds of `causes` go through all causes before one comes aga
         each within 78 seeds: a short run already says something about every cause.
 Rule 2: sign, plant, noise and rig are drawn freely.
         `gateway` does so with the strong ones: its recordings take their time, because a real line carries them.
+        `forms` goes through all formulas of `forms.py` before one comes again.
 Rule 3: of effects that delay the loop a composite has one at most: two strong ones put the ball on the floor.
 """
 
@@ -20,10 +21,11 @@ from typing import Literal, get_args
 import numpy as np
 
 from gateway.emulator.plant.effects import EFFECTS, Effect
+from tests.harness.diagnose.forms import FORMS
 from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
 from tests.harness.diagnose.outside import OUTSIDE
 
-Part = Literal["causes", "nulls", "composites", "outside", "gateway"]
+Part = Literal["causes", "nulls", "composites", "outside", "gateway", "forms"]
 Grade = Literal["weak", "medium", "strong"]
 PARTS: tuple[Part, ...] = get_args(Part)
 GRADES: tuple[Grade, ...] = get_args(Grade)
@@ -42,6 +44,7 @@ class Hidden:
     seed: int  # of rig, noise, excitation
     plant: PlantName | Literal["gateway"]
     effects: Mapping[str, float] = field(default_factory=dict)
+    form: str = ""  # of `forms`: the formula by which the one effect is written
     outside: Mapping[str, float] = field(default_factory=dict)
     grade: str = ""  # of `causes`
 
@@ -65,6 +68,12 @@ def draw_hidden(seed: int, part: Part | None = None) -> Hidden:
         name = names[seed % len(names)]
         strength = OUTSIDE[name].strength * 0.7 * 2.0 ** rng.random()
         return Hidden(part=part, seed=seed, plant="independent", outside={name: float(strength)})
+    if part == "forms":
+        names = sorted(FORMS)
+        name = names[seed % len(names)]
+        form = FORMS[name]
+        value = float(form.medium * (form.strong / form.medium) ** rng.random())
+        return Hidden(part=part, seed=seed, plant="textbook", effects={form.effect: value}, form=name, grade=name)
     names = np.random.default_rng(_DRAW).permutation(sorted(EFFECTS)).tolist()
     if part == "gateway":
         effect = EFFECTS[names[seed % len(names)]]
@@ -100,7 +109,12 @@ def record_hidden(folder: Path, hidden: Hidden, *, quick: bool = False) -> None:
         record_through_gateway(folder, hidden.effects, seed=hidden.seed, quick=quick)
         return
     make_campaign(
-        folder, effects=hidden.effects, seed=hidden.seed, plant=hidden.plant, quick=quick, outside=hidden.outside
+        folder,
+        effects={hidden.form: next(iter(hidden.effects.values()))} if hidden.form else hidden.effects,
+        seed=hidden.seed,
+        plant=hidden.plant,
+        quick=quick,
+        outside=hidden.outside,
     )
 
 

@@ -31,7 +31,7 @@ from tests.harness.twin.emulated_campaign import TICK_S, Lab, random_rig
 
 FloatArray = NDArray[np.float64]
 ShapeName = Literal["none", "rectangle", "sawtooth", "prbs", "multisine"]
-PlantName = Literal["emulator", "independent"]
+PlantName = Literal["emulator", "independent", "textbook"]
 
 MIDDLE_M = 2.85e-3
 CONTACT_MOST = 0.05  # of the closed loop
@@ -160,6 +160,10 @@ def make_campaign(
     if plant == "emulator":
         assert not outside, "only the second plant has them"
         bench = EmulatedBench(rig, {} if begins_with else effects, seed=noise, believed=believed)
+    elif plant == "textbook":
+        from tests.harness.diagnose.textbook_plant import TextbookBench
+
+        bench = TextbookBench(rig, effects, seed=noise, believed=believed)
     else:
         from tests.harness.diagnose.second_plant import SecondBench
 

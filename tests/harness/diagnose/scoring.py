@@ -128,13 +128,13 @@ def judge(
     """Judge one answer.
 
     Args:
-        part: causes | nulls | composites | outside | gateway.
+        part: causes | nulls | composites | outside | gateway | forms.
         truths: Names of the hidden effects.
         answer: What the diagnosis said.
         may_be_adequate: Of an effect outside: leaving the damaged samples out is an honest answer, too.
         in_the_data: Of a single cause: whether the recordings would be others without it.
     """
-    known = set(truths) if part in ("causes", "composites", "gateway") else set()
+    known = set(truths) if part in ("causes", "composites", "gateway", "forms") else set()
     found = {truth for truth in known if any(truth in _class(cause) for cause in answer.causes)}
     false_names = sum(not (known & set(_class(cause))) for cause in answer.causes)
     confidence = answer.causes[0].confidence if answer.causes else math.nan

@@ -120,6 +120,13 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
                 count=len(outside),
             ),
         ]
+    forms = [(o, j) for o, j in part("forms") if j.right is not None]
+    if forms:
+        wrong = sum(o.verdict == FOUND and (j.right is not True or j.false_names > 0) for o, j in forms)
+        result += [
+            Rate(name="another formula: right", hits=sum(j.right is True for _, j in forms), count=len(forms)),
+            Rate(name="another formula: a false name", hits=wrong, count=len(forms), target=0.05),
+        ]
     listed = [(o, name) for o, _ in part("composites") for name, _ in o.trifles]
     if listed:
         there = sum(name in o.truths for o, name in listed)
@@ -186,7 +193,7 @@ def confusion(outcomes: Iterable[Outcome]) -> dict[str, tuple[int, Counter[str]]
     for o in outcomes:
         if o.part == "composites" or o.judgement is None:
             continue
-        truth = o.truths[0] if o.truths else "none"
+        truth = o.grade if o.part == "forms" else o.truths[0] if o.truths else "none"
         right, said = table.get(truth, (0, Counter()))
         said[o.judgement.said] += 1
         table[truth] = (right + (o.judgement.right is True), said)

@@ -10,6 +10,7 @@ import pytest
 
 from gateway.emulator.plant.effects import EFFECTS
 from gateway.emulator.plant.rig import CE152
+from tests.harness.diagnose.forms import FORMS
 from tests.harness.diagnose.hidden_campaign import (
     MIDDLE_M,
     Bench,
@@ -23,6 +24,7 @@ from tests.harness.diagnose.hidden_campaign import (
 )
 from tests.harness.diagnose.outside import OUTSIDE
 from tests.harness.diagnose.second_plant import NAMES, SecondBench
+from tests.harness.diagnose.textbook_plant import TextbookBench
 
 RIG = replace(CE152, position_noise_m=1e-12, current_noise_a=1e-12)
 STEP, HIGH, LOOP_X, LOOP_I = "step", "step at the top stop", "x in closed loop", "i_c in closed loop"
@@ -43,6 +45,8 @@ OWN = {"periodic-disturbance", "amplifier-gain-drift", "lost-samples"}
 def bench(plant: PlantName, effects: dict[str, float], **more: dict[str, float]) -> Bench:
     if plant == "emulator":
         return EmulatedBench(RIG, effects, seed=3, believed=RIG)
+    if plant == "textbook":
+        return TextbookBench(RIG, effects, seed=3, believed=RIG)
     return SecondBench(RIG, effects, seed=3, believed=RIG, **more)
 
 
@@ -86,6 +90,24 @@ def test_both_plants_do_the_same(name: str | None, without: dict[str, FloatArray
         assert distance(one[record], other[record]) < tolerance[record], record
     if name:
         assert any(distance(other[r], without[r]) > 1.5 * tolerance[r] for r in TOLERANCE), "no trace"
+
+
+def test_the_textbook_rig_without_a_form_does_the_same(without: dict[str, FloatArray]) -> None:
+    other = records("textbook", {})
+
+    for record in TOLERANCE:
+        assert distance(without[record], other[record]) < TOLERANCE[record], record
+
+
+# What heats or drifts by chance shows in longer records only.
+@pytest.mark.parametrize("name", sorted(set(FORMS) - {"resistance-heats"}))
+def test_every_form_is_really_there(name: str, without: dict[str, FloatArray]) -> None:
+    form = FORMS[name]
+    assert form.effect in EFFECTS
+
+    found = records("textbook", {name: form.strong})
+
+    assert any(distance(found[r], without[r]) > 1.5 * TOLERANCE[r] for r in TOLERANCE), "no trace"
 
 
 def test_a_coil_that_heats_loses_gain_on_both() -> None:
