@@ -14,6 +14,8 @@ from twin.diagnose.report.sentences import quantity
 from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 
+_NOTHING_A = 1e-12  # points without any error, as by hand: no ratio divides by less
+
 
 def sentence_of(found: StaticDiagnosis) -> str:
     """The answer, first."""
@@ -48,7 +50,7 @@ def sentence_of(found: StaticDiagnosis) -> str:
     text += f"; so would, as well, {also}." if also else "."
     return (
         f"{text} A point predicted from the others is then off by {1e3 * after:.3g} mA rms"
-        f" instead of {1e3 * before:.3g} ({before / after:.2g} times less)."
+        f" instead of {1e3 * before:.3g} ({before / max(after, _NOTHING_A):.2g} times less)."
     )
 
 
@@ -113,7 +115,7 @@ def to_json(found: StaticDiagnosis) -> dict[str, Any]:
             "leave_one_out": {
                 "baseline_rmse_a": rms(found.base_left_out_a),
                 "extended_rmse_a": rms(after),
-                "ratio": rms(after) / rms(found.base_left_out_a),
+                "ratio": rms(after) / max(rms(found.base_left_out_a), _NOTHING_A),
                 "noise_floor_a": found.rounding_a,
                 "points": len(found.points),
             },
