@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from twin.diagnose.inference.budget import millions
+from twin.diagnose.search.forward_step import Round
 from twin.diagnose.search.score_test import Score
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause, CauseParameter
@@ -112,6 +113,23 @@ def bound_sentence(cause: Cause, score: Score) -> str:
     change = "differs by at most" if strength.neutral else "is at most"
     what = quantity(size, strength.unit) if strength.unit else f"{100.0 * size:.2g} %"
     return f"{strength.symbol} {change} {what} (95 %)"
+
+
+def round_sentence(step: Round) -> str:
+    """What one step forward came to."""
+    best = step.best
+    if best is None:
+        return "nothing in the catalogue gains anything"
+    if not step.refusal:
+        return ("instead, " if step.instead else "") + f"log-likelihood +{best.gain:.0f}"
+    because = {
+        "chance": f", with a gain of {best.gain:.1f}: chance does that",
+        "outside its range": ", but outside its physical range",
+        "minor": ", but is a minor effect beside what was found",
+        "minor beside noise": ", but hardly more than noise is left, and it is a minor effect",
+        "small share": f", but explains {100 * step.share:.0f} % of what is left",
+    }
+    return f"{best.cause} would be best{because[step.refusal]}"
 
 
 def summary_sentence(found: Diagnosis) -> str:
