@@ -22,6 +22,8 @@ from twin.model.parameters import Parameter
 
 if TYPE_CHECKING:
     from twin.diagnose.checks.change_point import Change
+    from twin.diagnose.checks.consistency import Beginning, Contradiction
+    from twin.diagnose.checks.outlier_recording import Odd
     from twin.diagnose.judge.prediction_gain import Gain
     from twin.diagnose.result import Diagnosis, Finding
 
@@ -132,6 +134,14 @@ def round_sentence(step: Round) -> str:
     return f"{best.cause} would be best{because[step.refusal]}"
 
 
+def answer_sentence(found: Diagnosis, *, blind: bool, off: str) -> str:
+    """`summary_sentence`, for recordings without x (`blind`) or beside a given model whose numbers are `off`."""
+    if off and found.verdict == "model-adequate":
+        return f"The form of the model is adequate, but {off}."
+    sentence = summary_sentence(found)
+    return f"Of the amplifier alone, as no recording has x: {sentence}" if blind else sentence
+
+
 def summary_sentence(found: Diagnosis) -> str:
     """The answer, first."""
     if found.verdict == "model-adequate":
@@ -228,6 +238,25 @@ def beyond_sentence(gain: Gain) -> str:
         f"{WHERE_JUDGED}: their {gain.horizon_s * 1e3:.0f} ms prediction error is {ratio:.3g} times what noise alone "
         f"makes ({low:.3g} to {high:.3g})"
     )
+
+
+def contradiction_sentence(found: Contradiction) -> str:
+    """Which recording does not fit to the others, and by what."""
+    return f"{found.recording} contradicts the others: alone it asks for {found.parameter} {100 * found.change:+.0f} %"
+
+
+def odd_sentence(odd: Odd) -> str:
+    """Which recording was left out, and why."""
+    asked = " and ".join(f"{name} {100.0 * by:+.0f} %" for name, by in odd.moves)
+    return (
+        f"{odd.name} contradicts the others and was left out: alone it is explained by {asked}, as by another "
+        "rig. Check where it comes from"
+    )
+
+
+def beginning_sentence(late: Beginning) -> str:
+    """Which cause is absent at first."""
+    return f"{late.cause} is not there from the start: it begins in {late.recording} at about {late.t_s:.0f} s"
 
 
 def change_sentence(change: Change) -> str:
