@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.diagnose import settings
 from twin.diagnose.equilibria.diagnosis import Explanation, StaticDiagnosis, parameters_of, proposal_for
+from twin.diagnose.equilibria.points import StaticFit
 from twin.diagnose.report.sentences import quantity
 from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
@@ -61,32 +62,6 @@ def to_json(found: StaticDiagnosis) -> dict[str, Any]:
     excess = max(base.rss_a2 - floor, 1e-300)
     left = first.fit.rss_a2 if first else base.rss_a2
     after = first.left_out_a if first else found.base_left_out_a
-    causes = []
-    if first is not None:
-        others = found.members[1:]
-        proposals = [proposal_for(first, other) for other in others]
-        causes.append(
-            {
-                "name": first.name,
-                "sentence": named(first),
-                "parameters": _numbers(first),
-                "confidence": round(found.confidence, 3),
-                "indistinguishable_from": [other.name for other in others],
-                "alternatives": [
-                    {
-                        "name": other.name,
-                        "parameters": _numbers(other),
-                        "rms_a": rms(other.fit.residual_a),
-                        "unstable_pole_per_s": other.pole_per_s,
-                        "told_apart_by": {"what": what, "separation_z": z, "command": command},
-                    }
-                    for other, (what, z, command) in zip(others, proposals, strict=True)
-                ],
-                "share_of_excess_explained": min((base.rss_a2 - left) / excess, 1.0),
-                "next_experiment": _best_proposal(proposals),
-                "unstable_pole_per_s": first.pole_per_s,
-            }
-        )
     worst = int(np.argmax(np.abs(first.fit.residual_a if first else base.residual_a)))
     remains = first.fit if first else base
     where = (
@@ -97,7 +72,7 @@ def to_json(found: StaticDiagnosis) -> dict[str, Any]:
         "verdict": found.verdict,
         "sentence": sentence_of(found),
         "calibrated": True,
-        "causes": causes,
+        "causes": [] if first is None else [_cause(found, first, min((base.rss_a2 - left) / excess, 1.0))],
         "candidates": [],
         "not_testable": [{"name": name, "why": why} for name, why in not_testable(found)],
         "ruled_out": [{"name": one.name, "why": why_not(found, one)} for one in found.others],
@@ -120,20 +95,52 @@ def to_json(found: StaticDiagnosis) -> dict[str, Any]:
                 "points": len(found.points),
             },
         },
-        "static": {
-            "x_m": found.points.x_m.tolist(),
-            "i_c_a": found.points.i_c_a.tolist(),
-            "baseline_error_a": base.residual_a.tolist(),
-            "baseline_error_share": (base.residual_a / found.points.i_c_a).tolist(),
-            "baseline_error_m": found.base_off_m.tolist(),
-            "extended_error_a": remains.residual_a.tolist(),
-            "given_model_error_a": None if found.given_off_a is None else found.given_off_a.tolist(),
-            "K_c": {"paper": base.theta.K_c, "extended": remains.theta.K_c},
-            "F": None if first is None else first.F,
-            "p": None if first is None else first.p,
-            "degrees_of_freedom": remains.freedom,
-        },
+        "static": _rows(found, remains),
         "warnings": list(found.warnings),
+    }
+
+
+def _cause(found: StaticDiagnosis, first: Explanation, share: float) -> dict[str, Any]:
+    """The cause that is named, with those that explain as much and what would tell them apart."""
+    others = found.members[1:]
+    proposals = [proposal_for(first, other) for other in others]
+    return {
+        "name": first.name,
+        "sentence": named(first),
+        "parameters": _numbers(first),
+        "confidence": round(found.confidence, 3),
+        "indistinguishable_from": [other.name for other in others],
+        "alternatives": [
+            {
+                "name": other.name,
+                "parameters": _numbers(other),
+                "rms_a": rms(other.fit.residual_a),
+                "unstable_pole_per_s": other.pole_per_s,
+                "told_apart_by": {"what": what, "separation_z": z, "command": command},
+            }
+            for other, (what, z, command) in zip(others, proposals, strict=True)
+        ],
+        "share_of_excess_explained": share,
+        "next_experiment": _best_proposal(proposals),
+        "unstable_pole_per_s": first.pole_per_s,
+    }
+
+
+def _rows(found: StaticDiagnosis, remains: StaticFit) -> dict[str, Any]:
+    """Point by point: what was read, and what each model gets wrong."""
+    base, first = found.base, found.members[0] if found.members else None
+    return {
+        "x_m": found.points.x_m.tolist(),
+        "i_c_a": found.points.i_c_a.tolist(),
+        "baseline_error_a": base.residual_a.tolist(),
+        "baseline_error_share": (base.residual_a / found.points.i_c_a).tolist(),
+        "baseline_error_m": found.base_off_m.tolist(),
+        "extended_error_a": remains.residual_a.tolist(),
+        "given_model_error_a": None if found.given_off_a is None else found.given_off_a.tolist(),
+        "K_c": {"paper": base.theta.K_c, "extended": remains.theta.K_c},
+        "F": None if first is None else first.F,
+        "p": None if first is None else first.p,
+        "degrees_of_freedom": remains.freedom,
     }
 
 
