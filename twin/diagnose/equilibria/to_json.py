@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -176,7 +175,8 @@ def why_not(found: StaticDiagnosis, one: Explanation) -> str:
     best = found.members[0].fit if found.members else None
     if best is None:
         return f"{left}; chance does that in {100 * one.p:.2g} % of such campaigns, and others were tried too"
-    return f"{left}, {math.sqrt(one.fit.rss_a2 / best.rss_a2):.3g} times what {best.cause} leaves"
+    times = rms(one.fit.residual_a) / max(rms(best.residual_a), _NOTHING_A)
+    return f"{left}, {times:.3g} times what {best.cause} leaves"
 
 
 def named(one: Explanation) -> str:
@@ -198,7 +198,8 @@ def _numbers(one: Explanation) -> dict[str, Any]:
 def _best_proposal(proposals: Sequence[tuple[str, float, str]]) -> dict[str, Any] | None:
     if not proposals:
         return None
-    what, z, command = max(proposals, key=lambda proposal: proposal[1])
+    # Members that are one to a measurement differ in the last digits: the first of them, then, not the luckiest.
+    what, z, command = max(proposals, key=lambda proposal: round(proposal[1], 6))
     return {"what": what, "separation_z": z, "command": command}
 
 
