@@ -1,7 +1,7 @@
 """The law that keeps the ball in a simulated experiment, and the input at which it leaves the stop.
 
 Rule: a law that nobody has told is designed as `board51 design` does it, (14)-(18) with the weights of its
-      inexperienced user, for the model without delays and lags.
+      inexperienced user; delays and a lag of the sensor are left out.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from twin.control import LawNumbers, c2d
 from twin.design.gains import LARGEST_U_SHARE, LARGEST_X_SHARE, TIME_CONSTANTS, augmented
 from twin.diagnose.inference.theta import Theta
 from twin.identify.checks.control_law import WIDE_V, numbers_of
-from twin.model.causes.catalogue import absent
+from twin.model.causes import current_sensor_gain, position_sensor_lag
 from twin.model.equilibrium import at_rest, holding_current, holding_input
 from twin.model.extended import I_C, current_reading
 from twin.model.linear import linearised
@@ -45,7 +45,8 @@ def designed(theta: Theta, plant: Plant, tick_s: float) -> Controller:
     For a rig that cannot be held there, or not controlled, all numbers are 0: the ball will not fly, and the caller
     sees that it does not.
     """
-    p, c, x_0 = theta.base(plant), absent(theta.vector(), "hidden-state"), 0.5 * plant.travel_m
+    p, c, x_0 = theta.base(plant), theta.vector(), 0.5 * plant.travel_m
+    c[position_sensor_lag.TAU] = 0.0
     y, u_0 = at_rest(p, c, x_0, shown=True)
     K, i_0 = np.zeros(4), 0.0
     if math.isfinite(u_0):
@@ -55,7 +56,10 @@ def designed(theta: Theta, plant: Plant, tick_s: float) -> Controller:
         time_s, x, u = TIME_CONSTANTS / unstable, LARGEST_X_SHARE * plant.travel_m, LARGEST_U_SHARE * u_0
         Q = np.diag([(theta.K_A * u) ** -2, x**-2, (x / time_s) ** -2, (x * time_s) ** -2])
         R = np.array([[u**-2]])
-        F, G = augmented(*c2d(A, B, tick_s), tick_s)
+        phi, gamma = c2d(A, B, tick_s)
+        if len(phi) > 3:  # nobody measures the field: it is taken for settled at the current that is read
+            phi[:, 0] += phi[:, 3] / c[current_sensor_gain.GAIN]
+        F, G = augmented(phi[:3, :3], gamma[:3], tick_s)
         try:
             P = solve_discrete_are(F, G, Q, R)
             K = np.linalg.solve(R + G.T @ P @ G, G.T @ P @ F)[0]
