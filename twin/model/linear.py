@@ -22,6 +22,7 @@ from twin.model.causes import (
     actuation_delay,
     amplifier_gain_drift,
     coulomb_friction,
+    current_sensor_gain,
     eddy_current_lag,
     periodic_disturbance,
     position_sensor_lag,
@@ -96,6 +97,21 @@ def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.
     rates = _logarithm(block) / h
     change = _to_readings(p, c, y0, places)
     return change @ rates[:n, :n] @ np.linalg.inv(change), change @ rates[:n, n:]
+
+
+def measured(
+    p: Base, c: NDArray[np.float64], x_m: float, sample_time_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(15) for the readings of i_c and x and the speed alone, shapes (3, 3) and (3, 1): delays and sensor lag left out.
+
+    A lagging field, which nobody measures, is taken for settled at the current that is read.
+    """
+    c = c.copy()
+    c[position_sensor_lag.TAU] = 0.0
+    phi, gamma = late(*linearised(p, c, x_m), 0.0, sample_time_s)
+    if len(phi) > 3:
+        phi[:, 0] += phi[:, 3] / c[current_sensor_gain.GAIN]
+    return phi[:3, :3], gamma[:3]
 
 
 def _logarithm(block: NDArray[np.float64]) -> NDArray[np.float64]:

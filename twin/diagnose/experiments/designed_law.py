@@ -12,14 +12,13 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from protocol.campaign import Controller, OperatingPoint, Plant
-from twin.control import LawNumbers, c2d
+from twin.control import LawNumbers
 from twin.design.gains import LARGEST_U_SHARE, LARGEST_X_SHARE, TIME_CONSTANTS, augmented
 from twin.diagnose.inference.theta import Theta
 from twin.identify.checks.control_law import WIDE_V, numbers_of
-from twin.model.causes import current_sensor_gain, position_sensor_lag
 from twin.model.equilibrium import at_rest, holding_current, holding_input
 from twin.model.extended import I_C, current_reading
-from twin.model.linear import linearised
+from twin.model.linear import measured
 
 
 def lift_off_input(theta: Theta, plant: Plant) -> float:
@@ -46,20 +45,16 @@ def designed(theta: Theta, plant: Plant, tick_s: float) -> Controller:
     sees that it does not.
     """
     p, c, x_0 = theta.base(plant), theta.vector(), 0.5 * plant.travel_m
-    c[position_sensor_lag.TAU] = 0.0
     y, u_0 = at_rest(p, c, x_0, shown=True)
     K, i_0 = np.zeros(4), 0.0
     if math.isfinite(u_0):
         i_0 = float(current_reading(c, y[I_C]))
-        A, B = linearised(p, c, x_0)
-        unstable = max(float(np.max(np.linalg.eigvals(A).real)), 1.0)
+        phi, gamma = measured(p, c, x_0, tick_s)
+        unstable = max(math.log(max(float(np.max(np.abs(np.linalg.eigvals(phi)))), 1.0)) / tick_s, 1.0)
         time_s, x, u = TIME_CONSTANTS / unstable, LARGEST_X_SHARE * plant.travel_m, LARGEST_U_SHARE * u_0
         Q = np.diag([(theta.K_A * u) ** -2, x**-2, (x / time_s) ** -2, (x * time_s) ** -2])
         R = np.array([[u**-2]])
-        phi, gamma = c2d(A, B, tick_s)
-        if len(phi) > 3:  # nobody measures the field: it is taken for settled at the current that is read
-            phi[:, 0] += phi[:, 3] / c[current_sensor_gain.GAIN]
-        F, G = augmented(phi[:3, :3], gamma[:3], tick_s)
+        F, G = augmented(phi, gamma, tick_s)
         try:
             P = solve_discrete_are(F, G, Q, R)
             K = np.linalg.solve(R + G.T @ P @ G, G.T @ P @ F)[0]
