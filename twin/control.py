@@ -18,6 +18,7 @@ from scipy.linalg import expm
 from protocol.bus import board51_pb2 as pb
 from twin.compiled import kernel
 from twin.model import linear
+from twin.model.equilibrium import equilibrium
 from twin.model.parameters import Model
 
 SUM_COUNTS_MAX = (1 << 23) - 1  # the board's integrator is a saturating 24-bit integer (rule 9)
@@ -113,17 +114,6 @@ def integral_behind(c: LawNumbers, *, i: float, x: float, x_prev: float, x_ref: 
         return 0.0
     without, _ = law(c._replace(u_low=-np.inf, u_high=np.inf), i, x, x_prev, 0.0, x_ref)
     return float(min(max((u - without) / c.k_s, -c.s_max), c.s_max))
-
-
-def equilibrium(model: Model, x_m: float) -> tuple[float, float]:
-    """(i_c0, u_c0) that hold the ball at `x_m`: (6) and (1) at rest, the operating point (13); A, V.
-
-    With causes: i_c as it reads where x reads `x_m`; NaN where nothing holds the ball there.
-    """
-    if model.causes:
-        return linear.equilibrium(model, x_m)
-    i = float(np.sqrt(model.plant.mass_kg * model.plant.gravity_m_s2 / model.K_c)) * (model.plant.x_max_m - x_m)
-    return i, i / model.K_A
 
 
 def linearise(model: Model, x_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import DataError
-from twin.control import equilibrium, linearise
+from twin.control import linearise
 from twin.design.board import Converters, QuantisedGain, from_order_of, quantise
 from twin.design.gains import Law, OperatingPoint, Weights, bryson, design_gains, in_order_of, operating_point
 from twin.design.loop import (
@@ -30,6 +30,7 @@ from twin.design.loop import (
 from twin.design.margins import Margins, margins
 from twin.design.robust import Robustness, over_intervals, plant_at, stable_range_m
 from twin.model.causes.catalogue import with_trait
+from twin.model.equilibrium import equilibrium
 from twin.model.extension import sentences
 from twin.model.linear import delay_s
 from twin.model.parameters import Model

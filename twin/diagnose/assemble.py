@@ -29,7 +29,13 @@ from twin.diagnose.judge.given_model import off_sentence, theta_of
 from twin.diagnose.judge.prediction_gain import HORIZONS_S, Gain, gain
 from twin.diagnose.report.model_file import model_of
 from twin.diagnose.report.other_causes import missing_channels, not_testable, ruled_out, trifles_of
-from twin.diagnose.report.sentences import beyond_sentence, finding_sentence, summary_sentence
+from twin.diagnose.report.sentences import (
+    answer_sentence,
+    beginning_sentence,
+    beyond_sentence,
+    contradiction_sentence,
+    finding_sentence,
+)
 from twin.diagnose.result import (
     Diagnosis,
     Finding,
@@ -103,7 +109,7 @@ def told(
     stages: dict[str, float],
 ) -> Diagnosis:
     """The diagnosis of a finished search; `warnings` and `stages` grow on the way."""
-    criterion, found, floor, model = done.criterion, done.found, done.floor, asked.model
+    criterion, found, floor = done.criterion, done.found, done.floor
     finished = not asked.budget.unanswered  # what cannot be paid from here on leaves the verdict as it is
     asked.budget.reopen()
     with timed(stages, "what is left"):
@@ -111,24 +117,15 @@ def told(
         account = account_of(found, under.excess(found.fit.loglik), done.fine)
         where = "" if done.fine else where_left(criterion, found.fit, under)
         spread = spreads(criterion, found.fit)
-        warnings += contradictions(criterion, found.fit)
+        warnings += [contradiction_sentence(one) for one in contradictions(criterion, found.fit)]
         always = [name for name in found.causes if BY_NAME[name].found_by != "spectral-line" and done.change is None]
-        warnings += [
-            f"{late.cause} is not there from the start: it begins in {late.recording} at about {late.t_s:.0f} s"
-            for late in beginnings(criterion, found.fit, always)
-        ]
+        warnings += [beginning_sentence(late) for late in beginnings(criterion, found.fit, always)]
     with timed(stages, "next experiments"):
         proposals = {} if asked.quick else _proposals(criterion, found, campaign, asked)
     with timed(stages, "gain"):
-        before = done.base.theta if model is None else theta_of(model, done.base.theta)
-        after, tick_s = found.fit.theta, criterion.tick_s
-        gains = _gains(judge, before, after, floor, campaign.plant, tick_s, asked)
-        at_20_ms = next((one for one in gains if abs(one.horizon_s - 0.02) < 0.5 * tick_s), None)
-        off = ""
-        if model is not None and judge is not None and at_20_ms is not None:
-            anew = gain(judge, done.base.theta, after, floor, campaign.plant, tick_s, at_20_ms.samples, asked.seed)
-            off = off_sentence(model, done.base.theta, at_20_ms, anew)
-            warnings += [off] if off else []
+        worth = _worth(done, judge, campaign.plant, asked)
+        at_20_ms = worth.at_20_ms
+        warnings += [worth.off] if worth.off else []
     lost = lost_samples([*records, *judges])
     verdict = verdict_of(named=bool(found.causes) or lost is not None, fine=done.fine, finished=finished, gain=at_20_ms)
     findings = _findings(found, account, spread, proposals, verdict, asked.quick, lost)
@@ -149,9 +146,9 @@ def told(
         ruled_out=tuple(ruled_out(found, {*_names(findings), *(one.name for one in trifles)})) if finished else (),
         account=account,
         unexplained_where=where,
-        gains=tuple(gains),
+        gains=worth.gains,
         gain=at_20_ms,
-        baseline=model or _paper(campaign, done, records, under),
+        baseline=asked.model or _paper(campaign, done, records, under),
         extended=model_of(
             campaign, found.fit, spread, records, under.excess(found.fit.loglik), "extended by board51 diagnose"
         ),
@@ -162,17 +159,36 @@ def told(
         floor=floor,
         fit_evidence=evidence,
         judge_evidence=judge,
-        before=before,
-        after=after,
-        tick_s=tick_s,
+        before=worth.before,
+        after=found.fit.theta,
+        tick_s=criterion.tick_s,
         budget=asked.budget,
     )
-    sentence = summary_sentence(diagnosis)
-    if not any(record.has("x") for record in records):
-        sentence = f"Of the amplifier alone, as no recording has x: {sentence}"
-    if off and verdict == "model-adequate":
-        sentence = f"The form of the model is adequate, but {off}."
-    return replace(diagnosis, sentence=sentence)
+    return replace(
+        diagnosis, sentence=answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=worth.off)
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Worth:
+    """What the extended model is worth on the judge recordings."""
+
+    before: Theta  # of the given model, or of the paper's at its best
+    gains: tuple[Gain, ...]
+    at_20_ms: Gain | None
+    off: str  # what is wrong in the numbers of the given model; "" where nothing
+
+
+def _worth(done: Searched, judge: Evidence | None, plant: Plant, asked: Asked) -> _Worth:
+    model, base, after, tick_s = asked.model, done.base.theta, done.found.fit.theta, done.criterion.tick_s
+    before = base if model is None else theta_of(model, base)
+    gains = _gains(judge, before, after, done.floor, plant, tick_s, asked)
+    at_20_ms = next((one for one in gains if abs(one.horizon_s - 0.02) < 0.5 * tick_s), None)
+    off = ""
+    if model is not None and judge is not None and at_20_ms is not None:
+        anew = gain(judge, base, after, done.floor, plant, tick_s, at_20_ms.samples, asked.seed)
+        off = off_sentence(model, base, at_20_ms, anew)
+    return _Worth(before=before, gains=tuple(gains), at_20_ms=at_20_ms, off=off)
 
 
 def _paper(campaign: Campaign, done: Searched, records: Sequence[Record], under: Floor) -> Model:

@@ -34,7 +34,7 @@ from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import floor_of
 from twin.diagnose.inference.theta import BASE, STOPS, Theta
 from twin.diagnose.judge.given_model import check_plant
-from twin.diagnose.report.sentences import change_sentence
+from twin.diagnose.report.sentences import change_sentence, odd_sentence
 from twin.diagnose.result import Diagnosis
 from twin.diagnose.search.stepwise import select
 from twin.estimation.innovations import FLIES, FOLLOWS
@@ -240,7 +240,8 @@ def _search(
 
 def without_odd(rest: Diagnosis, odd: Odd) -> Diagnosis:
     """The diagnosis of the others, with what was left out."""
-    return replace(rest, sentence=f"{rest.sentence} But {odd.sentence}.", warnings=(odd.sentence, *rest.warnings))
+    said = odd_sentence(odd)
+    return replace(rest, sentence=f"{rest.sentence} But {said}.", warnings=(said, *rest.warnings))
 
 
 def tick_of(records: Sequence[Record]) -> float:

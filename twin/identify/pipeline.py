@@ -10,7 +10,7 @@ Rule 2: a number always comes with its standing; what could not be estimated is 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -85,14 +85,7 @@ def identify_records(
     warnings += grouped(said + left_out, [record.name for record in records])
 
     delays = [input_delay(record, plant) for record in records]
-    records = [delayed(record, samples) for record, samples in zip(records, delays, strict=True)]
-    for samples in sorted(set(delays) - {0}):
-        names = [record.name for record, own in zip(records, delays, strict=True) if own == samples]
-        listed = names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "")
-        warnings.append(
-            f"{listed}: u_c acts {samples} sample(s) later than recorded, by the response of i_c; corrected in the "
-            "fit. The model has no delay: shift the column, or let board51 diagnose confirm it"
-        )
+    records = _aligned(records, delays, warnings)
     levels, shape = find_levels(records), find_shape(records)
     points = lift_offs(records, plant)
     force = force_constant(points, plant) or force_constant(equilibria(records, plant), plant)
@@ -110,26 +103,9 @@ def identify_records(
     flying = bool(((series.flags & (FLIES | USE_X)) == (FLIES | USE_X)).any())
     if amplifier is not None and amplifier.K_A > 0 and (series.flags & USE_I).any():
         start, free = _start(amplifier, ball, force, flying, plant.mass_kg, tick_s)
-        found = fit(likelihood, start, free)
-        say(f"fit: {found.passes} passes over {len(series)} samples")
-        gated, dropped = gate(series, likelihood.white(found.point), len(records))
-        if dropped.any():
-            for usage, count in zip(usages, dropped, strict=True):
-                usage.outliers += int(count)
-            likelihood = Likelihood(gated, plant, tick_s)
-            found = fit(likelihood, found.point, free)
-        found = _parsimonious(likelihood, found)
+        likelihood, found = _fitted(likelihood, start, free, usages, say)
         if flying and found.point.b >= 0.999 * most_drag(plant) * plant.mass_kg:
-            free = tuple(name for name in found.free if name != "b")
-            possible = ball is not None and 0.0 <= ball.d <= most_drag(plant)
-            steady = ball.d * plant.mass_kg if ball is not None and possible else 0.0
-            found = fit(likelihood, replace(found.point, b=steady), free)
-            warnings.append(
-                f"the likelihood asks for more drag than b/m = {most_drag(plant):.0f} 1/s, the unstable pole: no ball "
-                "in air has that, it stands for what (6) lacks. "
-                + ("b is from a regression over 60 ms windows instead" if possible else "b is left at 0, a placeholder")
-                + "; board51 diagnose looks for the reason"
-            )
+            found = _possible_drag(likelihood, found, ball, warnings)
         white = whiteness(likelihood.series, likelihood.white(found.point))
         found = sandwich(likelihood, found, max(round(HAC_S / tick_s), 1))
         say("covariance and intervals")
@@ -141,20 +117,7 @@ def identify_records(
     warnings += _left_out(usages)
 
     coloured = white is not None and not white.white
-    ahead: Horizon | None = None
-    if white is not None and coloured:
-        warnings.append(
-            f"the residuals are not white (autocorrelation up to {white.worst:.2f}): the model is not the whole story. "
-            "The intervals are those of its best approximation, and b is the first to be wrong; board51 diagnose looks "
-            "for the cause"
-        )
-        ahead = _ahead(records, campaign, found, tick_s)
-        if ahead is not None and ahead.rmse_m > ahead.still_m:
-            warnings.append(
-                f"{ahead.horizon_s * 1e3:.0f} ms ahead the model misses x by {ahead.rmse_m * 1e6:.0f} um rms, 'x stays "
-                f"where it is' by {ahead.still_m * 1e6:.0f} um: it is no model to "
-                "predict with. board51 diagnose extends it by what is missing"
-            )
+    ahead = None if white is None or not coloured else _misfit(records, campaign, found, white, tick_s, warnings)
     intervals: dict[str, Interval] = {}
     if found is not None:
         intervals = quadratic_or_profile(likelihood, found, robust=coloured)
@@ -178,6 +141,68 @@ def identify_records(
         ahead=ahead,
         tick_s=tick_s,
     )
+
+
+def _aligned(records: list[Record], delays: list[int], warnings: list[str]) -> list[Record]:
+    """The recordings with u_c shifted to where it acts; `warnings` says which."""
+    aligned = [delayed(record, samples) for record, samples in zip(records, delays, strict=True)]
+    for samples in sorted(set(delays) - {0}):
+        names = [record.name for record, own in zip(aligned, delays, strict=True) if own == samples]
+        listed = names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "")
+        warnings.append(
+            f"{listed}: u_c acts {samples} sample(s) later than recorded, by the response of i_c; corrected in the "
+            "fit. The model has no delay: shift the column, or let board51 diagnose confirm it"
+        )
+    return aligned
+
+
+def _fitted(
+    likelihood: Likelihood, start: Point, free: tuple[str, ...], usages: Sequence[Usage], say: Callable[[str], None]
+) -> tuple[Likelihood, Fit]:
+    """(the likelihood without outliers, its maximum); `usages` counts them."""
+    found = fit(likelihood, start, free)
+    say(f"fit: {found.passes} passes over {len(likelihood.series)} samples")
+    gated, dropped = gate(likelihood.series, likelihood.white(found.point), len(usages))
+    if dropped.any():
+        for usage, count in zip(usages, dropped, strict=True):
+            usage.outliers += int(count)
+        likelihood = Likelihood(gated, likelihood.plant, likelihood.tick_s)
+        found = fit(likelihood, found.point, free)
+    return likelihood, _parsimonious(likelihood, found)
+
+
+def _possible_drag(likelihood: Likelihood, found: Fit, ball: BallStart | None, warnings: list[str]) -> Fit:
+    """The fit with a drag that a ball in air can have, where the likelihood asks for more."""
+    plant = likelihood.plant
+    free = tuple(name for name in found.free if name != "b")
+    possible = ball is not None and 0.0 <= ball.d <= most_drag(plant)
+    steady = ball.d * plant.mass_kg if ball is not None and possible else 0.0
+    warnings.append(
+        f"the likelihood asks for more drag than b/m = {most_drag(plant):.0f} 1/s, the unstable pole: no ball "
+        "in air has that, it stands for what (6) lacks. "
+        + ("b is from a regression over 60 ms windows instead" if possible else "b is left at 0, a placeholder")
+        + "; board51 diagnose looks for the reason"
+    )
+    return fit(likelihood, replace(found.point, b=steady), free)
+
+
+def _misfit(
+    records: list[Record], campaign: Campaign, found: Fit | None, white: Whiteness, tick_s: float, warnings: list[str]
+) -> Horizon | None:
+    """What a model that is not the whole story is worth as a predictor; `warnings` says so."""
+    warnings.append(
+        f"the residuals are not white (autocorrelation up to {white.worst:.2f}): the model is not the whole story. "
+        "The intervals are those of its best approximation, and b is the first to be wrong; board51 diagnose looks "
+        "for the cause"
+    )
+    ahead = _ahead(records, campaign, found, tick_s)
+    if ahead is not None and ahead.rmse_m > ahead.still_m:
+        warnings.append(
+            f"{ahead.horizon_s * 1e3:.0f} ms ahead the model misses x by {ahead.rmse_m * 1e6:.0f} um rms, 'x stays "
+            f"where it is' by {ahead.still_m * 1e6:.0f} um: it is no model to "
+            "predict with. board51 diagnose extends it by what is missing"
+        )
+    return ahead
 
 
 def _ahead(records: list[Record], campaign: Campaign, found: Fit | None, tick_s: float) -> Horizon | None:

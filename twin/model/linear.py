@@ -1,4 +1,4 @@
-"""A model with causes around a point of rest: its equilibrium (13), its linearisation (14), its delays as states.
+"""A model with causes around a point of rest: its linearisation (14), its delays as states.
 
 Everything in what the sensors show, because that is what a board measures, feeds back and holds.
 
@@ -13,7 +13,6 @@ Rule 3: warmth is held at that of the equilibrium: it moves in minutes.  Dry fri
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,31 +22,29 @@ from twin.model.causes import (
     actuation_delay,
     amplifier_gain_drift,
     coulomb_friction,
+    current_sensor_gain,
     eddy_current_lag,
     periodic_disturbance,
     position_sensor_lag,
     sampling_delay,
 )
+from twin.model.causes.cause import Vector
+from twin.model.equilibrium import at_rest
 from twin.model.extended import (
     FIELD,
     I_C,
     SENSOR,
-    STATES,
-    WARMTH,
+    Base,
     V,
     X,
-    acceleration,
     advance,
     current_reading,
-    drive,
-    position_of_reading,
     position_reading,
 )
 from twin.model.extension import base, vector
 from twin.model.parameters import Model
 
 LONGEST_S = 1e-4  # over which differences are taken; shorter than every time constant, so that the logarithm is exact
-_MOST_A, _MOST_V = 1e3, 1e5  # beyond any amplifier: what is not reached by then is not reached
 _DELTA = np.array([1e-5, 1e-7, 1e-5, 1e-5, 1e-7])  # A, m, m/s, A, m
 _DELTA_U = 1e-4  # V
 
@@ -58,53 +55,6 @@ def delay_s(model: Model) -> float:
     return float(c[actuation_delay.DELAY] + c[sampling_delay.DELAY])
 
 
-def smooth_causes(model: Model) -> NDArray[np.float64]:
-    """The causes of a linearisation: without dry friction and without a periodic force."""
-    c = vector(model.causes)
-    c[coulomb_friction.FORCE] = c[periodic_disturbance.AMPLITUDE] = 0.0
-    return c
-
-
-def rest(model: Model, x_m: float) -> tuple[NDArray[np.float64], float]:
-    """(state of `extended.py`, u_c in V) of a ball that rests where the sensor shows `x_m`; NaN where none can."""
-    p, c = base(model), smooth_causes(model)
-    nowhere = np.full(STATES, np.nan), math.nan
-
-    def lift(i: float) -> float:
-        return float(acceleration(p, c, i, position_of_reading(p, c, x_m, i), 0.0, 0.0))
-
-    if lift(0.0) > 0.0 or lift(_MOST_A) < 0.0:
-        return nowhere
-    i = _root(lift, _MOST_A)
-
-    def more(u: float) -> float:
-        return float(drive(p, c, u, i * i)) - i
-
-    if more(_MOST_V) < 0.0 or more(0.0) > 0.0:
-        return nowhere
-    y = np.zeros(STATES)
-    y[I_C], y[FIELD], y[X] = i, i, position_of_reading(p, c, x_m, i)
-    y[SENSOR], y[WARMTH] = position_reading(p, c, y[X], i), i * i
-    return y, _root(more, _MOST_V)
-
-
-def _root(rising: Callable[[float], float], high: float) -> float:
-    """Where a function that is not positive at 0 becomes so."""
-    low = 0.0
-    for _ in range(100):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if rising(middle) > 0.0 else (middle, high)
-        if high - low <= 1e-15 * high:
-            break
-    return high
-
-
-def equilibrium(model: Model, x_m: float) -> tuple[float, float]:
-    """(reading of i_c, u_c) that hold the ball where the sensor shows `x_m`, (13); A, V; NaN where nothing does."""
-    y, u = rest(model, x_m)
-    return float(current_reading(vector(model.causes), y[I_C])), u
-
-
 def linearise(model: Model, x_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Jacobians (14) of the model with its causes, delays apart, where the sensor shows `x_m` at rest.
 
@@ -112,15 +62,21 @@ def linearise(model: Model, x_m: float) -> tuple[NDArray[np.float64], NDArray[np
         A, shape (n, n), and B, shape (n, 1), for [i_c, x, x', ..] as readings in A, m, m/s and the input u_c in V; NaN
         where the ball cannot rest.
     """
-    p, c = base(model), smooth_causes(model)
+    return linearised(base(model), vector(model.causes), x_m)
+
+
+def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`linearise` of parameters and causes as the kernels take them; c of shape (PLACES,)."""
+    c = c.copy()
+    c[coulomb_friction.FORCE] = c[periodic_disturbance.AMPLITUDE] = 0.0
     eddy, lag = float(c[eddy_current_lag.TAU]), float(c[position_sensor_lag.TAU])
-    y0, u0 = rest(model, x_m)
+    y0, u0 = at_rest(p, c, x_m, shown=True)
     places = [I_C, X, V, *([FIELD] if eddy > 0.0 else []), *([SENSOR] if lag > 0.0 else [])]
     n = len(places)
     if not math.isfinite(u0):
         return np.full((n, n), np.nan), np.full((n, 1), np.nan)
     c[amplifier_gain_drift.TAU] = math.inf
-    h = min([LONGEST_S, model.T_A, *(tau for tau in (eddy, lag) if tau > 0.0)])
+    h = min([LONGEST_S, p.T_A, *(tau for tau in (eddy, lag) if tau > 0.0)])
 
     def after(place: int, by: float) -> NDArray[np.float64]:
         y, u = y0.copy(), u0
@@ -139,8 +95,23 @@ def linearise(model: Model, x_m: float) -> tuple[NDArray[np.float64], NDArray[np
         block[:n, column] = (after(place, by) - after(place, -by)) / (2.0 * by)
     block[:n, n] = (after(-1, _DELTA_U) - after(-1, -_DELTA_U)) / (2.0 * _DELTA_U)
     rates = _logarithm(block) / h
-    change = _to_readings(model, y0, places)
+    change = _to_readings(p, c, y0, places)
     return change @ rates[:n, :n] @ np.linalg.inv(change), change @ rates[:n, n:]
+
+
+def measured(
+    p: Base, c: NDArray[np.float64], x_m: float, sample_time_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(15) for the readings of i_c and x and the speed alone, shapes (3, 3) and (3, 1): delays and sensor lag left out.
+
+    A lagging field, which nobody measures, is taken for settled at the current that is read.
+    """
+    c = c.copy()
+    c[position_sensor_lag.TAU] = 0.0
+    phi, gamma = late(*linearised(p, c, x_m), 0.0, sample_time_s)
+    if len(phi) > 3:
+        phi[:, 0] += phi[:, 3] / c[current_sensor_gain.GAIN]
+    return phi[:3, :3], gamma[:3]
 
 
 def _logarithm(block: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -151,9 +122,8 @@ def _logarithm(block: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.real(logm(block)))
 
 
-def _to_readings(model: Model, y0: NDArray[np.float64], places: list[int]) -> NDArray[np.float64]:
+def _to_readings(p: Base, c: Vector, y0: NDArray[np.float64], places: list[int]) -> NDArray[np.float64]:
     """From deviations of the states `places` to deviations of what is shown, shape (n, n)."""
-    p, c = base(model), vector(model.causes)
     i, x = float(y0[I_C]), float(y0[X])
     by_x = (position_reading(p, c, x + 1e-7, i) - position_reading(p, c, x - 1e-7, i)) / 2e-7
     by_i = (position_reading(p, c, x, i + 1e-4) - position_reading(p, c, x, i - 1e-4)) / 2e-4

@@ -85,7 +85,7 @@ def diagnosis(
         fit=after_fit,
         causes=[cause] if extended else [],
         gains={cause: own.gain},
-        rounds=[Round(scores=(score,), trials=(own,), taken=cause if extended else "", why="log-likelihood +9")],
+        rounds=[Round(scores=(score,), trials=(own,), taken=cause if extended else "", best=own)],
     )
     account = account_of(selection, floor.excess(logliks[1]), extended)
     records = fit.records

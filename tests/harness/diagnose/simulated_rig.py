@@ -6,7 +6,7 @@ import numpy as np
 
 from protocol.campaign import Controller, OperatingPoint, Plant
 from twin.diagnose.evidence.gather import gather
-from twin.diagnose.experiments.equilibrium import at_rest, lift_off_input
+from twin.diagnose.experiments.designed_law import lift_off_input
 from twin.diagnose.experiments.menu import MENU, Item, schedule_of
 from twin.diagnose.experiments.virtual_recordings import Schedule, simulate
 from twin.diagnose.inference.fisher_scoring import Fit, climb
@@ -15,6 +15,7 @@ from twin.diagnose.inference.theta import BASE, Theta, coordinates_of
 from twin.diagnose.search.score_test import probed
 from twin.estimation.record import Record
 from twin.model.causes.catalogue import BY_NAME
+from twin.model.equilibrium import at_rest
 
 PLANT = Plant(name="ce152", mass_kg=8.28e-3, travel_m=5.7e-3, x_max_m=8.1e-3, gravity_m_s2=9.81)
 THETA = Theta(
@@ -34,7 +35,7 @@ ITEMS = {item.name: item for item in MENU}
 
 def controller(theta: Theta = THETA) -> Controller:
     """The emulated board's gains, at the operating point of this rig."""
-    y, u_0 = at_rest(theta, PLANT, MIDDLE_M)
+    y, u_0 = at_rest(theta.base(PLANT), theta.vector(), MIDDLE_M)
     return Controller(
         kind="lqi",
         gains=(0.49, 1700.0, 17.7, -17600.0),

@@ -15,8 +15,9 @@ from gateway.emulator.plant.rig import CE152
 from protocol.wire.messages import Law, Mode, Shape
 from tests.harness.twin.emulated_campaign import Lab
 from tests.harness.twin.true_model import true_model
-from twin.control import discrete, equilibrium, linearise
+from twin.control import discrete, linearise
 from twin.design.design import Design, design
+from twin.model.equilibrium import equilibrium
 from twin.model.linear import linearise as numerically
 from twin.model.parameters import model_to_dict
 

@@ -47,6 +47,15 @@ class Beginning:
     gain: float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contradiction:
+    """A recording that asks for another value of a parameter than the rest."""
+
+    recording: str
+    parameter: str
+    change: float  # relative
+
+
 def stretches(criterion: Criterion, fit: Fit, names: Sequence[str]) -> dict[str, list[Stretch]]:
     """Each coordinate's wishes, by blocks of about a second within recordings."""
     base, change = criterion.derivatives(fit.theta, names)
@@ -71,11 +80,11 @@ def stretches(criterion: Criterion, fit: Fit, names: Sequence[str]) -> dict[str,
     return result
 
 
-def contradictions(criterion: Criterion, fit: Fit) -> list[str]:
-    """A sentence for each recording that asks for another K_A or K_c than the rest."""
+def contradictions(criterion: Criterion, fit: Fit) -> list[Contradiction]:
+    """Each recording that asks for another K_A or K_c than the rest."""
     names = tuple(settings.DRIFT)
     asked = stretches(criterion, fit, names)
-    sentences = []
+    found = []
     for name, least in settings.DRIFT.items():
         for number, recording in enumerate(criterion.evidence.names()):
             own = [stretch for stretch in asked[name] if stretch.recording == number]
@@ -84,10 +93,8 @@ def contradictions(criterion: Criterion, fit: Fit) -> list[str]:
             weights = np.array([stretch.std**-2 for stretch in own])
             move = float(np.sum(weights * [stretch.move for stretch in own]) / weights.sum())
             if abs(move) > least and abs(move) * math.sqrt(float(weights.sum())) > settings.DRIFT_ERRORS:
-                sentences.append(
-                    f"{recording} contradicts the others: alone it asks for {name} {100 * math.expm1(move):+.0f} %"
-                )
-    return sentences
+                found.append(Contradiction(recording=recording, parameter=name, change=math.expm1(move)))
+    return found
 
 
 def beginnings(criterion: Criterion, fit: Fit, causes: Sequence[str]) -> list[Beginning]:

@@ -39,15 +39,6 @@ class Odd:
     name: str
     moves: tuple[tuple[str, float], ...]  # (parameter, relative change from what the others ask for)
 
-    @property
-    def sentence(self) -> str:
-        """For people."""
-        asked = " and ".join(f"{name} {100.0 * by:+.0f} %" for name, by in self.moves)
-        return (
-            f"{self.name} contradicts the others and was left out: alone it is explained by {asked}, as by another "
-            "rig. Check where it comes from"
-        )
-
 
 def odd_one(criterion: Criterion, base: Fit, floor: Floor) -> Odd | None:
     """The recording that contradicts all others; None where none does.

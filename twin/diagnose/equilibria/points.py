@@ -21,15 +21,13 @@ from scipy.stats import f as f_distribution
 
 from protocol.campaign import Plant
 from protocol.errors import DataError
-from twin.compiled import Packed, kernel
 from twin.diagnose import settings
 from twin.diagnose.inference.theta import Theta, parameter_of
 from twin.estimation.record import FloatArray, Record
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
-from twin.model.causes.cause import Vector
-from twin.model.extended import Base, acceleration, current_reading, position_of_reading
+from twin.model.equilibrium import holding_current
+from twin.model.extended import current_reading
 
-_MOST_A = 1e3
 _STARTS = (-8.0, -1.0, 1.0, 8.0)  # times the first probe
 
 
@@ -124,29 +122,11 @@ def start(points: Points, plant: Plant) -> Theta:
     )
 
 
-@kernel
-def _holding(base: Packed, c: Vector, reading: float) -> float:
-    """The current that carries the ball where x is read, A, by bisection; NaN where none does."""
-    p = Base(*base)
-    low, high = 0.0, 1e-3
-    while acceleration(p, c, high, position_of_reading(p, c, reading, high), 0.0, 0.0) <= 0.0:
-        low, high = high, 2.0 * high
-        if high > _MOST_A:
-            return math.nan
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if acceleration(p, c, middle, position_of_reading(p, c, reading, middle), 0.0, 0.0) > 0.0:
-            high = middle
-        else:
-            low = middle
-    return high
-
-
 def holding_currents(theta: Theta, plant: Plant, x_m: FloatArray) -> FloatArray:
     """The i_c that is read while the ball rests where x is read, A, shape (n,); NaN where no current holds it."""
     p, c = theta.base(plant), theta.vector()
     shift = added_current(theta)
-    return np.array([current_reading(c, _holding(tuple(p), c, float(x))) - shift for x in x_m])
+    return np.array([current_reading(c, holding_current(p, c, float(x), shown=True)) - shift for x in x_m])
 
 
 def added_current(theta: Theta) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,9 +9,12 @@ import numpy as np
 
 from twin.diagnose import settings
 from twin.diagnose.equilibria.diagnosis import Explanation, StaticDiagnosis, parameters_of, proposal_for
+from twin.diagnose.equilibria.points import StaticFit
 from twin.diagnose.report.sentences import quantity
 from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
+
+_NOTHING_A = 1e-12  # points without any error, as by hand: no ratio divides by less
 
 
 def sentence_of(found: StaticDiagnosis) -> str:
@@ -48,7 +50,7 @@ def sentence_of(found: StaticDiagnosis) -> str:
     text += f"; so would, as well, {also}." if also else "."
     return (
         f"{text} A point predicted from the others is then off by {1e3 * after:.3g} mA rms"
-        f" instead of {1e3 * before:.3g} ({before / after:.2g} times less)."
+        f" instead of {1e3 * before:.3g} ({before / max(after, _NOTHING_A):.2g} times less)."
     )
 
 
@@ -59,32 +61,6 @@ def to_json(found: StaticDiagnosis) -> dict[str, Any]:
     excess = max(base.rss_a2 - floor, 1e-300)
     left = first.fit.rss_a2 if first else base.rss_a2
     after = first.left_out_a if first else found.base_left_out_a
-    causes = []
-    if first is not None:
-        others = found.members[1:]
-        proposals = [proposal_for(first, other) for other in others]
-        causes.append(
-            {
-                "name": first.name,
-                "sentence": named(first),
-                "parameters": _numbers(first),
-                "confidence": round(found.confidence, 3),
-                "indistinguishable_from": [other.name for other in others],
-                "alternatives": [
-                    {
-                        "name": other.name,
-                        "parameters": _numbers(other),
-                        "rms_a": rms(other.fit.residual_a),
-                        "unstable_pole_per_s": other.pole_per_s,
-                        "told_apart_by": {"what": what, "separation_z": z, "command": command},
-                    }
-                    for other, (what, z, command) in zip(others, proposals, strict=True)
-                ],
-                "share_of_excess_explained": min((base.rss_a2 - left) / excess, 1.0),
-                "next_experiment": _best_proposal(proposals),
-                "unstable_pole_per_s": first.pole_per_s,
-            }
-        )
     worst = int(np.argmax(np.abs(first.fit.residual_a if first else base.residual_a)))
     remains = first.fit if first else base
     where = (
@@ -95,7 +71,7 @@ def to_json(found: StaticDiagnosis) -> dict[str, Any]:
         "verdict": found.verdict,
         "sentence": sentence_of(found),
         "calibrated": True,
-        "causes": causes,
+        "causes": [] if first is None else [_cause(found, first, min((base.rss_a2 - left) / excess, 1.0))],
         "candidates": [],
         "not_testable": [{"name": name, "why": why} for name, why in not_testable(found)],
         "ruled_out": [{"name": one.name, "why": why_not(found, one)} for one in found.others],
@@ -113,25 +89,57 @@ def to_json(found: StaticDiagnosis) -> dict[str, Any]:
             "leave_one_out": {
                 "baseline_rmse_a": rms(found.base_left_out_a),
                 "extended_rmse_a": rms(after),
-                "ratio": rms(after) / rms(found.base_left_out_a),
+                "ratio": rms(after) / max(rms(found.base_left_out_a), _NOTHING_A),
                 "noise_floor_a": found.rounding_a,
                 "points": len(found.points),
             },
         },
-        "static": {
-            "x_m": found.points.x_m.tolist(),
-            "i_c_a": found.points.i_c_a.tolist(),
-            "baseline_error_a": base.residual_a.tolist(),
-            "baseline_error_share": (base.residual_a / found.points.i_c_a).tolist(),
-            "baseline_error_m": found.base_off_m.tolist(),
-            "extended_error_a": remains.residual_a.tolist(),
-            "given_model_error_a": None if found.given_off_a is None else found.given_off_a.tolist(),
-            "K_c": {"paper": base.theta.K_c, "extended": remains.theta.K_c},
-            "F": None if first is None else first.F,
-            "p": None if first is None else first.p,
-            "degrees_of_freedom": remains.freedom,
-        },
+        "static": _rows(found, remains),
         "warnings": list(found.warnings),
+    }
+
+
+def _cause(found: StaticDiagnosis, first: Explanation, share: float) -> dict[str, Any]:
+    """The cause that is named, with those that explain as much and what would tell them apart."""
+    others = found.members[1:]
+    proposals = [proposal_for(first, other) for other in others]
+    return {
+        "name": first.name,
+        "sentence": named(first),
+        "parameters": _numbers(first),
+        "confidence": round(found.confidence, 3),
+        "indistinguishable_from": [other.name for other in others],
+        "alternatives": [
+            {
+                "name": other.name,
+                "parameters": _numbers(other),
+                "rms_a": rms(other.fit.residual_a),
+                "unstable_pole_per_s": other.pole_per_s,
+                "told_apart_by": {"what": what, "separation_z": z, "command": command},
+            }
+            for other, (what, z, command) in zip(others, proposals, strict=True)
+        ],
+        "share_of_excess_explained": share,
+        "next_experiment": _best_proposal(proposals),
+        "unstable_pole_per_s": first.pole_per_s,
+    }
+
+
+def _rows(found: StaticDiagnosis, remains: StaticFit) -> dict[str, Any]:
+    """Point by point: what was read, and what each model gets wrong."""
+    base, first = found.base, found.members[0] if found.members else None
+    return {
+        "x_m": found.points.x_m.tolist(),
+        "i_c_a": found.points.i_c_a.tolist(),
+        "baseline_error_a": base.residual_a.tolist(),
+        "baseline_error_share": (base.residual_a / found.points.i_c_a).tolist(),
+        "baseline_error_m": found.base_off_m.tolist(),
+        "extended_error_a": remains.residual_a.tolist(),
+        "given_model_error_a": None if found.given_off_a is None else found.given_off_a.tolist(),
+        "K_c": {"paper": base.theta.K_c, "extended": remains.theta.K_c},
+        "F": None if first is None else first.F,
+        "p": None if first is None else first.p,
+        "degrees_of_freedom": remains.freedom,
     }
 
 
@@ -167,7 +175,8 @@ def why_not(found: StaticDiagnosis, one: Explanation) -> str:
     best = found.members[0].fit if found.members else None
     if best is None:
         return f"{left}; chance does that in {100 * one.p:.2g} % of such campaigns, and others were tried too"
-    return f"{left}, {math.sqrt(one.fit.rss_a2 / best.rss_a2):.3g} times what {best.cause} leaves"
+    times = rms(one.fit.residual_a) / max(rms(best.residual_a), _NOTHING_A)
+    return f"{left}, {times:.3g} times what {best.cause} leaves"
 
 
 def named(one: Explanation) -> str:
@@ -189,7 +198,8 @@ def _numbers(one: Explanation) -> dict[str, Any]:
 def _best_proposal(proposals: Sequence[tuple[str, float, str]]) -> dict[str, Any] | None:
     if not proposals:
         return None
-    what, z, command = max(proposals, key=lambda proposal: proposal[1])
+    # Members that are one to a measurement differ in the last digits: the first of them, then, not the luckiest.
+    what, z, command = max(proposals, key=lambda proposal: round(proposal[1], 6))
     return {"what": what, "separation_z": z, "command": command}
 
 

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from protocol.campaign import Plant
 from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, law
-from twin.diagnose.experiments.equilibrium import carrying_current
 from twin.diagnose.inference.theta import Theta
 from twin.estimation.propagate import propagate
 from twin.estimation.record import FloatArray, Record
+from twin.model.equilibrium import holding_current
 from twin.model.extended import I_C, SENSOR, Base, V, X, current_reading, position_reading, sensor_lag_s
 
 _NO_LAW: Packed = tuple(LawNumbers(*[0.0] * len(LawNumbers._fields)))
@@ -184,7 +184,7 @@ def play(
 
 def twelve_bits(theta: Theta, plant: Plant) -> Converters:
     """Converters that fit the rig: x over 1.25 times the travel, i_c and u_c over what lifting the ball takes."""
-    i = carrying_current(theta, plant, 0.0)
+    i = holding_current(theta.base(plant), theta.vector(), 0.0)
     i = i if math.isfinite(i) else 1.0
     return Converters(
         i_lsb_a=1.25 * i / 4096, x_lsb_m=1.25 * plant.travel_m / 4096, u_lsb_v=1.25 * i / theta.K_A / 4096

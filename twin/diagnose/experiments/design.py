@@ -29,7 +29,7 @@ from protocol.campaign import Controller
 from twin.diagnose import settings
 from twin.diagnose.evidence.gather import Evidence, gather
 from twin.diagnose.experiments.closed_loop import converters_of
-from twin.diagnose.experiments.equilibrium import lift_off_input
+from twin.diagnose.experiments.designed_law import lift_off_input
 from twin.diagnose.experiments.external_measurements import measurement_for
 from twin.diagnose.experiments.menu import MENU, Item, schedule_of, sentence
 from twin.diagnose.experiments.virtual_recordings import input_limit, simulate

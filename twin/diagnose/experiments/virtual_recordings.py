@@ -22,9 +22,10 @@ from protocol.campaign import Controller, Kind, Plant, Use
 from twin.control import LawNumbers, law
 from twin.diagnose.evidence import sample_loss
 from twin.diagnose.experiments.closed_loop import Converters, converters_of, run, twelve_bits
-from twin.diagnose.experiments.equilibrium import at_rest, carrying_current, law_of, position_shown_as, settled_current
+from twin.diagnose.experiments.designed_law import law_of
 from twin.diagnose.inference.theta import Theta
 from twin.estimation.record import Capture, FloatArray, Record, intervals
+from twin.model.equilibrium import at_rest, holding_current, settled_current
 from twin.model.extended import (
     FIELD,
     I_C,
@@ -98,11 +99,11 @@ def simulate(
         y, s, numbers = np.zeros(STATES), 0.0, None
         if schedule.closed_loop:
             numbers = law_of(controller, theta, plant, tick_s, u_max_v)
-            y, u = at_rest(theta, plant, position_shown_as(theta, plant, first))
+            y, u = at_rest(theta.base(plant), theta.vector(), first, shown=True)
             s = integral_at(numbers, theta, plant, y, first, u)
         else:
             y[X] = theta.stop_low_m if clamped is None else clamped
-            y[I_C] = y[FIELD] = settled_current(theta, plant, first)
+            y[I_C] = y[FIELD] = settled_current(theta.base(plant), theta.vector(), first)
             y[WARMTH] = y[I_C] ** 2
         run(theta, plant, numbers, steps, t, command, y, s, 0.0, tick_s, rng, out, clamped=clamped is not None)
     there = rng.random(n) >= theta.vector()[sample_loss.CAUSE.strength.place]
@@ -212,7 +213,7 @@ def _capture(
     n = np.arange(count, dtype=np.float64)
     y = np.zeros(STATES)
     y[X] = theta.stop_low_m if clamped_m is None else clamped_m
-    y[I_C] = y[FIELD] = settled_current(theta, plant, u_from)
+    y[I_C] = y[FIELD] = settled_current(theta.base(plant), theta.vector(), u_from)
     y[WARMTH] = y[I_C] ** 2
     out = np.empty((count, 4))
     command = np.where(n < pre, u_from, u_to)
@@ -221,7 +222,8 @@ def _capture(
 
 
 def _steady(theta: Theta, plant: Plant, record: Record, rng: np.random.Generator) -> Record:
-    i = np.array([carrying_current(theta, plant, float(x)) if np.isfinite(x) else np.nan for x in record.x])
+    p, c = theta.base(plant), theta.vector()
+    i = np.array([holding_current(p, c, float(x)) if np.isfinite(x) else np.nan for x in record.x])
     return replace(record, i_c=i * (1.0 + STATIC_ERROR * rng.standard_normal(len(i))))
 
 
@@ -233,7 +235,7 @@ def _start(
     head = slice(piece.start, min(piece.start + _HEAD, piece.stop))
     y, speed = np.zeros(STATES), 0.0
     i = record.i_c[head][np.isfinite(record.i_c[head])]
-    y[I_C] = y[FIELD] = current_of_reading(c, float(i[0])) if len(i) else settled_current(theta, plant, 0.0)
+    y[I_C] = y[FIELD] = current_of_reading(c, float(i[0])) if len(i) else settled_current(p, c, 0.0)
     y[X] = theta.stop_low_m
     known = np.isfinite(record.x[head])
     if known.sum() >= 3:

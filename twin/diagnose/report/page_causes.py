@@ -7,7 +7,7 @@ import html
 from twin.diagnose import settings
 from twin.diagnose.judge.account import Account
 from twin.diagnose.report.figures import drawn, round_figure
-from twin.diagnose.report.sentences import LACKED, capital, percent, sizes
+from twin.diagnose.report.sentences import LACKED, capital, percent, round_sentence, sizes
 from twin.diagnose.result import Diagnosis, Finding, Proposal
 from twin.model.causes.catalogue import BY_NAME
 from twin.page import bullets, figures, folded, paragraph, table
@@ -17,7 +17,7 @@ def ranking(found: Diagnosis) -> str:
     """Each round of the search as bars."""
     rounds = found.selection.rounds
     drawings = [
-        drawn(round_figure(step, number, settings.LEAST_GAIN), f"Round {number}: {step.why}")
+        drawn(round_figure(step, number, settings.LEAST_GAIN), f"Round {number}: {round_sentence(step)}")
         for number, step in enumerate(rounds, start=1)
         if step.scores
     ]

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from twin.diagnose.inference.budget import millions
+from twin.diagnose.search.forward_step import Round
 from twin.diagnose.search.score_test import Score
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause, CauseParameter
@@ -21,6 +22,8 @@ from twin.model.parameters import Parameter
 
 if TYPE_CHECKING:
     from twin.diagnose.checks.change_point import Change
+    from twin.diagnose.checks.consistency import Beginning, Contradiction
+    from twin.diagnose.checks.outlier_recording import Odd
     from twin.diagnose.judge.prediction_gain import Gain
     from twin.diagnose.result import Diagnosis, Finding
 
@@ -112,6 +115,31 @@ def bound_sentence(cause: Cause, score: Score) -> str:
     change = "differs by at most" if strength.neutral else "is at most"
     what = quantity(size, strength.unit) if strength.unit else f"{100.0 * size:.2g} %"
     return f"{strength.symbol} {change} {what} (95 %)"
+
+
+def round_sentence(step: Round) -> str:
+    """What one step forward came to."""
+    best = step.best
+    if best is None:
+        return "nothing in the catalogue gains anything"
+    if not step.refusal:
+        return ("instead, " if step.instead else "") + f"log-likelihood +{best.gain:.0f}"
+    because = {
+        "chance": f", with a gain of {best.gain:.1f}: chance does that",
+        "outside its range": ", but outside its physical range",
+        "minor": ", but is a minor effect beside what was found",
+        "minor beside noise": ", but hardly more than noise is left, and it is a minor effect",
+        "small share": f", but explains {100 * step.share:.0f} % of what is left",
+    }
+    return f"{best.cause} would be best{because[step.refusal]}"
+
+
+def answer_sentence(found: Diagnosis, *, blind: bool, off: str) -> str:
+    """`summary_sentence`, for recordings without x (`blind`) or beside a given model whose numbers are `off`."""
+    if off and found.verdict == "model-adequate":
+        return f"The form of the model is adequate, but {off}."
+    sentence = summary_sentence(found)
+    return f"Of the amplifier alone, as no recording has x: {sentence}" if blind else sentence
 
 
 def summary_sentence(found: Diagnosis) -> str:
@@ -210,6 +238,25 @@ def beyond_sentence(gain: Gain) -> str:
         f"{WHERE_JUDGED}: their {gain.horizon_s * 1e3:.0f} ms prediction error is {ratio:.3g} times what noise alone "
         f"makes ({low:.3g} to {high:.3g})"
     )
+
+
+def contradiction_sentence(found: Contradiction) -> str:
+    """Which recording does not fit to the others, and by what."""
+    return f"{found.recording} contradicts the others: alone it asks for {found.parameter} {100 * found.change:+.0f} %"
+
+
+def odd_sentence(odd: Odd) -> str:
+    """Which recording was left out, and why."""
+    asked = " and ".join(f"{name} {100.0 * by:+.0f} %" for name, by in odd.moves)
+    return (
+        f"{odd.name} contradicts the others and was left out: alone it is explained by {asked}, as by another "
+        "rig. Check where it comes from"
+    )
+
+
+def beginning_sentence(late: Beginning) -> str:
+    """Which cause is absent at first."""
+    return f"{late.cause} is not there from the start: it begins in {late.recording} at about {late.t_s:.0f} s"
 
 
 def change_sentence(change: Change) -> str:

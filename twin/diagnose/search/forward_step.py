@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit
@@ -23,6 +24,7 @@ from twin.model.causes.cause import Cause
 # A ball that is held is predicted well wherever it hovers, by whatever the model lacks: no evidence of what holds it.
 HOLDS = with_trait("sticks")
 Say = Callable[[str], None]
+Refusal = Literal["", "chance", "outside its range", "minor", "minor beside noise", "small share"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +34,10 @@ class Round:
     scores: tuple[Score, ...]
     trials: tuple[Trial, ...]  # best first
     taken: str  # "" where none was
-    why: str
+    best: Trial | None = None  # what was judged; None where nothing was fitted
+    share: float = 1.0  # of the excess, that the best explains
+    refusal: Refusal = ""  # of the best
+    instead: bool = False  # taken on trial in the place of one that gains more
 
 
 def forward(
@@ -99,27 +104,32 @@ def decided(
 ) -> Round:
     """Whether the best of the trials earns its place; `floor`: under the model without them."""
     if not trials:
-        return Round(scores=tuple(scores), trials=(), taken="", why="nothing in the catalogue gains anything")
+        return Round(scores=tuple(scores), trials=(), taken="")
     excess, pays = floor.excess(at.loglik), _pays(least)
     possible = [trial for trial in trials if inside(trial)]
     best = (possible or trials)[0]
     share = best.gain / excess if excess > 0.0 else 1.0
-    why = f"log-likelihood +{best.gain:.0f}"
-    taken = ""
+    refusal: Refusal = ""
     if best.gain < settings.LEAST_GAIN:
-        why = f"{best.cause} would be best, with a gain of {best.gain:.1f}: chance does that"
+        refusal = "chance"
     elif not possible:
-        why = f"{best.cause} would be best, but outside its physical range"
+        refusal = "outside its range"
     elif best.gain < min(settings.MINOR_SHARE, least) * gained:
-        why = f"{best.cause} would be best, but is a trifle beside what was found"
+        refusal = "minor"
     elif not floor.material(at.loglik) and best.gain < settings.MINOR_SHARE_AT_NOISE * gained:
-        why = f"{best.cause} would be best, but hardly more than noise is left, and it is a trifle"
+        refusal = "minor beside noise"
     elif floor.material(at.loglik) and share < least and not _pays_off(criterion, at, best, pays):
-        why = f"{best.cause} would be best, but explains {100 * share:.0f} % of what is left"
+        refusal = "small share"
     else:
-        taken = best.cause
         trials = [best, *(trial for trial in trials if trial is not best)]
-    return Round(scores=tuple(scores), trials=tuple(trials), taken=taken, why=why)
+    return Round(
+        scores=tuple(scores),
+        trials=tuple(trials),
+        taken="" if refusal else best.cause,
+        best=best,
+        share=share,
+        refusal=refusal,
+    )
 
 
 def _pays_off(criterion: Criterion, at: Fit, best: Trial, pays: float) -> bool:

@@ -131,7 +131,7 @@ def _taken(criterion: Criterion, found: Selection, floor: Floor, step: Round, sa
     """`_add` after a round."""
     found.rounds.append(step)
     if not step.taken:
-        say(f"none taken: {step.why}")
+        say("none taken" + (f": {step.best.cause}, +{step.best.gain:.1f}, {step.refusal}" if step.best else ""))
         return False
     found.causes.append(step.taken)
     found.fit = step.trials[0].fit
@@ -140,7 +140,7 @@ def _taken(criterion: Criterion, found: Selection, floor: Floor, step: Round, sa
         with whole(found), criterion.budget.question("how the periodic force stands beside the others"):
             found.fit = periodic.rephased(criterion, found.fit, settings.PASSES)
     found.remember(found.fit)
-    say(f"taken: {step.taken} ({step.why})")
+    say(f"taken: {step.taken} (log-likelihood +{step.trials[0].gain:.0f})")
     if len(found.causes) > 1:
         with whole(found), criterion.budget.question("whether each cause is needed beside the later ones"):
             backward(criterion, found, floor, say, passes)
@@ -185,8 +185,7 @@ def _firsts(again: Round) -> list[Round]:
         near = trial.gain > settings.FIRST_SHARE * again.trials[0].gain and inside(trial)
         if near and all(abs(trial.gain - first.trials[0].gain) > settings.EQUIVALENT_GAIN for first in firsts):
             others = tuple(other for other in again.trials if other is not trial)
-            why = f"instead, log-likelihood +{trial.gain:.0f}"
-            firsts.append(replace(again, trials=(trial, *others), taken=trial.cause, why=why))
+            firsts.append(replace(again, trials=(trial, *others), taken=trial.cause, best=trial, instead=True))
     return firsts[: settings.FIRSTS]
 
 

@@ -90,12 +90,3 @@ def found_by(means: FoundBy) -> Cause:
     """The cause that has a search of its own."""
     (cause,) = (cause for cause in CATALOGUE if cause.found_by == means)
     return cause
-
-
-def absent(c: NDArray[np.float64], trait: Trait) -> NDArray[np.float64]:
-    """A copy of the vector c without the causes of that trait, shape (PLACES,)."""
-    c = c.copy()
-    for cause in CATALOGUE:
-        if trait in cause.traits:
-            c[cause.strength.place] = cause.strength.neutral
-    return c

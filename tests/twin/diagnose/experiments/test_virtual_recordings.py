@@ -22,14 +22,7 @@ from tests.harness.diagnose.simulated_rig import (
 from tests.harness.twin.emulated_campaign import Lab
 from twin.diagnose.evidence.sensor_noise import sensor_noise
 from twin.diagnose.experiments.closed_loop import Converters, converters_of
-from twin.diagnose.experiments.equilibrium import (
-    at_rest,
-    carrying_current,
-    carrying_input,
-    lift_off_input,
-    position_shown_as,
-    settled_current,
-)
+from twin.diagnose.experiments.designed_law import lift_off_input
 from twin.diagnose.experiments.menu import MENU
 from twin.diagnose.experiments.virtual_recordings import Schedule, input_limit, resimulate, simulate
 from twin.estimation.innovations import FLIES
@@ -183,25 +176,6 @@ def test_the_emulated_board_flies_the_ball_along_the_same_path() -> None:
     of_noise = float(np.std(first.x - second.x))
     assert np.std(record.x) > 10.0 * of_noise
     assert np.std(first.x - record.x) < 1.3 * of_noise
-
-
-def test_rest_is_where_forces_balance() -> None:
-    weight = PLANT.mass_kg * PLANT.gravity_m_s2
-    for x in (0.0, 2e-3, 5e-3):
-        i = carrying_current(THETA, PLANT, x)
-
-        assert THETA.K_c * i**2 / (PLANT.x_max_m - x) ** 2 == pytest.approx(weight, rel=1e-9)
-        assert carrying_input(THETA, PLANT, i) == pytest.approx(i / THETA.K_A, rel=1e-9)
-        assert settled_current(THETA, PLANT, i / THETA.K_A) == pytest.approx(i, rel=1e-9)
-    # A diode brakes what flows above the current of rest, not that itself.
-    assert settled_current(strong("freewheel-diode", 0.5), PLANT, 0.4) == pytest.approx(0.4 * THETA.K_A, rel=1e-6)
-    warm = settled_current(strong("amplifier-gain-drift", 0.05), PLANT, 2.0)
-    assert warm == pytest.approx(2.0 * THETA.K_A * (1.0 - 0.05 * warm**2), rel=1e-6)
-    limited = strong("current-limit", 0.5)
-    assert carrying_input(limited, PLANT, 0.6) == math.inf
-    shown = position_shown_as(strong("sensor-crosstalk", 1e-4), PLANT, 2e-3)
-    y, _ = at_rest(strong("sensor-crosstalk", 1e-4), PLANT, shown)
-    assert float(y[4]) == pytest.approx(2e-3, abs=1e-9)
 
 
 def test_a_coil_that_cannot_carry_the_ball_leaves_it_on_the_ground() -> None:

@@ -49,7 +49,7 @@ def refused() -> Iterator[tuple[Criterion, Selection]]:
     one = fitted(criterion, strong("constant-force", 2e-3), "constant-force")
     both = fitted(criterion, rig, "constant-force", "position-sensor-lag")
     trial = Trial(cause="position-sensor-lag", fit=replace(both, converged=True), gain=both.loglik - one.loglik)
-    last = Round(scores=(), trials=(trial,), taken="", why="a trifle")
+    last = Round(scores=(), trials=(trial,), taken="")
     found = Selection(base=base, fit=one, causes=["constant-force"], gains={"constant-force": 1.0}, rounds=[last])
     yield criterion, found
     criterion.close()

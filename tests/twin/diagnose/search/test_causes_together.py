@@ -18,6 +18,7 @@ from twin.diagnose.inference.initial_guess import no_better, start_theta
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor, floor_of
 from twin.diagnose.inference.theta import BASE, STOPS, coordinates_of
+from twin.diagnose.report.sentences import round_sentence
 from twin.diagnose.search import forward_step as forward
 from twin.diagnose.search import stepwise as search
 from twin.diagnose.search.candidate_fits import Trial
@@ -68,7 +69,7 @@ def test_who_gains_nearly_as_much_as_the_leader_is_tried_as_the_first_of_several
         Trial(cause=cause, fit=fit_of(strong(cause, BY_NAME[cause].strength.probes[0]), 0.0), gain=gain)
         for cause, gain in gains.items()
     )
-    again = forward.Round(scores=(), trials=trials, taken="air-gap-offset", why="")
+    again = forward.Round(scores=(), trials=trials, taken="air-gap-offset")
 
     firsts = search._firsts(again)
 
@@ -158,7 +159,8 @@ def test_a_ball_that_is_held_is_well_predicted_and_that_proves_no_friction(monke
 
     assert min(excess, floor_excess) > 100.0
     assert held.taken == ""
-    assert "explains 10 % of what is left" in held.why
+    assert held.refusal == "small share"
+    assert "explains 10 % of what is left" in round_sentence(held)
     assert other.taken == "coulomb-friction"
 
 

@@ -27,7 +27,7 @@ GAP, DRAG, FORCE, FRICTION, MAGNETISM = (
 
 def selection(base: Fit, fit: Fit, *causes: str) -> Selection:
     """As if these had been taken, the last one by the only round that is known."""
-    first = Round(scores=(), trials=(), taken=causes[0], why="")
+    first = Round(scores=(), trials=(), taken=causes[0])
     return Selection(base=base, fit=fit, causes=[*causes], gains=dict.fromkeys(causes, 100.0), rounds=[first])
 
 

@@ -27,7 +27,7 @@ def test_a_trifle_beside_a_later_cause_goes_if_noise_remains(strength: float, ke
         base, both = fitted(criterion, THETA), fitted(criterion, rig, FIRST, LATER)
         alone = fitted(criterion, strong(LATER, 6e-4), LATER)
         found = Selection(base=base, fit=both, causes=[FIRST, LATER], gains={FIRST: 1e3, LATER: 1e3})
-        found.rounds.append(Round(scores=(), trials=(), taken=LATER, why=""))
+        found.rounds.append(Round(scores=(), trials=(), taken=LATER))
 
         floor = floor_of(criterion, rig)
         asked = replace(found, causes=[*found.causes], gains={**found.gains})
