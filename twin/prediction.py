@@ -19,12 +19,13 @@ from twin.estimation.record import FloatArray, Record
 from twin.estimation.rollout import SETTLE_S, within_reach
 from twin.estimation.rollout_periodic import has_phase
 from twin.estimation.rollout_periodic import predict as predict_readings
-from twin.estimation.structures import AT_THE_ENDS, System
+from twin.estimation.structures import AT_THE_ENDS
 from twin.model.causes.catalogue import found_by
 from twin.model.extended import position_reading
 from twin.model.extension import base, vector
 from twin.model.parameters import Model
-from twin.validate.source import point_of, source_of
+from twin.validate.extended import system_of
+from twin.validate.source import source_of
 
 NEEDED = ("u_c", "i_c", "x")
 
@@ -79,9 +80,8 @@ def predict(model: Model, record: Record, ahead: int) -> Prediction:
     )
     evidence = gather([told], model.plant, stops)
     s = evidence.series
-    point = point_of(model, record)
     tick_s = record.interval_s
-    system = System(tuple(p), c, point.noise(tick_s), AT_THE_ENDS)
+    system = system_of(model, record)._replace(c=c, closed_form=False)  # lost samples need the other step
     x_hat = within_reach(predict_readings(system, evidence.samples, ahead), p, c, AT_THE_ENDS)
     sampled = s.flags & LOST == 0  # the series has a row for a lost sample, the recording has none
     flags, x_hat = s.flags[sampled], x_hat[sampled]

@@ -26,6 +26,9 @@ class NoiseLevels(NamedTuple):
     tick_s: float  # s
 
 
+NOISES = NoiseLevels._fields[:4]
+
+
 class Stops(NamedTuple):
     """Where the ball lies at the stops."""
 
@@ -43,6 +46,9 @@ class System(NamedTuple):
     c: NDArray[np.float64]  # the causes' parameters, shape (PLACES,)
     noise: NoiseLevels
     stops: Stops
+    # (1) and (6) and nothing else: stepped by `transition.py`, u_c in force as recorded from the first sample on, and
+    # the current deaf to the ball.
+    closed_form: bool = False
 
 
 class Samples(NamedTuple):

@@ -12,28 +12,14 @@ substeps of T_A / 2 for that, which for T_A = 0.3 ms makes it five times as slow
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.compiled import kernel
+from twin.model.extended import GAP_MIN_SHARE, Base
 
-GAP_MIN_SHARE = 0.01  # of the travel: nearer to x_max than this, (3) is not evaluated (as in twin/model/simulate.py)
 _SWEEPS = 3
-
-
-class Physics(NamedTuple):
-    """The model as this kernel takes it."""
-
-    K_A: float  # A/V
-    T_A: float  # s
-    k: float  # K_c / m, m^3/(A s)^2
-    d: float  # b / m, 1/s
-    gravity_m_s2: float
-    x_max_m: float
-    gap_min_m: float
-    travel_m: float  # the top stop: for predictions that reach it
 
 
 @kernel
@@ -62,9 +48,10 @@ def moments(T_s: float, T_A: float, out: NDArray[np.float64]) -> None:
 
 @kernel
 def transit(
-    p: Physics, m: NDArray[np.float64], T_s: float, i: float, x: float, v: float, u: float
+    p: Base, m: NDArray[np.float64], T_s: float, i: float, x: float, v: float, u: float
 ) -> tuple[float, float, float]:
     """(i_c, x, x') after T_s s with u_c = u held: A, m, m/s; `m` from `moments(T_s, p.T_A)`."""
+    k, d, gap_min_m = p.K_c / p.mass_kg, p.b / p.mass_kg, GAP_MIN_SHARE * p.travel_m
     e = p.K_A * u
     w = i - e
     ee, ew, ww = e * e, 2.0 * e * w, w * w
@@ -72,18 +59,18 @@ def transit(
     s1 = ee * T_s * T_s / 2.0 + ew * m[1] + ww * m[5]
     s2 = ee * T_s * T_s * T_s / 3.0 + ew * m[2] + ww * m[6]
     s3 = ee * T_s * T_s * T_s * T_s / 4.0 + ew * m[3] + ww * m[7]
-    gap = max(p.x_max_m - x, p.gap_min_m)
+    gap = max(p.x_max_m - x, gap_min_m)
     c0 = 1.0 / (gap * gap)
     x_half, x_end, v_end = x + 0.5 * T_s * v, x + T_s * v, v
     for _ in range(_SWEEPS):
-        gap_half, gap_end = max(p.x_max_m - x_half, p.gap_min_m), max(p.x_max_m - x_end, p.gap_min_m)
+        gap_half, gap_end = max(p.x_max_m - x_half, gap_min_m), max(p.x_max_m - x_end, gap_min_m)
         c_half, c_end = 1.0 / (gap_half * gap_half), 1.0 / (gap_end * gap_end)
         slope = (4.0 * c_half - 3.0 * c0 - c_end) / T_s
         bend = 2.0 * (c_end - 2.0 * c_half + c0) / (T_s * T_s)
-        impulse = p.k * (c0 * s0 + slope * s1 + bend * s2)
-        first = p.k * (c0 * s1 + slope * s2 + bend * s3)
-        v_end = v + impulse - p.gravity_m_s2 * T_s - p.d * (x_end - x)
+        impulse = k * (c0 * s0 + slope * s1 + bend * s2)
+        first = k * (c0 * s1 + slope * s2 + bend * s3)
+        v_end = v + impulse - p.gravity_m_s2 * T_s - d * (x_end - x)
         area = T_s / 6.0 * (4.0 * (x_half - x) + (x_end - x))  # integral of x(t) - x, Simpson
-        x_end = x + v * T_s + (T_s * impulse - first) - 0.5 * p.gravity_m_s2 * T_s * T_s - p.d * area
+        x_end = x + v * T_s + (T_s * impulse - first) - 0.5 * p.gravity_m_s2 * T_s * T_s - d * area
         x_half = 0.5 * (x + x_end) + 0.125 * T_s * (v - v_end)  # Hermite
     return e + w * m[8], x_end, v_end

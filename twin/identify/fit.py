@@ -19,15 +19,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from protocol.campaign import Plant
-from twin.estimation.innovations import FOLLOWS, USE_I, USE_X, Series, information, run_filter, whiten
-from twin.estimation.optimiser import Damping, covariance_of, inverse, newton
+from twin.estimation.ekf.filter import filtered
+from twin.estimation.innovations import FOLLOWS, USE_I, USE_X, Series, information, whiten
+from twin.estimation.optimiser import Slopes, climb, inverse
 from twin.estimation.prepare import BLOCK_SAMPLES
 from twin.estimation.record import FloatArray
-from twin.estimation.structures import NoiseLevels
-from twin.estimation.transition import GAP_MIN_SHARE, Physics
+from twin.estimation.structures import AT_THE_ENDS, NO_STEPS, NOISES, NoiseLevels, Results, Steps, System
+from twin.model.causes.catalogue import neutral
+from twin.model.extended import STATES, Base
 
 PARAMETERS = ("K_A", "T_A", "K_c", "b")
-NOISES = ("sigma_i_c_a", "sigma_x_m", "process_i_c_a", "process_a_m_s2")
 NAMES = PARAMETERS + NOISES
 FLOORS = {
     "T_A": 2e-6,  # faster than any coil: below, the likelihood is flat and no climb ends
@@ -41,10 +42,8 @@ _DRAG_STEP = 1e-2  # 1/s, of b / m
 _MOST = {"K_A": 0.7, "T_A": 1.5, "K_c": 0.5} | dict.fromkeys(NOISES, 2.0)  # largest step of a logarithm
 _DRAG_MOST = 20.0  # 1/s
 DONE = 0.01  # of a standard error (Newton decrement): smaller steps move nothing that matters
-NEAR = 0.3  # the same, where a wrong model makes the climb slow: what is left to gain is 0.05 of log-likelihood
 GATE = 6.0  # standard deviations: a right model does that once in 5e8 samples
 PASSES = 40
-_NO_STATE = np.empty((0, 3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +62,13 @@ class Point:
     def noise(self, tick_s: float) -> NoiseLevels:
         """The noise levels, as the filter takes them; `tick_s`: that they refer to, s."""
         return NoiseLevels(self.sigma_i_c_a, self.sigma_x_m, self.process_i_c_a, self.process_a_m_s2, tick_s)
+
+    def system(self, plant: Plant, tick_s: float) -> System:
+        """The model and its noise, as the filter takes them; `tick_s`: that process noise refers to, s."""
+        base = Base(
+            self.K_A, self.T_A, self.K_c, self.b, plant.mass_kg, plant.gravity_m_s2, plant.x_max_m, plant.travel_m
+        )
+        return System(tuple(base), neutral(), self.noise(tick_s), AT_THE_ENDS, closed_form=True)
 
     def moved(self, name: str, by: float, mass_kg: float) -> Point:
         """One coordinate moved: by a logarithm, b by `by` times m (so that its unit is 1/s)."""
@@ -141,13 +147,16 @@ class Likelihood:
         score = np.zeros(count)
         total = 0.0
         for block in self._blocks:
-            base = self._filter(point, block)
-            n = len(base)
+            here = self._run(point, block, steps=True)
+            base, n = here.innovations, len(here.innovations)
             total += whiten(base, np.empty(n), np.empty((n, 2)))
             moved = np.empty((count, n, 5))
             for place, name in enumerate(free):
                 by = _DRAG_STEP if name == "b" else _STEP[name]
-                np.subtract(self._filter(point.moved(name, by, self.plant.mass_kg), block), base, out=moved[place])
+                # A model that differs in its noise alone makes the same steps.
+                known = here.steps if name in NOISES else NO_STEPS
+                beside = self._run(point.moved(name, by, self.plant.mass_kg), block, known)
+                np.subtract(beside.innovations, base, out=moved[place])
                 moved[place] /= by
             each = np.empty((n, count))
             information(base, moved, each, fisher)
@@ -156,29 +165,42 @@ class Likelihood:
                 spread += _newey_west(each, lags)
         return total, score, fisher, spread
 
-    def states(self, point: Point) -> FloatArray:
-        """Corrected estimates (i_c, x, x') at each sample, shape (n, 3), NaN where the ball does not fly."""
-        state = np.empty((len(self.series), 3))
-        for block in self._blocks:
-            self._filter(point, block, state[block])
-        return state
+    def moved(self, point: Point, name: str, by: float) -> Point:
+        """One coordinate moved, within its bounds."""
+        there = point.moved(name, by, self.plant.mass_kg)
+        return replace(there, b=min(there.b, self.drag_most * self.plant.mass_kg))
 
-    def _filter(self, point: Point, block: slice, state: FloatArray = _NO_STATE) -> FloatArray:
-        part = self.series.part(block)
-        out = np.empty((len(part), 5))
-        run_filter(
-            tuple(physics(point, self.plant)),
-            point.noise(self.tick_s),
-            part.step,
-            part.u,
-            part.i,
-            part.x,
-            part.flags,
-            out,
-            state,
-        )
+    def most(self, name: str) -> float:
+        """The largest move of a coordinate in one pass."""
+        return _DRAG_MOST if name == "b" else _MOST[name]
+
+    def visit(self, point: Point) -> tuple[float, None]:
+        """The log-likelihood, and nothing to keep: what is kept of an hour would not fit beside its data."""
+        return self.value(point), None
+
+    def slopes(self, point: Point, seen: None, free: Sequence[str], before: Slopes | None, decrement: float) -> Slopes:
+        """Exact ones, always."""
+        return self.exact(point, seen, free)
+
+    def exact(self, point: Point, seen: None, free: Sequence[str]) -> Slopes:
+        """Slopes of this very point."""
+        _, score, fisher, _ = self.gradient(point, free)
+        return Slopes(score=score, fisher=fisher)
+
+    def states(self, point: Point) -> FloatArray:
+        """Corrected states of `extended.py` at each sample, shape (n, 6), NaN where the ball does not fly."""
+        parts = [self._run(point, block, state=True).state for block in self._blocks]
+        return np.concatenate(parts) if parts else np.empty((0, STATES))
+
+    def _filter(self, point: Point, block: slice) -> FloatArray:
+        return self._run(point, block).innovations
+
+    def _run(
+        self, point: Point, block: slice, known: Steps = NO_STEPS, *, state: bool = False, steps: bool = False
+    ) -> Results:
         self.evaluations += 1
-        return out
+        system, samples = point.system(self.plant, self.tick_s), self.series.part(block).samples
+        return filtered(system, samples, known, state=state, steps=steps)
 
 
 def most_drag(plant: Plant) -> float:
@@ -186,53 +208,17 @@ def most_drag(plant: Plant) -> float:
     return math.sqrt(2.0 * plant.gravity_m_s2 / (plant.x_max_m - 0.5 * plant.travel_m))
 
 
-def physics(point: Point, plant: Plant) -> Physics:
-    """The numbers of the kernel."""
-    return Physics(
-        K_A=point.K_A,
-        T_A=point.T_A,
-        k=point.K_c / plant.mass_kg,
-        d=point.b / plant.mass_kg,
-        gravity_m_s2=plant.gravity_m_s2,
-        x_max_m=plant.x_max_m,
-        gap_min_m=GAP_MIN_SHARE * plant.travel_m,
-        travel_m=plant.travel_m,
-    )
-
-
 def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: int = PASSES) -> Fit:
     """Climb to the maximum from `start`; coordinates not in `free` stay."""
-    mass = likelihood.plant.mass_kg
-    point, damping, decrement, converged = start, Damping(), np.inf, False
-    used = slow = 0
-    loglik, score, fisher, _ = likelihood.gradient(point, free)
-    for _ in range(passes):
-        used += 1
-        active = _active(point, free, score, likelihood.drag_most * mass)
-        step, decrement = newton(score, fisher, active, damping.value)
-        if decrement < DONE or (slow >= 3 and decrement < NEAR):
-            converged = True
-            break
-        trial = _move(point, free, step, mass)
-        trial = replace(trial, b=min(trial.b, likelihood.drag_most * mass))
-        value = likelihood.value(trial)
-        if np.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
-            slow = slow + 1 if value - loglik < 0.05 else 0
-            damping.taken()
-            point = trial
-            loglik, score, fisher, _ = likelihood.gradient(point, free)
-        elif not damping.refused():
-            break
-    converged = converged or decrement < NEAR
-    active = _active(point, free, score, likelihood.drag_most * mass)
+    top = climb(likelihood, start, free, passes=passes, done=DONE, patience=3)
     return Fit(
-        point=point,
-        loglik=loglik,
+        point=top.point,
+        loglik=top.loglik,
         free=tuple(free),
-        covariance=covariance_of(fisher, active),  # at its floor a number is known to be as good as zero
-        converged=converged,
-        passes=used,
-        decrement=float(decrement),
+        covariance=top.covariance,  # at its floor a number is known to be as good as zero
+        converged=top.converged,
+        passes=top.passes,
+        decrement=top.decrement,
     )
 
 
@@ -283,26 +269,3 @@ def _blocks(starts: np.ndarray[tuple[int, ...], np.dtype[np.intp]], n: int) -> l
         if start - edges[-1] >= BLOCK_SAMPLES:
             edges.append(int(start))
     return [slice(a, b) for a, b in zip(edges, [*edges[1:], n], strict=True) if b > a]
-
-
-def _active(
-    point: Point, free: Sequence[str], score: FloatArray, b_most: float
-) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Which coordinates may move: not a noise at its floor that wants less, nor a drag at its bound that wants more."""
-    stuck = [
-        (name in FLOORS and getattr(point, name) <= FLOORS[name] * 1.001 and score[place] <= 0.0)
-        or (name == "b" and point.b >= b_most and score[place] >= 0.0)
-        for place, name in enumerate(free)
-    ]
-    return ~np.array(stuck, np.bool_)
-
-
-def _move(point: Point, free: Sequence[str], step: FloatArray, mass_kg: float) -> Point:
-    # One factor for all: a step cut coordinate by coordinate points elsewhere.
-    most = [_DRAG_MOST if name == "b" else _MOST[name] for name in free]
-    parameters = [place for place, name in enumerate(free) if name in PARAMETERS]
-    factor = min([1.0, *(most[place] / max(abs(step[place]), 1e-300) for place in parameters)])
-    for place, name in enumerate(free):
-        by = float(np.clip(step[place] * factor, -most[place], most[place]))
-        point = point.moved(name, by, mass_kg)
-    return point

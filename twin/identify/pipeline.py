@@ -21,12 +21,13 @@ from protocol.errors import DataError
 from twin.estimation.innovations import FLIES, USE_I, USE_X
 from twin.estimation.prepare import Usage, prepare
 from twin.estimation.record import Record
+from twin.estimation.structures import NOISES
 from twin.estimation.whiteness import Whiteness, whiteness
 from twin.identify import verdicts
 from twin.identify.checks.dead_channels import without_dead
 from twin.identify.checks.input_delay import delayed, input_delay
 from twin.identify.checks.plausibility import inspect
-from twin.identify.fit import FLOORS, NAMES, NOISES, PARAMETERS, Fit, Likelihood, Point, fit, gate, most_drag, sandwich
+from twin.identify.fit import FLOORS, NAMES, PARAMETERS, Fit, Likelihood, Point, fit, gate, most_drag, sandwich
 from twin.identify.horizon import Horizon, horizons
 from twin.identify.intervals import Interval, quadratic_or_profile
 from twin.identify.result import Identification, noise_of, provenance_of

@@ -15,15 +15,12 @@ import numpy as np
 from twin.estimation.innovations import FLIES, FOLLOWS
 from twin.estimation.prediction_floor import TOLERANCE, floor_rmse
 from twin.estimation.record import BoolArray, FloatArray, runs
-from twin.identify.fit import FLOORS, physics
-from twin.identify.horizon import HORIZONS_S, predict
-from twin.model.extended import SENSOR
-from twin.model.parameters import Model
-from twin.model.simulate import over, plant_numbers, rig_at
-from twin.validate.extended import predictions, samples_of, system_of, window
+from twin.estimation.rollout import SETTLE_S, window
+from twin.identify.fit import FLOORS
+from twin.identify.horizon import HORIZONS_S
+from twin.identify.horizon import errors as error_ahead
 from twin.validate.source import Filtered
 
-SETTLE_S = 0.1  # the filter's own start
 WINDOW_S = 0.04
 FEWEST = 20.0  # independent errors: fewer pass any model
 
@@ -57,10 +54,9 @@ class Windows:
     count: int
 
 
-def multi_step(runs_: Sequence[Filtered], model: Model) -> tuple[Ahead, ...]:
+def multi_step(runs_: Sequence[Filtered]) -> tuple[Ahead, ...]:
     """Errors over all flights, against the floor; empty where nothing could be predicted."""
     rows = []
-    numbers = None
     for wanted in HORIZONS_S:
         errors: list[FloatArray] = []
         stills: list[FloatArray] = []
@@ -69,22 +65,12 @@ def multi_step(runs_: Sequence[Filtered], model: Model) -> tuple[Ahead, ...]:
             tick_s = run.source.record.interval_s
             ahead = max(round(wanted / tick_s), 1)
             actual_s = ahead * tick_s
-            n = len(run.series)
-            error, still = np.empty(n), np.empty(n)
-            numbers = tuple(physics(run.point, model.plant))
-            s = run.series
-            settle = max(round(SETTLE_S / tick_s), 2)
-            predict(numbers, run.state, s.step, s.u, s.x, s.flags, ahead, settle, error, still)
-            if run.full is not None:
-                there = np.isfinite(still)
-                error = np.where(
-                    there, s.x - predictions(s, run.full, model, run.point.noise(tick_s), ahead, SETTLE_S), np.nan
-                )
+            error, still = error_ahead(run.system, run.series, run.state, ahead)
             good = np.isfinite(error)
             if good.any():
                 errors.append(error)
                 stills.append(still[good])
-                floor2 += int(good.sum()) * _floor_m(run, model, tick_s, ahead, np.asarray(good)) ** 2
+                floor2 += int(good.sum()) * _floor_m(run, ahead, np.asarray(good)) ** 2
         count = sum(len(e) for e in stills)
         if not count:
             continue
@@ -127,15 +113,13 @@ def _effective(error: FloatArray, count: int) -> float:
     return max(count / total, 1.0)
 
 
-def _floor_m(run: Filtered, model: Model, tick_s: float, ahead: int, predicted: BoolArray) -> float:
+def _floor_m(run: Filtered, ahead: int, predicted: BoolArray) -> float:
     # Process noise takes up what a model gets wrong: with it a model without the rig's drag lay below its own floor.
-    noise = run.point.noise(tick_s)._replace(
-        process_i_c_a=FLOORS["process_i_c_a"], process_a_m_s2=FLOORS["process_a_m_s2"]
-    )
-    return floor_rmse(system_of(model, noise), samples_of(run.series), ahead, predicted)
+    noise = run.system.noise._replace(process_i_c_a=FLOORS["process_i_c_a"], process_a_m_s2=FLOORS["process_a_m_s2"])
+    return floor_rmse(run.system._replace(noise=noise), run.series.samples, ahead, predicted)
 
 
-def windows(runs_: Sequence[Filtered], model: Model, *, shown_s: float = 0.8) -> Windows | None:
+def windows(runs_: Sequence[Filtered], *, shown_s: float = 0.8) -> Windows | None:
     """Windows over every flight; the stretch with most motion is kept to be drawn."""
     best: tuple[float, Filtered, slice, FloatArray] | None = None
     errors, centred = [], []
@@ -147,7 +131,8 @@ def windows(runs_: Sequence[Filtered], model: Model, *, shown_s: float = 0.8) ->
         simulated = np.full(len(s), np.nan)
         for piece in _chains(run):
             for begin in range(piece.start + settle, piece.stop - length, length):
-                simulated[begin : begin + length] = _window(run, model, begin, length)
+                # The last stays NaN: the next window starts there.
+                simulated[begin : begin + length - 1] = window(run.system, s.samples, run.state, begin, length - 1)
                 count += 1
             shown = slice(piece.start + settle, min(piece.stop, piece.start + settle + round(shown_s / tick_s)))
             for start in range(piece.start + settle, max(piece.stop - (shown.stop - shown.start), shown.start + 1), 50):
@@ -179,18 +164,3 @@ def windows(runs_: Sequence[Filtered], model: Model, *, shown_s: float = 0.8) ->
 def _chains(run: Filtered) -> list[slice]:
     free: BoolArray = np.asarray((run.series.flags & (FLIES | FOLLOWS)) == (FLIES | FOLLOWS))
     return runs(free, max(round((SETTLE_S + 2 * WINDOW_S) / run.source.record.interval_s), 8))
-
-
-def _window(run: Filtered, model: Model, begin: int, length: int) -> FloatArray:
-    """By u_c alone, with the twin's physics: its stops hold the ball."""
-    if run.full is not None:
-        return window(run.series, run.full, model, begin, length)
-    i, x, v = (float(value) for value in run.state[begin])
-    plant = plant_numbers(model, run.source.record.interval_s)
-    out = np.full(length, np.nan)
-    y = rig_at(plant, i=i, x=x, v=v, u=float(run.series.u[begin]))
-    out[0] = x
-    for k in range(1, length - 1):  # the last stays NaN: the next window starts there
-        over(tuple(plant), y, float(run.series.u[begin + k - 1]), float(run.series.step[begin + k]), True)
-        out[k] = y[SENSOR]
-    return out

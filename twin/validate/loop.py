@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, integral_behind, law
 from twin.estimation.record import runs
+from twin.estimation.rollout import SETTLE_S
 from twin.estimation.step_figures import LoopRun
 from twin.identify.checks.control_law import law_gap
 from twin.mirror.monitor.expected import STABLE, autocovariance, error_dynamics
 from twin.model.extended import I_C, Base, V, X
 from twin.model.parameters import Model
 from twin.model.simulate import I_READ, X_READ, PlantNumbers, hold, plant_numbers, rig_at
-from twin.validate.ball import SETTLE_S
 from twin.validate.source import Filtered, Source
 
 SHORTEST_S = 0.5
@@ -212,7 +212,7 @@ def _simulate(run: Filtered, model: Model, c: LawNumbers, part: slice, integral:
         ]
     )
     lsb = np.array([*r.lsb, run.source.u_lsb_v])
-    i, x, v = run.state[part.start].tolist()
+    i, x, v = run.shown[part.start].tolist()
     begin = rig_at(plant, i=i, x=x, v=v, u=float(r.u_c[part.start - 1]))
     law_begin = np.array([integral, r.x[part.start - 1]])
     late = run.source.late

@@ -19,19 +19,21 @@ from protocol.campaign import Campaign, Controller
 from protocol.files import open_regular
 from protocol.log.reader import LogReader
 from twin.control import LawNumbers, law_numbers
-from twin.estimation.innovations import FLIES, USE_I, USE_X, Series
+from twin.estimation.ekf.filter import filtered as along
+from twin.estimation.innovations import FLIES, USE_I, USE_X, Series, whitened
 from twin.estimation.prepare import flights, prepare
 from twin.estimation.record import FloatArray, Record, runs
+from twin.estimation.structures import System
 from twin.identify.checks.control_law import WIDE_V, numbers_of
 from twin.identify.checks.dead_channels import without_dead
 from twin.identify.checks.input_delay import delayed, input_delay
 from twin.identify.checks.plausibility import inspect
-from twin.identify.fit import Likelihood, Point, gate
+from twin.identify.fit import gate
 from twin.identify.pipeline import grouped
 from twin.model.parameters import Model
 from twin.readers.campaign import read_recording
 from twin.readers.log import entries, parse
-from twin.validate.extended import as_shown, filter_extended
+from twin.validate.extended import as_shown, system_of
 
 FLYING = ("closed-loop", "prbs", "free")
 WILD_MOST = 0.01  # of the readings: more are no accidents of reading but the model's, or the sensor's, everyday
@@ -62,10 +64,10 @@ class Filtered:
     source: Source
     series: Series
     white: FloatArray  # whitened innovations (i_c, x), shape (n, 2)
-    state: FloatArray  # corrected i_c, x, x', shape (n, 3)
-    point: Point
+    system: System
+    state: FloatArray  # corrected states of `extended.py`, shape (n, 6)
+    shown: FloatArray  # i_c and x of them as the sensors show them, and x', shape (n, 3)
     wild: int  # readings left out
-    full: FloatArray | None = None  # corrected states of `extended.py`, shape (n, 6), of a model with causes
 
 
 def sources_of(campaign: Campaign, model: Model, *, data: Path | None = None) -> tuple[list[Source], list[str]]:
@@ -133,27 +135,20 @@ def filtered(source: Source, model: Model) -> Filtered | None:
     if not record.has("u_c", "i_c", "x") or not flights(record, plant):
         return None
     series, _ = prepare([record], plant)
-    point = point_of(model, record)
-    if model.causes:
-        white, full = filter_extended(series, point, model, record.interval_s)
-        gated, dropped = gate(series, white, 1)
-        if 0 < dropped[0] <= WILD_MOST * len(series):
-            series = gated
-            white, full = filter_extended(series, point, model, record.interval_s)
-        source, wild = _without_wild(source, series)
-        shown = as_shown(full, model)
-        return Filtered(source=source, series=series, white=white, state=shown, point=point, wild=wild, full=full)
-    likelihood = Likelihood(series, plant, record.interval_s)
-    gated, dropped = gate(series, likelihood.white(point), 1)
+    system = system_of(model, record)
+    run = along(system, series.samples, state=True)
+    gated, dropped = gate(series, whitened(run.innovations), 1)
     if 0 < dropped[0] <= WILD_MOST * len(series):
-        likelihood = Likelihood(gated, plant, record.interval_s)
-    source, wild = _without_wild(source, likelihood.series)
+        series = gated
+        run = along(system, series.samples, state=True)
+    source, wild = _without_wild(source, series)
     return Filtered(
         source=source,
-        series=likelihood.series,
-        white=likelihood.white(point),
-        state=likelihood.states(point),
-        point=point,
+        series=series,
+        white=whitened(run.innovations),
+        system=system,
+        state=run.state,
+        shown=as_shown(run.state, model),
         wild=wild,
     )
 
@@ -166,21 +161,6 @@ def _without_wild(source: Source, series: Series) -> tuple[Source, int]:
     x = flies & ((series.flags & USE_X) == 0) & np.isfinite(r.x)
     record = replace(r, i_c=np.where(i, np.nan, r.i_c), x=np.where(x, np.nan, r.x))
     return replace(source, record=record), int(i.sum() + x.sum())
-
-
-def point_of(model: Model, record: Record) -> Point:
-    """The model with its noise, the converters' steps of this recording added."""
-    n = model.noise
-    return Point(
-        K_A=model.K_A,
-        T_A=model.T_A,
-        K_c=model.K_c,
-        b=model.b,
-        sigma_i_c_a=float(np.hypot(n.sigma_i_c_a, record.lsb[0] / np.sqrt(12.0))),
-        sigma_x_m=float(np.hypot(n.sigma_x_m, record.lsb[1] / np.sqrt(12.0))),
-        process_i_c_a=n.process_i_c_a,
-        process_a_m_s2=n.process_a_m_s2,
-    )
 
 
 def _known_late(model: Model) -> int:

@@ -247,7 +247,7 @@ def validate_sources(
         notes.append(f"{sum(run.wild for run in runs)} wild readings were left out ({where})")
     unflown = "no recording shows the ball in flight with u_c and i_c"
     say("predicting")
-    shown = windows(runs, model) if runs else None
+    shown = windows(runs) if runs else None
     channels = residuals(runs)
     say("simulating the closed loop")
     loop = _closed_loop(runs, model, unflown)
@@ -258,11 +258,11 @@ def validate_sources(
         model=model,
         amplifier=amplifier(sources, model),
         windows=shown or (unflown if not runs else "no flight is long enough for a window of 40 ms"),
-        ahead=multi_step(runs, model),
+        ahead=multi_step(runs),
         channels=channels or (unflown if not runs else "too few samples in flight"),
         loop=loop,
         measured=measured,
-        alone=rig_alone(measured, float(runs[0].point.sigma_x_m)) if measured else (),
+        alone=rig_alone(measured, float(runs[0].system.noise.sigma_x_m)) if measured else (),
         flown=tuple(run.source.record.name for run in runs),
         notes=tuple(dict.fromkeys(notes)),
     )
@@ -278,7 +278,7 @@ def _closed_loop(runs: list[Filtered], model: Model, unflown: str) -> ClosedLoop
     measured, quiet = (np.concatenate(parts) for parts in ([r.x_m for r in loops], [r.quiet_x_m for r in loops]))
     known = np.isfinite(measured)
     expected = [r.expected_std_m**2 * len(r.x_m) for r in loops]
-    sigma = float(runs[0].point.sigma_x_m)
+    sigma = float(runs[0].system.noise.sigma_x_m)
     return ClosedLoop(
         runs=tuple(loops),
         fit_percent=fit_percent(measured[known], quiet[known]),

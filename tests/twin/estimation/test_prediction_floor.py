@@ -113,7 +113,7 @@ def test_diagnose_and_validate_print_the_same_floor(cause: str) -> None:
     judged = filtered(source_of(evidence.records[0], model), model)
 
     assert judged is not None
-    for row in multi_step([judged], model):
+    for row in multi_step([judged]):
         samples = round(row.horizon_s / TICK_S)
         told = gain(evidence, theta, theta, floor, PLANT, TICK_S, samples, 0)
         assert told is not None
@@ -129,7 +129,7 @@ def test_what_a_model_gets_wrong_is_not_forgiven_for_the_process_noise_that_took
         model = model_of(campaign(), fit_of(theta, 0.0), {}, [record], 0.0, "")
         judged = filtered(source_of(record, model), model)
         assert judged is not None
-        rows.append({round(row.horizon_s / TICK_S): row for row in multi_step([judged], model)})
+        rows.append({round(row.horizon_s / TICK_S): row for row in multi_step([judged])})
 
     right, wrong = rows
     assert all(row.at_floor for row in right.values())

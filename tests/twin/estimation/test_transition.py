@@ -1,4 +1,4 @@
-"""The step of the filter against an integration as fine as one likes, and compiled against plain Python."""
+"""The closed form of one interval against an integration as fine as one likes."""
 
 from __future__ import annotations
 
@@ -7,22 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X, run_filter
-from twin.estimation.structures import NoiseLevels
-from twin.estimation.transition import Physics, moments, transit
+from twin.estimation.transition import moments, transit
+from twin.model.extended import Base
 
 
-def plain(function: object) -> object:
-    return getattr(function, "py_func", function)
-
-
-def fine(p: Physics, T_s: float, i: float, x: float, v: float, u: float) -> tuple[float, float, float]:
+def fine(p: Base, T_s: float, i: float, x: float, v: float, u: float) -> tuple[float, float, float]:
     """Midpoint rule in steps of T_s/20000: error of order (T_s/20000)^2."""
     h = T_s / 20_000
     e = p.K_A * u
     for n in range(20_000):
         i_mid = e + (i - e) * math.exp(-(n + 0.5) * h / p.T_A)
-        a = p.k * i_mid**2 / (p.x_max_m - x - 0.5 * h * v) ** 2 - p.d * v - p.gravity_m_s2
+        a = p.K_c / p.mass_kg * i_mid**2 / (p.x_max_m - x - 0.5 * h * v) ** 2 - p.b / p.mass_kg * v - p.gravity_m_s2
         x, v = x + h * v + 0.5 * h * h * a, v + h * a
     return e + (i - e) * math.exp(-T_s / p.T_A), x, v
 
@@ -30,11 +25,12 @@ def fine(p: Physics, T_s: float, i: float, x: float, v: float, u: float) -> tupl
 @pytest.mark.parametrize("T_A", [2e-5, 3e-4, 2e-3, 3e-2])
 @pytest.mark.parametrize("T_s", [5e-4, 2e-3, 3e-3])
 def test_one_interval_is_the_solution_of_the_equations(T_A: float, T_s: float) -> None:
-    p = Physics(K_A=0.3, T_A=T_A, k=6.8e-4, d=2.5, gravity_m_s2=9.81, x_max_m=8.1e-3, gap_min_m=5.7e-5, travel_m=5.7e-3)
-    m = np.empty(9)
-    moments(T_s, T_A, m)
+    m = 0.0118
+    p = Base(K_A=0.3, T_A=T_A, K_c=6.8e-4 * m, b=2.5 * m, mass_kg=m, gravity_m_s2=9.81, x_max_m=8.1e-3, travel_m=5.7e-3)
+    integrals = np.empty(9)
+    moments(T_s, T_A, integrals)
 
-    got = transit(p, m, T_s, 0.7, 2.9e-3, 0.1, 2.0)
+    got = transit(p, integrals, T_s, 0.7, 2.9e-3, 0.1, 2.0)
 
     want = fine(p, T_s, 0.7, 2.9e-3, 0.1, 2.0)
     # The parabola through 1/gap^2 misses its third derivative: x'' is off by about k i^2 (24 v^3 / gap^5) T_s^3 / 200.
@@ -55,31 +51,3 @@ def test_moments_do_not_cancel(T_A: float) -> None:
     for j in range(4):
         assert m[j] == pytest.approx(float(np.sum(w * t**j * np.exp(-t / T_A))), rel=1e-9)
         assert m[4 + j] == pytest.approx(float(np.sum(w * t**j * np.exp(-2 * t / T_A))), rel=1e-9)
-
-
-def test_compiled_and_plain_filter_agree() -> None:
-    rng = np.random.default_rng(1)
-    n = 60
-    flags = np.full(n, FOLLOWS | FLIES | USE_I | USE_X, np.uint8)
-    flags[0] &= ~FOLLOWS & 0xFF
-    flags[10] &= ~USE_X & 0xFF
-    flags[20] &= ~USE_I & 0xFF
-    flags[30:34] &= ~FLIES & 0xFF
-    numbers = (0.3, 3e-4, 6.8e-4, 2.5, 9.81, 8.1e-3, 5.7e-5, 5.7e-3)
-    inputs = (
-        numbers,
-        NoiseLevels(2e-3, 5e-6, 1e-4, 0.02, 2e-3),
-        np.full(n, 2e-3),
-        2.1 + 0.01 * rng.normal(size=n),
-        0.63 + 2e-3 * rng.normal(size=n),
-        2.9e-3 + 5e-6 * rng.normal(size=n),
-        flags,
-    )
-    compiled, interpreted = np.empty((n, 5)), np.empty((n, 5))
-
-    run_filter(*inputs, compiled, np.empty((n, 3)))
-    plain(run_filter)(*inputs, interpreted, np.empty((n, 3)))  # type: ignore[operator]  # numba is untyped
-
-    np.testing.assert_allclose(compiled, interpreted, rtol=1e-9, atol=1e-15)
-    assert np.isnan(compiled[10, 1])
-    assert np.isnan(compiled[20, 0])

@@ -1,8 +1,4 @@
-"""The maximum of the likelihood: Fisher scoring with Levenberg damping, as in `twin/identify/fit.py`.
-
-A coordinate at its bound that wants further out is left there.  Far from the maximum the derivatives are those that
-`Criterion.derivatives` has for less work.
-"""
+"""The maximum of the likelihood of the extended model, by `twin/estimation/optimiser.py`."""
 
 from __future__ import annotations
 
@@ -10,19 +6,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from protocol.campaign import Plant
 from twin.diagnose import settings
 from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.theta import NOISES, Theta, most_step, moved
-from twin.estimation.optimiser import Damping, covariance_of, newton
+from twin.diagnose.inference.theta import Theta, most_step, moved
+from twin.estimation import optimiser
+from twin.estimation.optimiser import CLOSE, Slopes, active_of, covariance_of
 from twin.estimation.record import FloatArray
+from twin.estimation.structures import Results
 
 DONE = 0.02  # of a standard error
-NEAR = 0.3
-CLOSE = 3.0  # standard errors from the maximum: the derivatives are as good as those of the next point
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +45,7 @@ class Fit:
 def spreads(criterion: Criterion, fit: Fit) -> dict[str, float]:
     """Standard errors of all free numbers, in their own units, at fresh derivatives."""
     _, score, fisher = criterion.gradient(fit.theta, fit.free)
-    active = _active(fit.theta, fit.free, score, criterion.plant)
+    active = active_of(_Surface(criterion), fit.theta, fit.free, score)
     at = replace(fit, covariance=covariance_of(fisher, active))
     return {name: at.std(name, criterion.plant) for name in fit.free}
 
@@ -61,69 +54,56 @@ def climb(
     criterion: Criterion, start: Theta, free: Sequence[str], *, passes: int = settings.PASSES, done: float = DONE
 ) -> Fit:
     """Climb to the maximum from `start`; coordinates not in `free` stay."""
-    plant = criterion.plant
-    theta, damping, converged, slow = start, Damping(), False, 0
-    run = criterion.run(theta)
-    rough = criterion.loudness(run.innovations) < settings.EXACT_SLOPES_SQUARE
-    base, change = criterion.derivatives(theta, free, run, rough=rough)
-    loglik, score, fisher = criterion.slopes(theta, free, base, change)
-    decrement, fresh, exact = math.inf, True, not rough
-    for _ in range(passes):
-        active = _active(theta, free, score, plant)
-        step, decrement = newton(score, fisher, active, damping.value)
-        if decrement < CLOSE and not exact:
-            base, change = criterion.derivatives(theta, free, run)
-            loglik, score, fisher = criterion.slopes(theta, free, base, change)
-            active, exact = _active(theta, free, score, plant), True
-            step, decrement = newton(score, fisher, active, damping.value)
-        if decrement < done or (slow >= 2 and decrement < NEAR):
-            converged = True
-            break
-        most = np.array([most_step(name) for name in free])
-        # One factor for the physics: the direction stays.  A noise level near its floor has no slope and asks for any
-        # step: it is cut by itself, or it would hold back all the others.
-        physics = np.array([name not in NOISES for name in free])
-        shorter = min([1.0, *(most / np.maximum(np.abs(step), 1e-300))[physics]])
-        step = np.where(physics, step * shorter, np.clip(step, -most, most))
-        trial = theta
-        for place, name in enumerate(free):
-            trial = moved(trial, name, step[place], plant)
-        beyond = criterion.run(trial)
-        value = criterion.loglik(beyond.innovations) + criterion.outside(trial)
-        if math.isfinite(value) and value > loglik - 1e-9 * abs(loglik):
-            slow = slow + 1 if value - loglik < 0.05 else 0
-            damping.taken()
-            theta, base, run = trial, beyond.innovations, beyond
-            fresh = decrement > CLOSE
-            if fresh:
-                exact = criterion.loudness(run.innovations) >= settings.EXACT_SLOPES_SQUARE
-                base, change = criterion.derivatives(theta, free, run, rough=not exact)
-        elif not (fresh and exact):
-            base, change = criterion.derivatives(theta, free, run)
-            fresh = exact = True
-        else:
-            if damping.refused():
-                continue
-            break
-        loglik, score, fisher = criterion.slopes(theta, free, base, change)
-    active = _active(theta, free, score, plant)
-    _, left = newton(score, fisher, active, damping.value)
+    top = optimiser.climb(_Surface(criterion), start, free, passes=passes, done=done, patience=2)
     return Fit(
-        theta=theta,
-        loglik=loglik,
+        theta=top.point,
+        loglik=top.loglik,
         free=tuple(free),
-        covariance=covariance_of(fisher, active),
-        converged=converged or decrement < NEAR,
-        ahead=0.5 * left * left,
+        covariance=top.covariance,
+        converged=top.converged,
+        ahead=top.ahead,
     )
 
 
-def _active(theta: Theta, free: Sequence[str], score: FloatArray, plant: Plant) -> NDArray[np.bool_]:
-    """Which coordinates may move: not one at its bound whose score points outwards."""
-    return np.array(
-        [
-            moved(theta, name, 1e-3 * (1.0 if score[place] > 0.0 else -1.0), plant) != theta
-            for place, name in enumerate(free)
-        ],
-        np.bool_,
-    )
+class _Surface:
+    """The criterion as the climb sees it: slopes far from the maximum are those that cost less."""
+
+    def __init__(self, criterion: Criterion) -> None:
+        self._criterion = criterion
+
+    def moved(self, point: Theta, name: str, by: float) -> Theta:
+        return moved(point, name, by, self._criterion.plant)
+
+    def most(self, name: str) -> float:
+        return most_step(name)
+
+    def visit(self, point: Theta) -> tuple[float, Results]:
+        run = self._criterion.run(point)
+        return self._criterion.loglik(run.innovations) + self._criterion.outside(point), run
+
+    def slopes(
+        self, point: Theta, seen: Results, free: Sequence[str], before: Slopes | None, decrement: float
+    ) -> Slopes:
+        if before is not None and decrement <= CLOSE:
+            # The derivatives are as good as those of this point.
+            return self._of(point, seen, free, before.kept, exact=before.exact, fresh=False)
+        rough = self._criterion.loudness(seen.innovations) < settings.EXACT_SLOPES_SQUARE
+        _, change = self._criterion.derivatives(point, free, seen, rough=rough)
+        return self._of(point, seen, free, change, exact=not rough)
+
+    def exact(self, point: Theta, seen: Results, free: Sequence[str]) -> Slopes:
+        _, change = self._criterion.derivatives(point, free, seen)
+        return self._of(point, seen, free, change)
+
+    def _of(
+        self,
+        point: Theta,
+        seen: Results,
+        free: Sequence[str],
+        change: FloatArray,
+        *,
+        exact: bool = True,
+        fresh: bool = True,
+    ) -> Slopes:
+        _, score, fisher = self._criterion.slopes(point, free, seen.innovations, change)
+        return Slopes(score=score, fisher=fisher, exact=exact, fresh=fresh, kept=change)

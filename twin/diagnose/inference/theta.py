@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from protocol.campaign import Plant
 from twin.estimation.record import FloatArray
+from twin.estimation.structures import NOISES as NOISES
 from twin.estimation.structures import NoiseLevels, Stops, System
 from twin.model.causes.catalogue import BY_NAME, neutral
 from twin.model.causes.cause import CauseParameter
 from twin.model.extended import Base
 
 PARAMETERS = ("K_A", "T_A", "K_c", "b")
-NOISES = ("sigma_i_c_a", "sigma_x_m", "process_i_c_a", "process_a_m_s2")
 STOPS = ("stop_low_m", "stop_high_m")
 BASE = PARAMETERS + NOISES
 FLOORS = {"process_i_c_a": 1e-6, "process_a_m_s2": 1e-3}

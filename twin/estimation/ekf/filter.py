@@ -32,9 +32,17 @@ from twin.estimation.ekf.correct import (
     take_readings,
 )
 from twin.estimation.ekf.memory import Memory, base_of, copy_square, memory_for, states_in
-from twin.estimation.ekf.predict import add_process_noise, carry, differences, doubt_input, predict_held, step_along
+from twin.estimation.ekf.predict import (
+    add_process_noise,
+    advance,
+    carry,
+    differences,
+    doubt_input,
+    predict_held,
+    step_along,
+)
 from twin.estimation.innovations import FLIES, FOLLOWS, LOST, RESTS_HIGH, RESTS_LOW, USE_I, USE_X
-from twin.estimation.propagate import copy, delay_s, find_input, propagate
+from twin.estimation.propagate import copy, delay_s, find_input
 from twin.estimation.structures import NO_STEPS, Results, Samples, Steps, System, room_for
 from twin.model.extended import I_C, SHORT_S, V, X, current_reading
 
@@ -92,7 +100,7 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             if known.after.shape[0] > 0 and not unknown:
                 step_along(f, known.slopes[n], known.before[n], known.after[n - 1])
             else:
-                propagate(base_of(f), f.c[:], f.y[:], inputs, n, f.first, t[n - 1], T_s, False)
+                advance(f, f.y[:], inputs, n, t[n - 1], T_s, False)
             if known.slopes.shape[0] > 0:
                 copy_square(f.F, known.slopes[n], f.m)
             else:
@@ -110,7 +118,7 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             f.first = n
             start_recording(f, use_i, y_i[n], u[n])
             use_i = False
-        elif use_i and step[n] > SHORT_S:
+        elif use_i and step[n] > SHORT_S and not f.closed_form:
             blind = not f.in_flight and flags[n - 1] & USE_I == 0
             if blind or n - f.first <= UNKNOWN_INPUTS:
                 # Nobody recorded what was in force before the first sample, nor how the ball moved where i_c is not

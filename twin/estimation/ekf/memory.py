@@ -26,6 +26,9 @@ class Memory(Protocol):
 
     base: Floats  # tuple(Base), shape (8,)
     c: Floats  # the causes' parameters, shape (PLACES,)
+    closed_form: bool  # as in `System`
+    moments: Floats  # of `transition.py`, shape (9,), for intervals of
+    moments_s: float
     r_i: float  # variance of a reading of i_c, A^2
     r_x: float  # of x, m^2
     q_i: float  # of the disturbance of i_c, A^2/s
@@ -70,12 +73,13 @@ def active_states(c: Floats) -> list[int]:
 @cache
 def _fields() -> np.dtype[np.void]:
     one, square = (STATES,), (STATES, STATES)
-    numbers = ("r_i", "r_x", "q_i", "q_a", "low_m", "high_m")
+    numbers = ("moments_s", "r_i", "r_x", "q_i", "q_a", "low_m", "high_m")
     counts = ("m", "field", "sensor", "warmth", "first")
     vectors = ("y", "here", "moved", "back", "K", "h_i", "h_x")
     fields: list[Any] = [("base", float, (len(Base._fields),)), ("c", float, (len(neutral()),))]
     fields += [(name, float) for name in numbers] + [(name, np.int64) for name in counts]
-    fields += [("places", np.int64, one), ("in_flight", np.bool_), ("speed_seen", np.bool_)]
+    fields += [("places", np.int64, one), ("moments", float, (9,))]
+    fields += [(name, np.bool_) for name in ("closed_form", "in_flight", "speed_seen")]
     fields += [(name, float, one) for name in vectors] + [(name, float, square) for name in ("P", "F", "G")]
     return np.dtype(fields, align=True)
 
@@ -85,7 +89,7 @@ def memory_for(system: System) -> Memory:
     records = np.zeros(1, _fields())
     record: Any = records[0]
     c, noise, places = system.c, system.noise, active_states(system.c)
-    record["base"], record["c"] = system.base, c
+    record["base"], record["c"], record["closed_form"] = system.base, c, system.closed_form
     record["r_i"], record["r_x"] = noise.sigma_i_c_a * noise.sigma_i_c_a, noise.sigma_x_m * noise.sigma_x_m
     record["q_i"], record["q_a"] = (
         noise.process_i_c_a * noise.process_i_c_a / noise.tick_s,

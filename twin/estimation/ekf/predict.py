@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from twin.compiled import inlined, kernel
 from twin.estimation.ekf.memory import Floats, Memory, base_of
 from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, current_held, propagate
+from twin.estimation.transition import moments, transit
 from twin.model.causes import (
     amplifier_gain_drift,
     coulomb_friction,
@@ -17,9 +18,25 @@ from twin.model.causes import (
     position_dependent_inductance,
     slew_rate_limit,
 )
-from twin.model.extended import FIELD, I_C, WARMTH, Base, V, X
+from twin.model.extended import FIELD, I_C, SENSOR, WARMTH, Base, V, X
 
 _DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4])  # of the states, for differences
+
+
+@inlined
+def advance(f: Memory, y: Floats, inputs: Floats, n: int, t: float, T_s: float, stops: bool) -> None:
+    """State y at n - 1 on to n, in place, by the step that the model has; the arguments are those of `propagate`."""
+    if not f.closed_form:
+        propagate(base_of(f), f.c[:], y, inputs, n, f.first, t, T_s, stops)
+        return
+    p = Base(*base_of(f))
+    if T_s != f.moments_s:
+        moments(T_s, p.T_A, f.moments[:])
+        f.moments_s = T_s
+    i, x, v = transit(p, f.moments[:], T_s, y[I_C], y[X], y[V], inputs[n - 1])
+    if stops and not 0.0 <= x <= p.travel_m:
+        x, v = min(max(x, 0.0), p.travel_m), 0.0
+    y[I_C], y[X], y[V], y[FIELD], y[SENSOR] = i, x, v, i, x
 
 
 @inlined
@@ -44,8 +61,8 @@ def step_along(f: Memory, slopes: Floats, before: Floats, after: Floats) -> None
 @kernel
 def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None:
     """Fill F with d state(n) / d state(n - 1); the other arguments as `propagate` takes them."""
-    base, c, moved, back = base_of(f), f.c[:], f.moved[:], f.back[:]
-    rubs = c[coulomb_friction.FORCE] != 0.0
+    moved, back = f.moved[:], f.back[:]
+    rubs = f.c[coulomb_friction.FORCE] != 0.0
     for column in range(f.m):
         a = f.places[column]
         delta = _DELTA[a]
@@ -56,13 +73,13 @@ def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None
         moved[a] += delta
         if a == I_C and f.field < 0:
             moved[FIELD] = moved[I_C]
-        propagate(base, c, moved, inputs, n, f.first, t, T_s, False)
+        advance(f, moved, inputs, n, t, T_s, False)
         if wide:
             copy(back, f.here[:])
             back[a] -= delta
             if a == I_C and f.field < 0:
                 back[FIELD] = back[I_C]
-            propagate(base, c, back, inputs, n, f.first, t, T_s, False)
+            advance(f, back, inputs, n, t, T_s, False)
             for row in range(f.m):
                 f.F[row, column] = (moved[f.places[row]] - back[f.places[row]]) / (2.0 * delta)
         else:
@@ -122,7 +139,10 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
     held = min(max(reading, 0.0), p.travel_m)
     copy(moved, y)
     y[X], y[V], moved[X], moved[V] = held, 0.0, held, 0.0
-    if amplifier_alone(c) and f.m == 3:
+    if f.closed_form:
+        f_ii = math.exp(-T_s / p.T_A)
+        y[I_C] = p.K_A * inputs[n - 1] + (y[I_C] - p.K_A * inputs[n - 1]) * f_ii
+    elif amplifier_alone(c) and f.m == 3:
         y[I_C] = current_held(base, c, y[I_C], inputs, n, f.first, T_s, y[WARMTH])
         f_ii = math.exp(-T_s / p.T_A)
     else:
