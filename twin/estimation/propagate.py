@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twin.compiled import Packed, inlined, kernel
 from twin.model.causes import actuation_delay, sampling_delay
-from twin.model.extended import I_C, Base, advance, current_reading, drive
+from twin.model.extended import I_C, Base, current_reading, drive, over
 
 INPUT_DELTA_V = 1e-3
 UNKNOWN_INPUT_V = 1.0  # standard deviation of a lost u_c about the one before
@@ -60,12 +60,12 @@ def propagate(
     """
     delay = delay_s(c)
     if delay <= 0.0:
-        advance(base, c, y, u[n - 1], t, T_s, stops)
+        over(base, c, y, u[n - 1], t, T_s, stops)
         return
     whole = int(delay / T_s)
     part = delay - whole * T_s
-    advance(base, c, y, u[max(n - 2 - whole, first)], t, part, stops)
-    advance(base, c, y, u[max(n - 1 - whole, first)], t + part, T_s - part, stops)
+    over(base, c, y, u[max(n - 2 - whole, first)], t, part, stops)
+    over(base, c, y, u[max(n - 1 - whole, first)], t + part, T_s - part, stops)
 
 
 @kernel

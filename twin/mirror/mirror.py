@@ -24,10 +24,11 @@ from collections import Counter
 import numpy as np
 
 from protocol.bus import board51_pb2 as pb
+from twin.compiled import Packed
 from twin.control import integral_behind
 from twin.mirror.loop import advance
 from twin.mirror.monitor.divergence import Comparison
-from twin.mirror.observer import Observer
+from twin.mirror.observer import observer_of
 from twin.mirror.output import IN_STEP as IN_STEP
 from twin.mirror.output import OUT_OF_STEP as OUT_OF_STEP
 from twin.mirror.output import SETTLING as SETTLING
@@ -35,7 +36,7 @@ from twin.mirror.output import Output
 from twin.mirror.regime import KnownParameters, Regime
 from twin.mirror.sample import Sample, read
 from twin.mirror.settings import Settings
-from twin.mirror.step import Constants, step
+from twin.mirror.step import Twin, step
 from twin.model.extended import WARMTH
 from twin.model.parameters import Model
 from twin.model.simulate import INTEGRAL, X_BEFORE, X_READ, places, rig_at
@@ -71,7 +72,7 @@ class Mirror:
         self._known = KnownParameters()
         self._regime: Regime | None = None
         self.comparison = Comparison()
-        self._constants: Constants | None = None  # with the regime
+        self._packed: Packed | None = None  # tuple(Twin)
         self._twin = np.zeros(0)  # memory of `advance`, made with the regime
         self._flying = False  # whether there is a free twin in it
         self._last: Sample | None = None
@@ -106,21 +107,23 @@ class Mirror:
         sync = self._decide_sync(loss, bridged, alarms)
 
         answer = None
-        flying, regime, constants = self._flying, self._regime, self._constants
-        if regime is not None and constants is not None:
+        flying, regime, packed = self._flying, self._regime, self._packed
+        if regime is not None and packed is not None:
             answer = step(
-                *constants,
-                self._twin,
+                packed,
                 regime.yardstick(now.x_ref) if flying and now.closed_loop else regime.sensors_yardstick,
-                now.i,
-                now.x,
-                now.u,
-                now.x_ref,
-                now.closed_loop,
-                consecutive,
-                now.usable,
-                flying,
-                sync == IN_STEP,
+                # Tick, as it is: this is 500 times a second.
+                (
+                    now.i,
+                    now.x,
+                    now.u,
+                    now.x_ref,
+                    now.closed_loop,
+                    consecutive,
+                    now.usable,
+                    flying,
+                    sync == IN_STEP,
+                ),
             )
             (_, _, _, _, valid), _, _, _, _, changed, changes = answer
             if valid:
@@ -148,7 +151,7 @@ class Mirror:
         self.model, self._regime = model, regime
         alarms = self.comparison.forget("another model is used from here on")
         if regime is not None:
-            self._constants = self._hold(regime)
+            self._packed = self._hold(regime)
         self._stop()
         self.counters["models"] += 1
         if self._last is not None:
@@ -219,28 +222,23 @@ class Mirror:
         if not known:
             return "unsupported-sample-time" if math.isfinite(sample_time_s) else "parameters-changed"
         self._regime = regime = Regime(self.model, self.settings, sample_time_s=sample_time_s, parameters=parameters)
-        self._constants = self._hold(regime)
+        self._packed = self._hold(regime)
         return "parameters-changed" if same else ""
 
-    def _hold(self, regime: Regime) -> Constants:
+    def _hold(self, regime: Regime) -> Packed:
         """Empty everything and have at hand what stays as long as the regime."""
-        observer = Observer(regime.plant, self.model.noise, i_lsb_a=regime.i_lsb_a, x_lsb_m=regime.x_lsb_m)
+        observer = observer_of(regime.plant, self.model.noise, i_lsb_a=regime.i_lsb_a, x_lsb_m=regime.x_lsb_m)
         windows = self.comparison
         windows.start(regime.window, regime.hold)
         self._twin = np.full(places(regime.plant), math.nan)
-        return (
-            regime.packed_plant,
-            regime.packed_law,
-            observer.numbers,
-            observer.active,
-            observer.z,
-            observer.P,
-            observer.work,
-            windows.ring,
-            windows.sums,
-            windows.counts,
-            windows.totals,
-            windows.alarms,
+        return tuple(
+            Twin(
+                plant=regime.packed_plant,
+                law=regime.packed_law,
+                observer=tuple(observer),
+                windows=tuple(windows.windows),
+                free=self._twin,
+            )
         )
 
     def _interruption(self, now: Sample, last: Sample) -> str:

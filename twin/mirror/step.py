@@ -6,7 +6,7 @@ Every sample goes this way, ordinary or not, so there is one set of numbers.
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,99 +14,78 @@ from numpy.typing import NDArray
 from twin.compiled import Packed, kernel
 from twin.mirror.loop import advance
 from twin.mirror.monitor.alarms import UNCHANGED
-from twin.mirror.monitor.divergence import I_C, U_C, Figures, X, figures, judge_error, judge_innovation
+from twin.mirror.monitor.divergence import I_C, U_C, Figures, Windows, X, figures, judge_error, judge_innovation
 from twin.mirror.observer import observe
 
 Innovation: TypeAlias = tuple[float, float, float, float, bool]  # of i_c (A), of x (m), NIS, its mean, valid
 Flight: TypeAlias = tuple[float, float, float, float]  # i_c, x, x', u_c of the twin: A, m, m/s, V
-Constants: TypeAlias = tuple[  # the arguments of `step` that stay as long as the regime: plant .. alarms
-    Packed,
-    Packed,
-    Packed,
-    NDArray[np.int64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.int64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-]
 Answer: TypeAlias = tuple[Innovation, Flight, Figures, Figures, Figures, bool, tuple[int, int, int]]
 
 
+class Twin(NamedTuple):
+    """The twin of one board as the kernels take it, as long as the regime lasts; memories included."""
+
+    plant: Packed  # tuple(PlantNumbers)
+    law: Packed  # tuple(LawNumbers)
+    observer: Packed  # tuple(Observer)
+    windows: Packed  # tuple(Windows)
+    free: NDArray[np.float64]  # memory of the free twin, a simulated rig, see `advance`
+
+
+class Yardstick(NamedTuple):
+    """What the comparison is measured by, around one reference."""
+
+    std_x: float  # m
+    std_i: float  # A
+    std_u: float  # V
+    on_x: float  # thresholds of the mean squares, in squares of `std`
+    on_i: float
+    off_x: float
+    off_i: float
+    on_nis: float
+    off_nis: float
+
+
+class Tick(NamedTuple):
+    """One sample, and how it stands to those before."""
+
+    i: float  # measured i_c, A; like the next three NaN where the sample lacks it
+    x: float  # measured, m
+    u: float  # u_c in force from this tick on, V
+    x_ref: float  # m
+    closed_loop: bool  # mode of the sample
+    follows: bool  # one tick after the sample before, for the observer
+    usable: bool  # by the observer: i, x, u finite and within the sensors' ranges
+    flying: bool  # whether there is a free twin; else its part of the answer is NaN
+    in_step: bool  # whether windows, and in closed loop alarms, take the sample
+
+
 @kernel
-def step(
-    plant: Packed,
-    law: Packed,
-    noise: Packed,
-    active: NDArray[np.int64],
-    z: NDArray[np.float64],
-    P: NDArray[np.float64],
-    work: NDArray[np.float64],
-    ring: NDArray[np.float64],
-    sums: NDArray[np.float64],
-    counts: NDArray[np.int64],
-    totals: NDArray[np.float64],
-    alarms: NDArray[np.float64],
-    twin: NDArray[np.float64],
-    yardstick: Packed,
-    i: float,
-    x: float,
-    u: float,
-    x_ref: float,
-    closed_loop: bool,
-    follows: bool,
-    usable: bool,
-    flying: bool,
-    in_step: bool,
-) -> Answer:
+def step(twin: Packed, yardstick: Packed, tick: Packed) -> Answer:
     """Run the tick of one sample and compare.
 
     Args:
-        plant: PlantNumbers.
-        law: LawNumbers.
-        noise: the observer's numbers, see `observe`.
-        active: the states in its covariance, shape (m,).
-        z: its memory.
-        P: its covariance, shape (m, m).
-        work: its scratch, shape (3 m + 3, 6).
-        ring: windows, shape (4, window, 3), see `Comparison`.
-        sums: over them, shape (4, 4).
-        counts: of samples in them, and without evidence, shape (8,).
-        totals: over all time, shape (4, 4).
-        alarms: shape (3, PLACES).
-        twin: memory of the free twin, a simulated rig, see `advance`.
-        yardstick: standard deviations of x, i_c, u_c (0..2); thresholds on of x, i_c (3, 4), off (5, 6); of the mean
-            NIS on, off (7, 8).
-        i: measured i_c, A; like the next three NaN where the sample lacks it.
-        x: measured, m.
-        u: u_c in force from this tick on, V.
-        x_ref: m.
-        closed_loop: mode of the sample.
-        follows: one tick after the sample before, for the observer.
-        usable: by the observer: i, x, u finite and within the sensors' ranges.
-        flying: whether there is a free twin; else its part of the answer is NaN.
-        in_step: whether windows, and in closed loop alarms, take the sample.
+        twin: tuple(Twin).
+        yardstick: tuple(Yardstick).
+        tick: tuple(Tick).
 
     Returns:
         (innovation, twin, figures of x, i_c, u_c, whether an alarm changed, the changes in the order of ALARMS).
     """
-    n_i, n_x, nis, valid = observe(plant, noise, active, z, P, work, follows, usable, i, x, u)
-    nis_mean, of_innovation = judge_innovation(
-        ring, sums, counts, totals, alarms[0], n_i, n_x, nis, valid, yardstick[7], yardstick[8]
-    )
+    t, by, now = Twin(*twin), Yardstick(*yardstick), Tick(*tick)
+    w = Windows(*t.windows)
+    n_i, n_x, nis, valid = observe(t.observer, now.follows, now.usable, now.i, now.x, now.u)
+    nis_mean, of_innovation = judge_innovation(w, n_i, n_x, nis, valid, by.on_nis, by.off_nis)
     flight = (math.nan, math.nan, math.nan, math.nan)
     of_x = of_i = of_u = (math.nan, math.nan, math.nan, math.nan, False)
-    if flying:
-        flight = advance(plant, law, twin, closed_loop, x_ref, u)
-        of_x = figures(ring, sums, counts, totals, X, x, flight[1], yardstick[0], in_step)
-        of_i = figures(ring, sums, counts, totals, I_C, i, flight[0], yardstick[1], in_step)
-        of_u = figures(ring, sums, counts, totals, U_C, u, flight[3], yardstick[2], in_step)
-    judged = flying and closed_loop and in_step
-    change_x = judge_error(alarms[1], counts, 1, ring.shape[1], of_x[1], yardstick[3], yardstick[5], judged)
-    change_i = judge_error(alarms[2], counts, 2, ring.shape[1], of_i[1], yardstick[4], yardstick[6], judged)
+    if now.flying:
+        flight = advance(t.plant, t.law, t.free, now.closed_loop, now.x_ref, now.u)
+        of_x = figures(w, X, now.x, flight[1], by.std_x, now.in_step)
+        of_i = figures(w, I_C, now.i, flight[0], by.std_i, now.in_step)
+        of_u = figures(w, U_C, now.u, flight[3], by.std_u, now.in_step)
+    judged = now.flying and now.closed_loop and now.in_step
+    change_x = judge_error(w, 1, of_x[1], by.on_x, by.off_x, judged)
+    change_i = judge_error(w, 2, of_i[1], by.on_i, by.off_i, judged)
     changed = of_innovation != UNCHANGED or change_x != UNCHANGED or change_i != UNCHANGED
     innovation = (n_i, n_x, nis, nis_mean, valid)
     return innovation, flight, of_x, of_i, of_u, changed, (of_innovation, change_x, change_i)

@@ -55,6 +55,7 @@ I_C, X, V, FIELD, SENSOR, WARMTH = range(6)
 STATES = 6
 PARTS = (0.0625, 0.1875, 0.25, 0.5)  # of an interval: its substeps
 SHORT_S = 1e-4  # an interval as in a 25 kHz capture is one substep
+LONGEST_STEP_S = 2e-3  # of one `advance`, whose substeps were checked at that
 INSTANT_S = 1e-9  # what is left of an interval by rounding
 GAP_MIN_SHARE = 0.01  # of the travel: nearer to the coil's plane than this, (3) is not evaluated
 
@@ -226,3 +227,14 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         y[WARMTH] += h * amplifier_gain_drift.warmth_rate(c, i, y[WARMTH])
         y[I_C], y[X], y[V], y[FIELD] = i_next, x_next, v_next, f_next
         t += h
+
+
+@kernel
+def over(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float, duration: float, stops: bool) -> None:
+    """`advance` in steps that it was checked for; the arguments are the same."""
+    if duration <= 1.01 * LONGEST_STEP_S:
+        advance(base, c, y, u, t, duration, stops)
+        return
+    steps = math.ceil(duration / LONGEST_STEP_S - 0.01)
+    for k in range(steps):
+        advance(base, c, y, u, t + k * (duration / steps), duration / steps, stops)

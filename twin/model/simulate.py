@@ -32,16 +32,15 @@ from twin.model.extended import (
     Base,
     V,
     X,
-    advance,
     current_of_reading,
     current_reading,
+    over,
     position_of_reading,
     position_reading,
 )
 from twin.model.extension import base, vector
 from twin.model.parameters import Model
 
-LONGEST_STEP_S = 2e-3  # of one `advance`, whose substeps were checked at that
 I_READ, X_READ, INTEGRAL, X_BEFORE = range(STATES, STATES + 4)
 LINES = STATES + 4
 _SLIVER = 1e-9  # of a tick: rounding of a delay that is whole ticks
@@ -59,6 +58,7 @@ class PlantNumbers(NamedTuple):
     sense_part_s: float
     in_whole: int  # the same of their sum, for an observer that sees readings
     in_part_s: float
+    closed_form: bool  # (1) and (6) and nothing else
 
 
 def plant_numbers(model: Model, sample_time_s: float) -> PlantNumbers:
@@ -73,6 +73,7 @@ def plant_numbers(model: Model, sample_time_s: float) -> PlantNumbers:
         *_ticks(act, sample_time_s),
         *_ticks(sense, sample_time_s),
         *_ticks(act + sense, sample_time_s),
+        not model.causes,
     )
 
 
@@ -121,24 +122,12 @@ def rig_at(
 
 
 @kernel
-def over(plant: Packed, y: NDArray[np.float64], u: float, duration: float, stops: bool) -> None:
-    """`advance` in steps that it was checked for; y, of which the first six places are the state, in place."""
-    p = PlantNumbers(*plant)
-    if duration <= 1.01 * LONGEST_STEP_S:
-        advance(p.base, p.c, y, u, 0.0, duration, stops)
-        return
-    steps = math.ceil(duration / LONGEST_STEP_S - 0.01)
-    for _ in range(steps):
-        advance(p.base, p.c, y, u, 0.0, duration / steps, stops)
-
-
-@kernel
 def hold(plant: Packed, memory: NDArray[np.float64], u: float) -> None:
     """One tick of the rig with u_c = u sent to it; memory, as at the top, is then that of the next tick."""
     p = PlantNumbers(*plant)
     T_s = p.sample_time_s
     if p.act_whole == 0 and p.act_part_s == 0.0 and p.sense_whole == 0 and p.sense_part_s == 0.0:
-        over(plant, memory, u, T_s, True)
+        over(p.base, p.c, memory, u, 0.0, T_s, True)
         memory[I_READ], memory[X_READ] = current_reading(p.c, memory[I_C]), memory[SENSOR]
         return
     last_u = LINES + p.act_whole + 1
@@ -152,7 +141,7 @@ def hold(plant: Packed, memory: NDArray[np.float64], u: float) -> None:
     at = 0.0
     for end in (min(change, look), max(change, look), T_s):
         if end > at:
-            over(plant, memory, memory[last_u] if at < change else memory[last_u - 1], end - at, True)
+            over(p.base, p.c, memory, memory[last_u] if at < change else memory[last_u - 1], 0.0, end - at, True)
             at = end
         if at == look:
             memory[last_u + 1], memory[last_u + 2] = current_reading(p.c, memory[I_C]), memory[SENSOR]

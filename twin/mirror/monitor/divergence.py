@@ -11,7 +11,7 @@ Rule 4: an alarm lives on evidence.  One that no sample has judged for so long (
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,16 @@ X, I_C, U_C, NIS = 0, 1, 2, 3  # rows of the windows: errors of three signals, a
 UNSEEN, HOLD = 4, 7  # in `counts`: samples in a row that did not judge an alarm, one for each; how many end an error's
 ORIGIN = 3  # in `sums`: the signal's first value in the window (squares of values near 0 keep their digits)
 ALARMS = ("innovation", "divergence-x", "divergence-i_c")
+
+
+class Windows(NamedTuple):
+    """What `Comparison` holds, as the kernels take it."""
+
+    ring: NDArray[np.float64]  # (square, y, y^2) by X, I_C, U_C, NIS, shape (4, window, 3)
+    sums: NDArray[np.float64]  # over the window, and ORIGIN, shape (4, 4)
+    counts: NDArray[np.int64]  # of samples taken since the window was emptied, UNSEEN and HOLD, shape (8,)
+    totals: NDArray[np.float64]  # over all time, shape (4, 4)
+    alarms: NDArray[np.float64]  # shape (3, PLACES)
 
 
 @kernel
@@ -62,20 +72,15 @@ def rolling_mean(
 
 @kernel
 def figures(
-    ring: NDArray[np.float64],
-    sums: NDArray[np.float64],
-    counts: NDArray[np.int64],
-    totals: NDArray[np.float64],
+    w: Windows,
     row: int,
     measured: float,
     twin: float,
     std: float,
     in_step: bool,
 ) -> Figures:
-    """Take one sample of one signal, if in step, and return its figures; NaN restarts the signal's window.
-
-    The arrays are those of `Comparison`.
-    """
+    """Take one sample of one signal, if in step, and return its figures; NaN restarts the signal's window."""
+    ring, sums, counts, totals, _ = w
     n = ring.shape[1]
     error = measured - twin
     if not math.isfinite(error):
@@ -112,29 +117,24 @@ def unseen(alarm: NDArray[np.float64], counts: NDArray[np.int64], row: int, limi
 
 @kernel
 def judge_error(
-    alarm: NDArray[np.float64],
-    counts: NDArray[np.int64],
+    w: Windows,
     row: int,
-    window: int,
     normalised: float,
     on: float,
     off: float,
     judged: bool,
 ) -> int:
     """What this error does to its alarm, row `row` of ALARMS; `judged`: the sample is in step and in closed loop."""
+    alarm, counts = w.alarms[row], w.counts
     if not (judged and math.isfinite(normalised)):
         return unseen(alarm, counts, row, counts[HOLD])
     counts[UNSEEN + row] = 0
-    return decide(alarm, window, normalised * normalised, on, off)
+    return decide(alarm, w.ring.shape[1], normalised * normalised, on, off)
 
 
 @kernel
 def judge_innovation(
-    ring: NDArray[np.float64],
-    sums: NDArray[np.float64],
-    counts: NDArray[np.int64],
-    totals: NDArray[np.float64],
-    alarm: NDArray[np.float64],
+    w: Windows,
     n_i: float,
     n_x: float,
     nis: float,
@@ -143,7 +143,8 @@ def judge_innovation(
     off: float,
 ) -> tuple[float, int]:
     """(mean NIS over the window, what this innovation does to its alarm)."""
-    window = ring.shape[1]
+    ring, sums, counts, totals, alarms = w
+    alarm, window = alarms[0], ring.shape[1]
     if not valid:
         sums[NIS] = 0.0
         counts[NIS] = 0
@@ -158,12 +159,10 @@ def judge_innovation(
 
 
 class Comparison:
-    """Windows, totals and alarms of one board, as the kernels take them.
+    """Windows, totals and alarms of one board.
 
-    ring, shape (4, window, 3), of (square, y, y^2) by X, I_C, U_C, NIS; sums, shape (4, 4): over the window, and
-    ORIGIN; counts, shape (8,): samples taken since the window was emptied, UNSEEN and HOLD; alarms, shape (3, PLACES).
-    totals, shape (4, 4), over all time: of a signal samples in step, sum of errors, sum of their squares; of the
-    innovations samples, sums of the squares of x and of i_c, sum of the NIS.
+    `totals`: of a signal samples in step, sum of errors, sum of their squares; of the innovations samples, sums of the
+    squares of x and of i_c, sum of the NIS.
     """
 
     def __init__(self) -> None:
@@ -180,6 +179,11 @@ class Comparison:
         self.counts[HOLD] = hold
         for alarm in self.alarms:
             clear_window(alarm)
+
+    @property
+    def windows(self) -> Windows:
+        """As the kernels take them, until the next `start`."""
+        return Windows(self.ring, self.sums, self.counts, self.totals, self.alarms)
 
     def interrupt(self) -> None:
         """The twin is not where it was: nothing before this may be averaged with what comes."""

@@ -232,10 +232,10 @@ def test_rolling_figures_are_those_of_the_window_and_do_not_drift() -> None:
     e[:50] = 1e3  # leaves nothing behind
     windows = Comparison()
     windows.start(window, window)
-    arrays = (windows.ring, windows.sums, windows.counts, windows.totals)
+    held = windows.windows
 
     for k in range(n):
-        _, _, rmse, fit, full = figures(*arrays, 0, y[k], y[k] - e[k], 1.0, True)
+        _, _, rmse, fit, full = figures(held, 0, y[k], y[k] - e[k], 1.0, True)
 
     held_e, held_y = e[-window:], y[-window:]
     assert full
