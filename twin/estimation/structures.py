@@ -46,8 +46,8 @@ class System(NamedTuple):
     c: NDArray[np.float64]  # the causes' parameters, shape (PLACES,)
     noise: NoiseLevels
     stops: Stops
-    # (1) and (6) and nothing else: stepped by `transition.py`, u_c in force as recorded from the first sample on, and
-    # the current deaf to the ball.
+    # (1) and (6) and nothing else: stepped by `ekf/transition.py`, u_c in force as recorded from the first sample on,
+    # and the current deaf to the ball.
     closed_form: bool = False
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from twin.estimation.transition import moments, transit
+from twin.estimation.ekf.transition import moments, transit
 from twin.model.extended import Base
 
 

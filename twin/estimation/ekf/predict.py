@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from twin.compiled import inlined, kernel
 from twin.estimation.ekf.memory import Floats, Memory, base_of
+from twin.estimation.ekf.transition import moments, transit
 from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, current_held, propagate
-from twin.estimation.transition import moments, transit
 from twin.model.causes import (
     amplifier_gain_drift,
     coulomb_friction,
