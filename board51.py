@@ -34,6 +34,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "validate": ("twin.commands.validate", "does a model explain the recordings? figures, numbers, a report"),
     "predict": ("twin.commands.predict", "the position N samples ahead along a recording, row by row"),
     "diagnose": ("twin.commands.diagnose", "what the model gets wrong, the physical cause, the extended model"),
+    "investigate": (
+        "gateway.commands.investigate",
+        "campaign and diagnose in turns on a live board, until one name is left",
+    ),
     "hmi": ("gateway.commands.hmi", "the control room in a browser"),
     "security": ("gateway.commands.security", "keys, certificates, users: who may do what on a guarded bus"),
     "opcua": ("gateway.commands.opcua", "the rigs as an OPC UA server, for SCADA systems"),
@@ -52,7 +56,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 
 EXTRAS = {  # what a command needs beyond the core; what is not here runs without any extra
-    **dict.fromkeys(("demo", "twin", "identify", "design", "validate", "predict", "diagnose", "plot"), "twin"),
+    **dict.fromkeys(
+        ("demo", "investigate", "twin", "identify", "design", "validate", "predict", "diagnose", "plot"), "twin"
+    ),
     **dict.fromkeys(("import", "export"), "export"),
     "emulate": "emulator",
     "bench": "all",

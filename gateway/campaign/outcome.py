@@ -38,6 +38,7 @@ class Summary:
     failure: str = ""  # the error that ended it
     parked: str = ""  # "" or why STOP could not be delivered
     restored: list[str] = field(default_factory=list)
+    rig_s: float = 0.0  # of the board's time, from the first command to the last
 
     @property
     def complete(self) -> bool:

@@ -85,6 +85,7 @@ class Runner:
         if all(o.standing != "not-reached" for o in outcomes):
             return summary
         self._x_ref_m = state.x_ref_m if state.HasField("x_ref_m") else None
+        began = state
         try:
             self._begin()
             self._all(summary)
@@ -96,6 +97,7 @@ class Runner:
             summary.failure = str(error)
         finally:
             self._leave(summary)
+            summary.rig_s = self._since(began)
         return summary
 
     # --- before anything moves
@@ -262,6 +264,11 @@ class Runner:
         if self._x_ref_m is not None:
             why = self._rig.put_back(self._x_ref_m, stream_divider=self._parameters.stream_divider)
             summary.restored += [why] if why else []
+
+    def _since(self, began: pb.State) -> float:
+        now = self._subscriber.state or began
+        ticks = now.tick - (began.tick if now.session == began.session else 0)  # a reset begins at tick 0
+        return ticks * self._parameters.sample_time_s
 
 
 def _about_s(experiment: Experiment) -> float:

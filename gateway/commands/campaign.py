@@ -170,7 +170,7 @@ def _report(args: argparse.Namespace, summary: Summary) -> None:
             json.dumps(
                 {"folder": str(args.folder), "complete": summary.complete, "interrupted": summary.interrupted,
                  "failure": summary.failure, "parked": not summary.parked, "lift_off_v": summary.lift_off_v,
-                 "experiments": rows, "again": again}
+                 "rig_s": summary.rig_s, "experiments": rows, "again": again}
             )
         )  # fmt: skip
     else:

@@ -91,6 +91,7 @@ def diagnose(
     data: Path | None = None,
     quick: bool = False,
     share: float = SHARE,
+    experiments: bool | None = None,
     seed: int = 0,
     workers: int = 2,
     budget: float | None = None,
@@ -105,6 +106,7 @@ def diagnose(
         data: folder of recordings that are not beside the campaign.
         quick: fewer candidates, the first seconds of each flight; confidence is not calibrated then.
         share: least part of what is left that a cause must explain, 0 to 1.
+        experiments: ask which experiment tells the causes of a class apart; default: not where `quick`.
         seed: of the bootstrap.
         workers: threads; the result does not depend on it.
         budget: most that is computed, in millions of filter steps; the answer is the same on any machine.
@@ -148,6 +150,7 @@ def diagnose(
         model=given,
         quick=quick,
         share=share,
+        experiments=experiments,
         seed=seed,
         workers=workers,
         budget=None if budget is None else budget * MILLION,

@@ -45,6 +45,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         " a rest that nothing explains: confidence is not calibrated then",
     )
     parser.add_argument(
+        "--next-experiment",
+        action="store_true",
+        help="with --quick, too: which experiment tells the causes of a class apart",
+    )
+    parser.add_argument(
         "--budget",
         type=float,
         metavar="M",
@@ -80,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
         model=args.model,
         quick=args.quick,
         share=args.share,
+        experiments=args.next_experiment or None,
         seed=args.seed,
         workers=args.workers,
         budget=args.budget,

@@ -74,6 +74,7 @@ class Asked:
     model: Model | None
     quick: bool
     share: float
+    experiments: bool  # which one would tell the causes of a class apart
     seed: int
     workers: int
     budget: Budget
@@ -121,7 +122,7 @@ def told(
         always = [name for name in found.causes if BY_NAME[name].found_by != "spectral-line" and done.change is None]
         warnings += [beginning_sentence(late) for late in beginnings(criterion, found.fit, always)]
     with timed(stages, "next experiments"):
-        proposals = {} if asked.quick else _proposals(criterion, found, campaign, asked)
+        proposals = _proposals(criterion, found, campaign, asked) if asked.experiments else {}
     with timed(stages, "gain"):
         worth = _worth(done, judge, campaign.plant, asked)
         at_20_ms = worth.at_20_ms
@@ -308,6 +309,8 @@ def _proposals(criterion: Criterion, found: Selection, campaign: Campaign, asked
             command=best.command if best.separable else "",
             outside=outside,
             others=tuple((one.name, one.separation_z) for one in ranked[1:4]),
+            now_z={pair.rival: pair.now_z for pair in best.pairs},
+            experiments=tuple((one.name, {pair.rival: pair.separation_z for pair in one.pairs}) for one in ranked),
         )
     return result
 

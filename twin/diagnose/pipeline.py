@@ -55,6 +55,7 @@ def diagnose(
     model: Model | None = None,
     quick: bool = False,
     share: float = settings.LEAST_SHARE,
+    experiments: bool | None = None,
     seed: int = 0,
     workers: int = 2,
     budget: float | None = None,
@@ -69,6 +70,7 @@ def diagnose(
         quick: fewer candidates are fitted to shorter flights, and nothing is asked about stand-ins of several causes or
             a change in the middle: confidence is not calibrated.
         share: least part of what is left that a cause must explain; with a smaller one confidence is not calibrated.
+        experiments: ask which experiment tells the causes of a class apart; default: not where `quick`.
         seed: of the bootstrap.
         workers: threads.
         budget: filter steps, `twin/diagnose/inference/budget.py`; default QUICK or FULL.
@@ -92,6 +94,7 @@ def diagnose(
         model=model,
         quick=quick,
         share=share,
+        experiments=experiments,
         seed=seed,
         workers=workers,
         budget=Budget(budget or (QUICK if quick else FULL), KEPT),
@@ -107,6 +110,7 @@ def diagnose_records(
     model: Model | None = None,
     quick: bool = False,
     share: float = settings.LEAST_SHARE,
+    experiments: bool | None = None,
     seed: int = 0,
     workers: int = 2,
     budget: Budget | None = None,
@@ -117,7 +121,14 @@ def diagnose_records(
     plant = campaign.plant
     budget = budget or Budget()
     asked = Asked(
-        model=model, quick=quick, share=share, seed=seed, workers=workers, budget=budget, say=_with_share(say, budget)
+        model=model,
+        quick=quick,
+        share=share,
+        experiments=not quick if experiments is None else experiments,
+        seed=seed,
+        workers=workers,
+        budget=budget,
+        say=_with_share(say, budget),
     )
     say = asked.say
     if model is not None:
@@ -152,6 +163,7 @@ def diagnose_records(
                 model=model,
                 quick=quick,
                 share=share,
+                experiments=experiments,
                 seed=seed,
                 workers=workers,
                 budget=left,

@@ -1,0 +1,160 @@
+"""Campaign and diagnosis in turns on a live board, until one name is left.
+
+Records a few experiments, diagnoses them, chooses from the menu of `board51 campaign run` the experiment that tells
+most for its time about what is still open, records it, diagnoses all recordings again; ends when one name is left,
+what is left is noise, or the budget is spent, and says at each step why.  While it chooses, diagnoses are --quick;
+the answer is a thorough one.  Ctrl-C parks the ball; the same command goes on where it ended, also in a folder that
+`campaign run` made.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import shlex
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gateway.client.connection import add_bus_arguments
+from protocol.bus.topics import check_name
+from protocol.errors import UsageError, require
+
+if TYPE_CHECKING:
+    from gateway.investigate.decide import Offer
+    from gateway.investigate.journal import Journal
+    from gateway.investigate.work import Work
+
+BUDGET_S = 240.0  # twice the default campaign
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.epilog = (
+        "examples:\n"
+        "  board51 investigate rig1 --plant my-rig.toml\n"
+        "  board51 investigate rig1 --out monday --budget 120\n"
+        "  board51 investigate rig1 --dry-run                    what it would do first; the board is not asked\n"
+        "\nexit code 0: the answer stands; 1: it does not (no known cause, the budget is spent, interrupted, or the\n"
+        "board is gone); 2: bad input"
+    )
+    parser.add_argument("board", metavar="RIG", help="name of the board")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="made or continued (default: investigation-RIG)")
+    add_bus_arguments(parser)
+    parser.add_argument(
+        "--plant", type=Path, metavar="FILE", help="TOML with the [plant] of this rig (default: the published CE 152)"
+    )
+    parser.add_argument(
+        "--budget", type=float, default=BUDGET_S, metavar="S", help=f"most time on the rig ({BUDGET_S:.0f} s)"
+    )
+    parser.add_argument("--quick", action="store_true", help="shorter recordings, and no thorough diagnosis at the end")
+    parser.add_argument("--dry-run", action="store_true", help="print the plan and end")
+    parser.add_argument("--seed", type=int, default=1, help="of the random signals (default 1)")
+    for option, unit, what in (
+        ("--u-max", "V", "highest u_c"),
+        ("--x-min", "MM", "lowest reference"),
+        ("--x-max", "MM", "highest reference"),
+    ):
+        parser.add_argument(option, type=float, metavar=unit, help=f"{what} (default: the board's limit)")
+    parser.add_argument("--workers", type=int, default=2, help="threads of a diagnosis (2)")
+    parser.add_argument("--json", action="store_true", help="print the steps and the answer as JSON")
+    parser.add_argument("--who", default="investigate", help="who sends the commands, for the log (investigate)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 where the answer stands."""
+    from gateway.investigate.investigator import investigate, menu_of
+    from gateway.investigate.journal import open_journal
+    from gateway.investigate.work import Work
+
+    check_name(args.board, what="RIG")
+    check_name(args.site, what="--site")
+    if not (math.isfinite(args.budget) and args.budget > 0.0):
+        raise UsageError(f"--budget {args.budget:g} s", remedy="Give the seconds that it may take on the rig, as 120")
+    require("twin", "numba", "mcap", "scipy", "matplotlib")  # before the rig moves for a diagnosis that cannot be made
+    folder = args.out or Path(f"investigation-{args.board}")
+    journal, menu = open_journal(folder, args.board), menu_of(quick=args.quick)
+    if args.dry_run:
+        _print_plan(args, journal, menu)
+        return 0
+    work = Work(folder, _rig_words(args), workers=args.workers, say=_say)
+
+    def say(line: str) -> None:
+        _say(f"[{journal.rig_s:3.0f} s on the rig] {line}")
+
+    with _passing_on(work):
+        try:
+            investigate(work, journal, menu, budget_s=args.budget, quick=args.quick, say=say)
+        finally:
+            if journal.ended is None and journal.steps:
+                _say(f"To go on: {_again()}")
+    _report(args, journal)
+    return 0 if journal.ended is not None and journal.ended.stands else 1
+
+
+@contextmanager
+def _passing_on(work: Work) -> Iterator[None]:
+    """Ctrl-C and SIGTERM end the step, not this process: the ball is parked first."""
+    previous = {number: signal.signal(number, lambda *_: work.stop()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def _rig_words(args: argparse.Namespace) -> list[str]:
+    """Options of `campaign run`."""
+    words = ["--board", args.board, "--connect", args.connect, "--site", args.site, "--who", args.who]
+    words += ["--seed", str(args.seed), *["--quick"] * args.quick]
+    for option in ("identity", "plant", "u_max", "x_min", "x_max"):
+        value = getattr(args, option)
+        if value is not None:
+            words += [f"--{option.replace('_', '-')}", str(value)]
+    return words
+
+
+def _print_plan(args: argparse.Namespace, journal: Journal, menu: dict[str, Offer]) -> None:
+    from gateway.investigate.decide import next_action
+    from gateway.investigate.investigator import sentence
+
+    action = next_action(journal.known(budget_s=args.budget, quick=args.quick), menu)
+    if args.json:
+        offers = [{"name": name, "seconds": one.seconds, "by_hand": one.by_hand} for name, one in menu.items()]
+        print(json.dumps({"next": sentence(action), "rig_s": journal.rig_s, "menu": offers}))
+        return
+    print(f"{args.board}: {journal.rig_s:.0f} of {args.budget:.0f} s on the rig are spent, {len(journal.steps)} steps")
+    print(f"next: {sentence(action)}")
+    print("then: diagnose; split what cannot be told apart; judge the answer; diagnose thoroughly. To choose from:")
+    for name, offer in menu.items():
+        print(f"  {name:<22}{offer.seconds:>4.0f} s  {offer.about}{'  (by hand)' * bool(offer.by_hand)}")
+
+
+def _report(args: argparse.Namespace, journal: Journal) -> None:
+    answer, newest = journal.answer(), journal.diagnosed
+    if args.json:
+        more = {"folder": str(journal.folder), "answer": None if newest is None else newest.found}
+        print(json.dumps(journal.to_json() | more))
+        return
+    if answer is None or newest is None:
+        print("no diagnosis yet")
+        return
+    for one in answer.suspects:
+        rivals = "".join(f", or {rival}" for rival in one.rivals)
+        print(f"{one.name}{rivals} (confidence {one.confidence:.2f}{'' if newest.thorough else ', not calibrated'})")
+    print(f"{answer.verdict}: {answer.sentence}")
+    ending = journal.ended.why if journal.ended is not None else "interrupted; the ball is parked"
+    print(f"{ending}. {journal.rig_s:.0f} s on the rig, {len(newest.recordings)} recordings")
+    print(f"report   {journal.folder / 'diagnosis' / 'report.html'}")
+
+
+def _again() -> str:
+    return "board51 " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["investigate"] else "the same command"
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

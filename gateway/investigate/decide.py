@@ -1,0 +1,199 @@
+"""The next step of an investigation, and why.  Pure: what is known in, one action out.
+
+    start, diagnose -> a class? the experiment that splits it best -> nothing or too little named? what was not yet
+    excited -> one name? recordings to judge it -> diagnose thoroughly -> the answer, or once more
+
+Rule 1: an experiment is chosen by what it is expected to tell for its time on the rig.  Two causes that are z standard
+        errors apart have a log-likelihood ratio of z^2/2; beyond SURE_Z more of it changes nothing.
+Rule 2: "the model is adequate" and "unknown cause" are said when every experiment of the default campaign was made:
+        what moves nothing shows nothing.
+Rule 3: what judges is recorded last and used for nothing else.
+Rule 4: an experiment is made once; one that the rig did not give is not tried again.
+Rule 5: time on the rig is counted before it is spent: an experiment that does not fit the budget is not begun.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass
+
+from gateway.investigate.answer import Answer
+
+START = ("lift-off", "rest", "amplifier-steps", "wide-steps")
+COVERAGE = ("prbs-reference", "multisine", "prbs-open-loop", "steps")  # the rest of the default campaign's to fit
+FLIGHTS = ("wide-steps", "prbs-reference", "multisine", "steps")
+JUDGES = ("wide-steps-judge", "multisine-judge")
+ENOUGH_Z = 3.0  # from here on the diagnosis itself calls two causes no longer one class (9 = 2 * 4.5)
+SURE_Z = 5.0
+SURE = 0.9  # confidence
+_TO_STAND = "before it stands, the answer is asked of all recordings and every candidate"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Offer:
+    """An experiment of the menu on this rig."""
+
+    about: str
+    seconds: float  # on the rig, with lifting and landing
+    by_hand: str = ""  # what somebody has to do first
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Known:
+    """Where an investigation stands."""
+
+    there: Set[str]  # recordings in the folder
+    refused: Set[str]  # experiments that the rig or its limits did not give
+    answer: Answer | None  # the newest diagnosis
+    asked_of: Set[str]  # the recordings that it was of
+    thorough: bool  # whether it was made without --quick
+    left_s: float  # of the time on the rig
+    quick: bool  # never thorough
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Perform:
+    """Experiments to make."""
+
+    experiments: tuple[str, ...]
+    seconds: float
+    why: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Diagnose:
+    """All recordings so far."""
+
+    thorough: bool
+    why: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finish:
+    """The end."""
+
+    stands: bool  # whether the answer stands
+    why: str
+
+
+Action = Perform | Diagnose | Finish
+
+
+def next_action(known: Known, menu: Mapping[str, Offer]) -> Action:
+    """What to do next.
+
+    Args:
+        known: where it stands.
+        menu: what can be made on this rig, by name.
+    """
+    missing = [name for name in START if name in menu and name not in known.there | known.refused]
+    if missing and known.answer is None:
+        why = "to begin with, what every model needs: input and current of lift-off, noise, amplifier, one flight"
+        return _perform(known, menu, missing, why)
+    if not known.there & set(FLIGHTS):
+        for name in (name for name in FLIGHTS if name in menu and name not in known.refused):
+            return _perform(known, menu, [name], "no flight is recorded yet, and without one there is no force law")
+        return Finish(stands=False, why="no flight could be recorded on this rig")
+    if known.answer is None or known.asked_of != known.there:
+        if known.quick or not known.there & set(JUDGES):
+            why = "never thorough, as asked" if known.quick else "to choose the next experiment, quick suffices"
+            return Diagnose(thorough=False, why=f"{len(known.there)} recordings are there; {why}")
+        return Diagnose(thorough=True, why=_TO_STAND)
+    action = _after(known, known.answer, menu)
+    if isinstance(action, Finish) and not known.thorough and not known.quick:
+        return Diagnose(thorough=True, why=_TO_STAND)
+    return action
+
+
+def _after(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Action:
+    """With an answer to all recordings."""
+    if answer.verdict == "unfinished":
+        return Finish(stands=False, why="the diagnosis ended by its budget of computation")
+    if answer.is_open and (split := _splitting(known, answer, menu)) is not None:
+        return split
+    lacking = _lacking(answer)
+    if lacking:
+        for name in COVERAGE:
+            if name in menu and name not in known.there | known.refused:
+                return _perform(known, menu, [name], f"{lacking}; not excited yet: {menu[name].about}")
+    judges = [name for name in JUDGES if name in menu and name not in known.there | known.refused]
+    if judges:
+        return _perform(known, menu, judges, "the answer is to be judged by recordings that it was not chosen by")
+    return _finish(known, answer, menu)
+
+
+def _lacking(answer: Answer) -> str:
+    """Why the answer is not one yet; "" where it is."""
+    if answer.verdict == "model-adequate":
+        return "what is left is noise, in what was excited"
+    if answer.verdict != "causes-found":
+        return "more than noise is left"
+    weak = [one for one in answer.suspects if not one.rivals and one.confidence < SURE]
+    return f"{weak[0].name} has a confidence of {weak[0].confidence:.2f}" if weak else ""
+
+
+def _splitting(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Action | None:
+    """The experiment that tells most about the classes, for its time; None where none does."""
+    tells: dict[str, float] = {}
+    best_z: dict[str, float] = {}
+    for suspect in answer.suspects:
+        for name, separations in suspect.experiments.items():
+            for rival, now_z in suspect.rivals.items():
+                z = separations.get(rival, 0.0)
+                if z >= ENOUGH_Z:
+                    tells[name] = tells.get(name, 0.0) + (min(z, SURE_Z) ** 2 - min(now_z, ENOUGH_Z) ** 2) / 2.0
+                    best_z[name] = max(best_z.get(name, 0.0), z)
+    possible = [
+        name for name in tells if name in menu and name not in known.there | known.refused and not menu[name].by_hand
+    ]
+    if not possible:
+        return None
+    ranked = sorted(possible, key=lambda name: -tells[name] / menu[name].seconds)
+    affordable = [name for name in ranked if menu[name].seconds <= known.left_s]
+    if not affordable:
+        return _perform(known, menu, ranked[:1], "")
+    name = affordable[0]
+    others = ", ".join(
+        f"{other} {best_z[other]:.1f} in {menu[other].seconds:.0f} s" for other in ranked if other != name
+    )
+    why = (
+        f"{_classes(answer)}; {name} is expected to bring them {best_z[name]:.1f} standard errors apart in"
+        f" {menu[name].seconds:.0f} s" + (f" ({others})" if others else "")
+    )
+    return _perform(known, menu, [name], why)
+
+
+def _classes(answer: Answer) -> str:
+    return "; ".join(
+        f"{one.name} may be " + " or ".join(f"{rival} ({z:.1f} apart)" for rival, z in one.rivals.items())
+        for one in answer.suspects
+        if one.rivals
+    )
+
+
+def _perform(known: Known, menu: Mapping[str, Offer], names: Sequence[str], why: str) -> Action:
+    seconds = sum(menu[name].seconds for name in names)
+    if seconds > known.left_s:
+        what = " and ".join(names)
+        return Finish(
+            stands=False,
+            why=f"the budget is spent: {what} would take {seconds:.0f} s, {max(known.left_s, 0.0):.0f} s are left",
+        )
+    return Perform(experiments=tuple(names), seconds=seconds, why=why)
+
+
+def _finish(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Finish:
+    if answer.verdict == "unknown-cause":
+        return Finish(stands=False, why="nothing in the catalogue explains it, and every experiment was made")
+    if answer.is_open:
+        outside = [text for one in answer.suspects for text in one.outside]
+        for name in sorted({name for one in answer.suspects for name in one.experiments} & menu.keys() - known.there):
+            if menu[name].by_hand:
+                outside.append(f"`board51 campaign run --experiment {name}` may: {menu[name].by_hand}")
+        return Finish(stands=True, why=f"{_classes(answer)}: no experiment tells them apart; " + " ".join(outside))
+    if answer.verdict == "model-adequate":
+        return Finish(stands=True, why="every experiment was made, and what is left is noise")
+    if answer.verdict == "partly-explained":
+        return Finish(stands=True, why="the names hold, something else is left, and every experiment was made")
+    names = " and ".join(one.name for one in answer.suspects)
+    return Finish(stands=True, why=f"one name is left for each effect: {names}")

@@ -1,0 +1,88 @@
+"""The loop: what is known, the next step, its outcome into the journal; until the answer stands or nothing is left."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from gateway.campaign.menu import MENU, chosen
+from gateway.campaign.runner import OVERHEAD_S
+from gateway.investigate.decide import Diagnose, Finish, Offer, Perform, next_action
+from gateway.investigate.journal import Diagnosed, Journal, Performed
+from gateway.investigate.work import Interrupted, Say, Work
+from protocol.errors import ServiceError
+
+_KEPT = ("verdict", "sentence", "causes", "candidates")  # of diagnosis.json
+
+
+def menu_of(*, quick: bool) -> dict[str, Offer]:
+    """What can be made, by name."""
+    offers = {}
+    for experiment in MENU:
+        (made,) = chosen((experiment.name,), quick=quick)
+        seconds = made.duration_s + OVERHEAD_S[made.closed_loop]
+        offers[made.name] = Offer(about=made.about, seconds=seconds, by_hand=made.person)
+    return offers
+
+
+def investigate(
+    work: Work, journal: Journal, menu: Mapping[str, Offer], *, budget_s: float, quick: bool, say: Say
+) -> None:
+    """Until it ends, which `journal.ended` says; None there where it was interrupted.
+
+    Raises:
+        UsageError, ServiceError: a step failed; what was done before is kept.
+    """
+    journal.ended = None
+    try:
+        while not work.stopped:
+            action = next_action(journal.known(budget_s=budget_s, quick=quick), menu)
+            say(sentence(action))
+            match action:
+                case Perform():
+                    _perform(work, journal, action)
+                case Diagnose():
+                    _diagnose(work, journal, action, say)
+                case Finish():
+                    journal.ended = action
+                    journal.save()
+                    return
+    except Interrupted:
+        return
+
+
+def sentence(action: Perform | Diagnose | Finish) -> str:
+    """What is done next, and why."""
+    match action:
+        case Perform():
+            return f"record {', '.join(action.experiments)} ({action.seconds:.0f} s): {action.why}"
+        case Diagnose():
+            return f"diagnose{'' if action.thorough else ' --quick'}: {action.why}"
+        case Finish():
+            return f"end: {action.why}"
+
+
+def _perform(work: Work, journal: Journal, action: Perform) -> None:
+    summary = work.perform(action.experiments)
+    standings = {str(row["name"]): str(row["standing"]) for row in summary["experiments"]}
+    journal.steps.append(Performed(why=action.why, standings=standings, rig_s=float(summary["rig_s"])))
+    journal.save()
+    if not summary["parked"]:
+        raise ServiceError("THE COIL MAY BE ON: STOP was not delivered", remedy="Switch the rig off by hand")
+    if summary["interrupted"]:
+        raise Interrupted
+    if summary["failure"]:
+        raise ServiceError(
+            str(summary["failure"]).rstrip("."), remedy="The ball is parked; the same command goes on where this ended"
+        )
+
+
+def _diagnose(work: Work, journal: Journal, action: Diagnose, say: Say) -> None:
+    asked_of = sorted(journal.known(budget_s=0.0, quick=False).there)
+    found: dict[str, Any] = work.diagnose(thorough=action.thorough)
+    kept = {name: found[name] for name in _KEPT if name in found}
+    step = Diagnosed(why=action.why, thorough=action.thorough, recordings=asked_of, found={"candidates": []} | kept)
+    journal.steps.append(step)
+    journal.answer()  # an answer that is none is said before it is kept
+    journal.save()
+    say(f"{found['verdict']}: {found['sentence']}")

@@ -1,0 +1,119 @@
+"""`board51 campaign run` and `board51 diagnose` as processes: begun, listened to, ended in good order.
+
+Rule: each runs in a session of its own, so Ctrl-C reaches this process alone, which passes it on and waits: the
+      campaign parks the ball.  It ends with this process also after kill -9 (gateway/processes/child.py).
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from gateway.processes.command import words_of
+from protocol.errors import ServiceError, UsageError
+from protocol.files import parse_json, read_small
+
+Say = Callable[[str], None]
+DIAGNOSIS = "diagnosis"  # folder beside the recordings
+
+
+class Interrupted(Exception):  # noqa: N818  # not an error: somebody wanted it
+    """The user wants the end."""
+
+
+class Work:
+    """The commands of one investigation.
+
+    Args:
+        folder: of the campaign.
+        rig: options of `campaign run`: board, bus, plant, limits.
+        workers: threads of a diagnosis.
+        say: takes lines of progress.
+    """
+
+    def __init__(self, folder: Path, rig: Sequence[str], *, workers: int, say: Say) -> None:
+        self._folder, self._rig, self._workers, self._say = folder, tuple(rig), workers, say
+        self._process: subprocess.Popen[str] | None = None
+        self._stopped = False
+
+    def stop(self) -> None:
+        """End what runs, in good order; nothing more is begun."""
+        self._stopped = True
+        if self._process is not None and self._process.poll() is None:
+            self._process.send_signal(signal.SIGINT)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the user wants the end."""
+        return self._stopped
+
+    def perform(self, experiments: Sequence[str]) -> dict[str, Any]:
+        """Make experiments; the summary of `campaign run --json`.
+
+        Raises:
+            Interrupted: before anything moved.
+            UsageError, ServiceError: it began nothing.
+        """
+        wanted = [word for name in experiments for word in ("--experiment", name)]
+        code, out, last = self._call("campaign", "run", str(self._folder), *self._rig, *wanted, "--json")
+        try:
+            summary: dict[str, Any] = json.loads(out)
+        except ValueError:
+            raise self._failed("campaign run", code, last) from None
+        return summary
+
+    def diagnose(self, *, thorough: bool) -> dict[str, Any]:
+        """Diagnose what is there; what diagnosis.json says.
+
+        Raises:
+            Interrupted: before its end.
+            UsageError, ServiceError: there is no answer.
+        """
+        out = self._folder / DIAGNOSIS
+        quick = () if thorough else ("--quick", "--next-experiment")
+        code, _, last = self._call(
+            "diagnose", str(self._folder), "--out", str(out), "--workers", str(self._workers), *quick
+        )
+        if code not in (0, 1) or self._stopped:
+            raise self._failed("diagnose", code, last)
+        path = out / "diagnosis.json"
+        found: dict[str, Any] = parse_json(read_small(path, remedy="Run it again"), where=str(path))
+        return found
+
+    def _call(self, *words: str) -> tuple[int, str, str]:
+        """(exit code, what it printed, its last line of progress)."""
+        if self._stopped:
+            raise Interrupted
+        self._process = process = subprocess.Popen(
+            words_of(*words, child=True),
+            stdin=subprocess.PIPE,  # its end is the end of the process
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+        )
+        last = ""
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stderr is not None
+        with process.stdin, process.stdout as printed, process.stderr as lines:
+            if self._stopped:  # the signal came in between
+                self.stop()
+            for line in lines:
+                last = line.rstrip() or last
+                self._say(f"    {line.rstrip()}")
+            out = printed.read()
+            return process.wait(), out, last
+
+    def _failed(self, what: str, code: int, last: str) -> Exception:
+        if self._stopped:
+            return Interrupted()
+        said = last.partition(": ")[2] if last.startswith("board51 ") else last
+        problem = f"{what} ended with exit code {code}: {said}".rstrip(".")
+        error = UsageError if code == 2 else ServiceError
+        return error(problem, remedy="When that is put right, the same command goes on where this ended")
