@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from gateway.investigate.answer import Answer
 
 START = ("lift-off", "rest", "amplifier-steps", "wide-steps")
-COVERAGE = ("prbs-reference", "multisine", "prbs-open-loop", "steps")  # the rest of the default campaign's to fit
+COVERAGE = (*START, "prbs-reference", "multisine", "prbs-open-loop", "steps")  # what the default campaign has to fit
 FLIGHTS = ("wide-steps", "prbs-reference", "multisine", "steps")
 JUDGES = ("wide-steps-judge", "multisine-judge")
 ENOUGH_Z = 3.0  # from here on the diagnosis itself calls two causes no longer one class (9 = 2 * 4.5)
@@ -86,12 +86,12 @@ def next_action(known: Known, menu: Mapping[str, Offer]) -> Action:
         known: where it stands.
         menu: what can be made on this rig, by name.
     """
-    missing = [name for name in START if name in menu and name not in known.there | known.refused]
-    if missing and known.answer is None:
-        why = "to begin with, what every model needs: input and current of lift-off, noise, amplifier, one flight"
-        return _perform(known, menu, missing, why)
-    if not known.there & set(FLIGHTS):
-        for name in (name for name in FLIGHTS if name in menu and name not in known.refused):
+    if not known.there & set(FLIGHTS):  # a diagnosis needs one; what else is missing need not be asked for
+        missing = [name for name in START if name not in known.there | known.refused]
+        if missing:
+            why = "to begin with, what every model needs: input and current of lift-off, noise, amplifier, one flight"
+            return _perform(known, menu, missing, why)
+        for name in (name for name in FLIGHTS if name not in known.refused):
             return _perform(known, menu, [name], "no flight is recorded yet, and without one there is no force law")
         return Finish(stands=False, why="no flight could be recorded on this rig")
     if known.answer is None or known.asked_of != known.there:
@@ -111,24 +111,24 @@ def _after(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Action:
         return Finish(stands=False, why="the diagnosis ended by its budget of computation")
     if answer.is_open and (split := _splitting(known, answer, menu)) is not None:
         return split
-    lacking = _lacking(answer)
+    lacking = _lacking(answer, thorough=known.thorough)
     if lacking:
         for name in COVERAGE:
-            if name in menu and name not in known.there | known.refused:
+            if name not in known.there | known.refused:
                 return _perform(known, menu, [name], f"{lacking}; not excited yet: {menu[name].about}")
-    judges = [name for name in JUDGES if name in menu and name not in known.there | known.refused]
+    judges = [name for name in JUDGES if name not in known.there | known.refused]
     if judges:
         return _perform(known, menu, judges, "the answer is to be judged by recordings that it was not chosen by")
     return _finish(known, answer, menu)
 
 
-def _lacking(answer: Answer) -> str:
-    """Why the answer is not one yet; "" where it is."""
+def _lacking(answer: Answer, *, thorough: bool) -> str:
+    """Why the answer is not one yet; "" where it is.  The confidence of a quick one is not calibrated."""
     if answer.verdict == "model-adequate":
         return "what is left is noise, in what was excited"
     if answer.verdict != "causes-found":
         return "more than noise is left"
-    weak = [one for one in answer.suspects if not one.rivals and one.confidence < SURE]
+    weak = [one for one in answer.suspects if thorough and not one.rivals and one.confidence < SURE]
     return f"{weak[0].name} has a confidence of {weak[0].confidence:.2f}" if weak else ""
 
 
