@@ -150,11 +150,14 @@ class Actions:
                  "--board", board, *self._routes.live(ACCOUNT)]  # fmt: skip
         return self._start(session, "recording", "record", board, words, title=title or "recording")
 
-    def start_campaign(self, session: LoginSession, board: str, *, quick: bool) -> pb.CommandReply:
-        """The paper's experiments into a new folder."""
+    def start_campaign(
+        self, session: LoginSession, board: str, *, quick: bool = False, investigate: bool = False
+    ) -> pb.CommandReply:
+        """The paper's experiments into a new folder; or those that a diagnosis asks for, one after the other."""
         folder = self._data / "campaigns" / f"{board}-{time.strftime('%Y%m%d-%H%M%S')}"
-        words = ["campaign", "run", str(folder), "--board", board, "--who", session.name, *["--quick"] * quick,
-                 *self._routes.live(session.name)]  # fmt: skip
+        what = ["investigate", board, "--out", str(folder)]
+        words = [*(what if investigate else ["campaign", "run", str(folder), "--board", board]), "--who", session.name,
+                 *["--quick"] * quick, *self._routes.live(session.name)]  # fmt: skip
         return self._start(session, "campaign", "campaign", board, words, title=folder.name)
 
     def start_replay(self, session: LoginSession, log: str, speed: float) -> pb.CommandReply:

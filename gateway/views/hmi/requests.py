@@ -140,7 +140,8 @@ class Requests:
             if kind == "record":
                 return actions.start_recording(session, board, str(table.get("title") or ""))
             if kind == "campaign":
-                return actions.start_campaign(session, board, quick=table.get("quick") is True)
+                wishes = {name: table.get(name) is True for name in ("quick", "investigate")}
+                return actions.start_campaign(session, board, **wishes)
             return actions.start_replay(session, str(table.get("log") or ""), 1.0)
 
         return await self._act(request, do)

@@ -212,8 +212,9 @@ def test_a_recording_is_started_stopped_and_replayed_apart_from_the_live_rig(pag
 
 
 @pytest.mark.slow
-def test_a_campaign_shows_its_progress_and_parks_the_ball_when_interrupted(page: Page, bus: Bus) -> None:
-    page.get_by_role("button", name="Run quick").click()
+@pytest.mark.parametrize("name", ["Run quick", "Investigate"])
+def test_a_campaign_shows_its_progress_and_parks_the_ball_when_interrupted(name: str, page: Page, bus: Bus) -> None:
+    page.get_by_role("button", name=name).click()
     wait_for(lambda: bus.states()[-1].x_m > 1e-3, "flight")
     expect(page.locator(".job-lines")).not_to_be_empty()
 

@@ -113,10 +113,11 @@ def _recording() -> Markup:
 def _campaign() -> Markup:
     quick = job("Run quick (35 s)", "campaign", "start", quick=True)
     full = job("Run all (2 min)", "campaign", "start", quick=False)
+    ask = job("Investigate (1 to 4 min)", "campaign", "start", investigate=True)
     end = job("Interrupt and park the ball", "campaign", "stop")
     return _card(
         "Campaign",
-        tag("div", quick, full, class_="row-of", data_idle="campaign"),
+        tag("div", quick, full, ask, class_="row-of", data_idle="campaign"),
         tag("div", end, class_="row-of", data_running="campaign", hidden=True),
         tag("div", data_live="campaign-said", class_="hint"),
         tag("div", data_live="campaign-lines", class_="job-lines"),
