@@ -35,6 +35,7 @@ class Offer:
 
     about: str
     seconds: float  # on the rig, with lifting and landing
+    needs: str = ""  # an experiment that is recorded first where it is not there yet
     by_hand: str = ""  # what somebody has to do first
 
 
@@ -97,7 +98,7 @@ def next_action(known: Known, menu: Mapping[str, Offer]) -> Action:
     if known.answer is None or known.asked_of != known.there:
         if known.quick or not known.there & set(JUDGES):
             why = "never thorough, as asked" if known.quick else "to choose the next experiment, quick suffices"
-            return Diagnose(thorough=False, why=f"{len(known.there)} recordings are there; {why}")
+            return Diagnose(thorough=False, why=f"there is {', '.join(sorted(known.there))}; {why}")
         return Diagnose(thorough=True, why=_TO_STAND)
     action = _after(known, known.answer, menu)
     if isinstance(action, Finish) and not known.thorough and not known.quick:
@@ -148,17 +149,16 @@ def _splitting(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Actio
     ]
     if not possible:
         return None
-    ranked = sorted(possible, key=lambda name: -tells[name] / menu[name].seconds)
-    affordable = [name for name in ranked if menu[name].seconds <= known.left_s]
+    cost = {name: _seconds(known, menu, [name]) for name in possible}
+    ranked = sorted(possible, key=lambda name: -tells[name] / cost[name])
+    affordable = [name for name in ranked if cost[name] <= known.left_s]
     if not affordable:
         return _perform(known, menu, ranked[:1], "")
     name = affordable[0]
-    others = ", ".join(
-        f"{other} {best_z[other]:.1f} in {menu[other].seconds:.0f} s" for other in ranked if other != name
-    )
+    others = ", ".join(f"{other} {best_z[other]:.1f} in {cost[other]:.0f} s" for other in ranked if other != name)
     why = (
         f"{_classes(answer)}; {name} is expected to bring them {best_z[name]:.1f} standard errors apart in"
-        f" {menu[name].seconds:.0f} s" + (f" ({others})" if others else "")
+        f" {cost[name]:.0f} s" + (f" ({others})" if others else "")
     )
     return _perform(known, menu, [name], why)
 
@@ -171,8 +171,14 @@ def _classes(answer: Answer) -> str:
     )
 
 
+def _seconds(known: Known, menu: Mapping[str, Offer], names: Sequence[str]) -> float:
+    """Time on the rig, with what has to be recorded before."""
+    before = {menu[name].needs for name in names} - known.there - {*names, ""}
+    return sum(menu[name].seconds for name in (*names, *before))
+
+
 def _perform(known: Known, menu: Mapping[str, Offer], names: Sequence[str], why: str) -> Action:
-    seconds = sum(menu[name].seconds for name in names)
+    seconds = _seconds(known, menu, names)
     if seconds > known.left_s:
         what = " and ".join(names)
         return Finish(

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from gateway.campaign.menu import MENU, chosen
+from gateway.campaign.menu import LIFT_OFF, MENU, chosen
+from gateway.campaign.plan import needs_lift_off
 from gateway.campaign.runner import OVERHEAD_S
 from gateway.investigate.decide import Diagnose, Finish, Offer, Perform, next_action
 from gateway.investigate.journal import Diagnosed, Journal, Performed
@@ -21,7 +22,8 @@ def menu_of(*, quick: bool) -> dict[str, Offer]:
     for experiment in MENU:
         (made,) = chosen((experiment.name,), quick=quick)
         seconds = made.duration_s + OVERHEAD_S[made.closed_loop]
-        offers[made.name] = Offer(about=made.about, seconds=seconds, by_hand=made.person)
+        needs = LIFT_OFF if needs_lift_off(made) else ""
+        offers[made.name] = Offer(about=made.about, seconds=seconds, by_hand=made.person, needs=needs)
     return offers
 
 

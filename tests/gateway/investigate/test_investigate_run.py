@@ -77,6 +77,33 @@ def test_an_interrupted_investigation_parks_the_ball_goes_on_and_ends_with_the_n
     assert json.loads((folder / "investigation.json").read_text())["ended"] == table["ended"]
 
 
+@pytest.mark.slow
+def test_a_class_that_the_logged_flight_cannot_tell_apart_is_split(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "logged"
+    with emulated_line(tmp_path, effects={"air-gap-offset": 2.5e-4}) as line:
+        assert line.run(folder, "--quick", "--experiment", "steps") == 0
+        capsys.readouterr()
+        code = board51.main(words(line, folder))
+        line.assert_parked()
+
+    said = capsys.readouterr()
+    table = json.loads(said.out)
+    assert code == 0, said.err
+    first = steps_of(table, "diagnosed")[0]
+    assert first["recordings"] == ["steps"], "what is logged is looked at first"
+    (class_,) = first["found"]["causes"]
+    assert {class_["name"], *class_["indistinguishable_from"]} >= {"air-gap-offset", "force-exponent"}
+    splitting = steps_of(table, "performed")[0]
+    assert "force-exponent" in splitting["why"]
+    assert "standard errors apart" in splitting["why"]
+    (answer,) = table["answer"]["causes"]
+    assert answer["name"] == "air-gap-offset"
+    assert answer["indistinguishable_from"] == []
+    assert recorded(table)[-2:] == ["wide-steps-judge", "multisine-judge"]
+
+
 def test_a_budget_that_pays_for_nothing_moves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code = board51.main(["investigate", "rig", "--out", str(tmp_path / "i"), "--budget", "5"])
 
