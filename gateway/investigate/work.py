@@ -39,12 +39,13 @@ class Work:
         self._folder, self._rig, self._workers, self._say = folder, tuple(rig), workers, say
         self._process: subprocess.Popen[str] | None = None
         self._stopped = False
+        self._ending = signal.SIGTERM
 
     def stop(self) -> None:
         """End what runs, in good order; nothing more is begun."""
         self._stopped = True
         if self._process is not None and self._process.poll() is None:
-            self._process.send_signal(signal.SIGINT)
+            self._process.send_signal(self._ending)
 
     @property
     def stopped(self) -> bool:
@@ -59,6 +60,7 @@ class Work:
             UsageError, ServiceError: it began nothing.
         """
         wanted = [word for name in experiments for word in ("--experiment", name)]
+        self._ending = signal.SIGINT  # as a person would: it parks the ball, and says so
         code, out, last = self._call("campaign", "run", str(self._folder), *self._rig, *wanted, "--json")
         try:
             summary: dict[str, Any] = json.loads(out)
@@ -75,6 +77,7 @@ class Work:
         """
         out = self._folder / DIAGNOSIS
         quick = () if thorough else ("--quick", "--next-experiment")
+        self._ending = signal.SIGTERM
         code, _, last = self._call(
             "diagnose", str(self._folder), "--out", str(out), "--workers", str(self._workers), *quick
         )
@@ -106,7 +109,8 @@ class Work:
                 self.stop()
             for line in lines:
                 last = line.rstrip() or last
-                self._say(f"    {line.rstrip()}")
+                if not line.startswith("board51 identify"):  # what to do after a campaign; here a diagnosis follows
+                    self._say(f"    {line.rstrip()}")
             out = printed.read()
             return process.wait(), out, last
 
