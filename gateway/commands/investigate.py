@@ -67,6 +67,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 where the answer stands."""
+    require("twin", "numba", "mcap", "scipy", "matplotlib")  # before the rig moves for a diagnosis that cannot be made
     from gateway.investigate.investigator import investigate, menu_of
     from gateway.investigate.journal import open_journal
     from gateway.investigate.work import Work
@@ -75,7 +76,6 @@ def run(args: argparse.Namespace) -> int:
     check_name(args.site, what="--site")
     if not (math.isfinite(args.budget) and args.budget > 0.0):
         raise UsageError(f"--budget {args.budget:g} s", remedy="Give the seconds that it may take on the rig, as 120")
-    require("twin", "numba", "mcap", "scipy", "matplotlib")  # before the rig moves for a diagnosis that cannot be made
     folder = args.out or Path(f"investigation-{args.board}")
     journal, menu = open_journal(folder, args.board), menu_of(quick=args.quick)
     if args.dry_run:

@@ -39,6 +39,7 @@ WITHOUT = [
     (["diagnose", "campaign.toml", "--out", "d"], "twin"),
     (["plot", "run.mcap", "--out", "p.png"], "twin"),
     (["demo"], "twin"),
+    (["investigate", "rig1"], "twin"),
     (["bench", "identify"], "all"),
 ]
 

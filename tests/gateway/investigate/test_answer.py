@@ -1,0 +1,53 @@
+"""What an investigation takes from diagnosis.json."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from gateway.investigate.answer import read_answer
+from protocol.errors import DataError
+
+CAUSE: dict[str, Any] = {
+    "name": "air-gap-offset",
+    "confidence": 0.9,
+    "indistinguishable_from": ["force-exponent", "position-sensor-gain"],
+    "next_experiment": {
+        "separation_z_now": {"force-exponent": 1.5, "position-sensor-gain": None},
+        "experiments": [{"name": "holds", "separation_z": {"force-exponent": 12.0, "position-sensor-gain": None}}],
+        "not_separable_here": ["Measure the gap."],
+    },
+}
+FOUND: dict[str, Any] = {"verdict": "causes-found", "sentence": "It is so.", "causes": [CAUSE], "candidates": []}
+
+
+def test_a_class_comes_with_its_separations_and_what_nothing_is_known_of_as_none() -> None:
+    answer = read_answer(FOUND, where="x")
+
+    (suspect,) = answer.suspects
+    assert answer.is_open
+    assert suspect.rivals == {"force-exponent": 1.5, "position-sensor-gain": 0.0}
+    assert suspect.experiments == {"holds": {"force-exponent": 12.0, "position-sensor-gain": 0.0}}
+    assert suspect.outside == ("Measure the gap.",)
+
+
+def test_where_no_cause_holds_the_candidates_are_looked_at() -> None:
+    answer = read_answer(FOUND | {"verdict": "unknown-cause", "causes": [], "candidates": [CAUSE]}, where="x")
+
+    assert [one.name for one in answer.suspects] == ["air-gap-offset"]
+
+
+def test_a_cause_without_a_class_is_not_open() -> None:
+    alone = CAUSE | {"indistinguishable_from": [], "next_experiment": None}
+
+    assert not read_answer(FOUND | {"causes": [alone]}, where="x").is_open
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{}, {"verdict": "x"}, FOUND | {"causes": [1]}, FOUND | {"causes": [{"name": "x"}]}, FOUND | {"causes": {"a": 1}}],
+)
+def test_what_is_no_answer_is_named(wrong: dict[str, Any]) -> None:
+    with pytest.raises(DataError, match=r"^here is no answer of board51 diagnose"):
+        read_answer(wrong, where="here")

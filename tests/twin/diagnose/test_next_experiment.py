@@ -1,0 +1,32 @@
+"""diagnosis.json tells `board51 investigate` which experiment would split a class: written here, read there."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+from gateway.investigate.answer import read_answer
+from tests.harness.diagnose.known_diagnosis import diagnosis
+from twin.diagnose.result import Proposal, to_json
+
+RIVAL = "position-sensor-gain"
+
+
+def test_every_experiment_comes_with_its_separation_from_every_rival() -> None:
+    found = diagnosis("air-gap-offset", 5e-4)
+    (cause,) = found.causes
+    proposal = Proposal(
+        what="hold it",
+        separation_z=14.0,
+        now_z={RIVAL: 1.25},
+        experiments=(("holds", {RIVAL: 14.0}), ("rest", {RIVAL: math.nan})),
+    )
+    found = replace(found, causes=(replace(cause, next_experiment=proposal),))
+
+    data = json.loads(json.dumps(to_json(found), allow_nan=False))
+
+    (suspect,) = read_answer(data, where="diagnosis.json").suspects
+    assert suspect.name == cause.name
+    assert suspect.rivals == {RIVAL: 1.25}
+    assert suspect.experiments == {"holds": {RIVAL: 14.0}, "rest": {RIVAL: 0.0}}
