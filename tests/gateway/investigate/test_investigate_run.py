@@ -25,6 +25,17 @@ def words(line: Line, folder: Path, *more: str) -> list[str]:
     return ["investigate", "rig", "--out", str(folder), *rig, "--quick", "--json", *more]
 
 
+def begun(line: Line, folder: Path) -> subprocess.Popen[str]:
+    """In a process of its own, which ends with the line at the latest."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "board51", *words(line, folder)],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    line.started.append(process)
+    return process
+
+
 def steps_of(table: dict[str, Any], kind: str) -> list[dict[str, Any]]:
     return [step[kind] for step in table["steps"] if kind in step]
 
@@ -41,12 +52,7 @@ def test_an_interrupted_investigation_parks_the_ball_goes_on_and_ends_with_the_n
 ) -> None:
     folder = tmp_path / "i"
     with emulated_line(tmp_path, effects={"quadratic-drag": 2.0}) as line:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "board51", *words(line, folder)],
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        line.started.append(process)
+        process = begun(line, folder)
         wait_for(lambda: line.bus.states()[-1].mode == pb.MODE_CLOSED_LOOP, "flight")
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=HANG_S)
@@ -75,6 +81,15 @@ def test_an_interrupted_investigation_parks_the_ball_goes_on_and_ends_with_the_n
     assert 0.0 < table["rig_s"] < 60.0
     assert (folder / "diagnosis" / "report.html").is_file()
     assert json.loads((folder / "investigation.json").read_text())["ended"] == table["ended"]
+
+
+@pytest.mark.slow
+def test_a_killed_investigation_leaves_the_ball_parked(tmp_path: Path) -> None:
+    with emulated_line(tmp_path) as line:
+        process = begun(line, tmp_path / "i")
+        wait_for(lambda: line.bus.states()[-1].mode == pb.MODE_CLOSED_LOOP, "flight")
+        process.kill()
+        line.assert_parked()
 
 
 @pytest.mark.slow
