@@ -36,7 +36,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "diagnose": ("twin.commands.diagnose", "what the model gets wrong, the physical cause, the extended model"),
     "investigate": (
         "gateway.commands.investigate",
-        "campaign and diagnose in turns on a live board, until one name is left",
+        "campaign and diagnose in turns on a board, until one name is left",
     ),
     "hmi": ("gateway.commands.hmi", "the control room in a browser"),
     "security": ("gateway.commands.security", "keys, certificates, users: who may do what on a guarded bus"),
@@ -74,7 +74,7 @@ PANIC_PATIENCE_S = 10.0
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one sub-command; the entry point of the `board51` script."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    listing = "\n".join(f"  {name:<10} {about}" for name, (_, about) in COMMANDS.items())
+    listing = "\n".join(f"  {name:<11} {about}" for name, (_, about) in COMMANDS.items())
     parser = argparse.ArgumentParser(
         prog="board51",
         description="Gateway and digital twin of a magnetic levitation rig.",

@@ -6,8 +6,12 @@ import json
 import math
 from dataclasses import replace
 
+import pytest
+
+from gateway.investigate import decide
 from gateway.investigate.answer import read_answer
 from tests.harness.diagnose.known_diagnosis import diagnosis
+from twin.diagnose.experiments import design
 from twin.diagnose.result import Proposal, to_json
 
 RIVAL = "position-sensor-gain"
@@ -30,3 +34,7 @@ def test_every_experiment_comes_with_its_separation_from_every_rival() -> None:
     assert suspect.name == cause.name
     assert suspect.rivals == {RIVAL: 1.25}
     assert suspect.experiments == {"holds": {RIVAL: 14.0}, "rest": {RIVAL: 0.0}}
+
+
+def test_both_call_two_causes_one_class_up_to_the_same_separation() -> None:
+    assert pytest.approx(design.ENOUGH_Z) == decide.ENOUGH_Z
