@@ -37,6 +37,7 @@ def test_a_campaign_is_recorded_continued_and_left_parked(tmp_path: Path, capsys
     assert set(standings(first).values()) == {"recorded"}
     assert standings(second) == {"rest": "recorded", "amplifier-steps": "already-there", "steps": "already-there"}
     assert first["lift_off_v"] == pytest.approx(3.30, rel=0.08)  # read behind the departure, on a ramp of 4 V/s
+    assert sum(row["seconds"] for row in first["experiments"]) < first["rig_s"] < 60.0
     campaign = load(folder)
     assert [(r.file, r.kind, r.use) for r in campaign.recordings] == [
         ("lift-off.mcap", "sawtooth", "fit"),
