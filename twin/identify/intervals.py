@@ -6,14 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from twin.identify import settings
 from twin.identify.fit import FLOORS, PARAMETERS, Fit, Likelihood, Point, fit
 
 Z = 1.96
-CROOKED = 0.15  # relative standard error of a logarithm from which its parabola misleads
-NEAR_ZERO = 3.0  # standard errors of b from 0
 _ROUNDS = 6
 _PASSES = 6
-_FURTHEST = 4.0  # of a logarithm: beyond a factor of 50 the bound is called absent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +36,10 @@ def quadratic_or_profile(likelihood: Likelihood, found: Fit, *, robust: bool) ->
         relative = std / value if name != "b" and value > 0 else 0.0
         floored = name == "T_A" and value <= FLOORS[name] * 1.001  # no std, and no end below
         crooked = (
-            floored or relative > CROOKED or (name == "b" and abs(value) < NEAR_ZERO * std) or not np.isfinite(std)
+            floored
+            or relative > settings.PROFILE_FROM
+            or (name == "b" and abs(value) < settings.DRAG_NEAR_ZERO * std)
+            or not np.isfinite(std)
         )
         if not crooked:
             low, high = (
@@ -64,7 +65,7 @@ def _profile(likelihood: Likelihood, found: Fit, name: str, side: int, target: f
     std = found.std(name, mass)
     value = getattr(found.point, name)
     by = target * (std / mass if name == "b" else std / value) if np.isfinite(std) and std > 0 else 0.5
-    most = 200.0 if name == "b" else _FURTHEST
+    most = 200.0 if name == "b" else settings.BOUND_FARTHEST
     by = min(by, most)
     free = tuple(other for other in found.free if other != name)
     below, above = 0.0, np.inf

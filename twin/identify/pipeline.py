@@ -23,7 +23,7 @@ from twin.estimation.prepare import Usage, prepare
 from twin.estimation.record import Record
 from twin.estimation.structures import NOISES
 from twin.estimation.whiteness import Whiteness, whiteness
-from twin.identify import verdicts
+from twin.identify import settings, verdicts
 from twin.identify.checks.dead_channels import without_dead
 from twin.identify.checks.input_delay import delayed, input_delay
 from twin.identify.checks.plausibility import inspect
@@ -37,15 +37,6 @@ from twin.identify.starting.regression import AmplifierStart, BallStart, amplifi
 from twin.model.parameters import Model, Parameter
 from twin.readers.campaign import read_campaign
 
-PARSIMONY = 2.0  # of log-likelihood: a process noise that gains less than that is not there
-# Of the travel: nearer to x_max, (3) changes by a fifth to a half over the error of one prediction (10 to 50 um).  The
-# filter, linear in that error, then follows nothing, and where a reading is missing, too, its derivatives by the
-# parameters reach a million standard errors: three such samples outvote a campaign.  No ball is there, but where x_max
-# lies below the coil's real plane.
-NEAR_SHARE = 0.05
-AHEAD_S = 20e-3  # one and a half e-folds of the ball: what a bad force law cannot hide
-NEEDED = 0.1  # relative standard error of a noise: its variance is five of its standard errors from 0
-HAC_S = 0.1  # memory of the residuals that the sandwich covers
 # Much unexplained acceleration: from little of it, a model that lacks something climbs to a far lower maximum, in which
 # all its error counts as noise of the position sensor (250 um instead of 4).
 _NOISE_START = {"sigma_x_m": 1e-5, "process_a_m_s2": 5.0}
@@ -94,7 +85,7 @@ def identify_records(
     ball = ball_start(records, plant, amplifier)
     say("start values: " + _start_line(amplifier, ball, force, plant.mass_kg))
 
-    series, usages = prepare(records, plant, gap_least_m=NEAR_SHARE * plant.travel_m)
+    series, usages = prepare(records, plant, gap_least_m=settings.POLE_DISTANCE * plant.travel_m)
     for usage, samples in zip(usages, delays, strict=True):
         usage.input_delay = samples
     tick_s = _tick(records)
@@ -108,7 +99,7 @@ def identify_records(
         if flying and found.point.b >= 0.999 * most_drag(plant) * plant.mass_kg:
             found = _possible_drag(likelihood, found, ball, warnings)
         white = whiteness(likelihood.series, likelihood.white(found.point))
-        found = sandwich(likelihood, found, max(round(HAC_S / tick_s), 1))
+        found = sandwich(likelihood, found, max(round(settings.RESIDUAL_MEMORY_S / tick_s), 1))
         say("covariance and intervals")
         if not found.converged:
             warnings.append(
@@ -210,7 +201,7 @@ def _ahead(records: list[Record], campaign: Campaign, found: Fit | None, tick_s:
     flown = [record for record in records if record.kind in ("closed-loop", "prbs", "free") and record.has("x", "u_c")]
     if found is None or not flown or "K_c" not in found.free:
         return None
-    (ahead,) = horizons(flown, campaign.plant, found.point, tick_s, wanted_s=(AHEAD_S,))
+    (ahead,) = horizons(flown, campaign.plant, found.point, tick_s, wanted_s=(settings.AHEAD_S,))
     return ahead if ahead.count else None
 
 
@@ -299,13 +290,13 @@ def _parsimonious(likelihood: Likelihood, found: Fit) -> Fit:
     for name in NOISES[2:]:
         # Known that well, it is there, and a fit without it would only wander where nothing explains the flights.
         if name not in found.free or (
-            found.converged and 0.0 < found.std(name, 1.0) < NEEDED * getattr(found.point, name)
+            found.converged and 0.0 < found.std(name, 1.0) < settings.NOISE_KNOWN * getattr(found.point, name)
         ):
             continue
         without = replace(found.point, **{name: FLOORS[name]})
         free = tuple(other for other in found.free if other != name)
         smaller = fit(likelihood, without, free)
-        if smaller.loglik > found.loglik - PARSIMONY:
+        if smaller.loglik > found.loglik - settings.PROCESS_NOISE_GAIN:
             found = smaller
     return found
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 from protocol.campaign import Plant
+from twin.identify import settings
 from twin.identify.fit import Fit
 from twin.identify.intervals import Interval
 from twin.identify.starting.levels import Levels, Shape
@@ -14,10 +15,6 @@ from twin.identify.starting.regression import BallStart
 from twin.model.parameters import PARAMETERS, Parameter, Verdict
 
 IDENTIFIED, WEAK = 0.25, 1.0  # half width of the 95 % interval over the value
-SUREST = 1e-6  # relative standard error: no volt, ampere or metre of a laboratory is known better
-AGREE = 4.0  # standard errors between two estimates of the same number
-DIFFERENT = 0.02  # relative: two values of K_c so far apart are two
-OFFSET_SHARE = 2e-3  # of the largest level: a smaller offset is not worth a word
 _INPUT_HELP = "record steps of u_c with two or more steady levels (kind amplifier-step)"
 _TIME_HELP = "capture a step of u_c at 25 kHz (board51 send capture; kind amplifier-step)"
 _FORCE_HELP = "record a slow sawtooth to lift-off (kind sawtooth) or a closed-loop run"
@@ -36,13 +33,13 @@ def gain(
     joint = intervals.get("K_A")
     if levels is not None:
         top = max(abs(level.i_a) for level in levels.levels)
-        offset = abs(levels.offset_a) > max(AGREE * levels.offset_std_a, OFFSET_SHARE * top)
+        offset = abs(levels.offset_a) > max(settings.AGREEMENT_ERRORS * levels.offset_std_a, settings.LEVEL_SHARE * top)
         if offset:
             warnings.append(
                 f"i_c is {levels.offset_a * 1e3:+.3g} mA at u_c = 0 by the line through the steady levels: an offset "
                 f"of sensor or amplifier that (1) lacks. Give i_c offset = {-levels.offset_a:.4g} if it is the sensor's"
             )
-        bent = abs(levels.bend_a) > OFFSET_SHARE * top
+        bent = abs(levels.bend_a) > settings.LEVEL_SHARE * top
         if bent:
             warnings.append(
                 f"the steady levels do not lie on a line: {levels.bend_a * 1e3:+.3g} mA at {levels.bend_at_v:.3g} V. "
@@ -56,7 +53,7 @@ def gain(
         differ = (
             joint is not None
             and found is not None
-            and abs(found.point.K_A - levels.K_A) > AGREE * math.hypot(joint.std, levels.K_A_std)
+            and abs(found.point.K_A - levels.K_A) > settings.AGREEMENT_ERRORS * math.hypot(joint.std, levels.K_A_std)
         )
         if joint is None or found is None or offset or bent or differ or (shape is not None and not shape.first_order):
             if differ and found is not None and not offset and not bent:
@@ -103,7 +100,7 @@ def time_constant(
         found is None
         or joint is None
         or not joint.std <= shape.T_A_std
-        or abs(found.point.T_A - shape.T_A) > AGREE * math.hypot(joint.std, shape.T_A_std)
+        or abs(found.point.T_A - shape.T_A) > settings.AGREEMENT_ERRORS * math.hypot(joint.std, shape.T_A_std)
     ):
         # Each step of its own levels: an offset that (1) does not have cannot pass for a slow amplifier.
         return _parameter(
@@ -147,7 +144,11 @@ def force_constant(
 ) -> Parameter:
     """K_c: by innovations where the ball flies, else from lift-off."""
     joint = intervals.get("K_c")
-    if force is not None and force.shift_m is not None and abs(force.shift_m) > AGREE * force.shift_std_m:
+    if (
+        force is not None
+        and force.shift_m is not None
+        and abs(force.shift_m) > settings.AGREEMENT_ERRORS * force.shift_std_m
+    ):
         if abs(force.shift_m) > 0.01 * plant.travel_m:
             warnings.append(
                 f"the currents that carry the ball point to a coil plane {force.shift_m * 1e3:+.3g} mm above x_max "
@@ -155,7 +156,9 @@ def force_constant(
                 f"x_max_m = {plant.x_max_m + force.shift_m:.5g}, or not at all"
             )
     if flying and found is not None and joint is not None:
-        differ = force is not None and abs(force.K_c - found.point.K_c) > AGREE * math.hypot(force.std, joint.std)
+        differ = force is not None and abs(force.K_c - found.point.K_c) > settings.AGREEMENT_ERRORS * math.hypot(
+            force.std, joint.std
+        )
         if force is not None and differ:
             warnings.append(
                 f"K_c is {force.K_c:.4g} by (8) and {found.point.K_c:.4g} N m^2/A^2 in flight: no single K_c explains "
@@ -171,7 +174,7 @@ def force_constant(
             "(6), (7)",
             _FORCE_HELP,
         )
-        if force is None or not differ or abs(force.K_c / found.point.K_c - 1.0) < DIFFERENT:
+        if force is None or not differ or abs(force.K_c / found.point.K_c - 1.0) < settings.K_C_DIFFERENT:
             return parameter
         # Each of the two is precise, and yet they are two: an interval of either is not one of K_c.
         method = f"{parameter.method}; lift-off (8) says {force.K_c:.4g}"
@@ -276,7 +279,7 @@ def _parameter(
     name: str, value: float, std: float, low: float, high: float, method: str, equation: str, remedy: str
 ) -> Parameter:
     unit, lowest, highest = PARAMETERS[name]
-    least = SUREST * abs(value)  # recordings without noise would ask for any number of digits
+    least = settings.LEAST_RELATIVE_ERROR * abs(value)  # recordings without noise would ask for any number of digits
     std, low, high = max(std, least), min(low, value - 1.96 * least), max(high, value + 1.96 * least)
     bounded = min(max(value, lowest), highest)
     low = max(low, 0.0)

@@ -35,14 +35,12 @@ from twin.mirror.output import SETTLING as SETTLING
 from twin.mirror.output import Output
 from twin.mirror.regime import KnownParameters, Regime
 from twin.mirror.sample import Sample, read
-from twin.mirror.settings import Settings
+from twin.mirror.settings import SAMPLE_TIME_RANGE_S, SILENT_S, Settings
 from twin.mirror.step import Twin, step
 from twin.model.extended import WARMTH
 from twin.model.parameters import Model
 from twin.model.simulate import INTEGRAL, X_BEFORE, X_READ, places, rig_at
 
-SAMPLE_TIME_RANGE_S = (1e-4, 2e-2)  # T_s for which the steps of the kernels were checked
-SILENT_S = 1.0  # without a sample
 _SAMPLES_IN = {sync: f"samples_{sync}" for sync in (IN_STEP, SETTLING, OUT_OF_STEP)}
 _LOSS_TEXTS = {
     "board-reset": "the board was reset or reconnected",

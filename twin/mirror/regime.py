@@ -8,14 +8,18 @@ from protocol.bus import board51_pb2 as pb
 from twin.compiled import Packed
 from twin.control import LawNumbers, law_numbers
 from twin.mirror.monitor.alarms import probability_per_window, white_threshold
-from twin.mirror.monitor.expected import OFF_PROBABILITY, Expectation, ExpectedError
-from twin.mirror.settings import Settings
+from twin.mirror.monitor.expected import Expectation, ExpectedError
+from twin.mirror.settings import (
+    OFF_PROBABILITY,
+    SETTLE_DRIVEN_S,
+    SETTLE_MAX_S,
+    SETTLE_MIN_S,
+    SETTLED_SHARE,
+    Settings,
+)
 from twin.model.parameters import Model
 from twin.model.simulate import plant_numbers
 
-SETTLED_SHARE = 1e-4  # of a difference at the start: 1 mm has become 0.1 um
-SETTLE_MIN_S, SETTLE_MAX_S = 0.1, 5.0
-SETTLE_DRIVEN_S = 0.3  # idle and open loop: a ball dropped from the top stop is down after 0.05 s and still after 0.3 s
 # In the board's Parameters these neither shape what it does at a tick nor how it is seen.
 _IRRELEVANT = (
     "host_time_ns",

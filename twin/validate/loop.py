@@ -17,7 +17,8 @@ from twin.estimation.record import runs
 from twin.estimation.rollout import SETTLE_S
 from twin.estimation.step_figures import LoopRun
 from twin.identify.checks.control_law import law_gap
-from twin.mirror.monitor.expected import STABLE, autocovariance, error_dynamics
+from twin.mirror.monitor.expected import autocovariance, error_dynamics
+from twin.mirror.settings import STABLE
 from twin.model.extended import I_C, Base, V, X
 from twin.model.parameters import Model
 from twin.model.simulate import I_READ, X_READ, PlantNumbers, hold, plant_numbers, rig_at

@@ -18,15 +18,9 @@ from protocol.campaign import Controller, Plant
 from twin.control import LawNumbers, law_numbers
 from twin.estimation.prepare import flights, spikes
 from twin.estimation.record import FloatArray, Record
+from twin.identify import settings
 
-WINDOW_S = 1.0
 WIDE_V = 1e6  # an input limit that nobody reaches, where none is known
-FEWEST = 200  # samples in flight
-QUANTILE = 0.9
-LEAST_SHARE = 0.05  # of the movement of u_c: less is not worth a word
-BETTER = 3.0  # other gains leave so many times less
-MOST_SHARE = 0.5  # a law that leaves more did not run, whatever did
-CLEAR = 0.9  # of the variance: gains that explain so much can be named
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +35,7 @@ class LawGap:
 
     def text(self) -> str:
         """What u_c follows instead."""
-        if self.explained < CLEAR:
+        if self.explained < settings.LAW_EXPLAINED:
             return (
                 f"no gains on i_c, x, speed and integral give it (the best explain {100 * self.explained:.0f} %): "
                 "another filter or another law ran"
@@ -74,7 +68,7 @@ def law_gap(record: Record, plant: Plant, c: LawNumbers) -> LawGap | None:
     if not record.has("u_c", "i_c", "x", "x_ref"):
         return None
     part = max(flights(record, plant), key=lambda s: s.stop - s.start, default=None)
-    if part is None or part.stop - part.start < FEWEST:
+    if part is None or part.stop - part.start < settings.LAW_SAMPLES:
         return None
     x_whole = np.where(spikes(record.x, plant), np.nan, record.x)
     u, i, x, x_ref = record.u_c[part], record.i_c[part], x_whole[part], record.x_ref[part]
@@ -87,9 +81,9 @@ def law_gap(record: Record, plant: Plant, c: LawNumbers) -> LawGap | None:
     else:
         columns, gains = np.column_stack((-i, -x, -speed, -integral)), np.array([c.k_i, c.k_x, c.k_v, -c.k_s])
     good = (u > np.nanmin(record.u_c)) & (u < np.nanmax(record.u_c)) & np.isfinite(columns).all(axis=1)
-    group = (np.arange(len(u)) * T_s / WINDOW_S).astype(int)[good]
+    group = (np.arange(len(u)) * T_s / settings.LAW_WINDOW_S).astype(int)[good]
     u, columns = _centred(u[good][:, None], group)[:, 0], _centred(columns[good], group)
-    if len(u) < FEWEST // 2:
+    if len(u) < settings.LAW_SAMPLES // 2:
         return None
     spread = _size(u)
     if spread <= 0.0:
@@ -104,7 +98,7 @@ def law_gap(record: Record, plant: Plant, c: LawNumbers) -> LawGap | None:
         share=share,
         fitted=tuple(float(value) for value in fitted),
         explained=max(1.0 - float(rest @ rest) / float(u @ u), 0.0),
-        contradicted=(share > LEAST_SHARE and off > BETTER * left) or share > MOST_SHARE,
+        contradicted=(share > settings.LAW_SHARE and off > settings.LAW_BETTER * left) or share > settings.LAW_MOST,
     )
 
 
@@ -116,4 +110,4 @@ def _centred(values: FloatArray, group: np.ndarray[tuple[int], np.dtype[np.int_]
 
 
 def _size(values: FloatArray) -> float:
-    return float(np.quantile(np.abs(values), QUANTILE))
+    return float(np.quantile(np.abs(values), settings.LAW_QUANTILE))

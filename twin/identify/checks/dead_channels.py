@@ -13,13 +13,10 @@ import numpy as np
 from protocol.campaign import Plant
 from twin.estimation.prepare import flights, scatter
 from twin.estimation.record import FloatArray, Record
-from twin.identify.starting.regression import WINDOW_S, force_rows
+from twin.identify import settings
+from twin.identify.starting.regression import force_rows
 
 FLYING = ("prbs", "closed-loop", "free")
-FEWEST = 10  # samples of a channel that is called constant
-STILL = 1.5  # times the sensor's noise: x that spreads no wider does not move
-ANSWER = 0.3  # of what (6) says: a ball that answers less to the force is not the one that the current carries
-SURE = 5.0  # standard errors
 _OVERLAP = 4  # windows begin a quarter of their length apart
 _ABSENT = float("nan")
 
@@ -44,7 +41,7 @@ def at_rest(record: Record) -> bool:
 
 def _constant(values: FloatArray) -> bool:
     known = values[np.isfinite(values)]
-    return known.size > FEWEST and float(np.ptp(known)) == 0.0
+    return known.size > settings.CONSTANT_SAMPLES and float(np.ptp(known)) == 0.0
 
 
 def _without_constant(record: Record) -> tuple[Record, list[str]]:
@@ -73,14 +70,14 @@ def _without_still(record: Record, plant: Plant) -> tuple[Record, list[str]]:
     """An x without motion, while the force on the ball changes."""
     if record.kind not in FLYING or not record.has("i_c", "x"):
         return record, []
-    parts = flights(record, plant, at_least=2 * round(WINDOW_S / record.interval_s))
+    parts = flights(record, plant, at_least=2 * round(settings.WINDOW_S / record.interval_s))
     if not parts:
         return record, []
     spread = float(np.sqrt(np.nanmean(np.concatenate([(record.x[p] - np.nanmean(record.x[p])) ** 2 for p in parts]))))
     known = record.x[np.isfinite(record.x)]
-    if spread > STILL * scatter(known):
+    if spread > settings.STILL_SPREAD * scatter(known):
         return record, []
-    rows = force_rows([record], plant, None, WINDOW_S)
+    rows = force_rows([record], plant, None, settings.WINDOW_S)
     if not rows:
         return record, []
     left, force, _ = np.concatenate(rows).T
@@ -92,7 +89,7 @@ def _without_still(record: Record, plant: Plant) -> tuple[Record, list[str]]:
     answer = float(change @ (left - left.mean())) / power
     rest = left - left.mean() - answer * change
     error = float(np.sqrt(_OVERLAP * np.mean(rest**2) / power))
-    if answer > ANSWER * whole or whole - answer < SURE * error:
+    if answer > settings.ANSWER_SHARE * whole or whole - answer < settings.ANSWER_ERRORS * error:
         return record, []
     return replace(record, x=np.full(len(record.x), _ABSENT)), [
         f"{record.name}: x is noise alone ({spread * 1e6:.3g} um about {np.nanmean(known) * 1e3:.3g} mm), although "

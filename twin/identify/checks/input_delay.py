@@ -15,11 +15,10 @@ from protocol.campaign import Plant
 from twin.estimation.innovations import FLIES, USE_X
 from twin.estimation.prepare import prepare
 from twin.estimation.record import Record
+from twin.identify import settings
 from twin.identify.fit import Likelihood, Point, fit
 from twin.identify.starting.regression import amplifier_start
 
-MOST = 2  # samples
-MARGIN = 50.0  # of log-likelihood
 _SAMPLES = 5_000  # enough by far for that margin
 _FREE = ("K_A", "T_A", "sigma_i_c_a", "process_i_c_a")
 
@@ -39,7 +38,7 @@ def input_delay(record: Record, plant: Plant) -> int:
         captures=(),
     )
     values = []
-    for samples in range(MOST + 1):
+    for samples in range(settings.DELAY_SAMPLES + 1):
         late = delayed(part, samples)
         start = amplifier_start([late])
         if start is None or start.K_A <= 0:
@@ -58,7 +57,7 @@ def input_delay(record: Record, plant: Plant) -> int:
         )
         values.append(fit(Likelihood(alone, plant, record.interval_s), point, _FREE, passes=15).loglik)
     best = int(np.argmax(values))
-    return best if values[best] > values[0] + MARGIN else 0
+    return best if values[best] > values[0] + settings.DELAY_GAIN else 0
 
 
 def delayed(record: Record, samples: int) -> Record:

@@ -11,12 +11,9 @@ from protocol.campaign import Plant
 from protocol.errors import DataError
 from twin.estimation.prepare import scatter
 from twin.estimation.record import FloatArray, Record
+from twin.identify import settings
 from twin.identify.starting.liftoff import lift_offs
 from twin.identify.starting.regression import amplifier_start, ball_start
-
-SMALL_A = 0.05  # no current of this size carries a ball
-CURRENT_MOST_A = 30.0
-FOLLOWS_S = 0.1  # within this the ball has answered its reference
 
 
 def swapped(record: Record, plant: Plant) -> None:
@@ -50,9 +47,14 @@ def _lengths(record: Record, plant: Plant) -> None:
             continue
         values = getattr(record, channel)
         low, high = (float(v) for v in np.nanpercentile(values, (1, 99)))
-        as_length = low > -0.3 * plant.travel_m and high < min(1.3 * plant.travel_m, SMALL_A)
+        as_length = low > -0.3 * plant.travel_m and high < min(1.3 * plant.travel_m, settings.CURRENT_LEAST_A)
         moves = float(np.nanstd(values)) > 0.01 * plant.travel_m
-        if as_length and moves and 1.3 * plant.travel_m < reach < CURRENT_MOST_A and reach > SMALL_A:
+        if (
+            as_length
+            and moves
+            and 1.3 * plant.travel_m < reach < settings.CURRENT_MOST_A
+            and reach > settings.CURRENT_LEAST_A
+        ):
             raise DataError(
                 f"{record.name}: {channel} stays below {high:.3g} {unit} while x reaches {reach:.3g} m; they look "
                 "swapped",
@@ -72,7 +74,7 @@ def _reference(record: Record) -> None:
     if both.sum() < 200 or not scatter(x_ref[both]) > 3.0 * scatter(x[both]):
         return
     # The noisy one is the measurement, and a measurement follows: both must say so.
-    most = max(round(FOLLOWS_S / record.interval_s), 1)
+    most = max(round(settings.RESPONSE_S / record.interval_s), 1)
     smooth = np.full(5, 0.2)
     lag, peak = _lag(np.convolve(x_ref[both], smooth, "valid"), np.convolve(x[both], smooth, "valid"), most)
     if lag < 0 and peak > 0.4:

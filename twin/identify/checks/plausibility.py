@@ -13,16 +13,12 @@ from protocol.campaign import Controller, Plant
 from protocol.errors import DataError
 from twin.estimation.prepare import flights
 from twin.estimation.record import Record
+from twin.identify import settings
 from twin.identify.checks.control_law import law_gap, numbers_of
 from twin.identify.checks.dead_channels import FLYING, at_rest
 from twin.identify.checks.mixed_channels import downwards, swapped
 from twin.identify.starting.liftoff import lift_offs
 
-CURRENT_MOST_A = 30.0  # no laboratory coil of this size takes it; 30 mA would not lift a ball either
-INPUT_MOST_V = 400.0  # more than any amplifier of such a coil
-INTERVAL_MOST_S = 0.2  # slower than this no ball is controlled, so t is not in seconds
-REPEATED_MOST = 0.2  # of the samples: so many times that do not rise are a mistake of the table, not of a clock
-REGULAR = 0.02  # relative spread of the interval that nobody needs to hear of
 _LENGTHS = (("millimetres", 1e3), ("centimetres", 1e2), ("micrometres", 1e6))
 
 
@@ -59,7 +55,7 @@ def _time(record: Record) -> list[str]:
     step = record.interval_s
     if not np.isfinite(step):
         raise DataError(f"{record.name}: t never rises", remedy="Map t to the column with the time in seconds")
-    if step > INTERVAL_MOST_S:
+    if step > settings.INTERVAL_MOST_S:
         unit = "milliseconds" if step < 100 else "microseconds"
         scale = "1e-3" if step < 100 else "1e-6"
         raise DataError(
@@ -69,7 +65,7 @@ def _time(record: Record) -> list[str]:
     steps = np.diff(record.t)
     steps = steps[np.isfinite(steps)]
     stuck = int(np.count_nonzero(steps <= 0.0))
-    if stuck > REPEATED_MOST * len(steps):
+    if stuck > settings.REPEATED_SHARE * len(steps):
         raise DataError(
             f"{record.name}: t does not rise at {stuck} of {len(steps)} samples",
             remedy="Remove doubled rows, or give t more digits",
@@ -82,7 +78,7 @@ def _time(record: Record) -> list[str]:
     beats = np.maximum(np.rint(regular / step), 1.0)
     missing = int((beats - 1.0).sum())
     low, high = np.percentile(regular / beats, (5, 95))
-    if high - low > REGULAR * step:
+    if high - low > settings.INTERVAL_SPREAD * step:
         said.append(
             f"{record.name}: the sampling interval varies, {low * 1e3:.4g} to {high * 1e3:.4g} ms for nine in ten; "
             "each sample is predicted over its own"
@@ -99,7 +95,7 @@ def _input(record: Record) -> list[str]:
     if not record.has("u_c"):
         return []
     low, high = (float(v) for v in np.nanpercentile(record.u_c, (1, 99)))
-    if max(abs(low), abs(high)) > INPUT_MOST_V:
+    if max(abs(low), abs(high)) > settings.INPUT_MOST_V:
         raise DataError(
             f"{record.name}: u_c reaches {max(abs(low), abs(high)):.4g} V; it looks like millivolts or counts",
             remedy="Write u_c = { column = ..., scale = 1e-3 }, or the volts of a count",
@@ -116,7 +112,7 @@ def _current(record: Record) -> None:
     if not record.has("i_c"):
         return
     top = float(np.nanpercentile(np.abs(record.i_c), 99))
-    if top > CURRENT_MOST_A:
+    if top > settings.CURRENT_MOST_A:
         raise DataError(
             f"{record.name}: i_c reaches {top:.4g} A; it looks like milliamperes",
             remedy="Write i_c = { column = ..., scale = 1e-3 }",

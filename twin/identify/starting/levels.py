@@ -15,15 +15,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import t as student_t
 
 from twin.estimation.record import FloatArray, Record, intervals, runs
-
-PLATEAU_SAMPLES = 12  # shorter ones have no steady half worth a median
-FLAT_SHARE = 2e-3  # of the range of u_c: smaller changes are the same level
-SHAPE_Z = 5.0  # standard deviations of a chi-square
-SHAPE_RATIO = 1.3  # rms of the residual in the transient over the noise, below which a shape is first order enough
-BEND_Z = 5.0  # standard errors of a level off the line
-RESOLVED = 2.0**-16  # of the range of i_c: no converter of such a rig has more bits, whatever a file says
-TELLING = 100.0  # times the noise; a larger ratio is of how small the noise came out
-_HUBER = 1.5
+from twin.identify import settings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +60,7 @@ class Shape:
     def said(self) -> str:
         """The residual, with what it is to be compared with."""
         other = "the resolution" if self.resolution_a else "the noise"
-        many = f"{self.ratio:.1f} times" if self.ratio < TELLING else "far beyond"
+        many = f"{self.ratio:.1f} times" if self.ratio < settings.RATIO_SHOWN else "far beyond"
         return f"{self.residual_a * 1e3:.3g} mA rms, {many} {other}"
 
 
@@ -108,7 +100,10 @@ def find_levels(records: list[Record]) -> Levels | None:
         residual = i - columns @ solution
         extra = 1.4826 * float(np.median(np.abs(residual))) if distinct > 2 else 0.0
         ratio = np.abs(residual) / np.maximum(np.sqrt(error**2 + extra**2), 1e-12)
-        weight = np.where(ratio > _HUBER, np.sqrt(_HUBER / np.maximum(ratio, 1e-12)), 1.0) / error
+        weight = (
+            np.where(ratio > settings.HUBER_ERRORS, np.sqrt(settings.HUBER_ERRORS / np.maximum(ratio, 1e-12)), 1.0)
+            / error
+        )
     total = np.sqrt(error**2 + extra**2) / np.maximum(weight * error, 1e-6)
     covariance = np.linalg.inv((columns / total[:, None] ** 2).T @ columns)
     # Few levels: the scatter itself is uncertain; widen by Student's factor.
@@ -132,7 +127,7 @@ def _bend(u: FloatArray, residual: FloatArray, error: FloatArray) -> tuple[float
     Zeros where the levels lie on a line within their errors.  A limit, a dead zone or a coil that heats bends the line:
     plateaus of one u_c then err together, and their number does not make the slope any surer.
     """
-    same = np.round(u / max(FLAT_SHARE * float(np.ptp(u)), 1e-12)).astype(int)
+    same = np.round(u / max(settings.SAME_LEVEL * float(np.ptp(u)), 1e-12)).astype(int)
     values = np.unique(same)
     if len(values) < 3:
         return 0.0, 0.0, 0.0
@@ -144,7 +139,7 @@ def _bend(u: FloatArray, residual: FloatArray, error: FloatArray) -> tuple[float
         for g in groups
     ]
     z = np.abs(mean) / np.maximum(own, 1e-12)
-    if float(np.max(z)) < BEND_Z:
+    if float(np.max(z)) < settings.LINE_ERRORS:
         return 0.0, 0.0, 0.0
     k = int(np.argmax(np.abs(mean)))
     at = np.array([float(u[g].mean()) for g in groups])
@@ -175,12 +170,12 @@ def _constant_pieces(record: Record) -> list[slice]:
     _, follows = intervals(record.t)
     span = float(np.nanmax(record.u_c) - np.nanmin(record.u_c))
     still = np.zeros(len(record.t), np.bool_)
-    still[1:] = (np.abs(np.diff(record.u_c)) <= FLAT_SHARE * span) & follows[1:]
+    still[1:] = (np.abs(np.diff(record.u_c)) <= settings.SAME_LEVEL * span) & follows[1:]
     # A slow ramp changes little from sample to sample: a plateau must hold over its length, too.
     return [
         piece
-        for piece in runs(still, PLATEAU_SAMPLES)
-        if float(np.ptp(record.u_c[piece])) <= 2.0 * FLAT_SHARE * max(span, 1e-12) or span == 0.0
+        for piece in runs(still, settings.LEVEL_SAMPLES)
+        if float(np.ptp(record.u_c[piece])) <= 2.0 * settings.SAME_LEVEL * max(span, 1e-12) or span == 0.0
     ]
 
 
@@ -188,7 +183,7 @@ def _level(u: float, i: FloatArray) -> Level | None:
     """The median of a settled stretch; None where it still moves."""
     i = i[np.isfinite(i)]
     n = len(i)
-    if n < PLATEAU_SAMPLES // 2:
+    if n < settings.LEVEL_SAMPLES // 2:
         return None
     first, last = i[: n // 2], i[n // 2 :]
     noise = max(1.4826 * float(np.median(np.abs(i - np.median(i)))), float(np.std(np.diff(i))) / np.sqrt(2.0))
@@ -249,7 +244,7 @@ def find_shape(records: list[Record]) -> Shape | None:
         ratio=ratio,
         z=float(z),
         spread=float(np.std(single) / T_A) if len(single) > 1 else 0.0,
-        first_order=not (z > SHAPE_Z and ratio > SHAPE_RATIO),
+        first_order=not (z > settings.SHAPE_ERRORS and ratio > settings.SHAPE_RATIO),
         sample_time_s=steps[0].sample_time_s,
     )
 
@@ -270,7 +265,11 @@ def _recorded_steps(record: Record) -> list[_Step]:
         start = piece.start - 1  # u_c of this sample is already the new one: i_c here is still the old
         jump = abs(float(record.u_c[start] - record.u_c[start - 1])) if start > 0 else 0.0
         i = record.i_c[start : piece.stop]
-        if jump > 10.0 * FLAT_SHARE * float(np.nanmax(np.abs(record.u_c))) and len(i) >= 20 and np.isfinite(i).all():
+        if (
+            jump > 10.0 * settings.SAME_LEVEL * float(np.nanmax(np.abs(record.u_c)))
+            and len(i) >= 20
+            and np.isfinite(i).all()
+        ):
             found.append(_Step(sample_time_s=record.interval_s, i=i))
     return found
 
@@ -280,12 +279,12 @@ def _tail_noise(i: FloatArray) -> float:
 
 
 def _resolution(i: FloatArray) -> float:
-    """The step between the values of a quantised or rounded channel; RESOLVED of the range where there is none."""
+    """The step between the values of a quantised or rounded channel; a share of the range where there is none."""
     values = np.unique(i)
     span = float(np.ptp(values))
     gaps = np.diff(values)
     gaps = gaps[gaps > 1e-9 * span]  # nearer ones are the same value, computed twice
-    return max(float(gaps.min()) if gaps.size else 0.0, RESOLVED * span, 1e-9)
+    return max(float(gaps.min()) if gaps.size else 0.0, settings.RESOLUTION * span, 1e-9)
 
 
 def _first_order(step: _Step, T_A: float) -> tuple[float, FloatArray]:

@@ -17,10 +17,7 @@ from scipy.optimize import minimize_scalar
 
 from protocol.campaign import Plant
 from twin.estimation.record import FloatArray, Record, runs
-
-LINE_S = 0.2  # of current before the departure
-FOLLOW_SHARE = 0.06  # of the travel: the part of the flight that the linear solution describes
-MOVED_SCALES = 8.0
+from twin.identify import settings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,20 +145,20 @@ def _departure(
     still = 1.4826 * float(np.median(np.abs(x[first : first + (last - first) // 2] - rest)))
     if still > 5.0 * noise + 1e-3 * plant.travel_m:
         return None  # it was not at rest
-    above = np.flatnonzero(x[first:] > rest + MOVED_SCALES * max(noise, still))
+    above = np.flatnonzero(x[first:] > rest + settings.DEPARTURE_ERRORS * max(noise, still))
     if not above.size:
         return None
     seen = first + int(above[0])
     gap = plant.x_max_m - rest
     if gap <= 0.02 * plant.travel_m:
         return None
-    begin = max(seen - max(round(LINE_S / step), 10), 0)
+    begin = max(seen - max(round(settings.LINE_S / step), 10), 0)
     slope, at_seen = np.polyfit(t[begin:seen] - t[seen], i[begin:seen], 1)
     scatter_i = float(np.std(i[begin:seen] - at_seen - slope * (t[begin:seen] - t[seen])))
     if not (slope > 0 and at_seen > 0):
         return None
     end = seen
-    while end < len(x) - 1 and x[end] - rest < FOLLOW_SHARE * plant.travel_m and end - seen < 200:
+    while end < len(x) - 1 and x[end] - rest < settings.LINEAR_SHARE * plant.travel_m and end - seen < 200:
         end += 1
     end = max(end, seen + 2)
     tau, rise = t[begin:end] - t[seen], x[begin:end] - rest

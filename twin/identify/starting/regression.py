@@ -22,10 +22,9 @@ from scipy.signal import fftconvolve, lfilter
 from protocol.campaign import Plant
 from twin.estimation.prepare import flights
 from twin.estimation.record import FloatArray, Record, intervals, runs
+from twin.identify import settings
 
-WINDOW_S = 0.06
 _CONVOLVED = 50_000  # samples at a time
-_ENOUGH = 40  # windows; fewer, because the ball keeps hitting its stops, and shorter ones are taken
 _OVERLAP = 4  # windows begin a quarter of their length apart
 _SHORTEST, _LONGEST = 0.03, 100.0  # T_A in sampling intervals
 _MOST_SAMPLES = 5_000  # of one piece: enough for a start value
@@ -121,9 +120,9 @@ def ball_start(
         amplifier: the current between the samples follows it; None: straight lines.
         downwards: as if x were measured down from the top stop (to recognise that it was).
     """
-    for window_s in (WINDOW_S, 0.5 * WINDOW_S):
+    for window_s in (settings.WINDOW_S, 0.5 * settings.WINDOW_S):
         rows = force_rows(records, plant, amplifier, window_s, downwards=downwards)
-        if sum(len(row) for row in rows) >= _ENOUGH:
+        if sum(len(row) for row in rows) >= settings.WINDOWS:
             break
     if not rows:
         return None

@@ -14,8 +14,8 @@ import math
 from collections.abc import Callable
 
 from protocol.bus import board51_pb2 as pb
-from twin.mirror.mirror import SILENT_S
 from twin.mirror.monitor.divergence import ALARMS
+from twin.mirror.settings import SILENT_S
 
 NAME = "diagnosis-wanted"
 

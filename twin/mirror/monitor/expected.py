@@ -20,12 +20,8 @@ from scipy.linalg import toeplitz
 from scipy.special import ndtr
 
 from twin.control import LawNumbers, discrete
+from twin.mirror.settings import EDGE_SHARE, OFF_PROBABILITY, POSITIONS, STABLE
 from twin.model.parameters import Model
-
-POSITIONS = 9  # grid of linearisations over the travel
-EDGE_SHARE = 0.05  # of the travel, left out at either end
-STABLE = 1.0 - 1e-9  # a spectral radius below this
-OFF_PROBABILITY = 0.05  # how fast an alarm clears, not whether it lies
 
 
 class Expectation(NamedTuple):

@@ -1,0 +1,211 @@
+"""What each number of `twin/diagnose/settings.py` does to the answers: halved and doubled, one at a time.
+
+    python -m tests.bench.sensitivity --results sensitivity.jsonl --minutes 50    made or continued
+    python -m tests.bench.sensitivity --results sensitivity.jsonl --minutes 0     the table of what is there
+
+The campaigns are a frozen draw (seeds from FIRST on, `tests/harness/diagnose/draws.py`) that nothing was tuned on.
+Whoever tunes on it takes another FIRST.  They are short ones, diagnosed with `--quick` unless `--full` is given.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from protocol.campaign import load
+from tests.harness.diagnose.draws import Hidden, Part, draw_hidden, record_hidden
+from tests.harness.diagnose.hidden_campaign import Grounded, Refused
+from tests.harness.diagnose.outside import OUTSIDE
+from tests.harness.diagnose.remembered import remembered
+from tests.harness.diagnose.scoring import UNKNOWN, Answer, judge, read_answer
+from tests.harness.diagnose.tally import wilson
+from tests.harness.diagnose.trial import program_digest
+from twin.diagnose import settings
+from twin.diagnose.inference.budget import FULL, KEPT, QUICK, Budget
+from twin.diagnose.pipeline import diagnose_records
+from twin.diagnose.result import to_json
+from twin.readers.campaign import read_campaign
+
+FIRST = 20_000
+AS_IT_IS = "as it is"
+# Of each turn: how many campaigns of which part.
+TURN: tuple[tuple[Part, int], ...] = (("causes", 4), ("nulls", 5), ("outside", 1), ("composites", 1))
+VARIED = (
+    "NOISE_TOLERANCE",
+    "NOISE_ERRORS",
+    "AUTOCORRELATION_ERRORS",
+    "MOST_AUTOCORRELATION",
+    "MISPLACED_STOP_M",
+    "VISIBLE",
+    "LEAST_INFORMATION",
+    "LEAST_GAIN",
+    "LEAST_SHARE",
+    "LEAST_BENEFIT",
+    "MINOR_SHARE",
+    "MINOR_SHARE_AT_NOISE",
+    "EQUIVALENT_GAIN",
+    "OUT_OF_CLASS_GAIN",
+    "COMPARABLE_SCORE",
+    "ALIKE_SCORE",
+    "PARTLY_ERROR",
+    "PARTLY_SHARE",
+)
+# Nothing that is asked with --quick.
+VARIED_FULL = ("LEAST_SHARE_TOGETHER", "LEAST_SHARE_LAST", "CHANGE_GAIN", "OUTLIER_GAIN")
+
+
+@contextmanager
+def varied(name: str, factor: float) -> Iterator[None]:
+    """One setting times a factor."""
+    before = getattr(settings, name)
+    setattr(settings, name, factor * before)
+    try:
+        yield
+    finally:
+        setattr(settings, name, before)
+
+
+def variants(full: bool) -> list[tuple[str, str, float]]:
+    """(label, setting, factor); the first is the program as it is."""
+    names = VARIED + (VARIED_FULL if full else ())
+    return [(AS_IT_IS, names[0], 1.0)] + [
+        (f"{name} {word}", name, factor) for name in names for word, factor in (("halved", 0.5), ("doubled", 2.0))
+    ]
+
+
+def play(hidden: Hidden, *, full: bool, only: str = "") -> dict[str, Any]:
+    """The answers to one campaign, by variant; `only`: that variant alone."""
+    row: dict[str, Any] = {"part": hidden.part, "seed": hidden.seed, "grade": hidden.grade, "full": full}
+    row |= {"truths": {**hidden.effects, **hidden.outside}, "program": program_digest(), "answers": {}}
+    with tempfile.TemporaryDirectory(prefix="sensitivity-") as scratch:
+        try:
+            record_hidden(Path(scratch), hidden, quick=True)
+        except (Grounded, Refused) as reason:
+            return row | {"refused": str(reason)}
+        campaign = load(Path(scratch))
+        records, judges = read_campaign(campaign), read_campaign(campaign, use="judge")
+        with remembered():
+            for label, name, factor in variants(full):
+                if only and label != only:
+                    continue
+                with varied(name, factor):
+                    found = diagnose_records(
+                        campaign,
+                        records,
+                        judges,
+                        quick=not full,
+                        share=settings.LEAST_SHARE,
+                        workers=1,
+                        budget=Budget(FULL if full else QUICK, KEPT),
+                    )
+                row["answers"][label] = _judged(hidden, read_answer(json.loads(json.dumps(to_json(found)))))
+    return row
+
+
+def _judged(hidden: Hidden, answer: Answer) -> dict[str, Any]:
+    lenient = any(OUTSIDE[name].may_be_adequate for name in hidden.outside)
+    judged = judge(hidden.part, tuple({**hidden.effects, **hidden.outside}), answer, may_be_adequate=lenient)
+    return {
+        "verdict": answer.verdict,
+        "named": [cause.name for cause in answer.causes],
+        "right": judged.right,
+        "found": judged.found,
+        "truths": judged.truths,
+        "false_names": judged.false_names,
+    }
+
+
+def draw() -> Iterator[tuple[Part, int]]:
+    """(part, seed) without end."""
+    done = dict.fromkeys((part for part, _ in TURN), 0)
+    while True:
+        for part, count in TURN:
+            for _ in range(count):
+                yield part, FIRST + done[part]
+                done[part] += 1
+
+
+def table(rows: list[Mapping[str, Any]], full: bool) -> str:
+    """Markdown: each variant, with 95 % intervals after Wilson for the program as it is."""
+    rows = [row for row in rows if row["full"] == full and row.get("answers")]
+    by = {part: [row for row in rows if row["part"] == part] for part, _ in TURN}
+    lines = [
+        "| setting | one cause: right | its false names | nothing hidden: false names | unknown-cause "
+        "| outside: false names | composites: truths found | its false names |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for label, _, _ in variants(full):
+        said = {part: [row["answers"][label] for row in by[part]] for part in by}
+        asked = [one for one in said["causes"] if one["right"] is not None]
+        nulls, outside, several = said["nulls"], said["outside"], said["composites"]
+        cells = (
+            (sum(one["right"] for one in asked), len(asked)),
+            (sum(one["false_names"] > 0 for one in asked), len(asked)),
+            (sum(bool(one["named"]) for one in nulls), len(nulls)),
+            (sum(one["verdict"] == UNKNOWN for one in nulls), len(nulls)),
+            (sum(bool(one["named"]) and one["verdict"] != UNKNOWN for one in outside), len(outside)),
+            (sum(one["found"] for one in several), sum(one["truths"] for one in several)),
+            (sum(one["false_names"] > 0 for one in several), len(several)),
+        )
+        lines.append(f"| {label} | " + " | ".join(_cell(*cell, wide=label == AS_IT_IS) for cell in cells) + " |")
+    return "\n".join(lines)
+
+
+def _cell(hits: int, count: int, *, wide: bool) -> str:
+    low, high = wilson(hits, count)
+    return f"{hits} of {count}" + f" ({100 * low:.0f} .. {100 * high:.0f} %)" * wide
+
+
+def changes(rows: list[Mapping[str, Any]], full: bool) -> str:
+    """Each campaign whose answer differs from that of the program as it is."""
+    lines = []
+    for row in rows:
+        if row["full"] != full or not row.get("answers"):
+            continue
+        here = row["answers"][AS_IT_IS]
+        for label, said in row["answers"].items():
+            if (said["verdict"], said["named"]) != (here["verdict"], here["named"]):
+                lines.append(
+                    f"{row['part']} {row['seed']} ({', '.join(row['truths']) or 'nothing'}): "
+                    f"{here['verdict']} {here['named']} -> {label}: {said['verdict']} {said['named']}"
+                )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Play what fits into the time, then print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--results", type=Path, required=True, metavar="FILE", help="JSON lines, made or continued")
+    parser.add_argument("--minutes", type=float, default=0.0, metavar="M", help="begin no campaign after M minutes (0)")
+    parser.add_argument("--full", action="store_true", help="diagnose without --quick")
+    parser.add_argument("--changes", action="store_true", help="print each answer that a variant changes")
+    args = parser.parse_args()
+    rows = [json.loads(line) for line in args.results.read_text().splitlines()] if args.results.exists() else []
+    known = {(row["part"], row["seed"]) for row in rows if row["full"] == args.full}
+    until = time.monotonic() + 60.0 * args.minutes
+    for part, seed in draw():
+        if time.monotonic() >= until:
+            break
+        if (part, seed) in known:
+            continue
+        began = time.monotonic()
+        row = play(draw_hidden(seed, part), full=args.full)
+        rows.append(row)
+        with args.results.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+        said = row["answers"].get(AS_IT_IS, {})
+        took = time.monotonic() - began
+        print(f"{part} {seed}: {said.get('verdict')} {said.get('named')} ({took:.0f} s)", flush=True)
+    print(table(rows, args.full))
+    if args.changes:
+        print(changes(rows, args.full))
+
+
+if __name__ == "__main__":
+    main()
