@@ -126,6 +126,6 @@ def network(host: str) -> str:
     return str(ipaddress.ip_network((address, 64), strict=False))
 
 
-def _shorten(kept: OrderedDict[Hashable, Lane] | OrderedDict[Hashable, None]) -> None:
-    while len(kept) > MAX_TRACKED:
-        kept.popitem(last=False)
+def _shorten(retained: OrderedDict[Hashable, Lane] | OrderedDict[Hashable, None]) -> None:
+    while len(retained) > MAX_TRACKED:
+        retained.popitem(last=False)

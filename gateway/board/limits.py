@@ -198,8 +198,8 @@ class Gate:
     def _excite(self, excite: pb.Excite, wire: WireCommand, board: BoardView) -> Refusal | None:
         limits, longest_s = self._limits, self._limits.excitation_max_s
         if longest_s and excite.shape != pb.SHAPE_NONE and not 0 < excite.duration_s <= longest_s:
-            given = f"A duration of {excite.duration_s:g} s" if excite.duration_s else "A duration of 0 s, endless,"
-            return Refusal("out-of-range", f"{given} is outside the gateway's limit, up to {longest_s:g} s.")
+            supplied = f"A duration of {excite.duration_s:g} s" if excite.duration_s else "A duration of 0 s, endless,"
+            return Refusal("out-of-range", f"{supplied} is outside the gateway's limit, up to {longest_s:g} s.")
         low, high = excite.offset - abs(excite.amplitude), excite.offset + abs(excite.amplitude)
         offset, amplitude = int(wire.values["offset"]), abs(int(wire.values["amplitude"]))
         if excite.on_reference:

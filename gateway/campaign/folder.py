@@ -32,7 +32,7 @@ CE152 = Plant(name="ce152", mass_kg=8.28e-3, travel_m=5.7e-3, x_max_m=5.7e-3, gr
 
 
 @dataclass(slots=True, kw_only=True)
-class Kept:
+class Retained:
     """One recording of the folder."""
 
     bytes: int
@@ -85,7 +85,7 @@ class Folder:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.lift_off_v: float | None = None
-        self.kept: dict[str, Kept] = {}
+        self.retained: dict[str, Retained] = {}
         self._identity: dict[str, Any] | None = None
         if (path / RUN_FILE).exists():
             self._load()
@@ -102,7 +102,9 @@ class Folder:
                 raise DataError(f"{file} has format {table['format']}, this is {FORMAT}", remedy="Give a new folder")
             self.lift_off_v = table["lift_off_v"]
             self._identity = table["identity"]
-            self.kept = {name: Kept(**values) for name, values in table["recordings"].items() if name in BY_NAME}
+            self.retained = {
+                name: Retained(**values) for name, values in table["recordings"].items() if name in BY_NAME
+            }
         except (KeyError, TypeError) as error:
             raise DataError(f"{file} cannot be read ({error})", remedy=_READABLE) from None
 
@@ -112,7 +114,7 @@ class Folder:
         Raises:
             UsageError: the folder belongs to another one, or cannot be made.
         """
-        if self._identity is not None and self.kept:
+        if self._identity is not None and self.retained:
             for part, known in self._identity.items():
                 differing = [key for key in known if known[key] != identity[part].get(key)]
                 if differing:
@@ -135,14 +137,14 @@ class Folder:
         Raises:
             UsageError: it is there, but made by another plan.
         """
-        kept = self.kept.get(name)
+        retained = self.retained.get(name)
         file = self.file_of(name)
-        if kept is None or not file.is_file() or file.stat().st_size != kept.bytes:
+        if retained is None or not file.is_file() or file.stat().st_size != retained.bytes:
             return False
         known = json.loads(json.dumps(plan))  # as run.json would give it back
-        if kept.plan != known:
+        if retained.plan != known:
             raise UsageError(
-                f"{file} was made by another plan: {_difference(kept.plan, known)}",
+                f"{file} was made by another plan: {_difference(retained.plan, known)}",
                 remedy="Repeat the options of then, give a new folder, or delete that file to record it anew",
             )
         return True
@@ -151,7 +153,9 @@ class Folder:
         """Where a recording lies."""
         return self.path / f"{name}.mcap"
 
-    def keep(self, experiment: Experiment, recorded: Recorded, kept: Kept, controller: Controller | None) -> None:
+    def keep(
+        self, experiment: Experiment, recorded: Recorded, retained: Retained, controller: Controller | None
+    ) -> None:
         """Write a recording and list it.
 
         Raises:
@@ -169,14 +173,14 @@ class Folder:
             writer.abandon()
             beside.unlink(missing_ok=True)
             raise
-        kept.bytes = beside.stat().st_size
+        retained.bytes = beside.stat().st_size
         beside.replace(file)
-        self.kept[experiment.name] = kept
+        self.retained[experiment.name] = retained
         self.save(controller)
 
     def drop(self, name: str) -> None:
         """A recording that is to be made anew, or is not usable after all."""
-        self.kept.pop(name, None)
+        self.retained.pop(name, None)
 
     def save(self, controller: Controller | None) -> None:
         """Bring both lists up to date."""
@@ -185,17 +189,17 @@ class Folder:
             "format": FORMAT,
             "identity": self._identity,
             "lift_off_v": self.lift_off_v,
-            "recordings": {name: asdict(kept) for name, kept in self.kept.items()},
+            "recordings": {name: asdict(retained) for name, retained in self.retained.items()},
         }
         self._write(RUN_FILE, json.dumps(table, indent=1) + "\n")
-        if self.kept:
+        if self.retained:
             self._write("campaign.toml", self._campaign(Plant(**self._identity["plant"]), controller))
         else:
             (self.path / "campaign.toml").unlink(missing_ok=True)
 
     def _campaign(self, plant: Plant, controller: Controller | None) -> str:
         recordings = tuple(
-            Recording(file=f"{e.name}.mcap", kind=e.kind, use=e.use) for e in MENU if e.name in self.kept
+            Recording(file=f"{e.name}.mcap", kind=e.kind, use=e.use) for e in MENU if e.name in self.retained
         )
         comments = ["Made by `board51 campaign run`.  run.json beside it says how."]
         if plant == CE152:

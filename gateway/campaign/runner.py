@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from gateway.campaign import checks
-from gateway.campaign.folder import Folder, Kept, controller_of, identity_of, plan_of
+from gateway.campaign.folder import Folder, Retained, controller_of, identity_of, plan_of
 from gateway.campaign.menu import LIFT_OFF, Experiment
 from gateway.campaign.outcome import Outcome, Summary, Wishes
 from gateway.campaign.plan import (
@@ -115,8 +115,12 @@ class Runner:
         for outcome in summary.outcomes:
             e = outcome.experiment
             if self._folder.has(e.name, plan_of(e, self._limits, self._wishes.seed)):
-                kept = self._folder.kept[e.name]
-                outcome.standing, outcome.attempts, outcome.seconds = "already-there", kept.attempts, kept.seconds
+                retained = self._folder.retained[e.name]
+                outcome.standing, outcome.attempts, outcome.seconds = (
+                    "already-there",
+                    retained.attempts,
+                    retained.seconds,
+                )
                 continue
             self._folder.drop(e.name)
             plan = actions_of(e, self._scale(e))
@@ -242,14 +246,14 @@ class Runner:
     def _keep(self, outcome: Outcome, recorded: Recorded) -> None:
         e, first, last = outcome.experiment, recorded.states[0], recorded.states[-1]
         outcome.seconds = (last.tick - first.tick) * self._parameters.sample_time_s
-        kept = Kept(
+        retained = Retained(
             bytes=0,
             seconds=outcome.seconds,
             attempts=outcome.attempts,
             plan=plan_of(e, self._limits, self._wishes.seed),
             said=list(outcome.said),
         )
-        self._folder.keep(e, recorded, kept, controller_of(self._parameters))
+        self._folder.keep(e, recorded, retained, controller_of(self._parameters))
         outcome.standing = "recorded"
         if e.name == LIFT_OFF and self._folder.lift_off_v is not None:
             self._say(f"    the ball lifts off at u_c = {self._folder.lift_off_v:.3f} V")

@@ -69,16 +69,16 @@ def run(args: argparse.Namespace) -> int:
 def _options(name: str, benchmark: Callable[..., list[Row]], args: argparse.Namespace) -> dict[str, Any]:
     """The options that were given, as the benchmark takes them; `show` is how it prints more than rows."""
     taken = inspect.signature(benchmark).parameters
-    given = {key: getattr(args, key) for key in ("runs", "seed", "part", "results", "quick")}
-    given = {key: value for key, value in given.items() if value is not None}
-    superfluous = [f"--{key}" for key in given if key not in taken]
+    supplied = {key: getattr(args, key) for key in ("runs", "seed", "part", "results", "quick")}
+    supplied = {key: value for key, value in supplied.items() if value is not None}
+    superfluous = [f"--{key}" for key in supplied if key not in taken]
     if superfluous:
         raise UsageError(
             f"Benchmark {name} takes no {superfluous[0]}", remedy="Name only benchmarks that do, or drop it"
         )
     if "show" in taken and not args.json:
-        given["show"] = print
-    return given
+        supplied["show"] = print
+    return supplied
 
 
 def load(name: str) -> Callable[..., list[Row]]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from gateway.link.sink import Sink
 from protocol.bus import board51_pb2 as pb
 
-MAX_KEPT = 64
+MAX_RETAINED = 64
 KINDS = ("mark", "acknowledge")
 
 
@@ -38,6 +38,6 @@ class Annotations:
         return pb.CommandReply(id=command.id, accepted=True, tick=tick)
 
     def _keep(self, seen: pb.Acknowledge, who: str, host_ns: int) -> None:
-        others = [one for one in self.acknowledged if one.alarm != seen.alarm][-(MAX_KEPT - 1) :]
+        others = [one for one in self.acknowledged if one.alarm != seen.alarm][-(MAX_RETAINED - 1) :]
         new = pb.Acknowledgement(alarm=seen.alarm, who=who, host_time_ns=host_ns, comment=seen.comment)
         self.acknowledged = (*others, new)

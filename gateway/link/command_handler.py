@@ -34,11 +34,11 @@ from protocol.wire.events import Answer
 from protocol.wire.messages import Flag, Message, Mode, Reason
 from protocol.wire.session import Session
 
-KEPT_IDS = 256
-KEPT_S = 20.0  # longer than a command is fresh (access/authorize.py): no bytes are executed twice
+RETAINED_IDS = 256
+RETAINED_S = 20.0  # longer than a command is fresh (access/authorize.py): no bytes are executed twice
 MAX_WAITING = 32  # commands on their way to one board: at 0.5 s per time-out, a queue beyond it is not worth joining
 
-_NOT_KEPT = (
+_NOT_RETAINED = (
     "flood", "queue-full", "id-reused", "not-allowed", "not-fresh", "not-available", "link-down", "internal-error",
 )  # fmt: skip
 _NO_PORT = ("absent", "connecting")
@@ -76,7 +76,7 @@ class _Pending:
 
 
 @dataclass(slots=True)
-class _Kept:
+class _Retained:
     content: bytes
     reply: pb.CommandReply
     at_ns: int
@@ -106,7 +106,7 @@ class CommandHandler:
         self._gate = Gate(limits)
         self._session, self._known, self._sink, self._on_accepted = session, known, sink, accepted
         self._pending: dict[int, _Pending] = {}
-        self._kept: OrderedDict[str, _Kept] = OrderedDict()
+        self._retained: OrderedDict[str, _Retained] = OrderedDict()
         self._x_ref_m: float | None = None  # commanded, not yet seen in a state
         self._x_ref_tick: float = -1  # seen from this tick on
         self._mode_tick: float = -1
@@ -135,7 +135,7 @@ class CommandHandler:
             _logger.exception("a command")
             refusal = Refusal("internal-error", f"A fault of the gateway ({type(error).__name__}); its log says where.")
         if refusal is not None:
-            self._refuse(asked, refusal, keep=refusal.reason not in _NOT_KEPT)
+            self._refuse(asked, refusal, keep=refusal.reason not in _NOT_RETAINED)
 
     def _decide(self, asked: _Asked, now_s: float, link: str, reason: str, sender: Sender) -> Refusal | None:
         """Answer it, hand it on, or say why not."""
@@ -147,13 +147,15 @@ class CommandHandler:
             return self._stop(asked, now_s, link, reason)
         waiting = (one for pending in self._pending.values() for one in pending.asked)
         pending = next((one for one in waiting if one.command.id == command.id and not _is_stop(one.command)), None)
-        kept = self._kept.get(command.id)
-        if kept is not None or pending is not None:
-            same = _content(command) == (kept.content if kept else _content(pending.command) if pending else b"")
+        retained = self._retained.get(command.id)
+        if retained is not None or pending is not None:
+            same = _content(command) == (
+                retained.content if retained else _content(pending.command) if pending else b""
+            )
             if not same:
                 return Refusal("id-reused", "This id was used for another command; choose a new one.")
-            if kept is not None:
-                asked.replies[0](kept.reply)
+            if retained is not None:
+                asked.replies[0](retained.reply)
             elif pending is not None:
                 pending.replies += asked.replies
             return None
@@ -278,13 +280,13 @@ class CommandHandler:
         answer.CopyFrom(said)
         answer.id = command.id
         if keep and not _is_stop(command):
-            answer.repeat_until_ns = answered_ns + round(KEPT_S * 1e9)
-            self._kept[command.id] = _Kept(_content(command), answer, answered_ns)
-            while len(self._kept) > KEPT_IDS:
-                oldest = next(iter(self._kept.values()))
-                if 0 <= answered_ns - oldest.at_ns < KEPT_S * 1e9:
+            answer.repeat_until_ns = answered_ns + round(RETAINED_S * 1e9)
+            self._retained[command.id] = _Retained(_content(command), answer, answered_ns)
+            while len(self._retained) > RETAINED_IDS:
+                oldest = next(iter(self._retained.values()))
+                if 0 <= answered_ns - oldest.at_ns < RETAINED_S * 1e9:
                     break
-                self._kept.popitem(last=False)
+                self._retained.popitem(last=False)
         record = pb.CommandRecord(received_ns=asked.received_ns, answered_ns=answered_ns, command=command, reply=answer)
         self._sink.send("command/record", record, answered_ns)
         for reply in asked.replies:

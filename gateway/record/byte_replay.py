@@ -92,7 +92,7 @@ class RecordedBoard:
     def _take(self, time_ns: int, data: bytes) -> bytes:
         """Add a piece of whole frames; returns the unfinished one."""
         end = data.rfind(b"\x00") + 1
-        kept = bytearray()
+        retained = bytearray()
         sequence: int | None = None
         for frame in data[:end].split(b"\x00")[:-1]:
             if not frame:
@@ -107,9 +107,9 @@ class RecordedBoard:
                     continue
                 if event.name == "EVENT" and event.int("code") in RESETS:
                     self._resets.append(len(self.pieces))
-            kept += b"\x00" + frame + b"\x00"
-        if kept:
-            self.pieces.append(Piece(time_ns, bytes(kept), sequence))
+            retained += b"\x00" + frame + b"\x00"
+        if retained:
+            self.pieces.append(Piece(time_ns, bytes(retained), sequence))
         return data[end:]
 
     def _remember(self, message: Message) -> None:

@@ -11,7 +11,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.log.reader import LogReader
 
 CHANNELS = ("i_c_a", "x_m", "u_c_v", "x_ref_m")
-GAPS_KEPT = 1000  # a list is for reading; the sums go on
+GAPS_RETAINED = 1000  # a list is for reading; the sums go on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +49,7 @@ class SampleGaps:
             return
         self.count += 1
         self.missing += missing
-        if len(self.gaps) < GAPS_KEPT:
+        if len(self.gaps) < GAPS_RETAINED:
             self.gaps.append(
                 Gap(board=self.board, session=state.session, after_tick=last.tick, missing=missing, at_s=last.t_s)
             )

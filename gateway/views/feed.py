@@ -43,7 +43,7 @@ from protocol.bus.encoding import parse
 M = TypeVar("M", bound=Message)
 
 MAX_BOARDS = 64
-KEPT_EVENTS = 200
+RETAINED_EVENTS = 200
 SILENT_S = 0.5  # without a state for so long (and three of its periods) a board is not live
 GRACE_S = 2.0  # a board that is just being found is no alarm yet
 GATEWAY_S = 3.5  # status comes once a second: without it, three times over, there is no gateway
@@ -89,8 +89,8 @@ class BoardFeed:
         self._lock, self._now_s = lock, now_s
         self._latest: dict[str, Message] = {}
         self._at_s: dict[str, float] = {}
-        self._events: deque[pb.Event] = deque(maxlen=KEPT_EVENTS)
-        self._commands: deque[pb.CommandRecord] = deque(maxlen=KEPT_EVENTS)
+        self._events: deque[pb.Event] = deque(maxlen=RETAINED_EVENTS)
+        self._commands: deque[pb.CommandRecord] = deque(maxlen=RETAINED_EVENTS)
         self._taps: dict[str, list[TopicBins]] = {}
         self._book = AlarmBook(name)
         self._alive = True  # the gateway's token; until one was seen, its absence says nothing

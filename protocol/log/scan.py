@@ -173,11 +173,11 @@ class Scan:
 
     def _cut_chunk(self, content: bytes, at: int) -> Iterator[McapMessage]:
         plain = unpack_prefix(content)
-        kept = 0
+        retained = 0
         for message in self._inside(plain, cut=True):
-            kept += 1
+            retained += 1
             yield message
-        self._damage(at, self.size - at, f"{_CUT} a chunk ({kept} messages of it are whole)", chunk=content)
+        self._damage(at, self.size - at, f"{_CUT} a chunk ({retained} messages of it are whole)", chunk=content)
 
     def _inside(self, plain: bytes, *, cut: bool = False) -> Iterator[McapMessage]:
         """The messages among the records in `plain`."""

@@ -64,7 +64,7 @@ class TickUnwrapper:
         self._witnessed = 0  # the newest full tick that agreed
         self._witnessed_s = 0.0
         self._gap: Placed | None = None  # in time, but not the next one: waits for its successor
-        self._odd: tuple[State, float] | None = None  # too early, or back: waits for its successor
+        self._unexpected: tuple[State, float] | None = None  # too early, or back: waits for its successor
         self._claim: tuple[int, float] | None = None  # a full tick that contradicts the count
         self._lead = self._next_lead = 0.0
         self._window_end_s = 0.0
@@ -97,8 +97,8 @@ class TickUnwrapper:
 
     def give_up(self) -> None:
         """Nothing comes any more that could place what waits."""
-        self.unplaced += (self._gap is not None) + (self._odd is not None)
-        self._gap = self._odd = self._claim = None
+        self.unplaced += (self._gap is not None) + (self._unexpected is not None)
+        self._gap = self._unexpected = self._claim = None
 
     def stream(self, divider: int) -> None:
         """The board sends every n-th tick from now on; 0: none, and what it does not send is not lost."""
@@ -150,9 +150,9 @@ class TickUnwrapper:
         tick = self._candidate(state.sequence)
         if tick > self._latest(now_s):
             return self._too_early(state, now_s)
-        if self._odd is not None:
-            self._count_noise(self._odd[0])
-            self._odd = None
+        if self._unexpected is not None:
+            self._count_noise(self._unexpected[0])
+            self._unexpected = None
         return self._in_time(tick, state, now_s)
 
     def _in_time(self, tick: int, state: State, now_s: float) -> list[Placed | Jump]:
@@ -174,14 +174,14 @@ class TickUnwrapper:
         return []
 
     def _too_early(self, state: State, now_s: float) -> list[Placed | Jump]:
-        odd, self._odd = self._odd, (state, now_s)
+        unexpected, self._unexpected = self._unexpected, (state, now_s)
         self._quick = False
-        if odd is None:
+        if unexpected is None:
             return []
-        if not 0 < (state.sequence - odd[0].sequence) & 0xFFFF <= max(self.divider or 1, _EARLY_TICKS):
-            self._count_noise(odd[0])
+        if not 0 < (state.sequence - unexpected[0].sequence) & 0xFFFF <= max(self.divider or 1, _EARLY_TICKS):
+            self._count_noise(unexpected[0])
             return []
-        return self._jump(odd, (state, now_s))
+        return self._jump(unexpected, (state, now_s))
 
     def _jump(self, first: tuple[State, float], second: tuple[State, float]) -> list[Placed | Jump]:
         gap = self._gap
@@ -189,7 +189,7 @@ class TickUnwrapper:
         if ahead < _LATE_TICKS and (gap is None or gap.tick < self._last + ahead):
             # Two frames agree on a step forward that is too early by our clock: the board runs faster than it says
             # (an emulator at --speed 20).  The losses are real, the continuity too.
-            self._odd = self._gap = None
+            self._unexpected = self._gap = None
             tick = self._last + ahead
             self._arrived(tick, first[1])
             placed = [] if gap is None else [self._place(gap.tick, gap.state, gap.arrived_s)]

@@ -95,7 +95,7 @@ def play(
 
 def _line(o: Outcome) -> str:
     truth = " + ".join(f"{name}={value:.3g}" for name, value in zip(o.truths, o.strengths, strict=True)) or "nothing"
-    small = "".join(f", too small {name}" for name, _ in o.trifles)
+    small = "".join(f", too small {name}" for name, _ in o.minor_effects)
     said = o.message if o.status != "answered" else f"{o.verdict}: {', '.join(o.named) or '-'}{small}"
     mark = "?" if o.judgement is None or o.judgement.right is None else "+" if o.judgement.right else "-"
     return f"{mark} {o.part} {o.seed} {o.plant}: {truth} -> {said} ({o.diagnose_s:.0f} s)"

@@ -27,7 +27,7 @@ from tests.harness.diagnose.scoring import UNKNOWN, Answer, judge, read_answer
 from tests.harness.diagnose.tally import wilson
 from tests.harness.diagnose.trial import program_digest
 from twin.diagnose import settings
-from twin.diagnose.inference.budget import FULL, KEPT, QUICK, Budget
+from twin.diagnose.inference.budget import FULL, QUICK, RESERVED, Budget
 from twin.diagnose.pipeline import diagnose_records
 from twin.diagnose.result import to_json
 from twin.readers.campaign import read_campaign
@@ -102,7 +102,7 @@ def play(hidden: Hidden, *, full: bool, only: str = "") -> dict[str, Any]:
                         quick=not full,
                         share=settings.LEAST_SHARE,
                         workers=1,
-                        budget=Budget(FULL if full else QUICK, KEPT),
+                        budget=Budget(FULL if full else QUICK, RESERVED),
                     )
                 row["answers"][label] = _judged(hidden, read_answer(json.loads(json.dumps(to_json(found)))))
     return row
@@ -132,15 +132,19 @@ def draw() -> Iterator[tuple[Part, int]]:
 
 
 def table(rows: list[Mapping[str, Any]], full: bool) -> str:
-    """Markdown: each variant, with 95 % intervals after Wilson for the program as it is."""
+    """Markdown: each variant that changes an answer, with 95 % intervals after Wilson for the program as it is."""
     rows = [row for row in rows if row["full"] == full and row.get("answers")]
     by = {part: [row for row in rows if row["part"] == part] for part, _ in TURN}
-    lines = [
+    lines, same = [], []
+    head = [
         "| setting | one cause: right | its false names | nothing hidden: false names | unknown-cause "
         "| outside: false names | composites: truths found | its false names |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for label, _, _ in variants(full):
+        if label != AS_IT_IS and all(_same(row["answers"][label], row["answers"][AS_IT_IS]) for row in rows):
+            same.append(label)
+            continue
         said = {part: [row["answers"][label] for row in by[part]] for part in by}
         asked = [one for one in said["causes"] if one["right"] is not None]
         nulls, outside, several = said["nulls"], said["outside"], said["composites"]
@@ -154,7 +158,12 @@ def table(rows: list[Mapping[str, Any]], full: bool) -> str:
             (sum(one["false_names"] > 0 for one in several), len(several)),
         )
         lines.append(f"| {label} | " + " | ".join(_cell(*cell, wide=label == AS_IT_IS) for cell in cells) + " |")
-    return "\n".join(lines)
+    played = ", ".join(f"{len(by[part])} {part}" for part in by)
+    return "\n".join([played, "", *head, *lines, "", f"No answer changes: {', '.join(same)}."])
+
+
+def _same(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    return bool(one["verdict"] == other["verdict"] and one["named"] == other["named"])
 
 
 def _cell(hits: int, count: int, *, wide: bool) -> str:
@@ -170,7 +179,7 @@ def changes(rows: list[Mapping[str, Any]], full: bool) -> str:
             continue
         here = row["answers"][AS_IT_IS]
         for label, said in row["answers"].items():
-            if (said["verdict"], said["named"]) != (here["verdict"], here["named"]):
+            if not _same(said, here):
                 lines.append(
                     f"{row['part']} {row['seed']} ({', '.join(row['truths']) or 'nothing'}): "
                     f"{here['verdict']} {here['named']} -> {label}: {said['verdict']} {said['named']}"

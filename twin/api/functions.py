@@ -131,9 +131,9 @@ def diagnose(
     if budget is not None and not 0.0 < budget < math.inf:
         raise UsageError(f"--budget is {budget:g}", remedy="Give millions of filter steps, as 600")
     where = campaign.where if isinstance(campaign, Campaign) else str(campaign)
-    campaign, given = _campaign(campaign), None if model is None else _model(model)
+    campaign, reference = _campaign(campaign), None if model is None else _model(model)
     if rests_alone(campaign):
-        rest = diagnose_static(campaign, data=data, model=given, say=say)
+        rest = diagnose_static(campaign, data=data, model=reference, say=say)
         return Diagnosed(
             verdict=rest.verdict,
             sentence=sentence_of(rest),
@@ -147,7 +147,7 @@ def diagnose(
     found = pipeline.diagnose(
         campaign,
         data=data,
-        model=given,
+        model=reference,
         quick=quick,
         share=share,
         experiments=experiments,

@@ -187,8 +187,8 @@ class Diagnosed:
                     f" explains {percent(cause.share_of_excess_explained)}"
                     + (f"; these data cannot tell it from {others}" if others else "")
                 )
-            for trifle in found.trifles:
-                lines.append(f"  seen, too small to be named: {trifle.name} ({sizes(trifle.name, trifle.parameters)})")
+            for one in found.minor_effects:
+                lines.append(f"  seen, too small to be named: {one.name} ({sizes(one.name, one.parameters)})")
         lines += [f"  ! {warning}" for warning in self.warnings]
         if saved_in is not None:
             lines += [f"report   {saved_in / 'report.html'}", f"model    {saved_in / 'extended_model.json'}"]

@@ -72,11 +72,11 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--out {args.out}: unknown kind of picture", remedy=f"End it in {', '.join(SUFFIXES)}")
     if args.board:
         check_name(args.board, what="--board")
-    given = args.model is not None
+    supplied = args.model is not None
     args.model = args.model or SHIPPED[0]
     model, settings = chosen_model(args), chosen_settings(args)
 
-    traces = {} if given else _from_topics(args.log, args.board)
+    traces = {} if supplied else _from_topics(args.log, args.board)
     source = "the twin that was logged"
     if not traces:
         traces, source = _from_run(args.log, args.board, model, settings), f"the model {args.model}"
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     title = f"{board}, {args.log.name}: measured against {source}"
     try:
         if args.span:
-            _draw_spans(args, board, trace, title, given=args.model if given else "")
+            _draw_spans(args, board, trace, title, supplied=args.model if supplied else "")
         else:
             _draw(args, board, trace, title, model, settings)
     except OSError as error:
@@ -113,7 +113,7 @@ def _draw(args: argparse.Namespace, board: str, trace: Traces, title: str, model
     draw(trace, args.out, nis_on=nis_on, error_on=error_on, title=title)
 
 
-def _draw_spans(args: argparse.Namespace, board: str, trace: Traces, title: str, *, given: str) -> None:
+def _draw_spans(args: argparse.Namespace, board: str, trace: Traces, title: str, *, supplied: str) -> None:
     from twin.mirror.plots.spans import Column, draw_spans
 
     columns = []
@@ -122,7 +122,7 @@ def _draw_spans(args: argparse.Namespace, board: str, trace: Traces, title: str,
         if len(part.rows) < 2:
             raise DataError(f"{args.log}: no samples in --span {begin:g}:{end:g}", remedy="Look at `board51 info`")
         if not label:
-            ran = given or _model_at(args.log, board, end)
+            ran = supplied or _model_at(args.log, board, end)
             label = f"twin of {ran}" if ran else f"from {begin:g} s"
         columns.append(Column(traces=part, label=label))
     draw_spans(columns, args.out, title=title)

@@ -25,10 +25,10 @@ from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import Theta
 from twin.diagnose.judge.account import Account, Verdict, account_of, beyond_floor, verdict_of
-from twin.diagnose.judge.given_model import off_sentence, theta_of
 from twin.diagnose.judge.prediction_gain import HORIZONS_S, Gain, gain
+from twin.diagnose.judge.reference_model import off_sentence, theta_of
 from twin.diagnose.report.model_file import model_of
-from twin.diagnose.report.other_causes import missing_channels, not_testable, ruled_out, trifles_of
+from twin.diagnose.report.other_causes import minor_effects_of, missing_channels, not_testable, ruled_out
 from twin.diagnose.report.sentences import (
     answer_sentence,
     beginning_sentence,
@@ -137,14 +137,16 @@ def told(
     elif at_20_ms is not None and beyond_floor(at_20_ms):
         where = beyond_sentence(at_20_ms)
         warnings.append(f"not all is explained {where}")
-    trifles = tuple(trifles_of(criterion, found)) if done.fine and done.change is None else ()
+    minor_effects = tuple(minor_effects_of(criterion, found)) if done.fine and done.change is None else ()
     diagnosis = Diagnosis(
         verdict=verdict,
         sentence="",
         causes=tuple(findings),
         not_testable=tuple(not_testable(found, records)),
-        trifles=trifles,
-        ruled_out=tuple(ruled_out(found, {*_names(findings), *(one.name for one in trifles)})) if finished else (),
+        minor_effects=minor_effects,
+        ruled_out=tuple(ruled_out(found, {*_names(findings), *(one.name for one in minor_effects)}))
+        if finished
+        else (),
         account=account,
         unexplained_where=where,
         gains=worth.gains,
@@ -299,7 +301,7 @@ def _proposals(criterion: Criterion, found: Selection, campaign: Campaign, asked
             continue
         best = ranked[0]
         outside = tuple(
-            f"{pair.own} and {pair.rival}: no experiment on this rig tells them apart; {pair.measurement}"
+            f"{pair.own} and {pair.confounder}: no experiment on this rig tells them apart; {pair.measurement}"
             for pair in best.pairs
             if not pair.separable
         )

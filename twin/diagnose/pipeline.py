@@ -23,18 +23,18 @@ from protocol.errors import DataError
 from twin.diagnose import settings
 from twin.diagnose.assemble import Asked, Say, Searched, testable_causes, timed, told
 from twin.diagnose.checks.change_point import find_change
-from twin.diagnose.checks.outlier_recording import Odd, odd_one
+from twin.diagnose.checks.outlier_recording import Outlier, find_outlier
 from twin.diagnose.evidence.gather import Evidence, gather
 from twin.diagnose.evidence.shorten import shortened
 from twin.diagnose.inference.adequacy import adequate
-from twin.diagnose.inference.budget import FULL, KEPT, QUICK, Budget, Spent, millions
+from twin.diagnose.inference.budget import FULL, QUICK, RESERVED, Budget, Spent, millions
 from twin.diagnose.inference.fisher_scoring import climb
 from twin.diagnose.inference.initial_guess import no_better, start_theta
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import floor_of
 from twin.diagnose.inference.theta import BASE, STOPS, Theta
-from twin.diagnose.judge.given_model import check_plant
-from twin.diagnose.report.sentences import change_sentence, odd_sentence
+from twin.diagnose.judge.reference_model import check_plant
+from twin.diagnose.report.sentences import change_sentence, outlier_sentence
 from twin.diagnose.result import Diagnosis
 from twin.diagnose.search.stepwise import select
 from twin.estimation.innovations import FLIES, FOLLOWS
@@ -67,8 +67,8 @@ def diagnose(
         campaign: of `protocol.campaign.load`.
         data: folder of recordings that are not beside the campaign.
         model: the simulation to be judged; default: the paper's model, identified from the campaign itself.
-        quick: fewer candidates are fitted to shorter flights, and nothing is asked about stand-ins of several causes or
-            a change in the middle: confidence is not calibrated.
+        quick: fewer candidates are fitted to shorter flights, and nothing is asked about confounders of several
+            causes or a change in the middle: confidence is not calibrated.
         share: least part of what is left that a cause must explain; with a smaller one confidence is not calibrated.
         experiments: ask which experiment tells the causes of a class apart; default: not where `quick`.
         seed: of the bootstrap.
@@ -97,7 +97,7 @@ def diagnose(
         experiments=experiments,
         seed=seed,
         workers=workers,
-        budget=Budget(budget or (QUICK if quick else FULL), KEPT),
+        budget=Budget(budget or (QUICK if quick else FULL), RESERVED),
         say=say,
     )
 
@@ -114,7 +114,7 @@ def diagnose_records(
     seed: int = 0,
     workers: int = 2,
     budget: Budget | None = None,
-    look_for_odd: bool = True,
+    look_for_outlier: bool = True,
     say: Say = lambda line: None,
 ) -> Diagnosis:
     """As `diagnose`, on recordings in memory; one that contradicts all others is left out, where asked for."""
@@ -152,13 +152,13 @@ def diagnose_records(
         done = _search(criterion, start, records, asked, stages)
         if not done.fine and quick:
             warnings.append(UNASKED)
-        odd = _odd_one(criterion, done) if look_for_odd and not done.fine else None
-        if odd is not None:
-            say(f"{odd.name} contradicts the others: once more without it")
+        outlier = _outlier(criterion, done) if look_for_outlier and not done.fine else None
+        if outlier is not None:
+            say(f"{outlier.name} contradicts the others: once more without it")
             (left,) = budget.shares(1)
             rest = diagnose_records(
                 campaign,
-                [record for place, record in enumerate(everything) if place != odd.recording],
+                [record for place, record in enumerate(everything) if place != outlier.recording],
                 judges,
                 model=model,
                 quick=quick,
@@ -167,14 +167,14 @@ def diagnose_records(
                 seed=seed,
                 workers=workers,
                 budget=left,
-                look_for_odd=False,
+                look_for_outlier=False,
                 say=say,
             )
             budget.settle([left])
             if rest.verdict == "unfinished":
-                budget.unanswered.append(f"whether the others agree without {odd.name}")
+                budget.unanswered.append(f"whether the others agree without {outlier.name}")
             elif rest.verdict != "unknown-cause":
-                return without_odd(replace(rest, budget=budget), odd)
+                return without_outlier(replace(rest, budget=budget), outlier)
         if (change := done.change) is not None:
             closing.callback(done.criterion.close)
             warnings.append(change_sentence(change))
@@ -190,9 +190,9 @@ def _with_share(say: Say, budget: Budget) -> Say:
     return lambda line: say(f"{100.0 * budget.used:3.0f} %  {line}")
 
 
-def _odd_one(criterion: Criterion, done: Searched) -> Odd | None:
+def _outlier(criterion: Criterion, done: Searched) -> Outlier | None:
     with suppress(Spent), criterion.budget.question("whether one recording contradicts all others"):
-        return odd_one(criterion, done.base, done.floor)
+        return find_outlier(criterion, done.base, done.floor)
     return None
 
 
@@ -200,17 +200,17 @@ def _prepared(campaign: Campaign, records: Sequence[Record], quick: bool) -> tup
     """(recordings without dead channels, shortened for `quick`; what is to be said about them)."""
     warnings = [note for record in records for note in record.notes]
     warnings += inspect(list(records), campaign.plant, campaign.controller)
-    kept: list[Record] = []
+    retained: list[Record] = []
     for record in records:
         # Elsewhere a ball may lie still, or beyond the range of its sensor.
         asked = [record] if record.kind in ("closed-loop", "prbs") else []
         alive, dead = without_dead(asked, campaign.plant)
-        kept += alive or [record]
+        retained += alive or [record]
         warnings += dead
     if quick:
-        kept, said = shortened(kept)
+        retained, said = shortened(retained)
         warnings += [said] if said else []
-    return kept, warnings
+    return retained, warnings
 
 
 def _search(
@@ -250,9 +250,9 @@ def _search(
     return Searched(criterion=criterion, base=base, floor=floor, found=found, fine=fine, why_not=why_not, change=change)
 
 
-def without_odd(rest: Diagnosis, odd: Odd) -> Diagnosis:
+def without_outlier(rest: Diagnosis, outlier: Outlier) -> Diagnosis:
     """The diagnosis of the others, with what was left out."""
-    said = odd_sentence(odd)
+    said = outlier_sentence(outlier)
     return replace(rest, sentence=f"{rest.sentence} But {said}.", warnings=(said, *rest.warnings))
 
 

@@ -73,7 +73,7 @@ class RuledOut:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trifle:
+class MinorEffect:
     """A cause that gains more than chance does, and too little beside what was named to be named itself."""
 
     name: str
@@ -89,7 +89,7 @@ class Diagnosis:
     sentence: str  # the answer, for people
     causes: tuple[Finding, ...]
     not_testable: tuple[NotTestable, ...]
-    trifles: tuple[Trifle, ...]
+    minor_effects: tuple[MinorEffect, ...]
     ruled_out: tuple[RuledOut, ...]
     account: Account  # of what the paper's model lacks
     unexplained_where: str
@@ -124,13 +124,13 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "causes": [_finding(cause) for cause in found.causes if found.holds(cause)],
         "candidates": [_finding(cause) for cause in found.causes if not found.holds(cause)],
         "not_testable": [{"name": entry.name, "why": entry.why} for entry in found.not_testable],
-        "trifles": [
+        "minor_effects": [
             {
-                "name": trifle.name,
-                "parameters": _parameters(trifle.parameters),
-                "log_likelihood_gain": _number(trifle.loglik_gain),
+                "name": minor_effect.name,
+                "parameters": _parameters(minor_effect.parameters),
+                "log_likelihood_gain": _number(minor_effect.loglik_gain),
             }
-            for trifle in found.trifles
+            for minor_effect in found.minor_effects
         ],
         "ruled_out": [{"name": entry.name, "why": entry.why} for entry in found.ruled_out],
         "jointly_explained": {"share_of_excess": _number(found.account.jointly)},

@@ -16,9 +16,9 @@ from twin.estimation.record import BoolArray, FloatArray, Record, runs
 
 HELD_SAMPLES = 25  # 50 ms: four times the time constant of the unstable pole
 HELD_SCALES = 10.0  # of the sensor noise, largest spread while held
-HOP_SAMPLES = 5  # 10 ms: a ball that hops is off its place for longer
-HOP_APART = 10  # a hop begins and ends at rest
-HOP_SCALES = 10.0  # of the mean of so many readings, as it spreads in the same rest
+BOUNCE_SAMPLES = 5  # 10 ms: a ball that bounces is off its place for longer
+BOUNCE_APART = 10  # a bounce begins and ends at rest
+BOUNCE_SCALES = 10.0  # of the mean of so many readings, as it spreads in the same rest
 NEAR_SHARE = 0.25  # of the travel: as far as a stop may seem displaced
 AGREE_SHARE = 0.06  # of the travel: by this much the same stop may differ between recordings (crosstalk, drift)
 EDGE_SAMPLES = 4  # left out at both ends of a rest: the ball rocks
@@ -48,7 +48,7 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
     held = maximum_filter1d(core.astype(np.uint8), HELD_SAMPLES) > 0  # a window that is still is still at its ends
     held &= known
     for piece in _rests(held, x, HELD_SCALES * least):
-        held[piece] &= ~_hops(record.i_c[piece], x[piece], held[piece], least)
+        held[piece] &= ~_bounces(record.i_c[piece], x[piece], held[piece], least)
     follows_reference = np.abs(x - record.x_ref) < 0.03 * plant.travel_m  # NaN compares False
     if record.kind == "free" and record.has("x_ref") and np.mean(follows_reference) > 0.5:
         held[:] = False
@@ -56,7 +56,7 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
 
 
 def _rests(held: BoolArray, x: FloatArray, near_m: float) -> list[slice]:
-    """Where the ball is held, those together that a hop has cut in two: 50 ms apart at most, at one height."""
+    """Where the ball is held, those together that a bounce has cut in two: 50 ms apart at most, at one height."""
     rests: list[slice] = []
     for piece in runs(held, HELD_SAMPLES):
         last = rests[-1] if rests else None
@@ -68,18 +68,18 @@ def _rests(held: BoolArray, x: FloatArray, near_m: float) -> list[slice]:
     return rests
 
 
-def _hops(i_c: FloatArray, x: FloatArray, held: BoolArray, sigma: float) -> BoolArray:
+def _bounces(i_c: FloatArray, x: FloatArray, held: BoolArray, sigma: float) -> BoolArray:
     """Where a ball that lies otherwise leaves its place for a moment, shape (n,), by less than a rest may spread.
 
     Just before it lifts off for good, a force that comes and goes raises it by some ten micrometres.
     """
     place = line_over(i_c[held], x[held])(i_c) if np.isfinite(i_c).all() else np.median(x[held])
-    off = uniform_filter1d(x - place, HOP_SAMPLES)
-    spread = max(1.4826 * float(np.median(np.abs(off[held]))), sigma / np.sqrt(HOP_SAMPLES))
-    away = np.abs(off) > HOP_SCALES * spread
+    off = uniform_filter1d(x - place, BOUNCE_SAMPLES)
+    spread = max(1.4826 * float(np.median(np.abs(off[held]))), sigma / np.sqrt(BOUNCE_SAMPLES))
+    away = np.abs(off) > BOUNCE_SCALES * spread
     for piece in runs(away, 1):
         # A ball that does not come back to rest took off there, or came to rest.
-        away[piece] = piece.start >= HOP_APART and len(x) - piece.stop >= HOP_APART
+        away[piece] = piece.start >= BOUNCE_APART and len(x) - piece.stop >= BOUNCE_APART
     return np.asarray(away)
 
 

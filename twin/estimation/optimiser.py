@@ -33,7 +33,7 @@ class Slopes:
     fisher: FloatArray  # information, shape (count, count)
     exact: bool = True
     fresh: bool = True  # from this very point
-    kept: Any = None  # whatever `Surface` wants to see again
+    retained: Any = None  # whatever `Surface` wants to see again
 
 
 class Surface(Protocol[P]):

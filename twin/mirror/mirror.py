@@ -188,7 +188,7 @@ class Mirror:
             self.counters["mode_changes"] += 1
             self._stop()
         elif last is not None and self._flying:
-            bridged = self._bridge(last, now.tick - last.tick - 1)
+            bridged = self._bridge_lost(last, now.tick - last.tick - 1)
         if not self._flying:
             consecutive = last is not None and last.session == now.session and now.tick == last.tick + 1 and not loss
             self._start(now, last if consecutive else None)
@@ -271,7 +271,7 @@ class Mirror:
         self._flying = False
         self.comparison.interrupt()
 
-    def _bridge(self, last: Sample, missing: int) -> int:
+    def _bridge_lost(self, last: Sample, missing: int) -> int:
         regime = self._regime
         if regime is None or missing == 0:
             return 0

@@ -66,35 +66,37 @@ class Noise:
 
 
 NOISE: dict[str, Any] = {name: bounds(hint) for name, hint in keys_of(Noise).items()}
-_GIVEN = BeforeValidator(needs("verdict", "method", "equation"))
-_Parameters = Mapping[str, Annotated[Parameter, _GIVEN]]
+_SUPPLIED = BeforeValidator(needs("verdict", "method", "equation"))
+_Parameters = Mapping[str, Annotated[Parameter, _SUPPLIED]]
 
 
-def _fits(name: str, given: Parameter, unit: str, low: float, high: float) -> None:
-    if given.unit != unit:
+def _fits(name: str, supplied: Parameter, unit: str, low: float, high: float) -> None:
+    if supplied.unit != unit:
         raise RuleError(
-            f".unit = {given.unit!r} is not {unit!r}", remedy=f"Convert the value to {unit!r}", key=f"{name}"
+            f".unit = {supplied.unit!r} is not {unit!r}", remedy=f"Convert the value to {unit!r}", key=f"{name}"
         )
-    if not low <= given.value <= high:
+    if not low <= supplied.value <= high:
         raise RuleError(
-            f".value = {given.value:g} is not in {low:g} .. {high:g}",
+            f".value = {supplied.value:g} is not in {low:g} .. {high:g}",
             remedy="Check the unit and the power of ten",
             key=name,
         )
 
 
-def _all_fit(given: Mapping[str, Parameter], known: Mapping[str, tuple[str, float, float]]) -> Mapping[str, Parameter]:
+def _all_fit(
+    supplied: Mapping[str, Parameter], known: Mapping[str, tuple[str, float, float]]
+) -> Mapping[str, Parameter]:
     """The parameters in the order of those that are known, each in its unit and within its physical range."""
-    for name in (*known, *given):
-        if name not in given or name not in known:
+    for name in (*known, *supplied):
+        if name not in supplied or name not in known:
             problem = " is missing" if name in known else " is not a parameter"
             raise RuleError(problem, remedy=f"They are {', '.join(known)}", key=name)
-        _fits(name, given[name], *known[name])
-    return {name: given[name] for name in known}
+        _fits(name, supplied[name], *known[name])
+    return {name: supplied[name] for name in known}
 
 
-def _of_the_paper(given: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
-    return _all_fit(given, PARAMETERS)
+def _of_the_paper(supplied: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
+    return _all_fit(supplied, PARAMETERS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -89,9 +89,9 @@ def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None
         # r of neighbouring lags moves together as far as u_c does: their covariance is u_c's autocorrelation / n.
         of_u = np.concatenate(([1.0], u_products[:-1] / u_pairs[:-1] / (u_power / u_count)))
         values, vectors = np.linalg.eigh(toeplitz(of_u))
-        kept = values > 1e-3 * values.max()
-        statistic = float(np.mean(cross_pairs)) * float(np.sum((vectors.T @ r)[kept] ** 2 / values[kept]))
-        p_input = float(chi2.sf(statistic, int(kept.sum())))
+        retained = values > 1e-3 * values.max()
+        statistic = float(np.mean(cross_pairs)) * float(np.sum((vectors.T @ r)[retained] ** 2 / values[retained]))
+        p_input = float(chi2.sf(statistic, int(retained.sum())))
     size = power / count
     # The stated noise comes from a record about as long as this one: both estimates scatter by sqrt(2 / n).
     bound = BOUND_99 * np.sqrt(4.0 / count)

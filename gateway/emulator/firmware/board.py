@@ -38,7 +38,7 @@ from protocol.wire.codec import decode_body, encode_body, pack_pair
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import BY_NAME, BY_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Value
 
-KEPT_IDS = 8
+RETAINED_IDS = 8
 PENDING_COMMANDS = 8
 HOST_LOSS_MS = 500
 _PLANT_STEP_US = 20
@@ -82,7 +82,7 @@ class Firmware:
         self._inbox = Inbox()
         self._pending: deque[tuple[bytes, Message | None, Nack | None]] = deque()
         self._session: int | None = None
-        self._kept: deque[tuple[int, int, bytes, Priority]] = deque(maxlen=KEPT_IDS)  # id, type, frame
+        self._retained: deque[tuple[int, int, bytes, Priority]] = deque(maxlen=RETAINED_IDS)  # id, type, frame
         self._divider = 1
         self._policy = HostLoss.COIL_OFF
         self._timeout_ms = HOST_LOSS_MS
@@ -210,10 +210,10 @@ class Firmware:
             if message is not None and message.name == "HELLO":
                 self._answer(body, self._hello(message), keep=False)
                 continue
-            kept = next((entry for entry in self._kept if entry[0] == body[1]), None)
-            if kept is not None and kept[1] == body[0]:
-                self.outbox.put(kept[2], kept[3])
-            elif kept is not None:
+            retained = next((entry for entry in self._retained if entry[0] == body[1]), None)
+            if retained is not None and retained[1] == body[0]:
+                self.outbox.put(retained[2], retained[3])
+            elif retained is not None:
                 self._answer(body, Nack(Reason.BUSY), keep=False)
             elif message is None:
                 # Not kept: noise at the end of a good frame may leave the CRC right and the length wrong, and the
@@ -250,8 +250,8 @@ class Firmware:
         frame = encode_frame(encode_body(answer.name, id=body[1], **answer.values))
         priority = _PRIORITY.get(answer.name, Priority.ANSWER)
         if keep:
-            self._kept = deque((entry for entry in self._kept if entry[0] != body[1]), maxlen=KEPT_IDS)
-            self._kept.append((body[1], body[0], frame, priority))
+            self._retained = deque((entry for entry in self._retained if entry[0] != body[1]), maxlen=RETAINED_IDS)
+            self._retained.append((body[1], body[0], frame, priority))
         self.outbox.put(frame, priority)
 
     def _hello(self, message: Message) -> Acceptance | Nack:
@@ -259,7 +259,7 @@ class Firmware:
             return Nack(Reason.VERSION, VERSION)
         if message.int("session") != self._session:
             self._session = message.int("session")
-            self._kept.clear()
+            self._retained.clear()
         return identity(self._board_id, self.next_tick, self._reset_cause)
 
     def _leave(self) -> bool:

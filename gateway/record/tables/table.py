@@ -76,21 +76,21 @@ def read_csv(path: Path) -> Table:
         lines = read_csv_bytes(path).decode("utf-8").splitlines()
     except UnicodeDecodeError:
         raise DataError(f"{path} is not text", remedy="Name a CSV file in UTF-8, or a MATLAB file with .mat") from None
-    kept = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
-    if not kept:
+    retained = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    if not retained:
         raise DataError(f"{path} is empty", remedy="Name a file with a line of column names and rows of numbers")
-    separator = max(",;\t", key=kept[0][1].count)
-    names = tuple(cell.strip() for cell in _split(kept[0][1], separator))
-    where = f"{path}, line {kept[0][0]}"
-    if len(kept) > 1:
-        check_table(path, names, _split(kept[1][1], separator))
+    separator = max(",;\t", key=retained[0][1].count)
+    names = tuple(cell.strip() for cell in _split(retained[0][1], separator))
+    where = f"{path}, line {retained[0][0]}"
+    if len(retained) > 1:
+        check_table(path, names, _split(retained[1][1], separator))
     if any(is_number(name) for name in names):
         raise DataError(f"{where} holds numbers instead of column names", remedy="Put the names into the first line")
     if len(set(names)) != len(names) or "" in names:
         twice = next((name for name in names if names.count(name) > 1 or not name), "")
         raise DataError(f"{where}: column name {twice!r} is empty or there twice", remedy="Give each its own name")
-    rows = [_split(line, separator) for _, line in kept[1:]]
-    numbers = [number for number, _ in kept[1:]]
+    rows = [_split(line, separator) for _, line in retained[1:]]
+    numbers = [number for number, _ in retained[1:]]
     if not rows:
         raise DataError(f"{path} has column names but no rows", remedy="Name a file with data")
     for number, row in zip(numbers, rows, strict=True):

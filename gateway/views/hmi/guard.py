@@ -212,8 +212,8 @@ def _cookie(headers: dict[str, str]) -> str:
     return jar[name].value if name in jar else ""
 
 
-def _bears_token(given: str, session: LoginSession | None) -> bool:
-    return session is not None and hmac.compare_digest(given.encode(), session.csrf.encode())
+def _bears_token(supplied: str, session: LoginSession | None) -> bool:
+    return session is not None and hmac.compare_digest(supplied.encode(), session.csrf.encode())
 
 
 def _too_long(headers: dict[str, str]) -> bool:

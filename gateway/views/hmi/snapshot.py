@@ -131,7 +131,7 @@ def _status(board: BoardFeed) -> dict[str, Any] | None:
         "samples_per_s": round(status.samples_per_s),
         "lost": status.samples_lost,
         "bad_frames": sum(count for cause, count in status.bad_frames.items() if cause in CAUSES),
-        "odd": {cause: count for cause, count in status.bad_frames.items() if cause not in CAUSES and count},
+        "unexpected": {cause: count for cause, count in status.bad_frames.items() if cause not in CAUSES and count},
         "latency_p99_ms": number(status.latency_p99_ms, 2),
         "line_load": round(100 * status.line_load),
         "dropped": status.publish_dropped,

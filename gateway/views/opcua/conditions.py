@@ -94,14 +94,14 @@ class Conditions:
             await self._server.subscription_service.trigger_event(emitted)
 
     @staticmethod
-    def _newest(kept: tuple[Any, ...]) -> Any:
-        return kept[-1] if kept else None
+    def _newest(retained: tuple[Any, ...]) -> Any:
+        return retained[-1] if retained else None
 
     @staticmethod
-    def _after(kept: tuple[Any, ...], last: Any) -> tuple[Any, ...]:
+    def _after(retained: tuple[Any, ...], last: Any) -> tuple[Any, ...]:
         """Those after `last`; all that are kept where it has dropped out."""
-        place = next((n for n in range(len(kept) - 1, -1, -1) if kept[n] is last), -1)
-        return kept[place + 1 :]
+        place = next((n for n in range(len(retained) - 1, -1, -1) if retained[n] is last), -1)
+        return retained[place + 1 :]
 
 
 def _condition_event(alarm: Alarm, condition: ConditionNode, *, retain: bool) -> Any:

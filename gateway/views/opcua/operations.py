@@ -119,14 +119,14 @@ def called(method: Method, inputs: list[ua.Variant]) -> pb.Command | tuple[int, 
     what: Any = getattr(command, method.act)
     what.SetInParent()
     codes: list[int] = []
-    for argument, given in zip(wanted, inputs, strict=True):
-        code = int(S.Good) if is_of(given, argument.variant, is_array=argument.is_array) else int(S.BadTypeMismatch)
+    for argument, supplied in zip(wanted, inputs, strict=True):
+        code = int(S.Good) if is_of(supplied, argument.variant, is_array=argument.is_array) else int(S.BadTypeMismatch)
         if code == S.Good:
             try:
                 if argument.is_array:
-                    getattr(what, argument.name).extend(given.Value)
-                elif given.Value is not None:  # a null string is OPC UA's way to leave it empty
-                    setattr(what, argument.name, given.Value)
+                    getattr(what, argument.name).extend(supplied.Value)
+                elif supplied.Value is not None:  # a null string is OPC UA's way to leave it empty
+                    setattr(what, argument.name, supplied.Value)
             except ValueError:
                 code = int(S.BadOutOfRange)
         codes.append(code)
@@ -135,11 +135,11 @@ def called(method: Method, inputs: list[ua.Variant]) -> pb.Command | tuple[int, 
     return command
 
 
-def is_of(given: ua.Variant, variant: ua.VariantType, *, is_array: bool) -> bool:
+def is_of(supplied: ua.Variant, variant: ua.VariantType, *, is_array: bool) -> bool:
     """Whether it is just of that type: a server converts nothing (Part 4, 5.11.4 and 5.12.2).
 
     A Float that was meant as a Double is 3.0000000260770321e-3 m where the sender wrote 3 mm.
     """
-    if given.Value is None:
-        return variant in _NULLABLE and given.VariantType in (variant, ua.VariantType.Null)
-    return given.VariantType is variant and isinstance(given.Value, list) == is_array and not given.Dimensions
+    if supplied.Value is None:
+        return variant in _NULLABLE and supplied.VariantType in (variant, ua.VariantType.Null)
+    return supplied.VariantType is variant and isinstance(supplied.Value, list) == is_array and not supplied.Dimensions

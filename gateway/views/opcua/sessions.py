@@ -313,10 +313,10 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         """Part 9, 5.5.4 to 5.5.8 and 5.7.3: status code, and one for each argument where one is wrong."""
         if len(inputs) != len(types):
             return int(S.BadArgumentsMissing if len(inputs) < len(types) else S.BadTooManyArguments), []
-        fit = [is_of(given, variant, is_array=False) for given, variant in zip(inputs, types, strict=True)]
+        fit = [is_of(supplied, variant, is_array=False) for supplied, variant in zip(inputs, types, strict=True)]
         if not all(fit):
             return int(S.BadInvalidArgument), [int(S.Good if one else S.BadTypeMismatch) for one in fit]
-        values = [given.Value for given in inputs]
+        values = [supplied.Value for supplied in inputs]
         if name == "refresh":
             if self._is_foreign(values[0]):
                 return int(S.BadSubscriptionIdInvalid), []

@@ -12,7 +12,7 @@ from gateway.board.limits import Gate
 from gateway.board.scaling import Refusal
 from gateway.config import BoardConfig, LimitsConfig
 from gateway.link.clock import HostClock
-from gateway.link.command_handler import KEPT_IDS, KEPT_S
+from gateway.link.command_handler import RETAINED_IDS, RETAINED_S
 from gateway.link.driver import BoardDriver
 from gateway.link.io_thread import LinkThread
 from protocol.bus import board51_pb2 as pb
@@ -96,7 +96,7 @@ def test_on_a_bus_that_is_not_guarded_a_command_may_be_undated_and_nobody_has_a_
 
 
 def test_ids_are_remembered_for_longer_than_a_command_is_fresh() -> None:
-    assert KEPT_S > MAX_AGE_S + MAX_AHEAD_S
+    assert RETAINED_S > MAX_AGE_S + MAX_AHEAD_S
 
 
 def test_many_commands_do_not_make_the_desk_forget_one_that_is_still_fresh() -> None:
@@ -112,7 +112,7 @@ def test_many_commands_do_not_make_the_desk_forget_one_that_is_still_fresh() -> 
         link.start()
         try:
             wait_for(lambda: driver.link == "streaming", "stream")
-            for n in (*range(KEPT_IDS + 50), 0):
+            for n in (*range(RETAINED_IDS + 50), 0):
                 now_ns = time.time_ns()
                 by = Sender(name="ben", role=Role.OPERATOR, arrived_ns=now_ns, started_ns=START_NS)
                 command = pb.Command(id=str(n), issued_ns=now_ns, set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP))
@@ -124,7 +124,7 @@ def test_many_commands_do_not_make_the_desk_forget_one_that_is_still_fresh() -> 
 
     assert all(reply.accepted for reply in replies)
     assert replies[-1] == replies[0]
-    assert board.names().count("SET_MODE") == KEPT_IDS + 50
+    assert board.names().count("SET_MODE") == RETAINED_IDS + 50
 
 
 def test_one_sender_has_a_share_and_gets_it_back() -> None:

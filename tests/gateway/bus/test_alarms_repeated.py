@@ -99,12 +99,14 @@ def test_an_acknowledgement_is_an_event_a_record_and_kept(tmp_path: Path) -> Non
             event = bus.await_event("acknowledged")
             with client(config.zenoh.listen[0]) as late:
                 wait_for(lambda: newest(late).acknowledged, "acknowledgement for who came late")
-                kept = list(newest(late).acknowledged)
+                retained = list(newest(late).acknowledged)
 
     assert first.accepted
     assert second.accepted
     assert event.text == "test: divergence-x cold coil"
-    assert [(one.alarm, one.who, one.comment) for one in kept] == [("divergence-x", "test", "")], "the latest of a name"
+    assert [(one.alarm, one.who, one.comment) for one in retained] == [("divergence-x", "test", "")], (
+        "the latest of a name"
+    )
     logged = [m.message for log in tmp_path.glob("*.mcap") for m in read(log)]
     records = [m for m in logged if isinstance(m, pb.CommandRecord) and m.command.id == "a"]
     assert [(r.command.who, r.command.acknowledge.alarm) for r in records] == [("test", "divergence-x")]

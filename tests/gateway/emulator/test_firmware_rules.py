@@ -214,12 +214,12 @@ def test_rule_3_the_ninth_oldest_id_is_forgotten() -> None:
     first = host.send(frame("SET_STREAM", id=101, divider=1))
     for n in range(102, 109):
         host.send(frame("SET_STREAM", id=n, divider=1))
-    kept = host.send(frame("SET_STREAM", id=101, divider=1))
+    retained = host.send(frame("SET_STREAM", id=101, divider=1))
 
     host.send(frame("SET_STREAM", id=109, divider=1))
     forgotten = host.send(frame("SET_STREAM", id=101, divider=1))
 
-    assert kept == first
+    assert retained == first
     assert forgotten.int("tick") > first.int("tick")
 
 
@@ -234,13 +234,13 @@ def test_rule_3_every_command_takes_one_of_the_eight_places(name: str, fields: d
     for n in range(102, 109):
         host.firmware.feed(frame(name, id=n, **fields))
         host.run(1, alive=False)
-    kept = host.send(frame("SET_STREAM", id=101, divider=1))  # and does not take a place again
+    retained = host.send(frame("SET_STREAM", id=101, divider=1))  # and does not take a place again
 
     host.firmware.feed(frame(name, id=109, **fields))
     host.run(1, alive=False)
     forgotten = host.send(frame("SET_STREAM", id=101, divider=1))
 
-    assert kept == first
+    assert retained == first
     assert forgotten.int("tick") > first.int("tick")
 
 
@@ -280,12 +280,12 @@ def test_rule_3_a_kept_id_is_looked_at_before_the_frame_and_the_session_before_t
     malformed = host.send(encode_frame(b"\x03\x09\x03"))  # no mode 3, and no session either
     without_session = host.send(frame("SET_REFERENCE", id=9, x_ref=4095))  # out of bounds, too
     host.hello(4)
-    kept = host.send(frame("SET_REFERENCE", id=9, x_ref=4095))
+    retained = host.send(frame("SET_REFERENCE", id=9, x_ref=4095))
     again = host.send(encode_frame(b"\x04\x09\xff\xff"))  # the same id and type, a field out of its range
 
     assert refusal(malformed)[0] == Reason.OUT_OF_RANGE
     assert refusal(without_session)[0] == Reason.NO_SESSION
-    assert again == kept
+    assert again == retained
 
 
 def test_rule_3_a_frame_whose_end_was_damaged_does_not_spoil_its_repetition() -> None:

@@ -16,7 +16,7 @@ from gateway.access.roles import Role
 from gateway.board.limits import MAX_STOP
 from gateway.board.scaling import scaling_of
 from gateway.config import LimitsConfig
-from gateway.link.command_handler import KEPT_IDS, KEPT_S, CommandHandler
+from gateway.link.command_handler import RETAINED_IDS, RETAINED_S, CommandHandler
 from gateway.link.from_board import Known
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.decoder import StreamDecoder
@@ -205,7 +205,7 @@ def test_stop_needs_a_port_and_nothing_else(link: str) -> None:
 # -- once
 
 
-@pytest.mark.parametrize("others", [0, KEPT_IDS + 10])
+@pytest.mark.parametrize("others", [0, RETAINED_IDS + 10])
 def test_a_dated_command_is_executed_once_however_late_it_comes_again(others: int) -> None:
     rig = Rig()
     command = pb.Command(id="a", issued_ns=rig.now_ns, set_mode=CLOSED)
@@ -229,14 +229,14 @@ def test_an_undated_command_is_executed_once_until_the_reply_says() -> None:
     rig = Rig()
     command = pb.Command(id="a", set_mode=CLOSED).SerializeToString()
     (first,) = rig.ask(command)
-    assert first.repeat_until_ns == rig.now_ns + round(KEPT_S * S)
-    for n in range(KEPT_IDS):
+    assert first.repeat_until_ns == rig.now_ns + round(RETAINED_S * S)
+    for n in range(RETAINED_IDS):
         rig.command(id=f"p{n}", ping=pb.Ping())
 
-    rig.wait(KEPT_S - 0.1)
+    rig.wait(RETAINED_S - 0.1)
     assert rig.ask(command) == [first]
     rig.wait(0.2)
-    for n in range(KEPT_IDS):
+    for n in range(RETAINED_IDS):
         rig.command(id=f"q{n}", ping=pb.Ping())
     (late,) = rig.ask(command)
 
@@ -389,7 +389,7 @@ def test_bytes_of_any_kind_are_answered_and_recorded() -> None:
         rig.now_s += 0.01
 
         rig.ask(bytes(data))
-        rig.handler._kept.clear()
+        rig.handler._retained.clear()
 
         assert len(rig.records) == n + 1
         assert rig.records[-1].reply.reason != "internal-error"

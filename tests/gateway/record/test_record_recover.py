@@ -147,9 +147,9 @@ def test_one_damaged_spot_costs_the_chunks_it_touches(recording: bytes, tmp_path
         saved = save(recording[:begin] + draw.randbytes(size) + recording[begin + size :], tmp_path)
 
         assert saved is not None, begin
-        kept = {row[1] for row in saved[0] if isinstance(row, tuple)}
-        lost = [m.tick for m in RECORDING if m.SerializeToString() not in kept]
-        assert len(kept) == len(saved[0])
+        retained = {row[1] for row in saved[0] if isinstance(row, tuple)}
+        lost = [m.tick for m in RECORDING if m.SerializeToString() not in retained]
+        assert len(retained) == len(saved[0])
         assert len(lost) <= 2 * in_chunk, begin
         assert not lost or lost[-1] - lost[0] == len(lost) - 1
 

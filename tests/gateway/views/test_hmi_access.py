@@ -384,12 +384,12 @@ def test_a_stale_session_can_do_nothing(server: Server, tmp_path: Path) -> None:
     with hmi(tmp_path, server.gateway.endpoint, "--users", str(users), "--session-h", "0.0003") as (port, _):
         page = Page(port)
         page.log_in("ben")
-        kept = {"cookie": f"{page.cookie_name}={page.cookie}"}
+        retained = {"cookie": f"{page.cookie_name}={page.cookie}"}
         page.http.cookies.clear()  # a browser forgets it in time; who has stolen it does not
 
-        wait_for(lambda: page.http.get("/api/session", headers=kept).status_code == 401, "end of the session")
+        wait_for(lambda: page.http.get("/api/session", headers=retained).status_code == 401, "end of the session")
         before = len(server.gateway.commands)
-        answer = page.post(STOP, **kept)
+        answer = page.post(STOP, **retained)
 
     assert answer.status_code == 401
     assert len(server.gateway.commands) == before

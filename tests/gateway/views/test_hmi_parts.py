@@ -222,7 +222,7 @@ def test_bad_frames_are_frames_and_what_else_is_odd_has_its_own_name() -> None:
         shown = rest(board)["status"]
 
     assert shown["bad_frames"] == 3
-    assert shown["odd"] == {"stray-answer": 7}
+    assert shown["unexpected"] == {"stray-answer": 7}
 
 
 def test_text_in_a_page_is_no_html() -> None:

@@ -130,8 +130,8 @@ def test_stamps_always_rise(samples: list[tuple[int, float, int]]) -> None:
     assert all(a < b for a, b in pairwise(stamps))
 
 
-def history_of(rows: int, kept: int) -> RingHistory:
-    track, history = Track(1, kept), RingHistory()
+def history_of(rows: int, retained: int) -> RingHistory:
+    track, history = Track(1, retained), RingHistory()
     history.add(NODE, track, 0)
     for n in range(rows):
         track.append(n * 1_000_000_000, [float(n)], [S.Good if n % 10 else S.BadNoCommunication])

@@ -17,7 +17,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.errors import ServiceError
 from protocol.wire.messages import Flag
 from tests.harness.gateway.bus_peers import played_gateway, ticking
-from tests.harness.gateway.opcua_peers import Kept, Peer, Served, peer, received, subscribe, until
+from tests.harness.gateway.opcua_peers import Notifications, Peer, Served, peer, received, subscribe, until
 
 S = ua.StatusCodes
 DOUBLE = ua.VariantType.Double
@@ -78,17 +78,17 @@ async def known(client: Peer, path: str) -> Any:
 
 
 def test_a_spike_of_one_tick_is_in_the_maximum(server: Served) -> None:
-    kept = Kept()
+    notified = Notifications()
 
     async def ask() -> None:
         async with peer(server.port) as client:
             await client.await_status("spike/state/x_m", S.Good)
-            await subscribe(client, kept, "spike/state/x_m", "spike/state/x_m/max", "spike/state/x_m/min")
-            await received(kept, "spike/state/x_m/min", 1)
+            await subscribe(client, notified, "spike/state/x_m", "spike/state/x_m/max", "spike/state/x_m/min")
+            await received(notified, "spike/state/x_m/min", 1)
             server.gateway.state("spike", x_m=4.5e-3)
 
             async def seen() -> bool | None:
-                maxima = [v.Value.Value for v in kept.values.get("spike/state/x_m/max", [])]
+                maxima = [v.Value.Value for v in notified.values.get("spike/state/x_m/max", [])]
                 return True if 4.5e-3 in maxima else None
 
             await until(seen, "spike")
@@ -96,24 +96,24 @@ def test_a_spike_of_one_tick_is_in_the_maximum(server: Served) -> None:
     with ticking(server.gateway, "spike"):
         asyncio.run(ask())
 
-    assert {v.Value.Value for v in kept.values["spike/state/x_m/min"]} == {3e-3}
+    assert {v.Value.Value for v in notified.values["spike/state/x_m/min"]} == {3e-3}
 
 
 def test_a_subscriber_at_50_hz_gets_every_interval_in_order(server: Served) -> None:
-    kept, paths = Kept(), [f"fast/state/{name}" for name in ("i_c_a", "x_m", "u_c_v")]
+    notified, paths = Notifications(), [f"fast/state/{name}" for name in ("i_c_a", "x_m", "u_c_v")]
 
     async def ask() -> None:
         async with peer(server.port) as client:
             await client.await_status("fast/state/x_m", S.Good)
-            await subscribe(client, kept, *paths)
-            await received(kept, paths[-1], 40)
+            await subscribe(client, notified, *paths)
+            await received(notified, paths[-1], 40)
 
     with ticking(server.gateway, "fast", values=lambda n: {"i_c_a": n * 1e-6, "x_m": n * 1e-6, "u_c_v": n * 1e-6}):
         asyncio.run(ask())
 
     for path in paths:
         # A feed that a busy machine holds up is silent for a moment, and called so.
-        values = [v.Value.Value for v in kept.values[path] if v.StatusCode.is_good()]
+        values = [v.Value.Value for v in notified.values[path] if v.StatusCode.is_good()]
         ticks = [round(v * 1e6) for v in values]
         assert len(values) > 20  # ticks of 2 ms come every 4 ms here: 25 intervals of 10 ticks per second
         assert all(b - a == 10 for a, b in pairwise(ticks[1:])), ticks
@@ -137,17 +137,17 @@ def test_the_status_tells_the_truth_about_a_board_that_falls_silent(server: Serv
 
 
 def test_a_subscriber_is_told_of_a_loss_without_a_new_sample(server: Served) -> None:
-    kept = Kept()
+    notified = Notifications()
 
     async def ask() -> None:
         async with peer(server.port) as client:
             with ticking(server.gateway, "lost"):
                 await client.await_status("lost/state/x_m", S.Good)
-                await subscribe(client, kept, "lost/state/x_m")
-                await received(kept, "lost/state/x_m", 1)
+                await subscribe(client, notified, "lost/state/x_m")
+                await received(notified, "lost/state/x_m", 1)
 
             async def told() -> bool | None:
-                newest = kept.values["lost/state/x_m"][-1]
+                newest = notified.values["lost/state/x_m"][-1]
                 return True if newest.StatusCode.value == S.UncertainLastUsableValue else None
 
             await until(told, "status")
@@ -156,25 +156,25 @@ def test_a_subscriber_is_told_of_a_loss_without_a_new_sample(server: Served) -> 
 
 
 def test_no_value_from_before_an_outage_is_called_good_after_it(server: Served) -> None:
-    kept = Kept()
+    notified = Notifications()
 
     async def ask() -> None:
         async with peer(server.port) as client:
             with ticking(server.gateway, "back"):
                 await client.await_status("back/state/x_m", S.Good)
             await client.await_status("back/state/x_m", S.UncertainLastUsableValue, 5.0)
-            await subscribe(client, kept, "back/state/x_m", "back/link/state")
-            await received(kept, "back/link/state", 1)
+            await subscribe(client, notified, "back/state/x_m", "back/link/state")
+            await received(notified, "back/link/state", 1)
             server.gateway.state("back", x_m=4e-3)  # one sample: live, and no interval yet
-            await received(kept, "back/link/state", 2)
+            await received(notified, "back/link/state", 2)
             with ticking(server.gateway, "back", values=lambda _: {"x_m": 4e-3}):
                 await client.await_status("back/state/x_m", S.Good)
-                await received(kept, "back/state/x_m", 2)
+                await received(notified, "back/state/x_m", 2)
 
     asyncio.run(ask())
 
-    assert [v.Value.Value for v in kept.values["back/link/state"]][:2] == ["silent", "live"]
-    good = [v.Value.Value for v in kept.values["back/state/x_m"] if v.StatusCode.value == S.Good]
+    assert [v.Value.Value for v in notified.values["back/link/state"]][:2] == ["silent", "live"]
+    good = [v.Value.Value for v in notified.values["back/state/x_m"] if v.StatusCode.value == S.Good]
     assert set(good) == {4e-3}
 
 
@@ -227,8 +227,8 @@ def test_the_last_minutes_can_be_read(server: Served) -> None:
             node, start = client.node("past/state/x_m"), datetime.now(UTC) - timedelta(minutes=1)
 
             async def enough() -> list[ua.DataValue] | None:
-                kept: list[ua.DataValue] = await node.read_raw_history(start, datetime.now(UTC))
-                return kept if len(kept) >= 12 else None
+                notified: list[ua.DataValue] = await node.read_raw_history(start, datetime.now(UTC))
+                return notified if len(notified) >= 12 else None
 
             end = (await until(enough, "history"))[-1].SourceTimestamp
             values = await node.read_raw_history(start, end)
@@ -338,12 +338,12 @@ def test_no_gateway_is_no_communication(server: Served) -> None:
 
 
 def test_alarms_are_conditions_that_can_be_acknowledged(server: Served) -> None:
-    kept = Kept()
+    notified = Notifications()
 
     async def ask() -> None:
         async with peer(server.port) as client:
             await client.await_status("alarming/state/x_m", S.Good)
-            subscription = await client.client.create_subscription(50, kept)
+            subscription = await client.client.create_subscription(50, notified)
             await subscription.subscribe_alarms_and_conditions(evtypes=ua.ObjectIds.AlarmConditionType)
             alarm = pb.Alarm(name="divergence-x", active=True, text="x is off", value=9.0)
             server.gateway.send("twin/alarm", alarm, "alarming")
@@ -352,7 +352,7 @@ def test_alarms_are_conditions_that_can_be_acknowledged(server: Served) -> None:
                 return next(
                     (
                         e
-                        for e in kept.events
+                        for e in notified.events
                         if getattr(e, "ConditionName", "") == "divergence-x"
                         and getattr(e, "AckedState/Id") is acknowledged
                     ),
@@ -385,7 +385,7 @@ def test_alarms_are_conditions_that_can_be_acknowledged(server: Served) -> None:
 
 
 def test_a_client_that_wants_everything_at_1_ms_gets_a_bounded_service(server: Served) -> None:
-    kept = Kept()
+    notified = Notifications()
 
     async def ask() -> int:
         async with peer(server.port) as client:
@@ -396,7 +396,7 @@ def test_a_client_that_wants_everything_at_1_ms_gets_a_bounded_service(server: S
                     folders.append(child)
                     if await child.read_node_class() is ua.NodeClass.Variable:
                         nodes.append(child)
-            subscription = await client.client.create_subscription(1, kept)
+            subscription = await client.client.create_subscription(1, notified)
             await subscription.subscribe_data_change(nodes)
             async with peer(server.port) as other:  # somebody else is served meanwhile
                 await other.read("greedy/state/x_m")

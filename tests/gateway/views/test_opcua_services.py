@@ -18,7 +18,7 @@ from gateway.views.opcua.items import is_news
 from gateway.views.opcua.server import OpcuaSettings
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import played_gateway, ticking
-from tests.harness.gateway.opcua_peers import Kept, Peer, Served, monitor, peer, received, until
+from tests.harness.gateway.opcua_peers import Notifications, Peer, Served, monitor, peer, received, until
 
 S = ua.StatusCodes
 T = ua.TimestampsToReturn
@@ -69,19 +69,19 @@ def test_a_read_has_the_timestamps_asked_for(server: Served, asked: ua.Timestamp
 
 @pytest.mark.parametrize("asked", [T.Source, T.Server, T.Both, T.Neither], ids=lambda asked: asked.name)
 def test_a_monitored_item_has_the_timestamps_asked_for(server: Served, asked: ua.TimestampsToReturn) -> None:
-    kept = Kept()
+    notified = Notifications()
 
     async def ask() -> None:
         async with peer(server.port) as client:
             await client.await_status("rig/state/sequence", S.Good)
-            items = await monitor(client, kept, "rig/state/sequence", asked=asked)
+            items = await monitor(client, notified, "rig/state/sequence", asked=asked)
             assert items[0].StatusCode.is_good()
-            await received(kept, "rig/state/sequence", 3)
+            await received(notified, "rig/state/sequence", 3)
 
     with ticking(server.gateway, "rig"):
         asyncio.run(ask())
 
-    for value in kept.values["rig/state/sequence"]:
+    for value in notified.values["rig/state/sequence"]:
         assert (value.SourceTimestamp is not None) == (asked in (T.Source, T.Both))
         assert (value.ServerTimestamp is not None) == (asked in (T.Server, T.Both))
 
@@ -120,7 +120,7 @@ def test_timestamps_that_do_not_exist_are_refused(server: Served) -> None:
             with pytest.raises(UaStatusCodeError, match="BadTimestampsToReturnInvalid"):
                 await client.client.uaclient.read(ua.ReadParameters(TimestampsToReturn=T.Invalid))
             with pytest.raises(UaStatusCodeError, match="BadTimestampsToReturnInvalid"):
-                await monitor(client, Kept(), PATH, asked=T.Invalid)
+                await monitor(client, Notifications(), PATH, asked=T.Invalid)
 
     with ticking(server.gateway, "rig"):
         asyncio.run(ask())
@@ -140,7 +140,7 @@ def history(client: Peer, asked: ua.TimestampsToReturn) -> ua.HistoryReadParamet
 
 def test_all_variables_of_one_interval_belong_together_however_late_it_is_sent(server: Served) -> None:
     """Intervals that gather while the server is busy are sent one after the other, each with all of its own values."""
-    kept, gateway = Kept(), server.gateway
+    notified, gateway = Notifications(), server.gateway
     names = ("x_m", "tick", "sequence", "host_time_ns", "t_s", "flags")
     paths = [f"burst/state/{name}" for name in names]
 
@@ -156,14 +156,14 @@ def test_all_variables_of_one_interval_belong_together_however_late_it_is_sent(s
         async with peer(server.port) as client:
             with ticking(gateway, "burst", values=values):
                 await client.await_status(paths[0], S.Good)
-                await monitor(client, kept, *paths, asked=T.Source, filter_=data_filter(stamps=True))
-                await received(kept, paths[-1], 1)
+                await monitor(client, notified, *paths, asked=T.Source, filter_=data_filter(stamps=True))
+                await received(notified, paths[-1], 1)
             for _ in range(200):  # 20 intervals at once
                 gateway.state("burst", **values(0))
             last = 1_700_000_000_000_000_000 + (gateway.tick - 20) * 2_000_000
 
             async def came() -> bool | None:
-                return True if kept.values["burst/state/host_time_ns"][-1].Value.Value >= last else None
+                return True if notified.values["burst/state/host_time_ns"][-1].Value.Value >= last else None
 
             await until(came, "the last of the burst")
 
@@ -171,7 +171,7 @@ def test_all_variables_of_one_interval_belong_together_however_late_it_is_sent(s
 
     by_stamp: dict[datetime, dict[str, Any]] = {}
     for name, path in zip(names, paths, strict=True):
-        for value in kept.values[path][1:]:
+        for value in notified.values[path][1:]:
             if value.StatusCode.is_good():
                 by_stamp.setdefault(value.SourceTimestamp, {})[name] = value.Value.Value
     whole = [row for row in by_stamp.values() if len(row) == len(names)]
@@ -273,14 +273,14 @@ def test_a_deadband_counts_from_the_value_sent_last() -> None:
 
 
 def test_a_client_with_a_deadband_does_not_end_the_service_when_a_value_goes(server: Served) -> None:
-    kept = Kept()
+    notified = Notifications()
 
     async def ask() -> None:
         async with peer(server.port) as client:
             with ticking(server.gateway, "gone"):
                 await client.await_status("gone/state/x_m", S.Good)
                 paths = ("gone/state/x_m", "gone/link/state")
-                await monitor(client, kept, *paths, asked=T.Both, filter_=data_filter(deadband=1e-6))
+                await monitor(client, notified, *paths, asked=T.Both, filter_=data_filter(deadband=1e-6))
             server.gateway.status("gone", link="absent")
             await client.await_status("gone/state/x_m", S.BadNoCommunication)
             with ticking(server.gateway, "gone"):
@@ -305,9 +305,9 @@ def test_a_filter_that_does_not_fit_is_refused_and_ends_nothing(
     async def ask() -> None:
         async with peer(server.port) as client:
             await client.await_status(PATH, S.Good)
-            item = (await monitor(client, Kept(), path, asked=T.Both, filter_=asked, attribute=attribute))[0]
+            item = (await monitor(client, Notifications(), path, asked=T.Both, filter_=asked, attribute=attribute))[0]
             assert item.StatusCode.value == S.BadMonitoredItemFilterUnsupported
-            other = Kept()
+            other = Notifications()
             assert (await monitor(client, other, PATH, asked=T.Both))[0].StatusCode.is_good()
             await received(other, PATH, 1)
 
@@ -326,8 +326,10 @@ def test_a_select_clause_that_means_nothing_ends_nothing(server: Served, attribu
         async with peer(server.port) as client:
             await client.await_status(f"{board}/state/x_m", S.Good)
             strange = ua.EventFilter(SelectClauses=[clause])
-            await monitor(client, Kept(), board, asked=T.Both, filter_=strange, attribute=ua.AttributeIds.EventNotifier)
-            await condition(server, client, Kept(), board)
+            await monitor(
+                client, Notifications(), board, asked=T.Both, filter_=strange, attribute=ua.AttributeIds.EventNotifier
+            )
+            await condition(server, client, Notifications(), board)
 
     with ticking(server.gateway, board):
         asyncio.run(ask())
@@ -349,16 +351,16 @@ def test_a_refresh_reaches_the_items_at_the_rig_too(server: Served) -> None:
             raise_alarm(server, "refreshed")
             found = {}
             for node in (client.node("refreshed"), client.client.get_node(SERVER)):
-                kept = Kept()
-                subscription = await client.client.create_subscription(50, kept)
+                notified = Notifications()
+                subscription = await client.client.create_subscription(50, notified)
                 item = await subscription.subscribe_alarms_and_conditions(node, evtypes=EVENTS)
                 number = ua.Variant(subscription.subscription_id, V.UInt32)
                 assert await refresh(client, number) == S.Good
-                await kept.retained("divergence-x", 1)
+                await notified.retained("divergence-x", 1)
                 assert await refresh(client, number, ua.Variant(item, V.UInt32)) == S.Good
-                await kept.retained("divergence-x", 2)
-                await kept.events_of(ua.ObjectIds.RefreshEndEventType, 2)
-                found[node] = [e.EventType.Identifier for e in kept.events if e.SourceName == "Server"]
+                await notified.retained("divergence-x", 2)
+                await notified.events_of(ua.ObjectIds.RefreshEndEventType, 2)
+                found[node] = [e.EventType.Identifier for e in notified.events if e.SourceName == "Server"]
                 assert await refresh(client, number, ua.Variant(item + 1000, V.UInt32)) == S.BadMonitoredItemIdInvalid
                 assert await refresh(other, number) == S.BadSubscriptionIdInvalid
                 assert await refresh(client, ua.Variant(1.0, V.Double)) == S.BadInvalidArgument
@@ -371,18 +373,18 @@ def test_a_refresh_reaches_the_items_at_the_rig_too(server: Served) -> None:
 
 
 def test_a_comment_is_added_without_acknowledging(server: Served) -> None:
-    kept = Kept()
+    notified = Notifications()
 
     async def ask() -> None:
         async with peer(server.port) as client:
-            came = await condition(server, client, kept, "commented")
+            came = await condition(server, client, notified, "commented")
             method = ua.ObjectIds.ConditionType_AddComment
             text = ua.Variant(ua.LocalizedText("seen on Monday, too"))
             assert await of_condition(client, came, method, ua.Variant(b"another"), text) == S.BadEventIdUnknown
             assert await of_condition(client, came, method, ua.Variant(came.EventId), text) == S.Good
 
             async def commented() -> Any:
-                return next((e for e in kept.events if e.Comment.Text), None)
+                return next((e for e in notified.events if e.Comment.Text), None)
 
             event = await until(commented, "comment")
             assert (event.Comment.Text, event.ClientUserId) == ("seen on Monday, too", "anonymous")
@@ -397,15 +399,15 @@ def test_a_comment_is_added_without_acknowledging(server: Served) -> None:
 
 
 def test_a_disabled_condition_is_silent_until_it_is_enabled(server: Served) -> None:
-    kept = Kept()
+    notified = Notifications()
     enable, disable = ua.ObjectIds.ConditionType_Enable, ua.ObjectIds.ConditionType_Disable
 
     async def ask() -> None:
         async with peer(server.port) as client:
-            came = await condition(server, client, kept, "disabled")
+            came = await condition(server, client, notified, "disabled")
             assert await of_condition(client, came, enable) == S.BadConditionAlreadyEnabled
             assert await of_condition(client, came, disable) == S.Good
-            off = await until(lambda: with_enabled(kept, came, enabled=False), "disabled condition")
+            off = await until(lambda: with_enabled(notified, came, enabled=False), "disabled condition")
             assert off.Retain is False
             assert await of_condition(client, came, disable) == S.BadConditionAlreadyDisabled
             comment = ua.Variant(ua.LocalizedText("late"))
@@ -413,18 +415,18 @@ def test_a_disabled_condition_is_silent_until_it_is_enabled(server: Served) -> N
             assert await of_condition(client, came, acknowledge, ua.Variant(came.EventId), comment) == (
                 S.BadConditionDisabled
             )
-            told = len(kept.events)
+            told = len(notified.events)
             raise_alarm(server, "disabled", text="x is further off")
             server.gateway.send("event", pb.Event(name="mark", severity="info", text="later"), "disabled")
 
             async def later() -> bool | None:
-                return True if any("later" in (e.Message.Text or "") for e in kept.events) else None
+                return True if any("later" in (e.Message.Text or "") for e in notified.events) else None
 
             await until(later, "event after the alarm")
-            assert [e for e in kept.events[told:] if "off" in (e.Message.Text or "")] == []
-            kept.events.clear()
+            assert [e for e in notified.events[told:] if "off" in (e.Message.Text or "")] == []
+            notified.events.clear()
             assert await of_condition(client, came, enable) == S.Good
-            on = await until(lambda: with_enabled(kept, came, enabled=True), "enabled condition")
+            on = await until(lambda: with_enabled(notified, came, enabled=True), "enabled condition")
             assert (on.Retain, on.Message.Text) == (True, "x is further off")
 
     server.gateway.commands.clear()
@@ -438,7 +440,7 @@ def test_a_disabled_condition_is_silent_until_it_is_enabled(server: Served) -> N
 def test_only_who_may_disables_a_condition() -> None:
     async def ask(server: Served) -> None:
         async with peer(server.port) as client:
-            came = await condition(server, client, Kept(), "rig")
+            came = await condition(server, client, Notifications(), "rig")
             code = await of_condition(client, came, ua.ObjectIds.ConditionType_Disable)
             assert code == S.BadUserAccessDenied
 
@@ -454,21 +456,21 @@ def raise_alarm(server: Served, board: str, text: str = "x is off") -> None:
     server.gateway.send("twin/alarm", pb.Alarm(name="divergence-x", active=True, text=text, value=9.0), board)
 
 
-async def condition(server: Served, client: Peer, kept: Kept, board: str) -> Any:
+async def condition(server: Served, client: Peer, notified: Notifications, board: str) -> Any:
     """Subscribe at the Server, raise an alarm, and return its first event."""
     await client.await_status(f"{board}/state/x_m", S.Good)
-    subscription = await client.client.create_subscription(50, kept)
+    subscription = await client.client.create_subscription(50, notified)
     await subscription.subscribe_alarms_and_conditions(evtypes=EVENTS)
     raise_alarm(server, board)
 
     async def came() -> Any:
-        return next(iter(kept.of(board)), None)
+        return next(iter(notified.of(board)), None)
 
     return await until(came, "condition")
 
 
-async def with_enabled(kept: Kept, came: Any, *, enabled: bool) -> Any:
-    of_it = [e for e in kept.events if getattr(e, "ConditionName", None) == came.ConditionName]
+async def with_enabled(notified: Notifications, came: Any, *, enabled: bool) -> Any:
+    of_it = [e for e in notified.events if getattr(e, "ConditionName", None) == came.ConditionName]
     return next((e for e in of_it if getattr(e, "EnabledState/Id", None) is enabled), None)
 
 

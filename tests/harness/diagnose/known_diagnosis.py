@@ -29,7 +29,7 @@ from twin.diagnose.search.state import Selection
 from twin.estimation.record import Record
 
 QUIET = replace(THETA, process_a_m_s2=0.02)  # what rounding leaves
-LOUD_M_S2 = 1.0  # what a baseline leaves to chance that does not know the cause
+LARGE_M_S2 = 1.0  # what a baseline leaves to chance that does not know the cause
 
 
 def steps(theta: Theta, *, seed: int, use: str = "fit", seconds: float = 12.0, size_m: float = 0.9e-3) -> Record:
@@ -60,7 +60,7 @@ def diagnosis(
 ) -> Diagnosis:
     """Of a rig with that cause; `extended`: whether it was found."""
     rig = strong(cause, value, QUIET)
-    baseline = replace(QUIET, process_a_m_s2=LOUD_M_S2)
+    baseline = replace(QUIET, process_a_m_s2=LARGE_M_S2)
     fit = gather([steps(rig, seed=1, seconds=seconds)], PLANT)
     judge = gather([steps(rig, seed=2, use="judge", seconds=seconds)], PLANT) if judged else None
     after = rig if extended else baseline
@@ -98,7 +98,7 @@ def diagnosis(
         sentence="",
         causes=(_finding(cause, after_fit, spread, account.by_cause[cause], account.gains[cause]),) if extended else (),
         not_testable=(NotTestable(name="current-sensor-gain", why="absorbed by K_A and K_c"),),
-        trifles=(),
+        minor_effects=(),
         ruled_out=(RuledOut(name="coulomb-friction", why="F_f is at most 3 µN (95 %)"),),
         account=account,
         unexplained_where="" if extended else "most in x in steps_1",
@@ -124,14 +124,14 @@ def diagnosis(
 
 def _finding(cause: str, fit: Fit, spread: dict[str, float], share: float, gain: float) -> Finding:
     parameters = fit_parameters(fit, cause, spread)
-    rival = "position-sensor-gain"
-    other = fit_parameters(fit_of(strong(rival, 1.04, QUIET), 0.0), rival, {f"{rival}.gain": 0.001})
+    confounder = "position-sensor-gain"
+    other = fit_parameters(fit_of(strong(confounder, 1.04, QUIET), 0.0), confounder, {f"{confounder}.gain": 0.001})
     return Finding(
         name=cause,
         sentence=finding_sentence(cause, parameters),
         parameters=parameters,
         confidence=0.97,
-        indistinguishable_from=(Member(name=rival, parameters=other),),
+        indistinguishable_from=(Member(name=confounder, parameters=other),),
         share_of_excess_explained=share,
         loglik_gain=gain,
         next_experiment=Proposal(

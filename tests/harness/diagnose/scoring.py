@@ -37,7 +37,7 @@ class Answer:
     verdict: str
     causes: tuple[Named, ...] = ()
     not_testable: tuple[str, ...] = ()
-    trifles: tuple[tuple[str, float], ...] = ()  # name and gain of log-likelihood
+    minor_effects: tuple[tuple[str, float], ...] = ()  # name and gain of log-likelihood
     baseline_rmse_m: float = math.nan
     extended_rmse_m: float = math.nan
     noise_floor_m: float = math.nan
@@ -73,7 +73,7 @@ class Outcome:
     verdict: str = ""
     named: tuple[str, ...] = ()
     not_testable: tuple[str, ...] = ()
-    trifles: tuple[tuple[str, float], ...] = ()  # seen, too small to be named: name and gain of log-likelihood
+    minor_effects: tuple[tuple[str, float], ...] = ()  # seen, too small to be named: name and gain of log-likelihood
     record_s: float = 0.0
     diagnose_s: float = 0.0
     message: str = ""
@@ -89,7 +89,7 @@ class Outcome:
         fields = dict(values)
         for key in ("truths", "strengths", "named", "not_testable"):
             fields[key] = tuple(fields[key])
-        fields["trifles"] = tuple((str(name), float(gain)) for name, gain in fields.get("trifles", ()))
+        fields["minor_effects"] = tuple((str(name), float(gain)) for name, gain in fields.get("minor_effects", ()))
         if fields["judgement"] is not None:
             fields["judgement"] = Judgement(**fields["judgement"])
         return cls(**fields)
@@ -115,7 +115,9 @@ def read_answer(diagnosis: Mapping[str, Any]) -> Answer:
             for cause in diagnosis.get("causes", ())
         ),
         not_testable=tuple(entry["name"] for entry in diagnosis.get("not_testable", ())),
-        trifles=tuple((one["name"], float(one["log_likelihood_gain"])) for one in diagnosis.get("trifles", ())),
+        minor_effects=tuple(
+            (one["name"], float(one["log_likelihood_gain"])) for one in diagnosis.get("minor_effects", ())
+        ),
         baseline_rmse_m=number("baseline_rmse_m"),
         extended_rmse_m=number("extended_rmse_m"),
         noise_floor_m=number("noise_floor_m"),

@@ -432,8 +432,8 @@ class SecondBench:
             *self._rings,
             out,
         )
-        kept = self._chance.random(n) >= self._loss
-        return out[kept]
+        retained = self._chance.random(n) >= self._loss
+        return out[retained]
 
 
 def numbers(

@@ -84,7 +84,7 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
             Rate(name="one cause, right: unknown-cause all the same", hits=reserved, count=len(right)),
             Rate(
                 name="one cause, right: another listed as too small to be named",
-                hits=sum(bool(o.trifles) for o, _ in right),
+                hits=sum(bool(o.minor_effects) for o, _ in right),
                 count=len(right),
             ),
         ]
@@ -110,7 +110,7 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
             Rate(name="outside: honest", hits=sum(j.right is True for _, j in outside), count=len(outside), target=0.9),
             Rate(name="outside: false name", hits=sum(o.verdict == FOUND for o, _ in outside), count=len(outside)),
             Rate(
-                name="outside: honest, with stand-ins listed",
+                name="outside: honest, with confounders listed",
                 hits=sum(o.verdict == UNKNOWN and bool(o.named) for o, _ in outside),
                 count=len(outside),
             ),
@@ -127,7 +127,7 @@ def rates(outcomes: Iterable[Outcome]) -> list[Rate]:
             Rate(name="another formula: right", hits=sum(j.right is True for _, j in forms), count=len(forms)),
             Rate(name="another formula: a false name", hits=wrong, count=len(forms), target=0.05),
         ]
-    listed = [(o, name) for o, _ in part("composites") for name, _ in o.trifles]
+    listed = [(o, name) for o, _ in part("composites") for name, _ in o.minor_effects]
     if listed:
         there = sum(name in o.truths for o, name in listed)
         result.append(Rate(name="several causes: listed as too small, and there", hits=there, count=len(listed)))

@@ -40,8 +40,13 @@ def diagnose_command(campaign: Path, out: Path, *, quick: bool = False) -> list[
 
 def clean_environment() -> dict[str, str]:
     """Without the variables that point at other data; the libraries' own threads are off."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith("BOARD51_")}
-    return kept | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
+    retained = {name: value for name, value in os.environ.items() if not name.startswith("BOARD51_")}
+    return retained | {
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "NUMBA_NUM_THREADS": "1",
+        "MPLBACKEND": "Agg",
+    }
 
 
 def run_trial(hidden: Hidden, *, program: str, quick: bool = False, keep: Path | None = None) -> Outcome:
@@ -115,6 +120,6 @@ def _run(hidden: Hidden, folder: Path, *, program: str, quick: bool) -> Outcome:
         verdict=answer.verdict,
         named=tuple(cause.name for cause in answer.causes),
         not_testable=answer.not_testable,
-        trifles=answer.trifles,
+        minor_effects=answer.minor_effects,
         judgement=judge(hidden.part, tuple(effects), answer, may_be_adequate=lenient, in_the_data=present),
     )

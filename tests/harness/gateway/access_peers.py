@@ -45,7 +45,7 @@ class Client:
         self.states: list[pb.State] = []
         self.records: list[pb.CommandRecord] = []
         self.events: list[pb.Event] = []
-        self._kept = [
+        self._retained = [
             self._keep("state", pb.State, self.states),
             self._keep("command/record", pb.CommandRecord, self.records),
             self._keep("event", pb.Event, self.events),

@@ -102,8 +102,8 @@ class Page:
     def post(self, path: str, body: object = None, **headers: str) -> httpx.Response:
         """As hmi.js does it; a header given as "" is left out."""
         usual = {"origin": self.base, "x-board51-token": self.token, "content-type": "application/json"}
-        kept = {name: value for name, value in {**usual, **headers}.items() if value}
-        return self.http.post(path, content=json.dumps({} if body is None else body), headers=kept)
+        retained = {name: value for name, value in {**usual, **headers}.items() if value}
+        return self.http.post(path, content=json.dumps({} if body is None else body), headers=retained)
 
     @property
     def cookie_name(self) -> str:

@@ -144,7 +144,7 @@ async def until(look: Callable[[], Coroutine[Any, Any, T | None]], what: str, ti
     raise AssertionError(f"no {what} within {timeout_s:g} s")
 
 
-class Kept:
+class Notifications:
     """Keeps what a subscription brings."""
 
     def __init__(self) -> None:
@@ -182,15 +182,15 @@ class Kept:
         await until(look, f"{count} times {name}")
 
 
-async def subscribe(client: Peer, kept: Kept, *paths: str, interval_ms: float = 20.0) -> Any:
-    subscription = await client.client.create_subscription(interval_ms, kept)
+async def subscribe(client: Peer, notified: Notifications, *paths: str, interval_ms: float = 20.0) -> Any:
+    subscription = await client.client.create_subscription(interval_ms, notified)
     await subscription.subscribe_data_change([client.node(path) for path in paths], queuesize=100)
     return subscription
 
 
 async def monitor(
     client: Peer,
-    kept: Kept,
+    notified: Notifications,
     *paths: str,
     asked: ua.TimestampsToReturn,
     filter_: Any = None,
@@ -201,7 +201,7 @@ async def monitor(
     def published(result: ua.PublishResult) -> None:
         for data in result.NotificationMessage.NotificationData or []:
             for item in getattr(data, "MonitoredItems", []):
-                kept.values.setdefault(paths[item.ClientHandle], []).append(item.Value)
+                notified.values.setdefault(paths[item.ClientHandle], []).append(item.Value)
 
     wanted = ua.CreateSubscriptionParameters(RequestedPublishingInterval=20.0, PublishingEnabled=True)
     wanted.RequestedLifetimeCount, wanted.RequestedMaxKeepAliveCount = 10_000, 100
@@ -216,10 +216,10 @@ async def monitor(
     return list(await client.client.uaclient.create_monitored_items(parameters))
 
 
-async def received(kept: Kept, path: str, count: int) -> None:
+async def received(notified: Notifications, path: str, count: int) -> None:
     """So many values of `path` have come."""
 
     async def look() -> bool | None:
-        return True if len(kept.values.get(path, [])) >= count else None
+        return True if len(notified.values.get(path, [])) >= count else None
 
     await until(look, f"{count} values of {path}")

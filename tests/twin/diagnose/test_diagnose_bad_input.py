@@ -77,8 +77,8 @@ def rewrite(path: Path, change: Callable[[list[str], FloatArray], tuple[list[str
 def only(folder: Path, *files: str) -> None:
     """Leave these recordings in campaign.toml."""
     head, *entries = (folder / "campaign.toml").read_text().split("[[recording]]\n")
-    kept = [entry for entry in entries if any(f'"{file}.csv.gz"' in entry for file in files)]
-    (folder / "campaign.toml").write_text(head + "".join("[[recording]]\n" + entry for entry in kept))
+    retained = [entry for entry in entries if any(f'"{file}.csv.gz"' in entry for file in files)]
+    (folder / "campaign.toml").write_text(head + "".join("[[recording]]\n" + entry for entry in retained))
 
 
 def uses(folder: Path, use: str) -> None:

@@ -179,7 +179,7 @@ def test_the_extended_model_runs_in_predict_and_gives_the_stated_error(
     assert np.sqrt(squares / count) == pytest.approx(found.gain.extended_rmse_m, rel=0.02)
 
 
-def given(model: Model, **change: float) -> Model:
+def supplied(model: Model, **change: float) -> Model:
     """The model with other numbers."""
     from dataclasses import replace
 
@@ -189,11 +189,11 @@ def given(model: Model, **change: float) -> Model:
     return replace(model, parameters=parameters)
 
 
-def test_a_given_model_is_the_baseline_as_it_is(hide: Hide) -> None:
+def test_a_reference_model_is_the_baseline_as_it_is(hide: Hide) -> None:
     folder = hide((), 31, "independent")
     right = diagnosed(folder)
 
-    found = diagnose(load(folder), model=given(right.baseline, K_c=1.1), quick=True, workers=1)
+    found = diagnose(load(folder), model=supplied(right.baseline, K_c=1.1), quick=True, workers=1)
 
     assert found.verdict == "model-adequate"  # its form
     assert found.gain is not None

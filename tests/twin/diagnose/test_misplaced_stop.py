@@ -14,7 +14,7 @@ from twin.diagnose.inference.theta import BASE, STOPS, coordinates_of
 from twin.diagnose.search.score_test import screen
 
 OFFSET_M = 0.3e-3
-HIDDEN, STAND_IN = "position-sensor-offset", "air-gap-offset"
+HIDDEN, CONFOUNDER = "position-sensor-offset", "air-gap-offset"
 
 
 @pytest.fixture(scope="module")
@@ -25,14 +25,14 @@ def criterion() -> Criterion:
 
 
 def test_a_coil_and_a_stop_in_the_wrong_place_are_no_adequate_model(criterion: Criterion) -> None:
-    free = (*BASE, *STOPS, *coordinates_of(STAND_IN))
-    fit = climb(criterion, strong(STAND_IN, -OFFSET_M), free)
+    free = (*BASE, *STOPS, *coordinates_of(CONFOUNDER))
+    fit = climb(criterion, strong(CONFOUNDER, -OFFSET_M), free)
     floor = floor_of(criterion, fit.theta)
 
     fine, why = adequate(criterion, fit, floor)
 
     assert fit.theta.stop_low_m == pytest.approx(OFFSET_M, abs=2.0 * settings.STOP_STD_M)
-    assert not floor.audible(fit.loglik)  # nothing but the stop speaks against it
+    assert not floor.above_noise(fit.loglik)  # nothing but the stop speaks against it
     assert floor.material(fit.loglik)
     assert not fine
     assert "needs a stop 0.3" in why
@@ -49,8 +49,8 @@ def test_the_right_cause_puts_the_stop_back(criterion: Criterion) -> None:
 
 def test_the_screen_knows_where_a_stop_is(criterion: Criterion) -> None:
     """Among the readings alone the sensor's offset is what the coil's and the stop's are together."""
-    free = (*BASE, *STOPS, *coordinates_of(STAND_IN))
-    fit = climb(criterion, strong(STAND_IN, -OFFSET_M), free)
+    free = (*BASE, *STOPS, *coordinates_of(CONFOUNDER))
+    fit = climb(criterion, strong(CONFOUNDER, -OFFSET_M), free)
 
     scores = {score.cause: score for score in screen(criterion, fit.theta, free)}
 

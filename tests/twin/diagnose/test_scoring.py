@@ -144,14 +144,14 @@ def test_wilson_is_the_interval_of_the_book() -> None:
 def test_rates_matrix_and_reliability_count_what_they_say() -> None:
     silent = replace(ANSWER, verdict="model-adequate", causes=())
     outcomes = [
-        replace(outcome("causes", ("air-gap-offset",), ANSWER), trifles=(("motional-emf", 12.0),)),
+        replace(outcome("causes", ("air-gap-offset",), ANSWER), minor_effects=(("motional-emf", 12.0),)),
         outcome("causes", ("quadratic-drag",), ANSWER),
         outcome("causes", ("current-sensor-gain",), silent),
         outcome("causes", ("motional-emf",), silent, grade="medium"),
         outcome("nulls", (), silent),
         outcome("nulls", (), ANSWER),
         outcome("outside", ("wire-spring",), named("force-exponent", verdict="unknown-cause")),
-        replace(outcome("composites", ("a", "b"), named("a", "c")), trifles=(("b", 30.0), ("d", 11.0))),
+        replace(outcome("composites", ("a", "b"), named("a", "c")), minor_effects=(("b", 30.0), ("d", 11.0))),
         replace(outcome("composites", ("a", "b"), ANSWER), status="grounded", judgement=None),
     ]
 
@@ -171,7 +171,7 @@ def test_rates_matrix_and_reliability_count_what_they_say() -> None:
         "nothing hidden: false alarm": (1, 2),
         "outside: honest": (1, 1),
         "outside: false name": (0, 1),
-        "outside: honest, with stand-ins listed": (1, 1),
+        "outside: honest, with confounders listed": (1, 1),
         "outside: not noticed": (0, 1),
         "several causes: listed as too small, and there": (1, 2),
         "2 causes: truths found": (1, 2),

@@ -54,7 +54,7 @@ def noisy(x: FloatArray, seed: int) -> FloatArray:
     return np.asarray(np.round((x + noise) / COUNT_M) * COUNT_M)
 
 
-def hop(height_m: float, n: int = 1000) -> FloatArray:
+def bounce(height_m: float, n: int = 1000) -> FloatArray:
     """Heights of a ball at rest that is raised for 50 ms, about the middle, shape (n,)."""
     x = np.zeros(n)
     x[n // 2 : n // 2 + 25] = height_m * np.sin(np.pi * np.arange(25) / 25) ** 2
@@ -62,8 +62,8 @@ def hop(height_m: float, n: int = 1000) -> FloatArray:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_ball_that_hops_does_not_lie_meanwhile(seed: int) -> None:
-    raised = held_samples(record(noisy(hop(45e-6), seed), "sawtooth"), PLANT)
+def test_a_ball_that_bounces_does_not_lie_meanwhile(seed: int) -> None:
+    raised = held_samples(record(noisy(bounce(45e-6), seed), "sawtooth"), PLANT)
 
     assert not raised[508:517].any(), "45 um are less than a rest may spread, and no noise"
     assert raised[:490].all()
@@ -71,20 +71,22 @@ def test_a_ball_that_hops_does_not_lie_meanwhile(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_rest_ends_where_it_did_whether_hops_are_asked_for_or_not(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rest_ends_where_it_did_whether_bounces_are_asked_for_or_not(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its last current is that of lift-off: two readings fewer made another force law of it."""
     x = np.zeros(1000)
     x[800:] = 0.5 * 0.4 * (TICK_S * np.arange(200.0)) ** 2
     takes_off = record(noisy(x, seed), "sawtooth")
-    with_hops = held_samples(takes_off, PLANT)
-    monkeypatch.setattr("twin.estimation.contact.HOP_SCALES", np.inf)
+    with_bounces = held_samples(takes_off, PLANT)
+    monkeypatch.setattr("twin.estimation.contact.BOUNCE_SCALES", np.inf)
 
-    assert 800 < with_hops.sum() < 830
-    assert np.array_equal(with_hops, held_samples(takes_off, PLANT))
+    assert 800 < with_bounces.sum() < 830
+    assert np.array_equal(with_bounces, held_samples(takes_off, PLANT))
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_noise_crosstalk_and_a_trembling_table_are_no_hops(seed: int) -> None:
+def test_noise_crosstalk_and_a_trembling_table_are_no_bounces(seed: int) -> None:
     i_c = 0.3 + 0.3 * np.sign(np.sin(np.arange(1000.0) / 40.0))
     trembling = 12e-6 * np.sin(2.0 * np.pi * 47.0 * TICK_S * np.arange(1000.0))
 

@@ -25,7 +25,7 @@ from twin.diagnose.inference.fisher_scoring import climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import Theta, derivative_step, moved
-from twin.diagnose.search.equivalence import stand_ins
+from twin.diagnose.search.equivalence import find_classes
 from twin.diagnose.search.probes import probes_of
 from twin.diagnose.search.score_test import probed
 from twin.diagnose.search.state import Selection
@@ -141,7 +141,7 @@ def find_change(
         if criterion.budget.closed:
             raise Spent
         if chosen.causes and adequate(switched, chosen.fit, floor.under(switched, chosen.fit.theta))[0]:
-            stand_ins(switched, chosen, candidates=candidates, few=few, quick=True, say=say)
+            find_classes(switched, chosen, candidates=candidates, few=few, quick=True, say=say)
             always = climb(criterion, chosen.fit.theta, chosen.fit.free, passes=settings.PASSES)
             gain = chosen.fit.loglik - max(always.loglik, found.fit.loglik)
             if gain > settings.CHANGE_GAIN:

@@ -1,8 +1,8 @@
-"""How sure is a name?  A figure that grows with the lead over the rivals; not calibrated yet.
+"""How sure is a name?  A figure that grows with the lead over other candidates; not calibrated yet.
 
-The lead of a cause is the log-likelihood by which it beats the best rival outside its class.  How often a name is right
-at each figure is what `board51 bench diagnosis` measures; the map below was not fitted to it, but for names that stand
-beside `unknown-cause`.
+The lead of a cause is the log-likelihood by which it beats the best candidate outside its class.  How often a name is
+right at each figure is what `board51 bench diagnosis` measures; the map below was not fitted to it, but for names that
+stand beside `unknown-cause`.
 """
 
 from __future__ import annotations

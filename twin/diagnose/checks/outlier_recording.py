@@ -23,7 +23,7 @@ from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.initial_guess import no_better, start_theta
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor, expected
-from twin.diagnose.inference.theta import BASE, FLOORS, coordinates_of, roused
+from twin.diagnose.inference.theta import BASE, FLOORS, coordinates_of, reinitialised
 from twin.estimation.innovations import FLIES, information
 from twin.estimation.optimiser import inverse
 from twin.estimation.record import runs
@@ -32,7 +32,7 @@ from twin.model.causes.cause import Cause
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Odd:
+class Outlier:
     """The recording and what it asks for."""
 
     recording: int
@@ -40,7 +40,7 @@ class Odd:
     moves: tuple[tuple[str, float], ...]  # (parameter, relative change from what the others ask for)
 
 
-def odd_one(criterion: Criterion, base: Fit, floor: Floor) -> Odd | None:
+def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | None:
     """The recording that contradicts all others; None where none does.
 
     Args:
@@ -81,7 +81,7 @@ def odd_one(criterion: Criterion, base: Fit, floor: Floor) -> Odd | None:
         # Another rig has its coil at another height, too.
         (coil,) = (name for cause in CATALOGUE if _moves_coil(cause) for name in coordinates_of(cause.name))
         fit = climb(alone, start.having(coil, 0.0), (*BASE, coil), passes=2 * settings.PASSES)
-        agreed = climb(others, roused(base.theta), base.free)
+        agreed = climb(others, reinitialised(base.theta), base.free)
         # With the noise of its own sensors: another rig has others.
         quiet = replace(
             fit.theta,
@@ -96,7 +96,7 @@ def odd_one(criterion: Criterion, base: Fit, floor: Floor) -> Odd | None:
         alone.close()
         others.close()
     large = tuple((name, math.expm1(by)) for name, by in moves.items() if abs(by) > settings.DRIFT[name])
-    return Odd(recording=number, name=record.name, moves=large) if large else None
+    return Outlier(recording=number, name=record.name, moves=large) if large else None
 
 
 def _moves_coil(cause: Cause) -> bool:

@@ -76,7 +76,7 @@ class StaticDiagnosis:
     base: StaticFit
     base_left_out_a: FloatArray
     base_off_m: FloatArray  # by how much (3) holds the ball elsewhere with the measured i_c, m
-    given_off_a: FloatArray | None  # what the model file that was given gets wrong, A
+    reference_off_a: FloatArray | None  # what the model file that was given gets wrong, A
     members: tuple[Explanation, ...]  # of the class, best first; empty where nothing is named
     others: tuple[Explanation, ...]  # tested, and worse
     absorbed: tuple[str, ...]  # K_c does what they do
@@ -144,7 +144,7 @@ def diagnose_points(
     slope = (
         holding_currents(base.theta, plant, points.x_m + 1e-7) - holding_currents(base.theta, plant, points.x_m)
     ) / 1e-7
-    given = None if model is None else _off(_theta_of(model, base.theta), plant, points)
+    reference_off_a = None if model is None else _off(_theta_of(model, base.theta), plant, points)
     extended, assumed = _extended(campaign, after, members, points, model, computed, base)
     warnings += assumed
     return StaticDiagnosis(
@@ -153,7 +153,7 @@ def diagnose_points(
         base=base,
         base_left_out_a=left_out(points, plant, base),
         base_off_m=base.residual_a / slope,
-        given_off_a=given,
+        reference_off_a=reference_off_a,
         members=tuple(members),
         others=others,
         absorbed=tuple(absorbed),

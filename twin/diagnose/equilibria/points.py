@@ -50,7 +50,7 @@ class Points:
             x_m=self.x_m[keep],
             i_c_a=self.i_c_a[keep],
             u_c_v=None if self.u_c_v is None else self.u_c_v[keep],
-            names=tuple(name for name, kept in zip(self.names, keep, strict=True) if kept),
+            names=tuple(name for name, retained in zip(self.names, keep, strict=True) if retained),
         )
 
 
@@ -101,7 +101,7 @@ def points_of(records: Sequence[Record], plant: Plant, fewest: int = settings.ST
         x_m=x[good],
         i_c_a=i[good],
         u_c_v=u[good] if np.isfinite(u[good]).all() else None,
-        names=tuple(name for name, kept in zip(names, good, strict=True) if kept),
+        names=tuple(name for name, retained in zip(names, good, strict=True) if retained),
     )
 
 

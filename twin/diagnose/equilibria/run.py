@@ -7,7 +7,7 @@ from pathlib import Path
 
 from protocol.campaign import Campaign
 from twin.diagnose.equilibria.diagnosis import StaticDiagnosis, diagnose_points
-from twin.diagnose.judge.given_model import check_plant
+from twin.diagnose.judge.reference_model import check_plant
 from twin.model.parameters import Model
 from twin.readers.campaign import read_campaign
 

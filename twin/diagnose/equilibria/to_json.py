@@ -135,7 +135,7 @@ def _rows(found: StaticDiagnosis, remains: StaticFit) -> dict[str, Any]:
         "baseline_error_share": (base.residual_a / found.points.i_c_a).tolist(),
         "baseline_error_m": found.base_off_m.tolist(),
         "extended_error_a": remains.residual_a.tolist(),
-        "given_model_error_a": None if found.given_off_a is None else found.given_off_a.tolist(),
+        "reference_model_error_a": None if found.reference_off_a is None else found.reference_off_a.tolist(),
         "K_c": {"paper": base.theta.K_c, "extended": remains.theta.K_c},
         "F": None if first is None else first.F,
         "p": None if first is None else first.p,

@@ -70,8 +70,8 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         plant: mass, travel, x_max.
         stops: readings at the stops where other recordings have shown them already.
     """
-    given = tuple(records)
-    rows = [bridged(record) for record in given]
+    every_record = tuple(records)
+    rows = [bridged(record) for record in every_record]
     records = [record for record, _ in rows]
     held = [held_samples(record, plant) for record in records]
     notes: list[str] = []
@@ -82,8 +82,10 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
     lifted = [_on_platform(record, still, low, plant) for record, still in zip(records, seen, strict=True)]
     if stops is None and any(lifted):
         # Wherever a ball ends that jumped off a platform, it is no stop of the other recordings.
-        kept = [place for place, platform in enumerate(lifted) if not platform]
-        low, high = stop_readings([records[place] for place in kept], [seen[place] for place in kept], plant, notes)
+        retained = [place for place, platform in enumerate(lifted) if not platform]
+        low, high = stop_readings(
+            [records[place] for place in retained], [seen[place] for place in retained], plant, notes
+        )
     parts: list[Series] = []
     times: list[FloatArray] = []
     usages: list[Usage] = []
@@ -141,7 +143,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         times.append(t)
     statics = [*equilibria(list(records), plant), *lift_offs(platform, plant)]
     return Evidence(
-        records=given,
+        records=every_record,
         series=_join(parts),
         t=np.concatenate(times) if times else np.empty(0),
         usages=tuple(usages),

@@ -22,15 +22,15 @@ def shortened(records: Sequence[Record]) -> tuple[list[Record], str]:
     most = FLIGHT_SAMPLES if sum(flights) <= ALL_SAMPLES else ALL_SAMPLES // len(flights)
     for record in records:
         if record.kind in _LONG and len(record.t) > most:
-            kept = slice(0, most)
+            retained = slice(0, most)
             cut += 1
             record = replace(
                 record,
-                t=record.t[kept],
-                u_c=record.u_c[kept],
-                i_c=record.i_c[kept],
-                x=record.x[kept],
-                x_ref=record.x_ref[kept],
+                t=record.t[retained],
+                u_c=record.u_c[retained],
+                i_c=record.i_c[retained],
+                x=record.x[retained],
+                x_ref=record.x_ref[retained],
             )
         result.append(record)
     said = f"--quick: only the first {most} samples of {cut} recordings were used for choosing" if cut else ""

@@ -1,19 +1,20 @@
 """Which experiment would tell two causes apart that the recordings so far cannot: computed, for this rig.
 
-Each experiment of the menu is simulated on the rig as the own cause explains it.  What the rival, as it was fitted,
-predicts otherwise there is its Delta of the innovations.  What the rival could still take up by other parameters is
-taken off, its parameters being tied down by the campaign so far and by the experiment itself:
+Each experiment of the menu is simulated on the rig as the own cause explains it.  What the confounder, as it was
+fitted, predicts otherwise there is its Delta of the innovations.  What the confounder could still take up by other
+parameters is taken off, its parameters being tied down by the campaign so far and by the experiment itself:
 
     z^2 = min over xi of |Delta_campaign + J_campaign xi|^2 + |Delta_experiment + J_experiment xi|^2
 
-with J the whitened derivatives by the paper's parameters, the stops and the rival's own.  The rival was fitted to the
-campaign, so |Delta_campaign|^2 is twice the lead in log-likelihood there and J_campaign' Delta_campaign is 0.
+with J the whitened derivatives by the paper's parameters, the stops and the confounder's own.  The confounder was
+fitted to the campaign, so |Delta_campaign|^2 is twice the lead in log-likelihood there and J_campaign' Delta_campaign
+is 0.
 
 Rule 1: only what the two predict differs; noise levels are those of the own cause for both.
 Rule 2: an experiment in which the ball would not stay in the air is not proposed.
 Rule 3: up to z = 10 a refit with the experiment finds that z within its own error of 1; beyond 20 a quarter to two
-        thirds of it, because a rival may call part of a clear misfit process noise: near neighbours may then change
-        places (tests/twin/diagnose/experiments/test_design.py).
+        thirds of it, because a confounder may call part of a clear misfit process noise: near neighbours may then
+        change places (tests/twin/diagnose/experiments/test_design.py).
 Rule 4: a pair that no experiment of the menu separates is said to be so, with the measurement from outside that would.
 """
 
@@ -54,7 +55,7 @@ class Pair:
     """Two causes that one experiment could tell apart, or not."""
 
     own: str
-    rival: str
+    confounder: str
     now_z: float  # by the campaign so far, standard errors
     separation_z: float  # with the experiment added
     separable: bool  # by any experiment of the menu
@@ -77,28 +78,28 @@ def propose(
     criterion: Criterion,
     fit: Fit,
     own: str,
-    rivals: Sequence[Trial],
+    confounders: Sequence[Trial],
     controller: Controller | None,
     budget: Budget | None = None,
 ) -> list[Proposal]:
-    """The menu's experiments, best first; empty where there is no rival.
+    """The menu's experiments, best first; empty where there is no confounder.
 
     Args:
         criterion: of the recordings so far.
         fit: of the model with the own cause.
         own: its name.
-        rivals: those that the recordings cannot tell from it, fitted.
+        confounders: those that the recordings cannot tell from it, fitted.
         controller: of the board; None: LQI designed for the rig.
         budget: what the runs along the experiments are paid from; without one they are free.
 
     Raises:
         Spent: they are not affordable.
     """
-    if not rivals:
+    if not confounders:
         return []
-    ranked = rank(criterion, fit, controller, [trial.fit for trial in rivals], budget)
-    now = [math.sqrt(2.0 * max(fit.loglik - trial.fit.loglik, 0.0)) for trial in rivals]
-    best = [max((zs[k] for _, zs in ranked), default=0.0) for k in range(len(rivals))]
+    ranked = rank(criterion, fit, controller, [trial.fit for trial in confounders], budget)
+    now = [math.sqrt(2.0 * max(fit.loglik - trial.fit.loglik, 0.0)) for trial in confounders]
+    best = [max((zs[k] for _, zs in ranked), default=0.0) for k in range(len(confounders))]
     can = [z >= ENOUGH_Z for z in best]
     proposals = []
     lift_off_v = lift_off_input(fit.theta, criterion.plant)
@@ -106,13 +107,13 @@ def propose(
         pairs = tuple(
             Pair(
                 own=own,
-                rival=trial.cause,
+                confounder=trial.cause,
                 now_z=now[k],
                 separation_z=zs[k],
                 separable=can[k],
                 measurement="" if can[k] else measurement_for(own, trial.cause),
             )
-            for k, trial in enumerate(rivals)
+            for k, trial in enumerate(confounders)
         )
         counts = [pair.separation_z for pair in pairs if pair.separable] or [pair.separation_z for pair in pairs]
         smallest = min(counts)
@@ -142,7 +143,7 @@ def rank(
         criterion: of the recordings so far.
         fit: of the rig, as it is taken to be.
         controller: of the board.
-        members: the rivals, fitted to the same recordings.
+        members: the confounders, fitted to the same recordings.
         budget: as `propose` takes it.
     """
     plant = criterion.plant
@@ -184,7 +185,7 @@ def rank(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Tied:
-    """How the campaign so far ties down what a rival can still move."""
+    """How the campaign so far ties down what a confounder can still move."""
 
     names: tuple[str, ...]
     gram: FloatArray  # Fisher information of these, the noise levels left free
@@ -225,13 +226,13 @@ def _separations(
     thetas = [own.theta, *(moved(own.theta, name, by, plant) for name, by in zip(common, steps, strict=True))]
     spans = []
     for member, tied in zip(members, held, strict=True):
-        rival = member.theta
+        confounder = member.theta
         for name in NOISES:
-            rival = rival.having(name, own.theta.value(name))
+            confounder = confounder.having(name, own.theta.value(name))
         names = [name for name in tied.names if "." in name]
-        by = [derivative_step(rival, name, plant) for name in names]
+        by = [derivative_step(confounder, name, plant) for name in names]
         spans.append((len(thetas), names, by))
-        thetas += [rival, *(moved(rival, name, step, plant) for name, step in zip(names, by, strict=True))]
+        thetas += [confounder, *(moved(confounder, name, step, plant) for name, step in zip(names, by, strict=True))]
     # The phases of the campaign are not those of an experiment.
     outs = trial.several([replace(theta, phases_s=()) for theta in thetas])
     base = outs[0]
@@ -251,7 +252,7 @@ def _separation(base: FloatArray, rows: FloatArray, tied: _Tied, times: float) -
     gram = np.zeros((count, count))
     information(base, rows, np.empty((len(base), count)), gram)
     if not np.isfinite(gram).all():
-        return math.sqrt(tied.lead)  # the rival's filter does not stand it: nothing is claimed
+        return math.sqrt(tied.lead)  # the confounder's filter does not stand it: nothing is claimed
     gram *= times
     cross = gram[1:, 0]
     left = gram[0, 0] - float(cross @ inverse(tied.gram + gram[1:, 1:]) @ cross)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from twin.model.causes.catalogue import BY_NAME
 
 
-def measurement_for(own: str, rival: str) -> str:
+def measurement_for(own: str, confounder: str) -> str:
     """The measurement that tells the two apart; where nobody has thought of one, what confirms either by hand."""
-    one, other = BY_NAME[own], BY_NAME[rival]
-    known = one.told_from.get(rival) or other.told_from.get(own)
-    return known or f"for {own}: {one.confirm}; for {rival}: {other.confirm}"
+    one, other = BY_NAME[own], BY_NAME[confounder]
+    known = one.told_from.get(confounder) or other.told_from.get(own)
+    return known or f"for {own}: {one.confirm}; for {confounder}: {other.confirm}"

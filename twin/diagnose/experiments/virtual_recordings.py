@@ -42,7 +42,7 @@ from twin.model.extended import (
 
 TICK_S = 2e-3  # of the board (15)
 PLATFORM_SHARE = 0.06  # of the travel: a ball that begins a ramp higher rests on something
-BRIDGE_S = 0.2  # lost samples up to this long are simulated; behind a longer gap the recorded state begins anew
+BRIDGING_S = 0.2  # lost samples up to this long are simulated; behind a longer gap the recorded state begins anew
 CAPTURE_S, CAPTURE_PRE, CAPTURE_COUNT = 40e-6, 100, 1000
 STATIC_ERROR = 0.003  # relative, of a steady current that somebody has written down
 _HEAD = 8  # samples that show where a piece begins
@@ -257,7 +257,7 @@ def _pieces(record: Record) -> list[slice]:
     """Stretches without a long gap."""
     _, follows = intervals(record.t)
     steps = np.diff(record.t, prepend=np.nan)
-    broken = np.flatnonzero(~(follows | ((steps > 0.0) & (steps <= BRIDGE_S)))).tolist()
+    broken = np.flatnonzero(~(follows | ((steps > 0.0) & (steps <= BRIDGING_S)))).tolist()
     edges = [0, *(n for n in broken if n > 0), len(record.t)]
     return [slice(a, b) for a, b in pairwise(edges) if b > a]
 

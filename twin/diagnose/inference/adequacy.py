@@ -24,7 +24,7 @@ def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
     """(whether the model is adequate, the sentence that says why it is not); `floor`: under this model."""
     _, white = criterion.white(fit.theta)
     colour = whiteness(criterion.evidence.series, white)
-    if floor.measured and floor.audible(fit.loglik):
+    if floor.measured and floor.above_noise(fit.loglik):
         per_reading = floor.excess(fit.loglik) / floor.readings
         return False, (
             f"what is left is larger than the sensor noise: {per_reading:.2f} of log-likelihood per reading are missing"
@@ -44,7 +44,7 @@ def _misplaced(floor: Floor) -> str:
 
 def where_left(criterion: Criterion, fit: Fit, floor: Floor) -> str:
     """Where the innovations are largest: recording, height, direction, channel; or at a stop, if only that is wrong."""
-    if floor.misplaced_m > settings.MISPLACED_STOP_M and not (floor.measured and floor.audible(fit.loglik)):
+    if floor.misplaced_m > settings.MISPLACED_STOP_M and not (floor.measured and floor.above_noise(fit.loglik)):
         return f"at rest: the model needs {_misplaced(floor)}"
     series = criterion.evidence.series
     _, white = criterion.white(fit.theta)

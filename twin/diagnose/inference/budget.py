@@ -15,7 +15,7 @@ from contextlib import contextmanager
 
 MILLION = 1e6
 QUICK, FULL = 600 * MILLION, 20_000 * MILLION  # a million takes 0.06 to 0.09 s of processor time
-KEPT = 0.2  # of the limit: for experiments and gain, whatever the search takes
+RESERVED = 0.2  # of the limit: for experiments and gain, whatever the search takes
 
 
 def millions(steps: float) -> str:
@@ -35,9 +35,9 @@ class Budget:
         kept: share of them that waits for `reopen`.
     """
 
-    def __init__(self, limit: float = math.inf, kept: float = 0.0) -> None:
+    def __init__(self, limit: float = math.inf, reserved: float = 0.0) -> None:
         self.limit, self.spent, self.closed = limit, 0.0, False
-        self._open = limit * (1.0 - kept)
+        self._open = limit * (1.0 - reserved)
         self.unanswered: list[str] = []
 
     def reopen(self) -> None:

@@ -86,8 +86,8 @@ class _Surface:
     ) -> Slopes:
         if before is not None and decrement <= CLOSE:
             # The derivatives are as good as those of this point.
-            return self._of(point, seen, free, before.kept, exact=before.exact, fresh=False)
-        rough = self._criterion.loudness(seen.innovations) < settings.EXACT_SLOPES_SQUARE
+            return self._of(point, seen, free, before.retained, exact=before.exact, fresh=False)
+        rough = self._criterion.mean_square(seen.innovations) < settings.EXACT_SLOPES_SQUARE
         _, change = self._criterion.derivatives(point, free, seen, rough=rough)
         return self._of(point, seen, free, change, exact=not rough)
 
@@ -106,4 +106,4 @@ class _Surface:
         fresh: bool = True,
     ) -> Slopes:
         _, score, fisher = self._criterion.slopes(point, free, seen.innovations, change)
-        return Slopes(score=score, fisher=fisher, exact=exact, fresh=fresh, kept=change)
+        return Slopes(score=score, fisher=fisher, exact=exact, fresh=fresh, retained=change)

@@ -192,7 +192,7 @@ class Criterion:
         return float(whiten(out, np.empty(len(out)), np.empty((len(out), 2))))
 
     @staticmethod
-    def loudness(out: FloatArray) -> float:
+    def mean_square(out: FloatArray) -> float:
         """Mean square of the whitened innovations: 1 where they are as large as the filter says, inf without any."""
         white = np.full((len(out), 2), np.nan)  # of impossible parameters not all is filled in
         whiten(out, np.empty(len(out)), white)

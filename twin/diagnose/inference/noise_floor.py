@@ -56,9 +56,9 @@ class Floor:
 
     def material(self, loglik: float) -> bool:
         """Whether that is more than the noise level's own error, or a stop is where it cannot be."""
-        return self.misplaced_m > settings.MISPLACED_STOP_M or self.audible(loglik)
+        return self.misplaced_m > settings.MISPLACED_STOP_M or self.above_noise(loglik)
 
-    def audible(self, loglik: float) -> bool:
+    def above_noise(self, loglik: float) -> bool:
         """Whether that is more than the noise level's own error."""
         return self.excess(loglik) > max(settings.NOISE_TOLERANCE, settings.NOISE_ERRORS * self.error) * self.readings
 

@@ -27,7 +27,7 @@ STOPS = ("stop_low_m", "stop_high_m")
 BASE = PARAMETERS + NOISES
 FLOORS = {"process_i_c_a": 1e-6, "process_a_m_s2": 1e-3}
 STOP_UNIT_M = 1e-5
-_ROUSED_M_S2 = 0.3
+_RESTART_M_S2 = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,12 +141,12 @@ def _floor(theta: Theta, name: str) -> float:
     return {"sigma_i_c_a": theta.least_i_c_a, "sigma_x_m": theta.least_x_m}.get(name, FLOORS.get(name, 0.0))
 
 
-def roused(theta: Theta) -> Theta:
+def reinitialised(theta: Theta) -> Theta:
     """With process noise to climb from: at its floor the likelihood is flat, a model made worse would stay there."""
     return replace(
         theta,
         process_i_c_a=max(theta.process_i_c_a, 0.3 * theta.sigma_i_c_a),
-        process_a_m_s2=max(theta.process_a_m_s2, _ROUSED_M_S2),
+        process_a_m_s2=max(theta.process_a_m_s2, _RESTART_M_S2),
     )
 
 

@@ -1,4 +1,4 @@
-"""What was not named, and why: not testable, ruled out but for a size, or seen and a trifle beside what was named."""
+"""What was not named, and why: not testable, ruled out but for a size, or a minor effect beside what was named."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import spreads
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.report.sentences import bound_sentence
-from twin.diagnose.result import NotTestable, RuledOut, Trifle, fit_parameters
+from twin.diagnose.result import MinorEffect, NotTestable, RuledOut, fit_parameters
 from twin.diagnose.search.candidate_fits import inside
 from twin.diagnose.search.state import Selection
 from twin.estimation.record import Record
@@ -50,7 +50,7 @@ def ruled_out(found: Selection, said: set[str]) -> list[RuledOut]:
     ]
 
 
-def trifles_of(criterion: Criterion, found: Selection) -> list[Trifle]:
+def minor_effects_of(criterion: Criterion, found: Selection) -> list[MinorEffect]:
     """What the last round refused although chance does not explain its gain, best first."""
     last = found.rounds[-1] if found.rounds else None
     if last is None or last.taken:
@@ -63,5 +63,5 @@ def trifles_of(criterion: Criterion, found: Selection) -> list[Trifle]:
         # Where one cause took the place of another since, the round was about another model.
         if seen and trial.cause not in classes and beside == set(found.causes):
             parameters = fit_parameters(trial.fit, trial.cause, spreads(criterion, trial.fit))
-            entries.append(Trifle(name=trial.cause, parameters=parameters, loglik_gain=trial.gain))
+            entries.append(MinorEffect(name=trial.cause, parameters=parameters, loglik_gain=trial.gain))
     return entries[:_MOST]

@@ -86,7 +86,7 @@ def _banners(found: Diagnosis, show: Show) -> list[str]:
     lines = []
     if found.quick:
         lines.append(
-            "Made with --quick: the confidence figures are not calibrated, and stand-ins were not searched for."
+            "Made with --quick: the confidence figures are not calibrated, and confounders were not searched for."
         )
     if found.budget.unanswered:
         rest = "; ".join(found.budget.unanswered)

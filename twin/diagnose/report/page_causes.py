@@ -107,7 +107,7 @@ def _next(proposal: Proposal | None) -> str:
 def not_the_cause(found: Diagnosis) -> str:
     """What was ruled out, and what could not be tested."""
     parts = []
-    if found.trifles:
+    if found.minor_effects:
         rows = [
             [
                 one.name,
@@ -116,7 +116,7 @@ def not_the_cause(found: Diagnosis) -> str:
                 f"{one.loglik_gain:.0f}",
                 html.escape(", ".join(BY_NAME[one.name].shows_in)),
             ]
-            for one in found.trifles
+            for one in found.minor_effects
         ]
         total = found.selection.fit.loglik - found.selection.base.loglik
         parts.append(

@@ -23,7 +23,7 @@ from twin.model.parameters import Parameter
 if TYPE_CHECKING:
     from twin.diagnose.checks.change_point import Change
     from twin.diagnose.checks.consistency import Beginning, Contradiction
-    from twin.diagnose.checks.outlier_recording import Odd
+    from twin.diagnose.checks.outlier_recording import Outlier
     from twin.diagnose.judge.prediction_gain import Gain
     from twin.diagnose.result import Diagnosis, Finding
 
@@ -245,11 +245,11 @@ def contradiction_sentence(found: Contradiction) -> str:
     return f"{found.recording} contradicts the others: alone it asks for {found.parameter} {100 * found.change:+.0f} %"
 
 
-def odd_sentence(odd: Odd) -> str:
+def outlier_sentence(outlier: Outlier) -> str:
     """Which recording was left out, and why."""
-    asked = " and ".join(f"{name} {100.0 * by:+.0f} %" for name, by in odd.moves)
+    asked = " and ".join(f"{name} {100.0 * by:+.0f} %" for name, by in outlier.moves)
     return (
-        f"{odd.name} contradicts the others and was left out: alone it is explained by {asked}, as by another "
+        f"{outlier.name} contradicts the others and was left out: alone it is explained by {asked}, as by another "
         "rig. Check where it comes from"
     )
 

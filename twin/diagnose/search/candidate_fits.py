@@ -1,6 +1,6 @@
 """Candidates, fitted one beside the other: all a little, the leading ones to the end.
 
-Rule 1: who is far behind may only have begun to climb at a worse place: none is dropped before his slope says so.
+Rule 1: a candidate far behind may only have a worse starting value: none is dropped before its slope says so.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ def fitted(
     scores = [score for score in scores if score.cause not in copies]
     trials = criterion.each(partial(_begun, criterion, at), scores)
     favourites = {score.cause for score in scores[: settings.SAFE_CANDIDATES]}
-    for heat, (passes, hopeless, most) in enumerate(settings.HALVING):
+    for stage, (passes, hopeless, most) in enumerate(settings.HALVING):
         trials.sort(key=lambda trial: -_expected(trial))
         best = max((trial.gain for trial in trials), default=0.0)
-        last = heat == len(settings.HALVING) - 1 and bool(trials)
+        last = stage == len(settings.HALVING) - 1 and bool(trials)
         overtaken = (
             best - settings.EQUIVALENT_GAIN
             if last
@@ -72,7 +72,7 @@ def fitted(
         for place, trial in enumerate(trials):
             goes_on = place < most and _expected(trial) >= hopeless * best and _promise(trial) >= overtaken
             goes_on = goes_on and _promise(trial) >= beaten
-            if goes_on or (heat == 0 and trial.cause in favourites):
+            if goes_on or (stage == 0 and trial.cause in favourites):
                 going.add(trial.cause)
         trials = criterion.each(partial(_further, criterion, going, passes), trials)
     by_name = {trial.cause: trial for trial in trials}

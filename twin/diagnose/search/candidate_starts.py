@@ -71,13 +71,13 @@ def _shown_alike(plant: Plant, theta: Theta, start: Theta) -> Theta:
     return replace(start, stop_low_m=low, stop_high_m=high - plant.travel_m)
 
 
-def beside(criterion: Criterion, theta: Theta, own: Cause, rival: Cause) -> Theta:
-    """The best strength of `rival` with the numbers of `theta`, in which it takes the place of `own`.
+def beside(criterion: Criterion, theta: Theta, own: Cause, confounder: Cause) -> Theta:
+    """The best strength of `confounder` with the numbers of `theta`, in which it takes the place of `own`.
 
     From the bent numbers of the model without either, one of two causes that do the same may never get there; two that
     are measured in the same unit, or in V and in A, may even be of the same size.
     """
-    strength = rival.strength
+    strength = confounder.strength
     at = [strength.coordinate(probe) * factor for probe in strength.probes for factor in _GRID]
     if strength.low < strength.neutral < strength.high:
         at += [-one for one in at]
@@ -87,7 +87,7 @@ def beside(criterion: Criterion, theta: Theta, own: Cause, rival: Cause) -> Thet
         size = theta.value(f"{own.name}.{own.strength.name}") * same[own.strength.unit, strength.unit]
         sizes += [one for one in (size, -size) if strength.low <= one <= strength.high]
     bare = theta.without(own.name)
-    starts = _with_stops(criterion.plant, theta, [probed(bare, rival, one) for one in sizes], rival)
+    starts = _with_stops(criterion.plant, theta, [probed(bare, confounder, one) for one in sizes], confounder)
     return starts[int(np.argmax(criterion.values(starts)))]
 
 

@@ -1,6 +1,6 @@
-"""Who could stand in for a cause that was found?  Those are its class.
+"""Which other causes explain the same as one that was found?  Those are its class.
 
-    each cause: out with it, every other in its place -> who explains more takes it; who explains as much is its class
+    each cause: out with it, every other in its place -> what explains more takes it; what explains as much is its class
 
 Rule: causes whose best fits differ by less than EQUIVALENT_GAIN of log-likelihood are one class.
 """
@@ -15,7 +15,7 @@ from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
-from twin.diagnose.inference.theta import roused
+from twin.diagnose.inference.theta import reinitialised
 from twin.diagnose.search import periodic
 from twin.diagnose.search.candidate_fits import Trial, fitted, inside, renamed, rises, same_as
 from twin.diagnose.search.candidate_starts import beside
@@ -26,7 +26,7 @@ from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 
 
-def stand_ins(
+def find_classes(
     criterion: Criterion,
     found: Selection,
     floor: Floor | None = None,
@@ -39,8 +39,8 @@ def stand_ins(
     """The class of each cause that was found, and who comes next; the arguments are those of `select`.
 
     With `floor`, where several causes leave more than noise, one of them may be false: the last is asked first, and
-    rivals are fitted however little the screen gives them.  Beside a friction that is not yet right a true cause had
-    a fifteenth of its gain there.
+    confounders are fitted however little the score test gives them.  Beside a friction that is not yet right a true
+    cause had a fifteenth of its gain there.
     """
 
     def doubtful() -> bool:
@@ -55,8 +55,8 @@ def stand_ins(
             own = Trial(cause=cause, fit=found.fit, gain=found.gains[cause])
             same = same_as(cause) & {entry.name for entry in candidates}
             found.classes[cause] = tuple(renamed(own, other) for other in sorted(same))
-        elif _rivals(criterion, found, floor, cause, candidates, few, doubtful(), say):
-            return stand_ins(criterion, found, floor, candidates=candidates, few=few, say=say)
+        elif _class_of(criterion, found, floor, cause, candidates, few, doubtful(), say):
+            return find_classes(criterion, found, floor, candidates=candidates, few=few, say=say)
 
 
 def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Trial, say: Say) -> bool:
@@ -69,7 +69,7 @@ def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Tria
 
     def less(other: str) -> Fit:
         free = tuple(name for name in trial.fit.free if not name.startswith(other + "."))
-        return climb(criterion, roused(trial.fit.theta.without(other)), free)
+        return climb(criterion, reinitialised(trial.fit.theta.without(other)), free)
 
     for other, fit in zip(others, criterion.each(less, others), strict=True):
         if fit.loglik > least:
@@ -85,7 +85,7 @@ def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Tria
     return False
 
 
-def _rivals(
+def _class_of(
     criterion: Criterion,
     found: Selection,
     floor: Floor | None,
@@ -95,7 +95,7 @@ def _rivals(
     everyone: bool,
     say: Say,
 ) -> bool:
-    """Who could stand in for `cause`, the others staying; a rival that explains more takes its place.
+    """What explains the same as `cause`, the others staying; a confounder that explains more takes its place.
 
     With `everyone`, none is spared for what the screen gives it.
 
@@ -177,15 +177,15 @@ def _rephase(criterion: Criterion, own: Trial, trials: list[Trial], alike: set[s
         trials[n] = replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
 
 
-def _again(criterion: Criterion, own: Trial, rival: Trial) -> Trial:
-    """Who is behind, fitted from the numbers that came out beside `own`."""
-    if own.gain - rival.gain < settings.EQUIVALENT_GAIN:
-        return rival
-    start = beside(criterion, own.fit.theta, BY_NAME[own.cause], BY_NAME[rival.cause])
-    start = replace(start, phases_s=rival.fit.theta.phases_s)
-    if criterion.value(start) <= rival.fit.loglik:
-        return rival
-    fit = climb(criterion, start, rival.fit.free)
-    if fit.loglik <= rival.fit.loglik:
-        return rival
-    return replace(rival, fit=fit, gain=rival.gain + fit.loglik - rival.fit.loglik)
+def _again(criterion: Criterion, own: Trial, confounder: Trial) -> Trial:
+    """A candidate that is behind, fitted from the numbers that came out beside `own`."""
+    if own.gain - confounder.gain < settings.EQUIVALENT_GAIN:
+        return confounder
+    start = beside(criterion, own.fit.theta, BY_NAME[own.cause], BY_NAME[confounder.cause])
+    start = replace(start, phases_s=confounder.fit.theta.phases_s)
+    if criterion.value(start) <= confounder.fit.loglik:
+        return confounder
+    fit = climb(criterion, start, confounder.fit.free)
+    if fit.loglik <= confounder.fit.loglik:
+        return confounder
+    return replace(confounder, fit=fit, gain=confounder.gain + fit.loglik - confounder.fit.loglik)

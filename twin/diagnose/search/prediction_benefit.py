@@ -1,7 +1,7 @@
 """What a cause does for the prediction of x, on the recordings for fitting.
 
 The likelihood weighs all readings alike.  On a rig with much unexplained in i_c a cause may take little of the whole
-and yet be what is wrong with the motion: such a cause is not a trifle.
+and yet be what is wrong with the motion: such a cause is not a minor one.
 """
 
 from __future__ import annotations

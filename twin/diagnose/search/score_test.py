@@ -2,7 +2,7 @@
 
 The score test of each candidate on the innovations, all recordings together, with what the parameters already in the
 model can take up projected out.  A probe or two of each candidate instead of a fit, with the slopes of the model as it
-is: exact enough for who is worth a fit (tests/twin/diagnose/inference/test_derivatives.py).
+is: exact enough to say which is worth a fit (tests/twin/diagnose/inference/test_derivatives.py).
 
 Rule 1: the signature of a candidate is a secant to a small value of it, not a derivative: a limit has no derivative
         where it is not reached.

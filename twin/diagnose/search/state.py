@@ -11,7 +11,7 @@ from twin.diagnose.inference.budget import Spent
 from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
-from twin.diagnose.inference.theta import roused
+from twin.diagnose.inference.theta import reinitialised
 from twin.diagnose.search import periodic
 from twin.diagnose.search.candidate_fits import Trial
 from twin.diagnose.search.forward_step import Round
@@ -25,8 +25,8 @@ class Selection:
     fit: Fit
     causes: list[str] = field(default_factory=list)
     gains: dict[str, float] = field(default_factory=dict)
-    classes: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # rivals within EQUIVALENT_GAIN
-    runner_up: dict[str, float] = field(default_factory=dict)  # lead over the best rival outside the class
+    classes: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # confounders within EQUIVALENT_GAIN
+    runner_up: dict[str, float] = field(default_factory=dict)  # lead over the best confounder outside the class
     rounds: list[Round] = field(default_factory=list)
     smaller: dict[frozenset[str], Fit] = field(default_factory=dict)  # models of fewer causes, by what is free in them
 
@@ -66,8 +66,10 @@ def material(criterion: Criterion, found: Selection, floor: Floor) -> bool:
 def superfluous(criterion: Criterion, found: Selection, floor: Floor, smaller: Fit) -> bool:
     """Whether `smaller`, the model less one of its causes, does as well: what would not be taken now is not kept."""
     loss = found.fit.loglik - smaller.loglik
-    trifle = loss < settings.MINOR_SHARE_AT_NOISE * (found.fit.loglik - found.base.loglik)
-    return loss < settings.LEAST_GAIN or (trifle and not floor.under(criterion, smaller.theta).material(smaller.loglik))
+    minor_effect = loss < settings.MINOR_SHARE_AT_NOISE * (found.fit.loglik - found.base.loglik)
+    return loss < settings.LEAST_GAIN or (
+        minor_effect and not floor.under(criterion, smaller.theta).material(smaller.loglik)
+    )
 
 
 def without(criterion: Criterion, found: Selection, cause: str, passes: int = settings.PASSES) -> Fit:
@@ -76,7 +78,7 @@ def without(criterion: Criterion, found: Selection, cause: str, passes: int = se
     known = found.recall(free)
     if known is not None and (known.converged or known.ahead < settings.EQUIVALENT_GAIN):
         return known
-    start = roused(found.fit.theta.without(cause)) if known is None else known.theta
+    start = reinitialised(found.fit.theta.without(cause)) if known is None else known.theta
     fit = climb(criterion, start, free, passes=passes)
     found.remember(fit)
     return fit

@@ -1,11 +1,11 @@
-"""Which causes belong into the model: forward by the likelihood of all recordings, backward, and who could stand in.
+"""Which causes belong into the model: forward by the likelihood of all recordings, backward, and classes.
 
-    forward: the best cause, if it earns it -> out with whom it makes superfluous -> again, until nothing earns it
-    then for each cause that was taken: who else explains as much?  (equivalence.py)
+    forward: the best cause, if it earns it -> out with those that it makes superfluous -> again, until nothing earns it
+    then for each cause that was taken: what else explains as much?  (equivalence.py)
 
-Rule 1: a cause earns its place by log-likelihood over THRESHOLD, by a strength inside its physical range, and where the
-        model lacks more than noise, by a fair share of what it lacks.  A significant trifle beside a large unexplained
-        rest is how a false name looks.
+Rule 1: a cause earns its place by log-likelihood over LEAST_GAIN, by a strength inside its physical range, and where
+        the model lacks more than noise, by a fair share of what it lacks.  A significant but minor effect beside a
+        large unexplained rest is how a false name looks.
 Rule 2: the judge recordings are never looked at here.
 Rule 3: a step is made whole or not at all: the first that the budget does not pay to its end is undone, and ends it.
 """
@@ -22,7 +22,7 @@ from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.search import periodic
 from twin.diagnose.search.candidate_fits import climbed, inside, worth_the_whole
-from twin.diagnose.search.equivalence import stand_ins
+from twin.diagnose.search.equivalence import find_classes
 from twin.diagnose.search.forward_step import Round, Say, decided, forward
 from twin.diagnose.search.state import Selection, material, superfluous, whole, without
 from twin.model.causes.catalogue import CATALOGUE
@@ -49,9 +49,9 @@ def select(
         floor: what sensor noise alone leaves, under any model.
         candidates: the causes to try.
         few: candidates that are fitted in a round.
-        quick: leaves out causes that only count together, and stand-ins for one of several.
+        quick: leaves out causes that only count together, and confounders for one of several.
         share: least part of what is left that a cause must explain; below LEAST_SHARE more causes are taken, too.
-        classes: whether stand-ins are looked for; else `stand_ins` may be asked later.
+        classes: whether confounders are looked for; else `find_classes` may be asked later.
         say: takes lines of progress.
     """
     found = Selection(base=base, fit=base)
@@ -60,12 +60,12 @@ def select(
         _search(criterion, found, floor, candidates, few, quick, share, classes, say)
     except Spent:
         rest = [cause for cause in found.causes if cause not in found.classes]
-        if classes and rest and _who_stands_in(rest) not in unanswered:
-            unanswered.append(_who_stands_in(rest))
+        if classes and rest and _confounders_asked(rest) not in unanswered:
+            unanswered.append(_confounders_asked(rest))
     return found
 
 
-def _who_stands_in(causes: Sequence[str]) -> str:
+def _confounders_asked(causes: Sequence[str]) -> str:
     return f"whether others could stand in for {' or '.join(causes)}"
 
 
@@ -94,9 +94,9 @@ def _search(
             break
         before = set(found.causes)
         _settle(criterion, found, thorough)
-        with whole(found), criterion.budget.question(_who_stands_in(found.causes)):
+        with whole(found), criterion.budget.question(_confounders_asked(found.causes)):
             doubt = floor if thorough else None
-            stand_ins(criterion, found, doubt, candidates=candidates, few=few, quick=quick, say=say)
+            find_classes(criterion, found, doubt, candidates=candidates, few=few, quick=quick, say=say)
         _settle(criterion, found, thorough)
         # What was refused beside a false name may be what is missing beside the right one.
         if set(found.causes) == before or not material(criterion, found, floor):

@@ -23,15 +23,15 @@ _ABSENT = float("nan")
 
 def without_dead(records: list[Record], plant: Plant) -> tuple[list[Record], list[str]]:
     """(the recordings without channels that show nothing, what was left out and why)."""
-    kept: list[Record] = []
+    retained: list[Record] = []
     said: list[str] = []
     for record in records:
         if record.kind != "equilibria":
             record, constant = _without_constant(record)
             record, still = _without_still(record, plant)
             said += constant + still
-        kept.append(record)
-    return kept, said
+        retained.append(record)
+    return retained, said
 
 
 def at_rest(record: Record) -> bool:

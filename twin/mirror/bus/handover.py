@@ -22,7 +22,7 @@ from twin.model.parameters import Model, model_text, parse_model
 MAX_PAYLOAD = 1_000_000  # bytes; an identified model has some 10 000
 MAX_WORD = 128  # characters of id and who, as for the gateway's commands
 MAX_NAME = 64  # characters of a plant's name: it goes into logs and onto terminals
-KEPT_IDS = 256
+RETAINED_IDS = 256
 SHORT = 12  # digits of a hash for people
 
 
@@ -112,7 +112,7 @@ def read_model(command: pb.TwinCommand) -> Belief | pb.CommandReply:
 
 
 @dataclass(frozen=True, slots=True)
-class _Kept:
+class _Retained:
     content: bytes
     replies: list[tuple[str, pb.CommandReply]]
 
@@ -121,23 +121,23 @@ class Answered:
     """The replies of the last commands, by key and id."""
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[tuple[str, str], _Kept] = OrderedDict()
+        self._retained: OrderedDict[tuple[str, str], _Retained] = OrderedDict()
 
     def again(self, key: str, command: pb.TwinCommand) -> list[tuple[str, pb.CommandReply]] | None:
         """(key, reply) of a command that was answered before; None for a new one."""
-        kept = self._kept.get((key, command.id))
-        if kept is None:
+        retained = self._retained.get((key, command.id))
+        if retained is None:
             return None
-        if kept.content != _content(command):
+        if retained.content != _content(command):
             text = "This id was used for another command; choose a new one."
             return [(key, refusal("id-reused", text, command_id=command.id))]
-        return kept.replies
+        return retained.replies
 
     def keep(self, key: str, command: pb.TwinCommand, replies: list[tuple[str, pb.CommandReply]]) -> None:
         """Remember what was answered."""
-        self._kept[key, command.id] = _Kept(_content(command), replies)
-        if len(self._kept) > KEPT_IDS:
-            self._kept.popitem(last=False)
+        self._retained[key, command.id] = _Retained(_content(command), replies)
+        if len(self._retained) > RETAINED_IDS:
+            self._retained.popitem(last=False)
 
 
 def _content(command: pb.TwinCommand) -> bytes:

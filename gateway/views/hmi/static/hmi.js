@@ -130,7 +130,7 @@ function told(gone, serverGone) {
   if (counted) chip("alarm-count", ...counted, serverGone);
 }
 
-const ODD = { "stray-answer": "answers after their time", implausible: "implausible ticks", duplicate: "repeated samples",
+const UNEXPECTED = { "stray-answer": "answers after their time", implausible: "implausible ticks", duplicate: "repeated samples",
               "events-lost": "lost events" };
 const filled = {};
 let counted = null; // of the alarms: words, state
@@ -149,7 +149,7 @@ function lists() {
     fill("health", [
       ["port", status.port], ["commands to the board", status.to_board || "\u2013"], ["samples", `${status.samples_per_s} /s`],
       ["lost samples", status.lost], ["bad frames", status.bad_frames],
-      ...Object.entries(status.odd).map(([cause, count]) => [ODD[cause] ?? cause, count]),
+      ...Object.entries(status.unexpected).map(([cause, count]) => [UNEXPECTED[cause] ?? cause, count]),
       ["latency p99", `${status.latency_p99_ms} ms`], ["line load", `${status.line_load} %`], ["not published", status.dropped],
       ["board resets", status.resets], ["reconnections", status.reconnects],
       ["log file", status.log_file || "\u2013"], ["log", `${status.log_state}, ${status.log_mb} MB`], ["not logged", status.log_dropped],

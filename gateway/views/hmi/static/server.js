@@ -72,7 +72,7 @@ export const server = new Server();
 
 // --- what became of an act ------------------------------------------------------------------------------------------
 
-const KEPT_MS = 4000, MAX_TOASTS = 6;
+const SHOWN_MS = 4000, MAX_TOASTS = 6;
 
 // Words at the edge of the page, to be changed until the act is over; what is bad stays until it is closed.
 export function toast(text, state = "busy") {
@@ -84,7 +84,7 @@ export function toast(text, state = "busy") {
   const say = (text, state) => {
     words.textContent = text;
     element.dataset.state = state;
-    if (state === "good" || state === "note") setTimeout(() => element.remove(), KEPT_MS);
+    if (state === "good" || state === "note") setTimeout(() => element.remove(), SHOWN_MS);
     if (state !== "bad" || element.childElementCount > 1) return;
     const close = document.createElement("button");
     close.type = "button";

@@ -34,14 +34,14 @@ class Track:
         self.count = 0
         self._head = 0
         self._stamps_ns = array("q", bytes(8 * rows))
-        self._kept_ns = array("q", bytes(8 * rows))  # when the row came here: the server's timestamp
+        self._retained_ns = array("q", bytes(8 * rows))  # when the row came here: the server's timestamp
         self._values = [array("d", bytes(8 * rows)) for _ in range(columns)]
         self._codes = [array("L", bytes(array("L").itemsize * rows)) for _ in range(columns)]
 
     def append(self, stamp_ns: int, values: Sequence[float], codes: Sequence[int]) -> None:
         """One row, in the order of the columns; the oldest makes room."""
         at = self._head
-        self._stamps_ns[at], self._kept_ns[at] = stamp_ns, time.time_ns()
+        self._stamps_ns[at], self._retained_ns[at] = stamp_ns, time.time_ns()
         for column, (value, code) in enumerate(zip(values, codes, strict=True)):
             self._values[column][at] = value
             self._codes[column][at] = code
@@ -65,7 +65,7 @@ class Track:
         found = data_value(
             self._values[column][at], ua.VariantType.Double, self._codes[column][at], self._stamps_ns[at]
         )
-        found.ServerTimestamp = datetime_of(self._kept_ns[at])
+        found.ServerTimestamp = datetime_of(self._retained_ns[at])
         return found
 
     def stamp(self, row: int) -> datetime:
@@ -143,7 +143,7 @@ class Historian(HistoryManager):  # type: ignore[misc]  # as above
 
     def __init__(self, server: InternalServer, storage: RingHistory) -> None:
         super().__init__(server)
-        self._server, self._kept = server, storage
+        self._server, self._retained = server, storage
         self.set_storage(storage)
 
     async def read_history(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
@@ -161,7 +161,7 @@ class Historian(HistoryManager):  # type: ignore[misc]  # as above
         raw = isinstance(details, ua.ReadRawModifiedDetails) and not details.IsReadModified
         if node not in self._server.aspace:
             code = S.BadNodeIdUnknown
-        elif not raw or not self._kept.holds(node):
+        elif not raw or not self._retained.holds(node):
             code = S.BadHistoryOperationUnsupported
         else:
             values = result.HistoryData.DataValues

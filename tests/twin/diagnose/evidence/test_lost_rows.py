@@ -44,8 +44,8 @@ def flight(theta: Theta, *, seed: int, seconds: float = 20.0) -> Record:
 
 def less(record: Record, gone: BoolArray) -> Record:
     """The recording without those samples."""
-    kept = {name: getattr(record, name)[~gone] for name in ("t", "u_c", "i_c", "x", "x_ref")}
-    return replace(record, **kept)
+    retained = {name: getattr(record, name)[~gone] for name in ("t", "u_c", "i_c", "x", "x_ref")}
+    return replace(record, **retained)
 
 
 def drawn(record: Record, share: float, seed: int) -> BoolArray:

@@ -44,9 +44,9 @@ def as_trial(cause: str, fit: Fit, at: Fit) -> Trial:
     return Trial(cause=cause, fit=fit, gain=fit.loglik - at.loglik)
 
 
-def z_of(own: Fit, rival: Fit) -> float:
+def z_of(own: Fit, confounder: Fit) -> float:
     """By how much the data prefer the one that made them."""
-    lead = own.loglik - rival.loglik
+    lead = own.loglik - confounder.loglik
     return math.copysign(math.sqrt(2.0 * abs(lead)), lead)
 
 
@@ -56,8 +56,14 @@ def gap_or_exponent() -> tuple[list[Record], Criterion, Fit, Fit, list[Proposal]
     theta = strong(GAP, 2.5e-4)
     records = narrow(theta, seconds=4.0)
     criterion = criterion_of(records)
-    own, rival = fitted(criterion, theta, GAP), fitted(criterion, strong(EXPONENT, 1.9), EXPONENT)
-    return records, criterion, own, rival, propose(criterion, own, GAP, [as_trial(EXPONENT, rival, own)], controller())
+    own, confounder = fitted(criterion, theta, GAP), fitted(criterion, strong(EXPONENT, 1.9), EXPONENT)
+    return (
+        records,
+        criterion,
+        own,
+        confounder,
+        propose(criterion, own, GAP, [as_trial(EXPONENT, confounder, own)], controller()),
+    )
 
 
 def test_the_menu_is_the_campaign_menu() -> None:
@@ -109,10 +115,10 @@ def test_what_is_commanded_stays_in_its_range_and_is_said_in_numbers(item: Item)
 def test_force_laws_are_told_apart_by_wide_motion(
     gap_or_exponent: tuple[list[Record], Criterion, Fit, Fit, list[Proposal]],
 ) -> None:
-    _, _, own, rival, proposals = gap_or_exponent
+    _, _, own, confounder, proposals = gap_or_exponent
     z = {one.name: one.separation_z for one in proposals}
 
-    assert abs(z_of(own, rival)) < ENOUGH_Z  # the campaign so far cannot
+    assert abs(z_of(own, confounder)) < ENOUGH_Z  # the campaign so far cannot
     assert min(z["holds"], z["wide-steps"], z["slow-ramp"]) > 3.0 * z["steps"]
     assert min(z["holds"], z["wide-steps"], z["slow-ramp"]) > 3.0 * ENOUGH_Z
     assert max(z["rest"], z["amplifier-steps"], z["blocked-ball"]) < ENOUGH_Z  # the amplifier alone
@@ -127,13 +133,13 @@ def test_force_laws_are_told_apart_by_wide_motion(
 def test_the_separation_is_what_a_refit_with_the_experiment_finds(
     name: str, gap_or_exponent: tuple[list[Record], Criterion, Fit, Fit, list[Proposal]]
 ) -> None:
-    records, _, own, rival, proposals = gap_or_exponent
+    records, _, own, confounder, proposals = gap_or_exponent
     predicted = next(one.separation_z for one in proposals if one.name == name)
     item = ITEMS[name]
     whole = replace(item, passes=False)
 
     with_it = criterion_of([*records, *made(whole, own.theta, seed=11)])
-    found = z_of(fitted(with_it, own.theta, GAP), fitted(with_it, rival.theta, EXPONENT))
+    found = z_of(fitted(with_it, own.theta, GAP), fitted(with_it, confounder.theta, EXPONENT))
 
     # z has a standard error of 1.  A clear misfit is partly taken for process noise, which the prediction does not do.
     assert found > 0.35 * predicted - 3.0
@@ -161,14 +167,14 @@ def test_what_the_campaign_leaves_open_is_not_taken_for_a_difference(
 def test_an_experiment_four_times_as_long_tells_more_but_not_more_than_four(
     gap_or_exponent: tuple[list[Record], Criterion, Fit, Fit, list[Proposal]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _, criterion, own, rival, _ = gap_or_exponent
+    _, criterion, own, confounder, _ = gap_or_exponent
     short = Item(name="wide-steps", kind="closed-loop", what="", parts=(
         Wave(shape="rectangle", low=0.27, high=0.73, period_s=1.4, duration_s=4.2),
     ))  # fmt: skip
     long = replace(short, name="longer", parts=(replace(short.parts[0], duration_s=16.8),))
     monkeypatch.setattr(experiments, "MENU", (short, long))
 
-    proposals = propose(criterion, own, GAP, [as_trial(EXPONENT, rival, own)], controller())
+    proposals = propose(criterion, own, GAP, [as_trial(EXPONENT, confounder, own)], controller())
 
     squares = {one.name: one.separation_z**2 - one.pairs[0].now_z ** 2 for one in proposals}
     # Less than four: what the campaign ties down ties both.
@@ -179,9 +185,9 @@ def test_causes_of_one_effect_are_not_separable_and_the_measurement_that_does_it
     truth = strong("actuation-delay", 6e-4)
     criterion = criterion_of(narrow(truth, seconds=3.0))
     own = fitted(criterion, truth, "actuation-delay")
-    rival = fitted(criterion, strong("sampling-delay", 6e-4), "sampling-delay")
+    confounder = fitted(criterion, strong("sampling-delay", 6e-4), "sampling-delay")
 
-    proposals = propose(criterion, own, "actuation-delay", [as_trial("sampling-delay", rival, own)], controller())
+    proposals = propose(criterion, own, "actuation-delay", [as_trial("sampling-delay", confounder, own)], controller())
 
     assert proposals
     for one in proposals:
@@ -192,25 +198,25 @@ def test_causes_of_one_effect_are_not_separable_and_the_measurement_that_does_it
         assert "oscilloscope" in pair.measurement
 
 
-def test_with_several_rivals_the_hopeless_pair_does_not_hide_what_the_others_need() -> None:
+def test_with_several_confounders_the_hopeless_pair_does_not_hide_what_the_others_need() -> None:
     truth = strong("actuation-delay", 6e-4)
     criterion = criterion_of(narrow(truth, seconds=3.0))
     own = fitted(criterion, truth, "actuation-delay")
-    rivals = [
+    confounders = [
         as_trial(cause, fitted(criterion, strong(cause, value), cause), own)
         for cause, value in (("sampling-delay", 6e-4), ("eddy-current-lag", 6e-4))
     ]
 
-    proposals = propose(criterion, own, "actuation-delay", rivals, controller())
+    proposals = propose(criterion, own, "actuation-delay", confounders, controller())
 
     delay, eddy = proposals[0].pairs
-    assert (delay.rival, delay.separable) == ("sampling-delay", False)
-    assert (eddy.rival, eddy.separable, eddy.measurement) == ("eddy-current-lag", True, "")
+    assert (delay.confounder, delay.separable) == ("sampling-delay", False)
+    assert (eddy.confounder, eddy.separable, eddy.measurement) == ("eddy-current-lag", True, "")
     assert proposals[0].separable
     assert proposals[0].separation_z == eddy.separation_z > ENOUGH_Z
 
 
-def test_nothing_is_proposed_without_a_rival(
+def test_nothing_is_proposed_without_a_confounder(
     gap_or_exponent: tuple[list[Record], Criterion, Fit, Fit, list[Proposal]],
 ) -> None:
     _, criterion, own, _, _ = gap_or_exponent
@@ -221,10 +227,10 @@ def test_nothing_is_proposed_without_a_rival(
 def test_a_loop_that_drops_the_ball_is_not_proposed(
     gap_or_exponent: tuple[list[Record], Criterion, Fit, Fit, list[Proposal]],
 ) -> None:
-    _, criterion, own, rival, _ = gap_or_exponent
+    _, criterion, own, confounder, _ = gap_or_exponent
     weak = replace(controller(), gains=(0.0, 100.0, 1.0, -10.0))
 
-    proposals = propose(criterion, own, GAP, [as_trial(EXPONENT, rival, own)], weak)
+    proposals = propose(criterion, own, GAP, [as_trial(EXPONENT, confounder, own)], weak)
 
     assert proposals
     assert not any(ITEMS[one.name].closed_loop for one in proposals)
@@ -234,10 +240,10 @@ def test_a_coil_that_heats_is_asked_to_get_warm() -> None:
     truth = strong("amplifier-gain-drift", 0.03)
     criterion = criterion_of(narrow(truth, seconds=3.0))
     own = fitted(criterion, truth, "amplifier-gain-drift")
-    rival = fitted(criterion, strong("amplifier-dead-zone", 0.05), "amplifier-dead-zone")
+    confounder = fitted(criterion, strong("amplifier-dead-zone", 0.05), "amplifier-dead-zone")
 
     proposals = propose(
-        criterion, own, "amplifier-gain-drift", [as_trial("amplifier-dead-zone", rival, own)], controller()
+        criterion, own, "amplifier-gain-drift", [as_trial("amplifier-dead-zone", confounder, own)], controller()
     )
 
     assert "warm-run" in {one.name for one in proposals}
@@ -339,15 +345,15 @@ def test_the_proposed_experiment_splits_on_the_emulated_board_what_narrow_steps_
     before = bench.narrow()
     criterion = criterion_of(before, bench.plant)
     own = fitted(criterion, strong(GAP, 1e-4, believed), GAP)
-    rival = fitted(criterion, strong(EXPONENT, 1.95, believed), EXPONENT)
-    assert abs(z_of(own, rival)) < ENOUGH_Z
+    confounder = fitted(criterion, strong(EXPONENT, 1.95, believed), EXPONENT)
+    assert abs(z_of(own, confounder)) < ENOUGH_Z
 
-    proposals = propose(criterion, own, GAP, [as_trial(EXPONENT, rival, own)], bench.controller)
+    proposals = propose(criterion, own, GAP, [as_trial(EXPONENT, confounder, own)], bench.controller)
     best = next(one for one in proposals if ITEMS[one.name].closed_loop)
     criterion = criterion_of([*before, bench.perform(ITEMS[best.name])], bench.plant)
-    own, rival = fitted(criterion, own.theta, GAP), fitted(criterion, rival.theta, EXPONENT)
+    own, confounder = fitted(criterion, own.theta, GAP), fitted(criterion, confounder.theta, EXPONENT)
 
     assert best.separable
-    assert z_of(own, rival) > 3.0 * ENOUGH_Z
+    assert z_of(own, confounder) > 3.0 * ENOUGH_Z
     d_m = own.theta.value(f"{GAP}.d_m")
     assert abs(d_m - 2.5e-4) < 4.0 * own.std(f"{GAP}.d_m", bench.plant)

@@ -41,7 +41,7 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_refused_run_closes_the_budget_until_it_is_opened_again() -> None:
-    budget = Budget(100.0, kept=0.2)
+    budget = Budget(100.0, reserved=0.2)
 
     budget.take(70.0)
     with pytest.raises(Spent):
@@ -134,11 +134,11 @@ def test_the_command_line_says_that_the_search_ended_by_its_budget(
     assert "The budget of 12 million filter steps ended first" in report
 
 
-@pytest.mark.parametrize(("given", "said"), [("1", "does not fit even the paper's model"), ("0", "--budget is 0")])
+@pytest.mark.parametrize(("supplied", "said"), [("1", "does not fit even the paper's model"), ("0", "--budget is 0")])
 def test_a_budget_that_is_none_is_refused(
-    foreign: Path, given: str, said: str, capsys: pytest.CaptureFixture[str]
+    foreign: Path, supplied: str, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["diagnose", str(foreign), "--quick", "--quiet", "--budget", given]) == 2
+    assert main(["diagnose", str(foreign), "--quick", "--quiet", "--budget", supplied]) == 2
 
     told = capsys.readouterr()
     assert said in told.err
@@ -189,8 +189,8 @@ def test_wherever_a_budget_ends_what_is_known_by_then_is_sound(lagging: tuple[Cr
 
         assert budget.spent <= budget.limit
         assert budget.unanswered
-        stand_ins = " ".join(question for question in budget.unanswered if "stand in" in question)
-        assert all(cause in stand_ins for cause in found.causes if cause not in found.classes)
+        find_classes = " ".join(question for question in budget.unanswered if "stand in" in question)
+        assert all(cause in find_classes for cause in found.causes if cause not in found.classes)
         assert set(found.gains) == set(found.causes)
         with criterion.free():
             assert criterion.value(found.fit.theta) == pytest.approx(found.fit.loglik, rel=1e-12)

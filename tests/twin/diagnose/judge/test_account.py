@@ -101,7 +101,7 @@ def test_the_verdict_is_what_both_kinds_of_recordings_say(named: bool, fine: boo
     assert verdict_of(named=named, fine=fine, gain=None) in ("causes-found", "model-adequate", "unknown-cause")
 
 
-def test_names_that_take_less_than_half_on_the_judge_recordings_may_only_stand_in() -> None:
+def test_names_that_take_less_than_half_on_the_judge_recordings_may_only_be_confounders() -> None:
     assert verdict_of(named=True, fine=True, gain=judged(1.15, 1.25, baseline_m=1.6e-5)) == "partly-explained"
     assert verdict_of(named=True, fine=True, gain=judged(1.15, 1.25, baseline_m=1.3e-5)) == "unknown-cause"
 
@@ -126,18 +126,18 @@ def partly() -> Diagnosis:
     found = found_gap()
     assert found.gain is not None
     low = TOLERANCE + 0.1
-    loud = replace(found.gain, extended_rmse_m=found.gain.floor_m * (low + 0.05), ci95_floor=(low, low + 0.1))
-    loud = replace(loud, ci95_ratio=(0.0, 1.0))
-    gains = tuple(loud if one is found.gain else one for one in found.gains)
+    above_floor = replace(found.gain, extended_rmse_m=found.gain.floor_m * (low + 0.05), ci95_floor=(low, low + 0.1))
+    above_floor = replace(above_floor, ci95_ratio=(0.0, 1.0))
+    gains = tuple(above_floor if one is found.gain else one for one in found.gains)
     (cause,) = found.causes
     cause = replace(cause, confidence=MOST["partly-explained"])
     found = replace(
         found,
-        verdict=verdict_of(named=True, fine=True, gain=loud),
-        gain=loud,
+        verdict=verdict_of(named=True, fine=True, gain=above_floor),
+        gain=above_floor,
         gains=gains,
         causes=(cause,),
-        unexplained_where=beyond_sentence(loud),
+        unexplained_where=beyond_sentence(above_floor),
     )
     return replace(found, sentence=summary_sentence(found))
 

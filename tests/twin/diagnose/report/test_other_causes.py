@@ -14,7 +14,7 @@ from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, na
 from twin.diagnose import settings
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.pipeline import diagnose
-from twin.diagnose.report.other_causes import trifles_of
+from twin.diagnose.report.other_causes import minor_effects_of
 from twin.diagnose.search.candidate_fits import Trial
 from twin.diagnose.search.forward_step import Round
 from twin.diagnose.search.state import Selection
@@ -30,10 +30,10 @@ def test_what_is_a_hundredth_of_another_cause_is_listed_with_its_size_and_not_ru
     found = diagnose(load(tmp_path / "two"), workers=2)
 
     assert [cause.name for cause in found.causes] == ["slew-rate-limit"]
-    assert [one.name for one in found.trifles] == [INDUCTANCE]
-    assert found.trifles[0].loglik_gain < 0.015 * found.causes[0].loglik_gain
+    assert [one.name for one in found.minor_effects] == [INDUCTANCE]
+    assert found.minor_effects[0].loglik_gain < 0.015 * found.causes[0].loglik_gain
     assert INDUCTANCE not in {one.name for one in found.ruled_out}
-    size = found.trifles[0].parameters["growth"]
+    size = found.minor_effects[0].parameters["growth"]
     assert size.ci95 is not None
     bottom, middle, top = 8.1e-3, 5.25e-3, 2.4e-3
     truth = growth * (1 / middle - 1 / bottom) / (1 / top - 1 / bottom)
@@ -55,14 +55,14 @@ def refused() -> Iterator[tuple[Criterion, Selection]]:
     criterion.close()
 
 
-def test_what_chance_makes_what_stands_in_and_what_belongs_to_another_model_are_no_trifles(
+def test_what_chance_makes_what_is_confounded_and_what_belongs_to_another_model_are_no_minor_effects(
     refused: tuple[Criterion, Selection],
 ) -> None:
     criterion, found = refused
     trial = found.rounds[-1].trials[0]
 
     def listed(**changes: object) -> list[str]:
-        return [one.name for one in trifles_of(criterion, replace(found, **changes))]  # type: ignore[arg-type]  # one helper
+        return [one.name for one in minor_effects_of(criterion, replace(found, **changes))]  # type: ignore[arg-type]  # one helper
 
     def after(last: Round) -> list[Round]:
         return [last]

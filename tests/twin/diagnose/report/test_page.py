@@ -14,7 +14,7 @@ from twin.diagnose.report.figures import short_label
 from twin.diagnose.report.page import to_html
 from twin.diagnose.report.sentences import finding_sentence, measured, quantity, summary_sentence
 from twin.diagnose.residuals.summary import shown
-from twin.diagnose.result import Diagnosis, Proposal, Trifle
+from twin.diagnose.result import Diagnosis, MinorEffect, Proposal
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 from twin.model.parameters import Parameter
@@ -86,9 +86,9 @@ def test_every_part_of_the_argument_is_there() -> None:
 def test_what_is_too_small_to_be_named_is_listed_with_its_size_and_where_it_shows() -> None:
     found = found_gap()
     parameters = {"c_n_s2_m2": Parameter(value=0.2, unit="N s^2/m^2", ci95=(0.15, 0.25))}
-    small = Trifle(name="quadratic-drag", parameters=parameters, loglik_gain=31.4)
+    small = MinorEffect(name="quadratic-drag", parameters=parameters, loglik_gain=31.4)
 
-    text = text_of(page(replace(found, trifles=(small,))))
+    text = text_of(page(replace(found, minor_effects=(small,))))
     listed = text[text.index("too small to be named") : text.index("ruled out but for a size")]
 
     for part in ("quadratic-drag", "c = 0.20 N s^2/m^2", "31", *BY_NAME["quadratic-drag"].shows_in):
@@ -118,7 +118,7 @@ def test_an_unknown_cause_says_how_much_is_left_and_where_and_offers_a_correctio
     assert "It helps" in text
 
 
-def test_names_beside_an_unknown_cause_are_said_to_be_stand_ins() -> None:
+def test_names_beside_an_unknown_cause_are_said_to_be_confounders() -> None:
     found = replace(found_gap(), verdict="unknown-cause", unexplained_where="at rest: the model needs a stop elsewhere")
 
     text = summary_sentence(found)

@@ -23,7 +23,7 @@ from twin.diagnose.search import forward_step as forward
 from twin.diagnose.search import stepwise as search
 from twin.diagnose.search.candidate_fits import Trial
 from twin.diagnose.search.candidate_starts import beside
-from twin.diagnose.search.equivalence import stand_ins
+from twin.diagnose.search.equivalence import find_classes
 from twin.diagnose.search.score_test import probed
 from twin.diagnose.search.state import Selection
 from twin.model.causes.catalogue import BY_NAME
@@ -37,7 +37,7 @@ TRIED = tuple(BY_NAME[name] for name in (*HIDDEN, "constant-force"))
 def test_causes_that_hide_each_other_are_taken_together_or_not_at_all(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without the rule of the payoff, which would take the first of these two by itself."""
+    """Without the rule of the benefit, which would take the first of these two by itself."""
     monkeypatch.setattr(settings, "LEAST_BENEFIT", 1.0)
     make_campaign(tmp_path / "both", effects=HIDDEN, seed=310, plant="independent", quick=True)
     campaign = load(tmp_path / "both")
@@ -80,7 +80,7 @@ def test_who_gains_nearly_as_much_as_the_leader_is_tried_as_the_first_of_several
 
 
 @pytest.mark.slow
-def test_one_cause_takes_the_place_of_two_that_stand_in_for_it(tmp_path: Path) -> None:
+def test_one_cause_takes_the_place_of_two_that_are_confounded_with_it(tmp_path: Path) -> None:
     three = ("position-sensor-nonlinearity", "force-exponent", "quadratic-drag")
     make_campaign(tmp_path / "both", effects=HIDDEN, seed=310, plant="independent", quick=True)
     campaign = load(tmp_path / "both")
@@ -92,8 +92,8 @@ def test_one_cause_takes_the_place_of_two_that_stand_in_for_it(tmp_path: Path) -
         gains = dict(zip(three, (1.0, 2.0, 3.0), strict=True))
         found = Selection(base=base, fit=fit, causes=[*three], gains={**gains})
         unmoved = replace(found, causes=[*three], gains={**gains})
-        stand_ins(criterion, unmoved, candidates=(BY_NAME["constant-force"],), few=3)
-        stand_ins(criterion, found, candidates=(*TRIED, BY_NAME["force-exponent"]), few=3)
+        find_classes(criterion, unmoved, candidates=(BY_NAME["constant-force"],), few=3)
+        find_classes(criterion, found, candidates=(*TRIED, BY_NAME["force-exponent"]), few=3)
     finally:
         criterion.close()
 
@@ -119,7 +119,7 @@ def test_a_dead_zone_begins_with_the_size_of_the_offset_that_it_may_stand_for() 
 
 
 @pytest.mark.slow
-def test_what_was_refused_beside_a_stand_in_is_asked_again_beside_the_right_cause(tmp_path: Path) -> None:
+def test_what_was_refused_beside_a_confounder_is_asked_again_beside_the_right_cause(tmp_path: Path) -> None:
     """A lag of the sensor stands for one of the force, and beside it a drag explains a hundredth of what is left."""
     hidden = {"eddy-current-lag": 3.7e-3, "quadratic-drag": 1.0, "periodic-disturbance": 5e-3}
     make_campaign(tmp_path / "three", effects=hidden, seed=6, plant="emulator", quick=True)

@@ -14,7 +14,7 @@ from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.fisher_scoring import climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import BASE, Theta, coordinates_of
-from twin.diagnose.search import equivalence as rivals
+from twin.diagnose.search import equivalence as confounders
 from twin.diagnose.search.periodic import AMPLITUDE, CAUSE, FREQUENCY, Line, find_line, rephased, settled
 from twin.diagnose.search.state import Selection
 from twin.model.causes.catalogue import BY_NAME
@@ -114,7 +114,7 @@ def test_each_recording_settles_at_the_phase_of_its_own() -> None:
 
 
 @pytest.mark.slow
-def test_a_rival_has_the_phases_that_belong_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_confounder_has_the_phases_that_belong_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """What shakes the ball is read late by a lag of the sensor, and not by one of the field."""
     field, sensor = "eddy-current-lag", "position-sensor-lag"
     rig = strong(field, 3e-3, strong(CAUSE.name, 4e-3, QUIET).having(FREQUENCY, FREQUENCY_HZ))
@@ -130,7 +130,7 @@ def test_a_rival_has_the_phases_that_belong_to_it(monkeypatch: pytest.MonkeyPatc
             causes = [CAUSE.name, sensor]
             gained = dict.fromkeys(causes, false.loglik - base.loglik)
             found = Selection(base=base, fit=false, causes=causes, gains=gained)
-            rivals.stand_ins(criterion, found, candidates=(BY_NAME[field],), few=3)
+            confounders.find_classes(criterion, found, candidates=(BY_NAME[field],), few=3)
             answers[most] = found
     finally:
         criterion.close()

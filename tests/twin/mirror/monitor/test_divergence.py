@@ -213,12 +213,12 @@ def test_an_alarm_is_raised_as_soon_as_it_is_certain_and_cleared_by_a_whole_wind
 
     raised = [decide(alarm, 10, 6.0, 2.0, 1.5) for _ in range(10)]
     told = message("a", alarm, TURNED_ON)
-    kept = [decide(alarm, 10, 1.8, 2.0, 1.5) for _ in range(10)]
+    retained = [decide(alarm, 10, 1.8, 2.0, 1.5) for _ in range(10)]
     cleared = [decide(alarm, 10, 1.0, 2.0, 1.5) for _ in range(10)]
 
     assert raised == [UNCHANGED] * 3 + [TURNED_ON] + [UNCHANGED] * 6  # 4 * 6 > 10 * 2
     assert (told.active, told.value, told.threshold_on, told.threshold_off) == (True, 2.4, 2.0, 1.5)
-    assert kept == [UNCHANGED] * 10  # below on, above off
+    assert retained == [UNCHANGED] * 10  # below on, above off
     assert cleared == [UNCHANGED] * 9 + [TURNED_OFF]
     assert not message("a", alarm, TURNED_OFF).active
 

@@ -8,9 +8,9 @@ from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, na
 from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.noise_floor import floor_of
-from twin.diagnose.inference.theta import BASE, STOPS, coordinates_of, roused
+from twin.diagnose.inference.theta import BASE, STOPS, coordinates_of, reinitialised
 from twin.diagnose.search.candidate_starts import start_of
-from twin.diagnose.search.equivalence import stand_ins
+from twin.diagnose.search.equivalence import find_classes
 from twin.diagnose.search.forward_step import Round
 from twin.diagnose.search.score_test import screen
 from twin.diagnose.search.state import Selection
@@ -38,7 +38,7 @@ def test_a_cause_that_turns_out_to_explain_nothing_is_dropped() -> None:
         base = fitted(criterion, THETA)
         found = selection(base, fitted(criterion, strong(DRAG, 0.1, rig), GAP, DRAG), GAP, DRAG)
         before = found.fit.loglik
-        stand_ins(criterion, found, candidates=(BY_NAME[FORCE],), few=3)
+        find_classes(criterion, found, candidates=(BY_NAME[FORCE],), few=3)
     finally:
         criterion.close()
 
@@ -57,14 +57,14 @@ def test_beside_dry_friction_a_doubtful_name_goes_to_one_that_the_screen_hardly_
     try:
         base = climb(criterion, THETA, (*BASE, *STOPS))
         true = climb(criterion, rig, (*free, *coordinates_of(MAGNETISM)))
-        rubs = climb(criterion, roused(strong(FRICTION, 3e-3)), free)
+        rubs = climb(criterion, reinitialised(strong(FRICTION, 3e-3)), free)
         false = climb(criterion, strong(FORCE, 1e-3, rubs.theta), (*free, *coordinates_of(FORCE)))
         floor = floor_of(criterion, base.theta)
         doubtful = floor.under(criterion, false.theta).material(false.loglik)
         shown = {score.cause: score.gain for score in screen(criterion, rubs.theta, rubs.free)}
         spared, asked = selection(base, false, FRICTION, FORCE), selection(base, false, FRICTION, FORCE)
-        stand_ins(criterion, spared, candidates=(BY_NAME[MAGNETISM],), few=3)
-        stand_ins(criterion, asked, floor, candidates=(BY_NAME[MAGNETISM],), few=3)
+        find_classes(criterion, spared, candidates=(BY_NAME[MAGNETISM],), few=3)
+        find_classes(criterion, asked, floor, candidates=(BY_NAME[MAGNETISM],), few=3)
     finally:
         criterion.close()
 

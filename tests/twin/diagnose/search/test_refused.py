@@ -10,7 +10,7 @@ from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, na
 from twin.diagnose import settings
 from twin.diagnose.inference.noise_floor import floor_of
 from twin.diagnose.search import stepwise as select
-from twin.diagnose.search.equivalence import stand_ins
+from twin.diagnose.search.equivalence import find_classes
 from twin.diagnose.search.forward_step import Round
 from twin.diagnose.search.score_test import probed
 from twin.diagnose.search.state import Selection
@@ -19,8 +19,8 @@ from twin.model.causes.catalogue import BY_NAME
 FIRST, LATER = "motional-emf", "actuation-delay"
 
 
-@pytest.mark.parametrize(("strength", "kept"), [(0.15, False), (1.0, True)])
-def test_a_trifle_beside_a_later_cause_goes_if_noise_remains(strength: float, kept: bool) -> None:
+@pytest.mark.parametrize(("strength", "retained"), [(0.15, False), (1.0, True)])
+def test_a_minor_effect_beside_a_later_cause_goes_if_noise_remains(strength: float, retained: bool) -> None:
     rig = probed(strong(LATER, 6e-4), BY_NAME[FIRST], strength)
     criterion = criterion_of(narrow(rig, seconds=4.0))
     try:
@@ -32,13 +32,13 @@ def test_a_trifle_beside_a_later_cause_goes_if_noise_remains(strength: float, ke
         floor = floor_of(criterion, rig)
         asked = replace(found, causes=[*found.causes], gains={**found.gains})
         select.backward(criterion, found, floor, lambda line: None, settings.PASSES)
-        stand_ins(criterion, asked, floor, candidates=(BY_NAME["quadratic-drag"],), few=3)
+        find_classes(criterion, asked, floor, candidates=(BY_NAME["quadratic-drag"],), few=3)
     finally:
         criterion.close()
 
     loss, gained = both.loglik - alone.loglik, both.loglik - base.loglik
     assert loss > settings.LEAST_GAIN  # no question of chance
-    assert (loss > settings.MINOR_SHARE_AT_NOISE * gained) == kept
-    assert found.causes == ([FIRST, LATER] if kept else [LATER])
-    assert (found.fit is both) == kept
+    assert (loss > settings.MINOR_SHARE_AT_NOISE * gained) == retained
+    assert found.causes == ([FIRST, LATER] if retained else [LATER])
+    assert (found.fit is both) == retained
     assert asked.causes == found.causes, "nor is what an exchange has left next to nothing"

@@ -1,4 +1,4 @@
-"""What is called sensor noise, what a cause is worth for the prediction of x, where a rival begins."""
+"""What is called sensor noise, what a cause is worth for the prediction of x, where a confounder begins."""
 
 from __future__ import annotations
 
@@ -101,15 +101,15 @@ def test_what_is_removed_of_the_prediction_error(criterion: Criterion, fitted: T
     assert removed(criterion, fitted, fitted) == 0.0
 
 
-def test_a_rival_is_tried_at_the_size_of_the_cause_whose_place_it_takes(campaign: Campaign, fitted: Theta) -> None:
+def test_a_confounder_is_tried_at_the_size_of_the_cause_whose_place_it_takes(campaign: Campaign, fitted: Theta) -> None:
     """A delay is right within microseconds or nowhere: no grid of sizes meets it."""
-    own, rival, size = BY_NAME["actuation-delay"], BY_NAME["sampling-delay"], 2e-3
+    own, confounder, size = BY_NAME["actuation-delay"], BY_NAME["sampling-delay"], 2e-3
     flights = [record for record in read_campaign(campaign) if record.kind == "closed-loop"]
     evidence = gather(flights, campaign.plant)
     late = replace(evidence, series=replace(evidence.series, u=np.roll(evidence.series.u, -1)))
     delayed = Criterion(late, campaign.plant, 2e-3, workers=1)
     try:
-        found = beside(delayed, fitted.having("actuation-delay.delay_s", size), own, rival)
+        found = beside(delayed, fitted.having("actuation-delay.delay_s", size), own, confounder)
         values = delayed.values([fitted.having("sampling-delay.delay_s", one) for one in (0.8 * size, size)])
     finally:
         delayed.close()
