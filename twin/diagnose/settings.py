@@ -131,6 +131,32 @@ OUTLIER_GAIN = 50.0
 OUTLIER_SAMPLES = 500  # reasoned: in flight; fewer do not fix four parameters
 OUTLIER_RECORDINGS = 4  # reasoned: of two that disagree, neither is known to be the outlier
 
+# --- Lost samples ---
+
+# Reasoned.  Gaps of a recording and share of missing samples from which lost samples are a cause: one gap or two are an
+# interruption.  A gap of more sampling intervals is a pause.
+FEWEST_GAPS = 5
+LEAST_MISSING = 5e-4
+LONGEST_GAP = 50
+
+# --- Errors of prediction ---
+
+# Reasoned.  Blocks of the bootstrap, s: forty times the memory of a flight.  Of fewer blocks the interval would be too
+# narrow.
+ERROR_BLOCK_S = 0.5
+ERROR_BLOCKS = 10
+# Level.  One-sided, of one group of errors that is called worse.  Some fifty groups are shown, so one report in five of
+# a right model has such a group: it is a hint where to look, and decides nothing.
+WORSE_LEVEL = 0.005
+
+# --- Experiments and reference model ---
+
+# Reasoned.  Of an experiment's samples at a stop: with more, the loop does not hold the ball and nothing is proposed.
+CONTACT_SHARE = 0.05
+# Reasoned.  Relative difference of a mass or length by which a model is of another plant: a balance or a caliper errs
+# by less.
+SAME_PLANT = 0.01
+
 # --- Verdict and confidence ---
 
 # Reasoned.  `partly-explained`: error of x over its noise floor, at most, and the least share of the mean square above

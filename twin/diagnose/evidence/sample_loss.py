@@ -8,13 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.diagnose import settings
 from twin.estimation.record import Record
 from twin.model.causes.catalogue import found_by
 
 CAUSE = found_by("gaps")
-FEWEST = 5  # gaps: one or two are an interruption, not a habit
-LEAST_SHARE = 5e-4
-LONGEST = 50  # intervals: a longer gap is a pause
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,11 +36,11 @@ def lost_samples(records: Sequence[Record]) -> Lost | None:
         whole = np.rint(steps / interval)
         if np.mean(np.abs(steps / interval - whole) < 0.1) < 0.99:
             continue  # sampled at varying times: nothing says that a sample is missing
-        lost = whole[(whole > 1) & (whole <= LONGEST)] - 1
+        lost = whole[(whole > 1) & (whole <= settings.LONGEST_GAP)] - 1
         missing, gaps, total = missing + int(lost.sum()), gaps + len(lost), total + len(record.t)
         if lost.sum() > worst[1]:
             worst = (record.name, int(lost.sum()))
-    if gaps < FEWEST or missing < LEAST_SHARE * total:
+    if gaps < settings.FEWEST_GAPS or missing < settings.LEAST_MISSING * total:
         return None
     n = missing + total
     p, z = missing / n, 1.96

@@ -45,7 +45,6 @@ from twin.estimation.record import FloatArray, Record
 from twin.model.causes.catalogue import with_trait
 
 ENOUGH_Z = math.sqrt(2.0 * settings.EQUIVALENT_GAIN)  # from here on two causes are no longer one class
-CONTACT_MOST = 0.05  # of an experiment's samples: more, and the loop does not hold the ball
 _NEAR_STOP = 0.02  # of the travel
 _SEED = 1
 
@@ -204,7 +203,7 @@ def _tied(own: Fit, member: Fit) -> _Tied:
 def _floats(record: Record, criterion: Criterion) -> bool:
     travel = criterion.plant.travel_m
     at_stop = (record.x < _NEAR_STOP * travel) | (record.x > (1.0 - _NEAR_STOP) * travel) | ~np.isfinite(record.x)
-    return float(np.mean(at_stop)) <= CONTACT_MOST
+    return float(np.mean(at_stop)) <= settings.CONTACT_SHARE
 
 
 def _gathered(records: Sequence[Record], criterion: Criterion, item: Item) -> Evidence:

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from protocol.campaign import Plant
+from twin.diagnose import settings
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import Theta
@@ -24,9 +25,7 @@ from twin.estimation.rollout import within_reach
 from twin.estimation.rollout_periodic import predict
 
 HORIZONS_S = (0.002, 0.010, 0.020, 0.040)
-BLOCK_S = 0.5
 DRAWS = 1000
-FEWEST_BLOCKS = 10  # of fewer the interval would be too narrow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,10 +68,10 @@ def gain(
     if both.sum() < 50:
         return None
     first, second = errors[0][both] ** 2, errors[1][both] ** 2
-    block = max(round(BLOCK_S / tick_s), 1)
+    block = max(round(settings.ERROR_BLOCK_S / tick_s), 1)
     floor_m = _floor_m(evidence, after, floor, plant, tick_s, samples, both)
     over = (math.nan, math.nan)
-    if math.isfinite(floor_m) and len(second) >= FEWEST_BLOCKS * block:
+    if math.isfinite(floor_m) and len(second) >= settings.ERROR_BLOCKS * block:
         over = bootstrap(np.full_like(second, floor_m**2), second, block, seed)
     return Gain(
         samples=samples,

@@ -10,12 +10,12 @@ from dataclasses import replace
 
 from protocol.campaign import Plant
 from protocol.errors import DataError
+from twin.diagnose import settings
 from twin.diagnose.inference.theta import PARAMETERS, Theta
 from twin.diagnose.judge.prediction_gain import Gain
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Model
 
-SAME = 0.01  # relative: a balance or a caliper errs by less
 _KNOWN = ("mass_kg", "travel_m", "x_max_m", "gravity_m_s2")
 _WORSE = 1.1  # times the error of the refitted model: the numbers are off
 _OFF = 0.01  # of a parameter: worth a word
@@ -29,7 +29,7 @@ def check_plant(model: Model, plant: Plant) -> None:
     """
     for name in _KNOWN:
         own, asked = float(getattr(model.plant, name)), float(getattr(plant, name))
-        if abs(own - asked) > SAME * abs(asked):
+        if abs(own - asked) > settings.SAME_PLANT * abs(asked):
             raise DataError(
                 f"--model is of another plant: its {name} is {own:g}, [plant] of the campaign has {asked:g}",
                 remedy="Give a model that was identified with this [plant], or correct [plant]",

@@ -13,15 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.diagnose import settings
 from twin.estimation.record import BoolArray, FloatArray
 
 Labels = NDArray[np.int64]  # group of each sample, -1: none
 
-BLOCK_S = 0.5
 DRAWS = 400
 FEWEST_SAMPLES, FEWEST_BLOCKS = 50, 4
 CI = (0.025, 0.975)
-SURE = 0.005  # one-sided chance of a false "worse"; some fifty groups are looked at
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +70,7 @@ class Blocks:
 def blocks_of(recording: NDArray[np.int32], tick_s: float, seed: int) -> Blocks:
     """Blocks of half a second that end with their recording."""
     n = len(recording)
-    length = max(round(BLOCK_S / tick_s), 1)
+    length = max(round(settings.ERROR_BLOCK_S / tick_s), 1)
     new = np.ones(n, np.bool_)
     new[1:] = recording[1:] != recording[:-1]
     since = np.arange(n) - np.maximum.accumulate(np.where(new, np.arange(n), 0))
@@ -150,7 +149,7 @@ def error_bins(errors_m: FloatArray, labels: Labels, names: Sequence[str], at: F
                 count=int(samples[group]),
                 baseline=both[0],
                 extended=both[1],
-                worse=bool(len(ratio)) and float(np.quantile(ratio, SURE)) > 1.0,
+                worse=bool(len(ratio)) and float(np.quantile(ratio, settings.WORSE_LEVEL)) > 1.0,
             )
         )
     return found

@@ -15,9 +15,10 @@ import pytest
 from tests.harness.diagnose.agreement import disagreements
 from tests.harness.diagnose.known_diagnosis import QUIET, diagnosis, fit_of
 from tests.harness.diagnose.simulated_rig import controller
+from twin.diagnose import settings
 from twin.diagnose.checks.confidence import MOST
 from twin.diagnose.judge.account import account_of, verdict_of
-from twin.diagnose.judge.prediction_gain import FEWEST_BLOCKS, Gain, bootstrap
+from twin.diagnose.judge.prediction_gain import Gain, bootstrap
 from twin.diagnose.report.page import to_html
 from twin.diagnose.report.sentences import beyond_sentence, summary_sentence
 from twin.diagnose.residuals.summary import shown
@@ -213,5 +214,5 @@ def test_the_interval_of_error_over_floor_covers_1_under_noise_and_too_short_a_r
         covered += low <= 1.0 <= high
 
     assert covered >= 88  # 93 % at least, less 2 standard deviations of 100 trials
-    short = diagnosis("air-gap-offset", 5e-4, seconds=0.5 * FEWEST_BLOCKS - 1.0)
+    short = diagnosis("air-gap-offset", 5e-4, seconds=0.5 * settings.ERROR_BLOCKS - 1.0)
     assert all(not np.isfinite(one.ci95_floor[0]) for one in short.gains)
