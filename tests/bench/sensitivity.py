@@ -79,8 +79,8 @@ def variants(full: bool) -> list[tuple[str, str, float]]:
     ]
 
 
-def play(hidden: Hidden, *, full: bool, only: str = "") -> dict[str, Any]:
-    """The answers to one campaign, by variant; `only`: that variant alone."""
+def play(hidden: Hidden, *, full: bool) -> dict[str, Any]:
+    """The answers to one campaign, by variant."""
     row: dict[str, Any] = {"part": hidden.part, "seed": hidden.seed, "grade": hidden.grade, "full": full}
     row |= {"truths": {**hidden.effects, **hidden.outside}, "program": program_digest(), "answers": {}}
     with tempfile.TemporaryDirectory(prefix="sensitivity-") as scratch:
@@ -92,8 +92,6 @@ def play(hidden: Hidden, *, full: bool, only: str = "") -> dict[str, Any]:
         records, judges = read_campaign(campaign), read_campaign(campaign, use="judge")
         with remembered():
             for label, name, factor in variants(full):
-                if only and label != only:
-                    continue
                 with varied(name, factor):
                     found = diagnose_records(
                         campaign,
@@ -159,6 +157,10 @@ def table(rows: list[Mapping[str, Any]], full: bool) -> str:
         )
         lines.append(f"| {label} | " + " | ".join(_cell(*cell, wide=label == AS_IT_IS) for cell in cells) + " |")
     played = ", ".join(f"{len(by[part])} {part}" for part in by)
+    both = [
+        label.split()[0] for label in same if label.endswith("halved") and label.replace("halved", "doubled") in same
+    ]
+    same = both + [label for label in same if label.split()[0] not in both]
     return "\n".join([played, "", *head, *lines, "", f"No answer changes: {', '.join(same)}."])
 
 
