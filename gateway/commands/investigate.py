@@ -144,8 +144,10 @@ def _report(args: argparse.Namespace, journal: Journal) -> None:
         print("no diagnosis yet")
         return
     for one in answer.suspects:
-        rivals = "".join(f", or {rival}" for rival in one.rivals)
-        print(f"{one.name}{rivals} (confidence {one.confidence:.2f}{'' if newest.thorough else ', not calibrated'})")
+        confounders = "".join(f", or {confounder}" for confounder in one.confounders)
+        print(
+            f"{one.name}{confounders} (confidence {one.confidence:.2f}{'' if newest.thorough else ', not calibrated'})"
+        )
     print(f"{answer.verdict}: {answer.sentence}")
     ending = journal.ended.why if journal.ended is not None else "interrupted; the ball is parked"
     print(f"{ending}. {journal.rig_s:.0f} s on the rig, {len(newest.recordings)} recordings")

@@ -16,8 +16,8 @@ class Suspect:
 
     name: str
     confidence: float
-    rivals: Mapping[str, float]  # by name: separation so far, standard errors
-    experiments: Mapping[str, Mapping[str, float]]  # by name: by rival, separation with that experiment added
+    confounders: Mapping[str, float]  # by name: separation so far, standard errors
+    experiments: Mapping[str, Mapping[str, float]]  # by name: by confounder, separation with that experiment added
     outside: tuple[str, ...] = ()  # what to measure beside the board where no experiment separates
 
 
@@ -32,7 +32,7 @@ class Answer:
     @property
     def is_open(self) -> bool:
         """Whether a name of it may be another's."""
-        return any(suspect.rivals for suspect in self.suspects)
+        return any(suspect.confounders for suspect in self.suspects)
 
 
 def read_answer(data: Mapping[str, Any], *, where: str) -> Answer:
@@ -58,9 +58,9 @@ def _suspect(data: Mapping[str, Any]) -> Suspect:
     return Suspect(
         name=str(data["name"]),
         confidence=float(data["confidence"]),
-        rivals={str(rival): _z(now.get(rival)) for rival in data["indistinguishable_from"]},
+        confounders={str(confounder): _z(now.get(confounder)) for confounder in data["indistinguishable_from"]},
         experiments={
-            str(one["name"]): {str(rival): _z(z) for rival, z in one["separation_z"].items()}
+            str(one["name"]): {str(confounder): _z(z) for confounder, z in one["separation_z"].items()}
             for one in proposal.get("experiments", ())
         },
         outside=tuple(map(str, proposal.get("not_separable_here", ()))),
@@ -68,5 +68,5 @@ def _suspect(data: Mapping[str, Any]) -> Suspect:
 
 
 def _z(value: object) -> float:
-    """0 where nothing is known; what no rival survives is null in JSON."""
+    """0 where nothing is known; what no confounder survives is null in JSON."""
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else 0.0

@@ -129,7 +129,7 @@ def _lacking(answer: Answer, *, thorough: bool) -> str:
         return "what is left is noise, in what was excited"
     if answer.verdict != "causes-found":
         return "more than noise is left"
-    weak = [one for one in answer.suspects if thorough and not one.rivals and one.confidence < SURE]
+    weak = [one for one in answer.suspects if thorough and not one.confounders and one.confidence < SURE]
     return f"{weak[0].name} has a confidence of {weak[0].confidence:.2f}" if weak else ""
 
 
@@ -139,8 +139,8 @@ def _splitting(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Actio
     best_z: dict[str, float] = {}
     for suspect in answer.suspects:
         for name, separations in suspect.experiments.items():
-            for rival, now_z in suspect.rivals.items():
-                z = separations.get(rival, 0.0)
+            for confounder, now_z in suspect.confounders.items():
+                z = separations.get(confounder, 0.0)
                 if z >= ENOUGH_Z:
                     tells[name] = tells.get(name, 0.0) + (min(z, SURE_Z) ** 2 - min(now_z, ENOUGH_Z) ** 2) / 2.0
                     best_z[name] = max(best_z.get(name, 0.0), z)
@@ -165,9 +165,10 @@ def _splitting(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Actio
 
 def _classes(answer: Answer) -> str:
     return "; ".join(
-        f"{one.name} may be " + " or ".join(f"{rival} ({z:.1f} apart)" for rival, z in one.rivals.items())
+        f"{one.name} may be "
+        + " or ".join(f"{confounder} ({z:.1f} apart)" for confounder, z in one.confounders.items())
         for one in answer.suspects
-        if one.rivals
+        if one.confounders
     )
 
 

@@ -13,7 +13,7 @@ from gateway.investigate.journal import Diagnosed, Journal, Performed
 from gateway.investigate.work import Interrupted, Say, Work
 from protocol.errors import ServiceError
 
-_KEPT = ("verdict", "sentence", "causes", "candidates")  # of diagnosis.json
+_RETAINED = ("verdict", "sentence", "causes", "candidates")  # of diagnosis.json
 
 
 def menu_of(*, quick: bool) -> dict[str, Offer]:
@@ -82,8 +82,8 @@ def _perform(work: Work, journal: Journal, action: Perform) -> None:
 def _diagnose(work: Work, journal: Journal, action: Diagnose, say: Say) -> None:
     asked_of = sorted(journal.known(budget_s=0.0, quick=False).there)
     found: dict[str, Any] = work.diagnose(thorough=action.thorough)
-    kept = {name: found[name] for name in _KEPT if name in found}
-    step = Diagnosed(why=action.why, thorough=action.thorough, recordings=asked_of, found={"candidates": []} | kept)
+    retained = {name: found[name] for name in _RETAINED if name in found}
+    step = Diagnosed(why=action.why, thorough=action.thorough, recordings=asked_of, found={"candidates": []} | retained)
     journal.steps.append(step)
     journal.answer()  # an answer that is none is said before it is kept
     journal.save()

@@ -83,7 +83,7 @@ class Journal:
             if standing in _REFUSED
         }
         return Known(
-            there=frozenset(Folder(self.folder).kept),
+            there=frozenset(Folder(self.folder).retained),
             refused=frozenset(refused),
             answer=self.answer(),
             asked_of=frozenset(newest.recordings if newest else ()),

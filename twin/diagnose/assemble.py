@@ -311,8 +311,8 @@ def _proposals(criterion: Criterion, found: Selection, campaign: Campaign, asked
             command=best.command if best.separable else "",
             outside=outside,
             others=tuple((one.name, one.separation_z) for one in ranked[1:4]),
-            now_z={pair.rival: pair.now_z for pair in best.pairs},
-            experiments=tuple((one.name, {pair.rival: pair.separation_z for pair in one.pairs}) for one in ranked),
+            now_z={pair.confounder: pair.now_z for pair in best.pairs},
+            experiments=tuple((one.name, {pair.confounder: pair.separation_z for pair in one.pairs}) for one in ranked),
         )
     return result
 

@@ -36,8 +36,10 @@ class Proposal:
     command: str = ""
     outside: tuple[str, ...] = ()  # pairs that no experiment separates, with the measurement that would
     others: tuple[tuple[str, float], ...] = ()  # next best experiments and their z
-    now_z: Mapping[str, float] = field(default_factory=dict)  # by rival: separation by the recordings so far
-    experiments: tuple[tuple[str, Mapping[str, float]], ...] = ()  # all of them: by rival, separation with it added
+    now_z: Mapping[str, float] = field(default_factory=dict)  # by confounder: separation by the recordings so far
+    experiments: tuple[
+        tuple[str, Mapping[str, float]], ...
+    ] = ()  # all of them: by confounder, separation with it added
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,9 +178,9 @@ def _finding(cause: Finding) -> dict[str, Any]:
             "command": proposal.command,
             "not_separable_here": list(proposal.outside),
             "others": [{"name": name, "separation_z": _number(z)} for name, z in proposal.others],
-            "separation_z_now": {rival: _number(z) for rival, z in proposal.now_z.items()},
+            "separation_z_now": {confounder: _number(z) for confounder, z in proposal.now_z.items()},
             "experiments": [
-                {"name": name, "separation_z": {rival: _number(z) for rival, z in zs.items()}}
+                {"name": name, "separation_z": {confounder: _number(z) for confounder, z in zs.items()}}
                 for name, zs in proposal.experiments
             ],
         },

@@ -27,7 +27,7 @@ def test_a_class_comes_with_its_separations_and_what_nothing_is_known_of_as_none
 
     (suspect,) = answer.suspects
     assert answer.is_open
-    assert suspect.rivals == {"force-exponent": 1.5, "position-sensor-gain": 0.0}
+    assert suspect.confounders == {"force-exponent": 1.5, "position-sensor-gain": 0.0}
     assert suspect.experiments == {"holds": {"force-exponent": 12.0, "position-sensor-gain": 0.0}}
     assert suspect.outside == ("Measure the gap.",)
 

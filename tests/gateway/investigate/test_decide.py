@@ -19,8 +19,10 @@ def answered(verdict: str, *suspects: Suspect, there: tuple[str, ...] = START, t
     return replace(NEW, there=frozenset(there), asked_of=frozenset(there), answer=answer, thorough=thorough)
 
 
-def suspect(rivals: dict[str, float], experiments: dict[str, dict[str, float]] | None = None) -> Suspect:
-    return Suspect(name="drag", confidence=0.97, rivals=rivals, experiments=experiments or {}, outside=("Weigh it.",))
+def suspect(confounders: dict[str, float], experiments: dict[str, dict[str, float]] | None = None) -> Suspect:
+    return Suspect(
+        name="drag", confidence=0.97, confounders=confounders, experiments=experiments or {}, outside=("Weigh it.",)
+    )
 
 
 def test_it_begins_with_what_every_model_needs_then_asks() -> None:
@@ -65,7 +67,7 @@ def test_the_experiment_that_tells_most_for_its_time_is_chosen_and_the_reason_gi
     assert "steps" not in action.why, "it would not separate them"
 
 
-def test_an_experiment_that_splits_two_rivals_beats_one_that_splits_one() -> None:
+def test_an_experiment_that_splits_two_confounders_beats_one_that_splits_one() -> None:
     class_ = suspect(
         {"lag": 1.0, "friction": 1.0}, {"steps": {"lag": 4.0, "friction": 0.0}, "chirp": {"lag": 5.0, "friction": 5.0}}
     )

@@ -14,17 +14,17 @@ from tests.harness.diagnose.known_diagnosis import diagnosis
 from twin.diagnose.experiments import design
 from twin.diagnose.result import Proposal, to_json
 
-RIVAL = "position-sensor-gain"
+CONFOUNDER = "position-sensor-gain"
 
 
-def test_every_experiment_comes_with_its_separation_from_every_rival() -> None:
+def test_every_experiment_comes_with_its_separation_from_every_confounder() -> None:
     found = diagnosis("air-gap-offset", 5e-4)
     (cause,) = found.causes
     proposal = Proposal(
         what="hold it",
         separation_z=14.0,
-        now_z={RIVAL: 1.25},
-        experiments=(("holds", {RIVAL: 14.0}), ("rest", {RIVAL: math.nan})),
+        now_z={CONFOUNDER: 1.25},
+        experiments=(("holds", {CONFOUNDER: 14.0}), ("rest", {CONFOUNDER: math.nan})),
     )
     found = replace(found, causes=(replace(cause, next_experiment=proposal),))
 
@@ -32,8 +32,8 @@ def test_every_experiment_comes_with_its_separation_from_every_rival() -> None:
 
     (suspect,) = read_answer(data, where="diagnosis.json").suspects
     assert suspect.name == cause.name
-    assert suspect.rivals == {RIVAL: 1.25}
-    assert suspect.experiments == {"holds": {RIVAL: 14.0}, "rest": {RIVAL: 0.0}}
+    assert suspect.confounders == {CONFOUNDER: 1.25}
+    assert suspect.experiments == {"holds": {CONFOUNDER: 14.0}, "rest": {CONFOUNDER: 0.0}}
 
 
 def test_both_call_two_causes_one_class_up_to_the_same_separation() -> None:
