@@ -169,6 +169,7 @@ class Recording:
     kind: Kind
     use: Use
     skip_s: Annotated[Number, key("leave out so much of the start", 0.0)] = 0.0
+    instrument: str = ""  # what read it: recordings of one instrument have the same noise
     board: str = ""  # in a log of several boards, the one that is meant
     columns: Columns = field(default_factory=dict)  # the channels that were mapped
 
@@ -224,6 +225,7 @@ class Campaign:
     kind = "closed-loop"       # amplifier-step | sawtooth | prbs | closed-loop | equilibria | free
     use = "judge"              # fit | judge
     skip_s = 3.0               # optional
+    instrument = "scope"       # optional: recordings of one instrument have the same noise
     board = "rig"              # optional, for a log of several boards
     columns = { t = "t_s", u_c = { column = "duty", table = [[0.0, 0.04], [0.1, 0.61]] } }
     """

@@ -25,6 +25,8 @@ from twin.diagnose.assemble import Asked, Say, Searched, testable_causes, timed,
 from twin.diagnose.checks.change_point import find_change
 from twin.diagnose.checks.outlier_recording import Outlier, find_outlier
 from twin.diagnose.evidence.gather import Evidence, gather
+from twin.diagnose.evidence.instruments import instruments, with_noise
+from twin.diagnose.evidence.outliers import without_outliers
 from twin.diagnose.evidence.shorten import shortened
 from twin.diagnose.inference.adequacy import adequate
 from twin.diagnose.inference.budget import FULL, QUICK, RESERVED, Budget, Spent, millions
@@ -139,6 +141,9 @@ def diagnose_records(
     with timed(stages, "evidence"):
         evidence = gather(records, plant)
         judge = gather(judges, plant, (evidence.low_m, evidence.high_m)) if judges else None
+        evidence, judge = without_outliers(evidence), judge and without_outliers(judge)
+        noise = instruments([evidence, *([judge] if judge else [])])
+        evidence, judge = with_noise(evidence, noise), judge and with_noise(judge, noise)
         warnings += evidence.notes
     if not judges:
         warnings.append('no recording has use = "judge": the gain cannot be measured on data that were not used')
@@ -179,9 +184,11 @@ def diagnose_records(
             closing.callback(done.criterion.close)
             warnings.append(change_sentence(change))
             stops = evidence.low_m, evidence.high_m
-            evidence = gather([one for one in records if one.name in change.recordings], plant, stops)
+            evidence = with_noise(
+                gather([one for one in records if one.name in change.recordings], plant, stops), noise
+            )
             if judge is not None and (later := change.of(judges)):
-                judge = gather(later, plant, stops)
+                judge = with_noise(without_outliers(gather(later, plant, stops)), noise)
         with criterion.free(), done.criterion.free():
             return told(campaign, done, records, judges, evidence, judge, warnings, asked, stages)
 

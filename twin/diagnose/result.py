@@ -9,6 +9,7 @@ from typing import Any
 
 from twin.diagnose.checks.confidence import MOST
 from twin.diagnose.evidence.gather import Evidence
+from twin.diagnose.evidence.noise_levels import to_json as noise_json
 from twin.diagnose.inference.budget import Budget
 from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.noise_floor import Floor
@@ -142,6 +143,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             "explained": _number(found.account.explained),
             "left": _number(found.account.left),
         },
+        "noise": noise_json(found.fit_evidence.noise, (found.floor.sigma_i_c_a, found.floor.sigma_x_m)),
         "gain": _gain(found.gain),
         "gains": [_gain(gain) for gain in found.gains],
         "warnings": list(found.warnings),

@@ -37,6 +37,18 @@ LEAST_NOISE = 0.7
 # Level.  Sum of squares of a window at rest over the median window's: above, something moved.  Of 1e4 windows of white
 # noise none is expected there (chi-square with 23 degrees of freedom: 1e-13 each).
 RESTLESS = 5.0
+# Level.  Chance that noise is split between instruments, or follows the height, in a campaign where it does neither:
+# over all pairs of recordings; means of the windows' logarithms are near to normal.
+INSTRUMENT_CHANCE = 1e-3
+# Level.  Standard deviations of the fourth difference beyond which a single reading is an outlier: of Gaussian noise
+# one in ten million.
+OUTLIER_ERRORS = 5.3
+# Level.  Variances of a fourth difference that five of them may hold once the shape of a single reading is taken off:
+# of noise one in a hundred holds more, so that one outlier in a hundred stays; a corner of the signal holds more.
+OUTLIER_SHAPE = 11.3
+# Reasoned.  Share of outliers that is no property of an instrument: ten times the noise, so many raise its level by
+# 5 %, the tolerance of the floor.  The end of a slew limit may look like one.
+OUTLIER_SHARE = 1e-3
 # Reasoned.  Mean square of the innovations at one height over the smallest, from which a height is mentioned.
 UNEVEN_SQUARE = 1.5
 

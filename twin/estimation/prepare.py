@@ -238,6 +238,11 @@ def spikes(x: FloatArray, plant: Plant) -> BoolArray:
     return wild
 
 
+def captured(record: Record) -> int:
+    """How many samples of its captures enter the series, behind all others."""
+    return sum(len(one.i_c_a) - max(one.step_index - _CAPTURE_LEAD, 0) for one in record.captures)
+
+
 def _captures(record: Record, number: int) -> list[Series]:
     series = []
     for capture in record.captures:

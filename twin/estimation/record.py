@@ -46,6 +46,7 @@ class Record:
     x: FloatArray  # m, up from the sensor
     x_ref: FloatArray  # m
     captures: tuple[Capture, ...] = ()
+    instrument: str = ""  # what read it, where the campaign file says so
     lsb: tuple[float, float] = (0.0, 0.0)  # one count of i_c in A and of x in m, where the log says so
     notes: tuple[str, ...] = field(default=())
 

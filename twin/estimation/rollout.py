@@ -102,7 +102,7 @@ def _roll(
     stops: bool,
     x_hat: NDArray[np.float64],
 ) -> None:
-    t, step, u, _, _, flags = samples
+    t, step, u, _, _, flags, _ = samples
     y = f.y[:]
     unbroken = 0  # samples of this flight before the present one
     known = 0  # of them, how many since one was lost

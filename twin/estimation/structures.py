@@ -51,6 +51,9 @@ class System(NamedTuple):
     closed_form: bool = False
 
 
+ALIKE = np.empty((0, 2))  # each reading has the noise of its channel
+
+
 class Samples(NamedTuple):
     """Readings in order, arrays of shape (n,)."""
 
@@ -60,11 +63,12 @@ class Samples(NamedTuple):
     i: NDArray[np.float64]  # A
     x: NDArray[np.float64]  # m
     flags: NDArray[np.uint8]  # `innovations.py`, `ekf.py`
+    loud: NDArray[np.float64] = ALIKE  # variance of the noise of i and x over that of their levels, shape (n, 2)
 
     def part(self, piece: slice) -> Samples:
         """Some of them, as views."""
-        t, step, u, i, x, flags = self
-        return Samples(t[piece], step[piece], u[piece], i[piece], x[piece], flags[piece])
+        t, step, u, i, x, flags, loud = self
+        return Samples(t[piece], step[piece], u[piece], i[piece], x[piece], flags[piece], loud[piece])
 
 
 class Steps(NamedTuple):

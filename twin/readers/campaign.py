@@ -75,6 +75,7 @@ def _replace(record: Record, keep: np.ndarray[tuple[int, ...], np.dtype[np.bool_
         x=record.x[keep],
         x_ref=record.x_ref[keep],
         captures=record.captures,
+        instrument=record.instrument,
         lsb=record.lsb,
         notes=record.notes,
     )
@@ -231,6 +232,7 @@ def _from_columns(
         i_c=channels.get("i_c", absent),
         x=channels.get("x", absent),
         x_ref=channels.get("x_ref", absent),
+        instrument=recording.instrument,
         notes=tuple(notes),
     )
 
@@ -320,6 +322,7 @@ def _read_log(path: Path, recording: Recording) -> Record:
         x=table[:, 3],
         x_ref=table[:, 4],
         captures=tuple(captures),
+        instrument=recording.instrument,
         lsb=lsb,
         notes=tuple(notes),
     )

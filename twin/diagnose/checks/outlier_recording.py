@@ -18,6 +18,8 @@ import numpy as np
 from protocol.errors import DataError
 from twin.diagnose import settings
 from twin.diagnose.evidence.gather import gather
+from twin.diagnose.evidence.instruments import with_noise
+from twin.diagnose.evidence.outliers import without_outliers
 from twin.diagnose.inference.adequacy import adequate
 from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.initial_guess import no_better, start_theta
@@ -75,8 +77,10 @@ def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | Non
     except DataError:
         return None  # alone it says too little
     budget = criterion.budget
-    alone = Criterion(gather([record], plant, stops), plant, criterion.tick_s, budget=budget)
-    others = Criterion(gather(rest, plant, stops), plant, criterion.tick_s, budget=budget)
+    parts = [gather([record], plant, stops), gather(rest, plant, stops)]
+    parts = [with_noise(without_outliers(part), evidence.noise) for part in parts]
+    alone = Criterion(parts[0], plant, criterion.tick_s, budget=budget)
+    others = Criterion(parts[1], plant, criterion.tick_s, budget=budget)
     try:
         # Another rig has its coil at another height, too.
         (coil,) = (name for cause in CATALOGUE if _moves_coil(cause) for name in coordinates_of(cause.name))

@@ -8,12 +8,13 @@ Rule 2: a judge recording never enters the series of the fit, and the other way 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from protocol.campaign import Plant
 from twin.diagnose.evidence.lost_rows import between, bridged, mark
+from twin.diagnose.evidence.noise_levels import Noise
 from twin.estimation.contact import (
     OPEN_LOOP,
     at_converter_end,
@@ -29,7 +30,7 @@ from twin.estimation.contact import (
 from twin.estimation.innovations import FLIES, FOLLOWS, RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN, USE_I, USE_X, Series
 from twin.estimation.prepare import Usage, prepare
 from twin.estimation.record import BoolArray, FloatArray, Record, runs
-from twin.estimation.structures import Samples
+from twin.estimation.structures import ALIKE, Samples
 from twin.identify.starting.liftoff import LiftOff, equilibria, lift_offs
 
 TRIM_SAMPLES = 2
@@ -50,12 +51,14 @@ class Evidence:
     low_m: float | None  # reading at the lower stop; None: not seen
     high_m: float | None
     notes: tuple[str, ...]
+    noise: Noise | None = None  # of the instruments, where they differ
+    loud: FloatArray = field(default_factory=lambda: ALIKE)  # as `Samples` has it
 
     @property
     def samples(self) -> Samples:
         """The series, as the filter takes it."""
         s = self.series
-        return Samples(self.t, s.step, s.u, s.i, s.x, s.flags)
+        return Samples(self.t, s.step, s.u, s.i, s.x, s.flags, self.loud)
 
     def names(self) -> list[str]:
         """Of the recordings."""

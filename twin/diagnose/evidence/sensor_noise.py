@@ -25,8 +25,13 @@ def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
 
 def noise_error(evidence: Evidence) -> float:
     """Standard error of ln sigma, averaged over both channels: sqrt(1 / 2n) each."""
-    counts = [count for _, count in _rest_squares(evidence) if count > 300]
-    return 0.5 * float(np.sqrt(sum(0.5 / count for count in counts)))
+    squares = [0.5 / count if count > 300 else 0.0 for _, count in _rest_squares(evidence)]
+    if evidence.noise is not None:
+        squares = [
+            own + evidence.noise.error(evidence.records, evidence.series, place) ** 2
+            for place, own in enumerate(squares)
+        ]
+    return 0.5 * float(np.sqrt(sum(squares)))
 
 
 def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
@@ -47,6 +52,8 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
                     continue
                 line = np.polynomial.polynomial.polyfit(_LINE, values, 1)
                 residual = values - np.polynomial.polynomial.polyval(_LINE, line)
+                if len(evidence.loud):  # another instrument's, as the reference would have it
+                    residual = residual / np.sqrt(evidence.loud[window, place])
                 squares[place].append(float(residual @ residual))
     result = []
     for channel in squares:

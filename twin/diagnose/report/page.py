@@ -23,6 +23,7 @@ from twin.diagnose.report.figures import (
 )
 from twin.diagnose.report.page_causes import causes, not_the_cause, ranking
 from twin.diagnose.report.page_errors import left, where
+from twin.diagnose.report.page_noise import instruments
 from twin.diagnose.report.sentences import measured, quantity
 from twin.diagnose.residuals.regimes import Estimate
 from twin.diagnose.residuals.summary import HORIZON_S, Show
@@ -72,6 +73,7 @@ def to_html(found: Diagnosis, show: Show, *, campaign: Path, out: Path) -> str:
         left(found, show),
         "<h2>The model's numbers</h2>",
         _numbers(found),
+        instruments(found),
         "<h2>What was not named</h2>",
         not_the_cause(found),
         "<h2>How the campaign was used</h2>",

@@ -1,0 +1,254 @@
+"""How much noise each instrument has, by channel and height: told by the recordings alone, before any model.
+
+A reading is a smooth signal and noise.  Its fifth difference passes white noise with a gain of sqrt(252) and leaves of
+a ball's motion a few percent; i_c first loses what a linear filter of the u_c before it explains.  Mean squares over
+windows of 25 readings have logarithms whose spread the windows themselves show, whatever the tails are.
+
+Rule 1: a source is what one instrument has read: the recordings that the campaign file gives the same `instrument`,
+        else one recording; captures are another instrument than the samples beside them.
+Rule 2: flights are compared with flights, what rests or is captured with its like: in flight the loop answers to the
+        noise of x, and crosstalk shows the current; a tenth and more of the noise may be that, alike in all flights.
+Rule 3: sources share a level unless they differ surely (one campaign in a thousand by chance, over all pairs) and by
+        more than the floor's tolerance: where one level is enough, none of its precision is lost.
+Rule 4: noise follows the height where it does so within flights, as surely and as much; then the ball at rest is one
+        more height.
+Rule 5: the level itself is that of the ball at rest (`sensor_noise.py`), else the fit's; the flights nearest to it are
+        taken to have the same.  From here come ratios to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.stats import chi2, norm
+
+from twin.diagnose import settings
+from twin.diagnose.evidence.gather import Evidence
+from twin.diagnose.evidence.noise_levels import Channel, Level, Noise, parts_of
+from twin.estimation.innovations import FLIES, FOLLOWS, LOST, RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN, USE_I, USE_X, Series
+from twin.estimation.prediction_floor import TOLERANCE
+from twin.estimation.record import BoolArray, FloatArray, runs
+
+IntArray = np.ndarray[tuple[int], np.dtype[np.int64]]
+ORDER = 5  # of the difference; three would leave five times as much of a step of the acceleration
+_GAIN = math.comb(2 * ORDER, ORDER)  # sum of its squared weights
+WINDOW = 25  # readings
+FEWEST = 8  # windows of a source
+SHOWS = 8  # readings of i_c that a u_c shows in by itself; later ones it reaches through `_TIMES`
+_TIMES = (2.0, 6.0, 20.0, 60.0)  # samples: time constants of the amplifiers that they span
+_BENDS = 2  # the logarithm of the noise is a parabola over the height, at most
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Windows:
+    """Of one channel; all of shape (n,)."""
+
+    log: FloatArray  # ln of the standard deviation
+    height_m: FloatArray
+    source: IntArray
+    flies: BoolArray
+    rests: BoolArray
+
+    def where(self, kept: BoolArray) -> _Windows:
+        return _Windows(**{name: getattr(self, name)[kept] for name in _Windows.__slots__})
+
+
+def instruments(evidences: Sequence[Evidence]) -> Noise:
+    """The noise of these recordings, for fitting and judging alike: no model has a part in it."""
+    names = sorted({name for evidence in evidences for name, _ in parts_of(evidence.records, evidence.series)})
+    found = [_channel(_windows(evidences, names, place), names, bends=place == 1) for place in range(2)]
+    return Noise((found[0], found[1]))
+
+
+def with_noise(evidence: Evidence, noise: Noise | None) -> Evidence:
+    """The evidence with the noise of each reading; unchanged where it is the same for all."""
+    if noise is None or noise.plain:
+        return evidence
+    return replace(evidence, noise=noise, loud=noise.loud(evidence.records, evidence.series))
+
+
+def _windows(evidences: Sequence[Evidence], names: Sequence[str], place: int) -> _Windows:
+    rows: list[tuple[float, float, int, bool, bool]] = []
+    for evidence in evidences:
+        series = evidence.series
+        flies = series.flags & FLIES != 0
+        rests = series.flags & (RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) != 0
+        for name, own in parts_of(evidence.records, evidence.series):
+            rough = differences(series.part(own), place)
+            squares, at = [], []
+            for piece in runs(np.isfinite(rough), WINDOW):
+                for start in range(piece.start, piece.stop - WINDOW + 1, WINDOW):
+                    window = slice(own.start + start, own.start + start + WINDOW)
+                    if flies[window].all() or not flies[window].any():
+                        squares.append(float(np.mean(rough[start : start + WINDOW] ** 2)) / _GAIN)
+                        at.append(window)
+            for kind in (True, False):
+                alike = [place for place, window in enumerate(at) if flies[window.start] == kind]
+                most = settings.RESTLESS * float(np.median([squares[place] for place in alike])) if alike else 0.0
+                rows += [
+                    (
+                        0.5 * math.log(squares[place]),
+                        float(np.mean(series.x[at[place]])),
+                        names.index(name),
+                        kind,
+                        bool(rests[at[place]].all()),
+                    )
+                    for place in alike
+                    if 0.0 < squares[place] <= most
+                ]
+    table = np.array(rows).reshape(-1, 5)
+    return _Windows(
+        log=table[:, 0],
+        height_m=table[:, 1],
+        source=table[:, 2].astype(np.int64),
+        flies=table[:, 3].astype(np.bool_),
+        rests=table[:, 4].astype(np.bool_),
+    )
+
+
+def differences(series: Series, place: int) -> FloatArray:
+    """Fifth differences of i_c (place 0) or x, shape (n,), NaN where a reading is missing; one recording."""
+    values, whole = smooth(series, place, before=ORDER)
+    result = np.full(len(values), np.nan)
+    result[ORDER:] = np.diff(values, ORDER)
+    result[~whole] = np.nan
+    return result
+
+
+def smooth(series: Series, place: int, *, before: int = 0, around: int = 0) -> tuple[FloatArray, BoolArray]:
+    """(i_c (place 0) without what u_c explains, or x; where the readings before and around are there), both (n,)."""
+    used = series.flags & (USE_I, USE_X)[place] != 0
+    chain = np.cumsum(series.flags & FOLLOWS == 0)
+    # As long the u_c of a lost sample shows, which nobody knows; before the first sample it was the same.
+    told = np.ones(len(used), np.bool_)
+    for at in np.flatnonzero((series.flags & LOST != 0) | (np.diff(chain, prepend=1) != 0)):
+        told[at : at + SHOWS] = False
+    known = used & told if place == 0 else used
+    if np.count_nonzero(known) < FEWEST * WINDOW:
+        return series.x, np.zeros(len(used), np.bool_)
+    whole = known.copy()
+    for lag in range(1, before + 2 * around + 1):
+        whole[lag:] &= known[:-lag] & (chain[lag:] == chain[:-lag])
+        whole[:lag] = False
+    if around:
+        whole = np.concatenate((whole[around:], np.zeros(around, np.bool_)))
+    return without_input(series.i, series.u, known) if place == 0 else series.x, whole
+
+
+def without_input(i: FloatArray, u: FloatArray, used: BoolArray) -> FloatArray:
+    """i_c without what a linear filter of u_c says of it, all of shape (n,)."""
+    before = np.concatenate((u[:1], u[:-1]))
+    late = [np.concatenate((np.full(lag, u[0]), u[:-lag])) for lag in range(1, SHOWS + 1)]
+    slow = [u[0] + lfilter([-math.expm1(-1.0 / time)], [1.0, -math.exp(-1.0 / time)], before - u[0]) for time in _TIMES]
+    given = np.column_stack([np.ones(len(u)), *late, *slow])
+    return np.asarray(i - given @ np.linalg.lstsq(given[used], i[used], rcond=None)[0])
+
+
+def _channel(windows: _Windows, names: Sequence[str], *, bends: bool) -> Channel:
+    curve = _curve(windows) if bends else Channel()
+    windows = replace(windows, log=windows.log - curve.log_at(windows.height_m))
+    levels: list[Level] = []
+    still: float | None = None
+    for flies in (False, True):
+        own = windows.where(windows.flies == flies)
+        groups = _groups(own)
+        if not groups:
+            continue
+        reference = _reference(groups, own, still)
+        still = still if flies else reference
+        levels += [
+            Level(
+                sources=tuple(names[source] for source in sorted(group.sources)),
+                flies=flies,
+                ratio=math.exp(group.level - reference),
+                error=group.error,
+            )
+            for group in groups
+        ]
+    return replace(curve, levels=tuple(levels))
+
+
+def _reference(groups: Sequence[_Group], windows: _Windows, still: float | None) -> float:
+    """The level of the ball at rest; of flights that which is nearest to it; else of the most windows."""
+    if still is not None:
+        return min((group.level for group in groups), key=lambda level: abs(level - still))
+    if windows.rests.any():
+        rests = [np.count_nonzero(windows.rests & np.isin(windows.source, group.sources)) for group in groups]
+        return groups[int(np.argmax(rests))].level
+    return groups[0].level
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Sources that share a level, and their windows."""
+
+    sources: tuple[int, ...]
+    log: FloatArray
+
+    @cached_property
+    def level(self) -> float:
+        return float(np.mean(self.log))
+
+    @cached_property
+    def error(self) -> float:
+        return float(np.std(self.log, ddof=1)) / math.sqrt(len(self.log))
+
+    def apart(self, other: _Group) -> float:
+        """In standard errors."""
+        return abs(self.level - other.level) / math.hypot(self.error, other.error)
+
+
+def _groups(windows: _Windows) -> list[_Group]:
+    """The sources, those together that cannot be told apart; most windows first."""
+    present, counts = np.unique(windows.source, return_counts=True)
+    groups = [_Group((int(one),), windows.log[windows.source == one]) for one in present[counts >= FEWEST]]
+    surely = float(norm.isf(0.5 * settings.INSTRUMENT_CHANCE / max(math.comb(len(groups), 2), 1)))
+    while len(groups) > 1:
+        apart, one, other = min(((a.apart(b), a, b) for a, b in combinations(groups, 2)), key=lambda pair: pair[0])
+        if apart > surely and abs(one.level - other.level) > math.log(TOLERANCE):
+            break
+        groups = [group for group in groups if group not in (one, other)]
+        groups.append(_Group(one.sources + other.sources, np.concatenate((one.log, other.log))))
+    return sorted(groups, key=lambda group: -len(group.log))
+
+
+def _curve(windows: _Windows) -> Channel:
+    """The noise over the height: first within flights, as what lies between recordings may be an instrument."""
+    flown = windows.where(windows.flies)
+    if len(flown.log) < FEWEST * (_BENDS + 1) or not _fitted(flown, flown.source).bend:
+        return Channel()
+    groups = _groups(flown)
+    alike = windows.where(windows.rests | (windows.flies & np.isin(windows.source, groups[0].sources)))
+    curve = _fitted(alike, np.zeros(len(alike.log), np.int64))
+    at = alike.height_m[alike.rests] if alike.rests.any() else alike.height_m
+    return replace(curve, reference=float(np.mean(curve.log_at(at))))
+
+
+def _fitted(windows: _Windows, group: IntArray) -> Channel:
+    """A parabola at most over the height, beside one level for each group, shape (n,)."""
+    low, high = (float(end) for end in np.quantile(windows.height_m, (0.01, 0.99)))
+    height = np.clip(windows.height_m, low, high)
+    log, curve = _within(windows.log, group), Channel()
+    left = log
+    for bends in range(1, _BENDS + 1):
+        powers = np.column_stack([_within(height**n, group) for n in range(1, bends + 1)])
+        bend = np.linalg.lstsq(powers, log, rcond=None)[0]
+        after = log - powers @ bend
+        gained = float(left @ left - after @ after) / float(np.var(after, ddof=bends))
+        change = float(np.std(left - after))
+        if chi2.sf(gained, 1) > settings.INSTRUMENT_CHANCE or change < math.log(TOLERANCE):
+            break
+        curve, left = Channel(bend=tuple(bend.tolist()), range_m=(low, high)), after
+    return curve
+
+
+def _within(values: FloatArray, group: IntArray) -> FloatArray:
+    """Less the mean of each group."""
+    means = np.bincount(group, values) / np.maximum(np.bincount(group), 1)
+    return np.asarray(values - means[group])

@@ -1,0 +1,119 @@
+"""The noise of each reading: a level for each instrument and channel, and how it follows the height."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.polynomial.polynomial import polyval
+
+from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X, Series
+from twin.estimation.prepare import captured
+from twin.estimation.record import FloatArray, Record, runs
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Level:
+    """The noise of one instrument in one channel."""
+
+    sources: tuple[str, ...]
+    flies: bool  # in flight; else at rest, or a capture
+    ratio: float  # of its standard deviation to the reference's
+    error: float  # standard error of its logarithm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Channel:
+    """The noise of a channel: its levels, and how it follows the height."""
+
+    levels: tuple[Level, ...] = ()
+    bend: tuple[float, ...] = ()  # of ln of the standard deviation over the height, without a constant; 1/m, 1/m^2
+    range_m: tuple[float, float] = (0.0, 0.0)  # beyond it the noise stays
+    reference: float = 0.0  # what these make of the ball at rest
+
+    def log_at(self, height_m: FloatArray) -> FloatArray:
+        """Ln of the standard deviation there, against that of the ball at rest."""
+        return np.asarray(polyval(np.clip(height_m, *self.range_m), (-self.reference, *self.bend)))
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Of i_c and x."""
+
+    channels: tuple[Channel, Channel] = (Channel(), Channel())
+
+    @property
+    def plain(self) -> bool:
+        """Whether one number for each channel says it all."""
+        return not any(channel.bend or any(one.ratio != 1.0 for one in channel.levels) for channel in self.channels)
+
+    def loud(self, records: Sequence[Record], series: Series) -> FloatArray:
+        """Variance of the noise of each reading of i_c and x over that of its channel, shape (n, 2)."""
+        ratio, flies = np.zeros((len(series), 2)), series.flags & FLIES != 0
+        for place, channel in enumerate(self.channels):
+            for name, own in parts_of(records, series):
+                for level in channel.levels:
+                    if name in level.sources:
+                        ratio[own, place][flies[own] == level.flies] = math.log(level.ratio)
+            ratio[:, place] += channel.log_at(series.x)
+        return np.asarray(np.exp(2.0 * ratio))
+
+    def error(self, records: Sequence[Record], series: Series, place: int) -> float:
+        """Standard error of ln sigma that the ratios bring, averaged over the readings of a channel."""
+        used = series.flags & (USE_I, USE_X)[place] != 0
+        flies = series.flags & FLIES != 0
+        total = sum(
+            level.error * np.count_nonzero(used[own] & (flies[own] == level.flies))
+            for name, own in parts_of(records, series)
+            for level in self.channels[place].levels
+            if level.ratio != 1.0 and name in level.sources
+        )
+        return float(total) / max(int(np.count_nonzero(used)), 1)
+
+
+def to_json(noise: Noise | None, sigmas: tuple[float, float]) -> dict[str, Any]:
+    """The noise for diagnosis.json.
+
+    Args:
+        noise: None where one level for each channel is enough.
+        sigmas: of i_c, A, and x, m, at the reference, where the ratios are 1.
+    """
+    channels = noise.channels if noise is not None else (Channel(), Channel())
+    return {
+        name: {
+            "sigma": sigma,
+            "unit": unit,
+            "instruments": [
+                {
+                    "recordings": list(level.sources),
+                    "in_flight": level.flies,
+                    "sigma": sigma * level.ratio,
+                    "relative_std": level.error,
+                }
+                for level in channel.levels
+            ],
+            "over_height": [
+                {"x_m": float(x_m), "sigma": float(sigma * np.exp(log))}
+                for x_m, log in zip(heights, channel.log_at(heights), strict=True)
+            ],
+        }
+        for name, unit, sigma, channel in zip(("i_c", "x"), ("A", "m"), sigmas, channels, strict=True)
+        for heights in [np.linspace(*channel.range_m, 5) if channel.bend else np.empty(0)]
+    }
+
+
+def parts_of(records: Sequence[Record], series: Series) -> list[tuple[str, slice]]:
+    """(source, its samples) of each recording without its captures, and of each capture."""
+    result: list[tuple[str, slice]] = []
+    for number, record in enumerate(records):
+        for whole in runs(np.asarray(series.recording == number)):
+            begin = whole.stop - captured(record)
+            chains = np.flatnonzero(series.flags[begin : whole.stop] & FOLLOWS == 0) + begin
+            name = record.instrument or record.name
+            result += [(name, slice(whole.start, begin))] if begin > whole.start else []
+            result += [(f"{name}, captures", slice(a, b)) for a, b in pairwise([*chains.tolist(), whole.stop])]
+    return result

@@ -1,0 +1,87 @@
+"""Readings that no noise makes: single ones, far off what their neighbours say of them.
+
+A reading that is off by A shows in the fourth difference as A (1, -4, 6, -4, 1).  A corner of the signal, such as an
+impact or a step of the input, shows in another shape: two readings and more agree on it, and it stays.
+
+Rule 1: a single reading is left out where it is off by more than OUTLIER_ERRORS of what the differences are otherwise
+        (of Gaussian noise one in ten million), and the shape is right.
+Rule 2: so few as OUTLIER_SHARE stay: the end of a slew limit or a bad contact may look like one, and they do no harm.
+Rule 3: what is left out is counted (`Usage.outliers`); no reading is mended.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from twin.diagnose import settings
+from twin.diagnose.evidence.gather import Evidence
+from twin.diagnose.evidence.instruments import SHOWS, smooth
+from twin.diagnose.evidence.noise_levels import parts_of
+from twin.estimation.innovations import FLIES, USE_I, USE_X, Series
+from twin.estimation.record import BoolArray, FloatArray
+
+_SPIKE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+_POWER = float(_SPIKE @ _SPIKE)
+_FEWEST = 200
+
+
+def without_outliers(evidence: Evidence) -> Evidence:
+    """The evidence with outliers of i_c and x left out, where there are more than a few."""
+    series = evidence.series
+    flags, usages = series.flags.copy(), [replace(usage) for usage in evidence.usages]
+    by_name = {usage.name: usage for usage in usages}
+    parts = parts_of(evidence.records, series)
+    for place, use in enumerate((USE_I, USE_X)):
+        wild = np.zeros(len(series), np.bool_)
+        for _, own in parts:
+            wild[own] = _wild(series.part(own), place)
+        if np.count_nonzero(wild) <= settings.OUTLIER_SHARE * np.count_nonzero(series.flags & use):
+            continue
+        flags[wild] &= np.uint8(~use & 0xFF)
+        for number, record in enumerate(evidence.records):
+            if record.name in by_name:
+                by_name[record.name].outliers += int(np.count_nonzero(wild & (series.recording == number)))
+    if np.array_equal(flags, series.flags):
+        return evidence
+    return replace(evidence, series=replace(series, flags=flags), usages=tuple(usages))
+
+
+def _wild(series: Series, place: int) -> BoolArray:
+    """Which readings are outliers, shape (n,); of one recording."""
+    values, whole = smooth(series, place, around=2)
+    off = np.full(len(values), np.nan)
+    off[2:-2] = np.convolve(values, _SPIKE, mode="valid")
+    off[~whole] = np.nan
+    scaled = np.full(len(values), np.nan)
+    flies = series.flags & FLIES != 0
+    least = _count(values) * np.sqrt(_POWER / 12.0)  # what rounding alone makes
+    for kind in (flies, ~flies):
+        own = off[kind & whole]
+        if len(own) >= _FEWEST:
+            spread = max(1.4826 * float(np.median(np.abs(own))), least)
+            scaled[kind] = off[kind] / spread if spread > 0.0 else np.nan
+    wild = np.abs(np.nan_to_num(scaled)) > settings.OUTLIER_ERRORS
+    if place == 0:
+        wild &= ~_steps(series.u)
+    for at in np.flatnonzero(wild):
+        near = scaled[at - 2 : at + 3]
+        left = float(near @ near - (near @ _SPIKE) ** 2 / _POWER)
+        wild[at] = (
+            left < settings.OUTLIER_SHAPE and abs(near[2]) >= np.abs(near).max()
+        )  # of one that is not known nothing is true
+    return np.asarray(wild)
+
+
+def _steps(u: FloatArray) -> BoolArray:
+    """Where u_c has just made a step beyond its usual ones, shape (n,): i_c may answer in any shape."""
+    change = np.abs(np.diff(u, prepend=u[:1]))
+    far = change > settings.OUTLIER_ERRORS * 1.4826 * float(np.median(change))
+    return np.asarray(np.convolve(far, np.ones(SHOWS))[: len(u)] > 0.0)
+
+
+def _count(values: FloatArray) -> float:
+    """Step of the converter, where the values have one: the smallest between two."""
+    steps = np.diff(np.unique(values))
+    return float(steps.min()) if len(steps) else 0.0
