@@ -1,4 +1,4 @@
-"""Files that a page may show: logs, recordings and diagnosis reports, by names that a scan found.
+"""Files that a page may show: logs, recordings and diagnosis reports, found by a scan of folders.
 
 Rule 1: a name from a browser is looked up among those found, never joined to a path: `../` and absolute names, links
         out of the folder and hidden files are simply not there.

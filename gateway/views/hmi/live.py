@@ -1,4 +1,4 @@
-"""Frames to a browser, 30 a second, for as long as it reads them.
+"""Sends frames to a browser, 30 per second, as long as it reads them.
 
 Rule 1: the newest frame wins: a frame is made when the last one has gone out, so a slow browser gets fewer and memory
         holds one.  Rows that it missed come with the next frame, as far as the ring of `traces.py` reaches.

@@ -1,7 +1,7 @@
-"""Who sits behind a browser: sessions by an unguessable cookie, with an end.  Pure: time comes in.
+"""Login sessions of browsers, by an unguessable cookie and with limited time.  Pure: the caller passes the time.
 
-Rule 1: a session ends after `idle_s` without a person's action and after `lifetime_s` in any case.  A page that is open
-        is no action: frames flow for ever on a screen that everybody has left.
+Rule 1: a session ends after `idle_s` without an action of the user, and after `lifetime_s` in any case.  An open page
+        is not an action: it receives frames even if nobody is at the screen.
 Rule 2: the token of a session is in an HttpOnly cookie; `csrf` is in the page, and every request that changes something
         must bear it.
 Rule 3: who is removed from the users is out at once, also where a page is open.
@@ -74,15 +74,15 @@ class LoginSessions:
         return session
 
     def is_open(self, session: LoginSession, now_s: float) -> bool:
-        """Whether it still counts."""
+        """Return whether the session is still valid."""
         return self.get(session.token, now_s) is session
 
     def acted(self, session: LoginSession, now_s: float) -> None:
-        """A person did something: the idle time begins anew."""
+        """Restart the idle time after an action of the user."""
         session.acted_s = max(session.acted_s, now_s)
 
     def left_s(self, session: LoginSession, now_s: float) -> float:
-        """Until it is over, if nothing is done."""
+        """Return the remaining time without further actions, s."""
         return min(session.acted_s + self.idle_s, session.opened_s + self.lifetime_s) - now_s
 
     def close(self, session: LoginSession) -> None:

@@ -1,8 +1,8 @@
-"""The monitored items of one subscription: what is news to them, and which timestamps they get.
+"""The monitored items of one subscription: which changes they report, and with which timestamps.
 
-Rule 1: a deadband counts from the value that was sent last, so a slow drift is told, too; a change of status always is
-        (Part 4, 7.22.2).
-Rule 2: no value and no filter of a client's raises: it would end the service of all.
+Rule 1: a deadband is relative to the last value sent, so that a slow drift is reported, too; a change of status is
+        always reported (Part 4, 7.22.2).
+Rule 2: no value or filter of a client raises an error: it would end the service for all clients.
 """
 
 from __future__ import annotations

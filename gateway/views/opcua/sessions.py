@@ -1,4 +1,4 @@
-"""Who has come, and what a session may do.  asyncua's server with its open ends closed.
+"""Users and rights of sessions: asyncua's server with additional security checks and limits.
 
 Rule 1: on a secured server a session without an encrypted channel is refused, whatever its credentials: asyncua
         accepts an unencrypted channel even where no endpoint offers one.
@@ -125,7 +125,7 @@ class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes 
         return GuardedSession(self, self.aspace, self.subscription_service, name, user=user, external=external)
 
     def lookup_external_session(self, auth_token: ua.NodeId) -> InternalSession | None:
-        """None: rule 2."""
+        """Return None (rule 2)."""
         return None
 
     def register_server(self, server: Any, conf: Any = None) -> None:
@@ -205,7 +205,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         raise ServiceError(S.BadUserAccessDenied)
 
     async def transfer_subscriptions(self, params: Any, callback: Any) -> list[Any]:
-        """Nobody takes over another's."""
+        """Refuse: a session must not take over the subscriptions of another one."""
         raise ServiceError(S.BadServiceUnsupported)
 
     async def browse_next(self, parameters: ua.BrowseNextParameters) -> list[ua.BrowseResult]:
@@ -353,7 +353,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         return code
 
     async def _remark(self, condition: ConditionNode, text: str) -> int:
-        """Into the log and every view; what nobody records does not happen."""
+        """Send a remark to the log and every view; the action fails if it cannot be recorded."""
         remark = pb.Command(mark=pb.Mark(text=text[:LONGEST_COMMENT]))
         return code_of(await self.iserver.operations.command(self.visitor, condition.board, "mark", remark))
 

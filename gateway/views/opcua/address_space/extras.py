@@ -1,4 +1,4 @@
-"""What the views know of a board beyond its topics: is the link live, which alarms, who commanded last."""
+"""Variables of a board beyond its topics: state of the link, alarms, last command."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Which timestamps a client gets: those that it asked for (TimestampsToReturn of Part 4, 7.40), and no others.  Pure.
+"""Timestamps of returned values: exactly those that the client requested (TimestampsToReturn, Part 4, 7.40).  Pure.
 
-Source: when the sample was made.  Server: when this server looked at the value, or took it into its history.
+Source: time of the sample.  Server: time at which this server read the value, or added it to its history.
 """
 
 from __future__ import annotations
