@@ -190,7 +190,7 @@ def test_the_error_of_a_client_names_the_identity_that_was_not_taken(keys: Secur
     endpoint = "tls/127.0.0.1:7447"
 
     assert "does not accept the identity ben" in str(refused_by_router([endpoint], keys.identity("ben")))
-    assert "wants --identity" in str(refused_by_router([endpoint], None))
+    assert "requires --identity" in str(refused_by_router([endpoint], None))
     assert "identity" not in str(refused_by_router(["tcp/127.0.0.1:7447"], None))
 
 
