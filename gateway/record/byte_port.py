@@ -45,7 +45,7 @@ def open_pty(link: Path) -> Iterator[int]:
             link.unlink(missing_ok=True)
     finally:
         os.close(board)
-        os.close(host)  # open until now: without it the board's end reports an error whenever nobody listens
+        os.close(host)  # open until now: otherwise the board's end reports an error while it has no reader
 
 
 @contextmanager

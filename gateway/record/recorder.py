@@ -7,7 +7,7 @@ Rule 3: at most `flush_s` plus one drain of data is in memory only: that is what
 Rule 4: a full disk or a failing one stops the log, not the caller.  It is reported once, the queue keeps the newest
         messages, and a new part begins when the disk is back; the part that was cut off is finished then, too.
 Rule 5: a part that was deleted or moved while it was written is noticed at the next drain: a new one begins, and it is
-        told.  What a deleted one held is gone with it; a moved one gets its end where it is.
+        reported.  The content of a deleted part is lost; a moved part is completed at its new place.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ def recover(broken: Path, clean: Path) -> Recovery:
         raise
     if not messages:
         clean.unlink()
-        reasons = "; ".join(damage.reason for damage in scan.damages) or "it holds no messages of ours"
+        reasons = "; ".join(damage.reason for damage in scan.damages) or "it holds no Board51 messages"
         raise DataError(f"Nothing of {broken} can be recovered: {reasons}", remedy="Use another part of the log")
     return Recovery(
         broken=broken,

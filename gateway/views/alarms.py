@@ -12,8 +12,8 @@ Rule 1: it comes again after it went: not acknowledged again, `times` counts.  W
 Rule 2: one alarm for each name of a board; the latest text and value are shown.
 Rule 3: memory is bounded: names come from the bus, so beyond MAX_ALARMS the oldest alarm that is gone is dropped, then
         the newest is refused.
-Rule 4: times are those of who judges: of gateway and twin theirs, of the views' own conditions this host's.
-Rule 5: an acknowledgement means what came before it (an alarm that came again calls again), from whichever view.
+Rule 4: times are from the clock of the source: gateway, twin, or this host for conditions that the views detect.
+Rule 5: an acknowledgement from any view applies to earlier alarms only; an alarm that is raised again needs a new one.
 Rule 6: `revision` rises with each change that a screen would show.
 """
 

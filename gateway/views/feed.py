@@ -235,7 +235,7 @@ class Feed:
     Args:
         session: of the bus.
         site: first chunk of the keys.
-        guarded: whether commands go under `command/as/<role>/<who>`, as a bus with roles wants them.
+        guarded: whether commands use the key `command/as/<role>/<who>`, as required on a guarded bus.
         now_s: monotonic clock, for tests.
     """
 

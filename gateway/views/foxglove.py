@@ -97,7 +97,7 @@ class FoxgloveView:
 def serve(
     session: zenoh.Session, site: str, host: str, port: int, stop: threading.Event, ready: Callable[[int], None]
 ) -> None:
-    """Serve until `stop` is set; `ready` is told the port."""
+    """Serve until `stop` is set; `ready` is called with the port."""
     view = FoxgloveView(session, site, host, port)
     _logger.info("Foxglove on ws://%s:%d", host, view.port)
     ready(view.port)

@@ -36,7 +36,7 @@ def listener(args: argparse.Namespace, what: str, *, remedy: str) -> tuple[str, 
         remedy: instead of opening it to the network without protection.
 
     Raises:
-        ConfigError: the site is no name, the address is none, or would be open to the network without protection.
+        ConfigError: site or address is invalid, or the address would be open to the network without protection.
     """
     check_name(args.site, what="--site")
     host, port = address(args.listen)

@@ -58,7 +58,7 @@ class Session:
         choose_session: gives a random 16-bit number for each handshake.
         timeout_s: wait for an answer before repeating.
         retries: repetitions before giving up.
-        hello_s: between two HELLO while nobody answers.
+        hello_s: time between two HELLO without an answer.
         first_number: of the first session; later ones count up.
     """
 
@@ -128,7 +128,7 @@ class Session:
     def submit(self, name: str, now_s: float, wait_s: float = WAIT_S, /, **values: Value) -> int:
         """Queue a command and return its token; it waits for the handshake, STOP does not.
 
-        While MAX_STOPS are not answered, and repeated until they are, what is asked for shares the STOP after them, and
+        While MAX_STOPS are not answered, and repeated until they are, further STOPs share the STOP after them, and
         its token.
 
         Args:

@@ -1,6 +1,6 @@
 """Converts the 16-bit sequence numbers of states into board ticks.  No clock: the caller passes the time.
 
-Rule 1: a tick is published once and in rising order; what cannot be placed is counted, never guessed.
+Rule 1: a tick is published once and in rising order; states that cannot be placed are counted, never guessed.
 Rule 2: a frame can be late, never early.  Since the best arrival so far says when tick 0 was, a sequence that would
         lie in the future is either noise that passed the CRC (once in 65536) or a restarted board.
 Rule 3: no single frame moves the count.  The one witness besides the frame itself is, for the step of the stream, the
@@ -8,7 +8,7 @@ Rule 3: no single frame moves the count.  The one witness besides the frame itse
         count, another full tick.  Until then the frame is held; if the next one goes on from the old count, the held
         one was noise (`implausible`).
 Rule 4: what sequences cannot tell, the number of wraps, is not concluded from them: after half a wrap without a state
-        or a full tick, or a step forward that the host's clock does not allow, the count ends and is asked for anew.
+        or a full tick, or a step forward that the host's clock does not allow, the count ends and is requested again.
 Rule 5: losses are counted against the divider of the stream; while it is not known, against the smallest step seen.
 """
 
@@ -44,9 +44,9 @@ class Jump(NamedTuple):
 
 
 class TickUnwrapper:
-    """Follows one board's tick.  Call `restart` with a tick heard in full before the first `feed`.
+    """Tracks one board's tick.  Call `restart` with a full tick before the first `feed`.
 
-    Every state fed is placed, counted in `duplicates`, `implausible` or `unplaced`, or waits: at most two do.
+    Every state is placed, counted in `duplicates`, `implausible` or `unplaced`, or waits (at most two do).
     """
 
     def __init__(self) -> None:

@@ -48,7 +48,7 @@ class HmiSettings:
     """Of one server."""
 
     site: str
-    users: Users | None  # None: everybody who reaches the server is the local operator
+    users: Users | None  # None: every client is the local operator
     guarded: bool  # the bus has roles
     certificate: Path | None
     key: Path | None

@@ -40,7 +40,7 @@ class Job:
 
     @property
     def running(self) -> bool:
-        """Whether it goes on."""
+        """Whether the job is running."""
         return self.process.poll() is None
 
     @property

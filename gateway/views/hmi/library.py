@@ -53,7 +53,7 @@ class Library:
         return sorted(found.values(), key=lambda e: -e.changed_s)[:MAX_FILES]
 
     def find(self, name: str) -> LibraryFile | None:
-        """The file of that name, None where there is none to show."""
+        """Return the file of that name, or None if there is none."""
         return next((entry for entry in self.entries() if entry.name == name), None)
 
     def _scan(self) -> Iterator[LibraryFile]:

@@ -57,7 +57,7 @@ class Requests:
 
     Args:
         actions: does what is asked.
-        users: who may log in; None: nobody needs to.
+        users: Users who may log in; None: no login is needed.
     """
 
     def __init__(self, actions: Actions, users: Users | None) -> None:

@@ -4,7 +4,7 @@ Rule 1: a session ends after `idle_s` without an action of the user, and after `
         is not an action: it receives frames even if nobody is at the screen.
 Rule 2: the token of a session is in an HttpOnly cookie; `csrf` is in the page, and every request that changes something
         must bear it.
-Rule 3: who is removed from the users is out at once, also where a page is open.
+Rule 3: the sessions of a removed user end at once, even while a page is open.
 Rule 4: memory is bounded: the session that was idle longest makes room.
 """
 
@@ -38,7 +38,7 @@ class LoginSessions:
     Args:
         idle_s: without an action for so long, a session is over.
         lifetime_s: so long after login it is over in any case.
-        known: whether somebody of that name may be logged in.
+        known: Returns whether a user of that name exists.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class LoginSessions:
         return token if self._names.get(token) == name else ""
 
     def get(self, token: str, now_s: float) -> LoginSession | None:
-        """The session of a cookie, None where there is none or it is over."""
+        """Return the session of a cookie, or None if there is none or it has ended."""
         session = self._open.get(token)
         if session is not None and (self.left_s(session, now_s) <= 0.0 or not self._known(session.name)):
             self._open.pop(token, None)

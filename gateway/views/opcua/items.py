@@ -125,7 +125,7 @@ def _refused() -> ua.MonitoredItemCreateResult:
 
 
 def is_news(sent: ua.DataValue | None, value: ua.DataValue, asked: Any) -> bool:
-    """Whether a client that got `sent` last is to be told of `value`; `asked`: its DataChangeFilter, or None."""
+    """Return whether to report `value` to a client after `sent`; `asked`: its DataChangeFilter, or None."""
     if sent is None or sent.StatusCode != value.StatusCode:
         return True
     trigger = asked.Trigger if asked is not None else Trigger.StatusValue

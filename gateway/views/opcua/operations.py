@@ -95,7 +95,7 @@ class Operations:
 
 
 def written(field: str, value: ua.DataValue) -> tuple[str, pb.Command] | int:
-    """(act, command) of a value written to a setpoint, or the status code that says why it is none."""
+    """Return (action, command) for a value written to a setpoint, or the status code of its refusal."""
     if value.StatusCode is not None and not value.StatusCode.is_good():
         return int(S.BadWriteNotSupported)
     if value.Value is None or not is_of(value.Value, SETPOINTS[field], is_array=False):
@@ -111,7 +111,7 @@ def written(field: str, value: ua.DataValue) -> tuple[str, pb.Command] | int:
 
 
 def called(method: Method, inputs: list[ua.Variant]) -> pb.Command | tuple[int, list[int]]:
-    """The command of a call, or (status code, one code per argument) that say why it is none."""
+    """Return the command of a call, or the refusal as (status code, one code per argument)."""
     wanted = method.arguments
     if len(inputs) != len(wanted):
         return int(S.BadArgumentsMissing if len(inputs) < len(wanted) else S.BadTooManyArguments), []

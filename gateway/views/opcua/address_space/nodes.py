@@ -216,7 +216,7 @@ class BoardNodes:
     # -- updating
 
     async def update(self) -> None:
-        """Send what has changed since the last call to whoever subscribed it, and keep history."""
+        """Send the changes since the last call to their subscribers, and append to the history."""
         self._update_ranges()
         for topic in TICK_TOPICS:
             down = quality.is_down(self._judged(topic))
