@@ -1,10 +1,10 @@
-"""The gateway process: wires boards, bus and log together; runs until it is told to end.
+"""The gateway process: connects boards, bus and log; runs until SIGTERM or SIGINT.
 
 Threads: link (all boards), three publishers (samples, replies, everything else), recorder, zenoh's own; the main thread
 waits for signals and publishes the status once a second.
 
-The end of the gateway moves nothing: no STOP is sent.  A gateway that is updated or restarted must not drop the ball;
-what the board does without its host is its host-loss policy, set in the configuration (default: coil off after 1 s).
+The gateway sends no STOP when it ends: an update or restart must not drop the ball.  Without its host the board follows
+its host-loss policy, set in the configuration (default: coil off after 1 s).
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ from protocol.bus.identity import Identity, load_identity
 from protocol.errors import ConfigError, ServiceError
 
 STATUS_S = 1.0
-# The default of 5 ms is how long one busy thread may keep the others from the interpreter: that would be the latency.
+# With the default of 5 ms one busy thread delays the others by up to 5 ms, which would dominate the latency.
 SWITCH_INTERVAL_S = 0.0005
 MESSAGES_QUEUE = 10_000
-CERTIFICATES_S = 86400.0  # between two looks at how long they are good
+CERTIFICATES_S = 86400.0  # between two checks of their expiry
 _logger = logging.getLogger("gateway")
 
 
@@ -127,10 +127,10 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
 
 
 def check(config: GatewayConfig) -> None:
-    """What can be said about a configuration without opening anything.
+    """Check a configuration without opening anything.
 
     Raises:
-        ConfigError: see the text.
+        ConfigError: the configuration is not usable; the message says why.
     """
     check_security(config)
     if not config.boards:
@@ -143,10 +143,10 @@ def check(config: GatewayConfig) -> None:
 
 
 def check_security(config: GatewayConfig) -> None:
-    """Listeners that must not be open, keys and certificates that are not good.
+    """Check listeners, keys and certificates.
 
     Raises:
-        ConfigError: see the text.
+        ConfigError: a listener would be unprotected, or a key or certificate is not valid.
     """
     directory = config.security.directory
     if config.zenoh.mode == "router":
@@ -172,7 +172,7 @@ def check_security(config: GatewayConfig) -> None:
 
 
 def expiring(config: GatewayConfig) -> list[str]:
-    """One sentence for each certificate that must be renewed soon: a gateway runs for longer than they are good."""
+    """Return one sentence for each certificate that must be renewed soon."""
     try:
         if config.zenoh.mode == "router":
             left = SecurityFolder(Path(config.security.directory)).check()
@@ -190,10 +190,10 @@ def expiring(config: GatewayConfig) -> list[str]:
 
 @contextmanager
 def open_bus(config: GatewayConfig) -> Iterator[zenoh.Session]:
-    """The zenoh session, as router or as client.
+    """Open the zenoh session, as router or as client.
 
     Raises:
-        ServiceError: an endpoint is in use or not ours to open.
+        ServiceError: an endpoint is in use or may not be opened.
     """
     z = config.zenoh
     mode: Mode = "router" if z.mode == "router" else "client"
@@ -218,7 +218,7 @@ def open_bus(config: GatewayConfig) -> Iterator[zenoh.Session]:
 
 
 def _check_free(endpoint: str) -> None:
-    """Look first: zenoh itself tries for five seconds before it says that a port is taken, and not which."""
+    """Check that the port is free: zenoh reports a port in use only after five seconds, and not which one."""
     kind, _, rest = endpoint.partition("/")
     host, _, port = rest.partition("?")[0].rpartition(":")
     if kind not in ("tcp", "tls") or not port.isdigit() or int(port) == 0:
@@ -238,13 +238,13 @@ def _check_free(endpoint: str) -> None:
 
 
 def gateway_identity(config: GatewayConfig) -> Identity:
-    """The gateway's own, where it is a client of a guarded router.
+    """Return the gateway's identity, for a gateway that is a client of a guarded router.
 
-    The folder may be the whole one of `security init`, or the gateway's identity alone: a machine that is not the
-    router need not have everybody's keys.
+    The folder may be the complete folder of `security init`, or only the gateway's identity: a machine that is not the
+    router does not need the keys of others.
 
     Raises:
-        ConfigError: it is not usable.
+        ConfigError: the identity is not usable.
     """
     path = Path(config.security.directory)
     alone = (path / "identity.toml").exists()
@@ -283,13 +283,13 @@ def _recording(log: LogConfig) -> Iterator[Recorder]:
 
 
 def _tell_all(drivers: Sequence[BoardDriver], name: str, severity: str, text: str) -> None:
-    """An event of the whole gateway, under each board: whoever watches one board must see that its log is failing."""
+    """Publish an event of the gateway under each board, so that viewers of one board see, say, a failing log."""
     for driver in drivers:
         driver.tell(name, severity, text)
 
 
 def _tell_flood(drivers: Sequence[BoardDriver], who: str, count: int) -> None:
-    _tell_all(drivers, "command-flood", "warning", f"{who} sends too many commands: {count} thrown away.")
+    _tell_all(drivers, "command-flood", "warning", f"{who} sends too many commands: {count} discarded.")
 
 
 def _log_twin(recorder: Recorder) -> Callable[[zenoh.Sample], None]:
@@ -310,7 +310,7 @@ def _where(config: GatewayConfig) -> str:
 
 @contextmanager
 def logging_to_stderr() -> Iterator[None]:
-    """Log lines to stderr through a queue: a full pipe there must not block the serial thread."""
+    """Write log lines to stderr through a queue, so that a full pipe does not block the serial thread."""
     lines: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(message)s"))
@@ -328,7 +328,7 @@ def logging_to_stderr() -> Iterator[None]:
 
 
 def serve(config: GatewayConfig) -> int:
-    """Run as a process: until SIGTERM or SIGINT; 0 then."""
+    """Run the gateway until SIGTERM or SIGINT, and return the exit code 0."""
     stop = threading.Event()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     with logging_to_stderr():

@@ -1,4 +1,4 @@
-"""The vocabulary: what crosses the UART (`wire`) and the bus (`bus`), how logs are read (`log`), and the errors.
+"""Definitions shared by all parts: UART messages (`wire`), bus messages (`bus`), log files (`log`) and exceptions.
 
-No clock, socket or thread.
+Nothing here uses a clock, a socket or a thread.
 """

@@ -1,10 +1,10 @@
-"""A campaign: what is known of a plant, what ran on the board, and the recordings made of it.
+"""A campaign: the known data of a plant, the controller that ran on the board, and the recordings of the plant.
 
-`campaign.toml` as drawn in `Campaign`; `parse` takes its text, `load` a file or the folder around it.  The recordings
-themselves are not opened here.
+`Campaign` shows the format of `campaign.toml`.  `parse` reads a text, `load` reads a file or its folder.  The
+recordings themselves are not opened here.
 
-Rule 1: an error names file, key and value, and says what to write instead; an unknown key is an error.
-Rule 2: units are in the keys; a value that can only be another unit (a travel of 5.7 m) is refused.
+Rule 1: an error names file, key and value, and says what to write instead.  An unknown key is an error.
+Rule 2: the key states the unit.  A value that must be in another unit (a travel of 5.7 m) is refused.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ Pair = Annotated[tuple[Number, Number], Field(description="[raw, value]")]  # of
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plant:
-    """What is known without identification: `[plant]`.
+    """Parameters that are known without identification: `[plant]`.
 
-    The bounds are what a ball on a coil can have.  They catch a wrong unit and a slipped power of ten: with grams for
-    kilograms K_c comes out a thousand times too large, and nothing in the recordings contradicts it.
+    The bounds cover the physical range of magnetic levitation rigs.  They detect a wrong unit or a wrong power of ten:
+    a mass in grams instead of kilograms makes K_c a thousand times too large, and the recordings cannot reveal it.
     """
 
     __pydantic_config__ = KEYS
@@ -56,7 +56,7 @@ class Plant:
 
 
 def _with_defaults(plant: object) -> object:
-    """`[plant]` of a campaign may leave out what it shares with every other, and x_max where that is the travel."""
+    """Add the defaults of `[plant]`: a name, standard gravity, and the travel as x_max."""
     if not isinstance(plant, dict):
         return plant
     x_max = {"x_max_m": plant["travel_m"]} if "travel_m" in plant else {}
@@ -65,7 +65,7 @@ def _with_defaults(plant: object) -> object:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OperatingPoint:
-    """Eq. (13)."""
+    """Operating point of the controller, eq. (13)."""
 
     __pydantic_config__ = KEYS
 
@@ -76,7 +76,7 @@ class OperatingPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Controller:
-    """The law of the closed-loop recordings: `[controller]`, eq. (16)-(19)."""
+    """Control law of the closed-loop recordings: `[controller]`, eq. (16)-(19)."""
 
     __pydantic_config__ = KEYS
 
@@ -100,9 +100,9 @@ def _rising(table: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """Where a channel comes from: value = offset + scale * table(raw), in SI units.
+    """Source column of a channel and its conversion to SI units: value = offset + scale * table(raw).
 
-    The table is linear between its points and beyond its ends.
+    The table is interpolated linearly, and extrapolated linearly beyond its ends.
     """
 
     __pydantic_config__ = KEYS
@@ -115,11 +115,11 @@ class Column:
     ] = ()
 
     def convert(self, raw: float) -> float:
-        """One value."""
+        """Convert one raw value to SI units."""
         return self.offset + self.scale * (self._look_up(raw) if self.table else raw)
 
     def beyond_table(self, raw: float) -> bool:
-        """Whether `convert` has to extrapolate."""
+        """Return whether `convert` extrapolates the table at `raw`."""
         return bool(self.table) and not self.table[0][0] <= raw <= self.table[-1][0]
 
     def _look_up(self, raw: float) -> float:
@@ -130,7 +130,7 @@ class Column:
 
 
 def _in_si(columns: object) -> object:
-    """A name alone is a column; one whose name ends with another unit than the channel's has a scale."""
+    """Refuse a column whose name ends with a unit other than the channel's SI unit, unless it has a scale."""
     for channel, spec in columns.items() if isinstance(columns, dict) else ():
         column = spec.get("column") if isinstance(spec, dict) else spec
         scaled = isinstance(spec, dict) and ("scale" in spec or "table" in spec)
@@ -139,7 +139,7 @@ def _in_si(columns: object) -> object:
             si = UNITS[channel]
             raise RuleError(
                 f" = {shown(column)} is in {unit[0]} by its name, {channel} is in {si}",
-                remedy=f"Give it scale = {unit[1]:g}, or scale = 1.0 if its values are in {si} all the same",
+                remedy=f"Give it scale = {unit[1]:g}, or scale = 1.0 if its values are in {si} despite its name",
                 key=channel,
             )
     return columns
@@ -161,20 +161,20 @@ Columns = Annotated[Mapping[Channel, Annotated[Column, BeforeValidator(_named)]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
-    """One `[[recording]]`."""
+    """One recording of the campaign: `[[recording]]`."""
 
     __pydantic_config__ = KEYS
 
     file: Annotated[str, Field(min_length=1)]  # as written; `Campaign.path_of` finds it
     kind: Kind
     use: Use
-    skip_s: Annotated[Number, key("leave out so much of the start", 0.0)] = 0.0
-    instrument: str = ""  # what read it: recordings of one instrument have the same noise
-    board: str = ""  # in a log of several boards, the one that is meant
-    columns: Columns = field(default_factory=dict)  # the channels that were mapped
+    skip_s: Annotated[Number, key("duration to skip at the start", 0.0)] = 0.0
+    instrument: str = ""  # the measuring instrument: recordings of one instrument have the same noise
+    board: str = ""  # name of the board, in a log of several boards
+    columns: Columns = field(default_factory=dict)  # explicitly mapped channels
 
     def column(self, channel: Channel) -> Column:
-        """The mapping of a channel; one that was not mapped has its own name and SI units."""
+        """Return the mapping of a channel; by default a column of the same name in SI units."""
         return self.columns.get(channel) or Column(column=channel)
 
 
@@ -184,21 +184,21 @@ def _fit_or_judge(recordings: tuple[Recording, ...]) -> tuple[Recording, ...]:
         if uses.setdefault(recording.file, recording.use) != recording.use:
             raise RuleError(
                 f": {recording.file!r} is used both to fit and to judge",
-                remedy="Keep one of the two: what was fitted cannot judge the fit",
+                remedy="Keep one of the two: data used to fit cannot judge the fit",
             )
     return recordings
 
 
 @dataclass(frozen=True, kw_only=True)
 class _PlantFile:
-    """What a file that describes a rig must have."""
+    """Required content of a file that describes a rig."""
 
     plant: Annotated[Plant, BeforeValidator(_with_defaults)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class _File(_PlantFile):
-    """What `campaign.toml` holds."""
+    """Content of `campaign.toml`."""
 
     __pydantic_config__ = KEYS
 
@@ -208,7 +208,7 @@ class _File(_PlantFile):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Campaign:
-    """The whole file.
+    """A campaign file, read and checked.
 
     [plant]
     name = "ce152"
@@ -238,25 +238,26 @@ class Campaign:
 
     @classmethod
     def load(cls, path: Path | str) -> Campaign:
-        """Read campaign.toml, or that of a folder.
+        """Read a campaign file, or the `campaign.toml` of a folder.
 
         Raises:
-            DataError: see the text; it names file, key and value.
+            DataError: the file is absent or not text.
+            ConfigError: a key or a value is wrong.
         """
         return load(Path(path))
 
     def path_of(self, recording: Recording, *, data: Path | None = None) -> Path:
-        """The recording's file: in the campaign's folder, else in the data folder.
+        """Return the path of a recording: in the campaign's folder, else in the data folder.
 
-        A campaign may come from somebody else.  What it names must therefore lie, links followed, in its own folder or
-        in the one that the user has named; it cannot point `identify` at any other file of the user's.
+        A campaign may come from an untrusted source.  Its recordings must therefore lie, after resolving links, in the
+        campaign's folder or in the data folder that the user has named; no other file of the user can be read.
 
         Args:
-            recording: One of this campaign.
+            recording: A recording of this campaign.
             data: Folder with recordings that are not kept beside the campaign; default `$BOARD51_DATA`.
 
         Raises:
-            DataError: it is in neither.
+            DataError: the file is in neither folder.
         """
         shared = data or (Path(os.environ["BOARD51_DATA"]) if os.environ.get("BOARD51_DATA") else None)
         folders = [folder for folder in (self.folder, shared) if folder is not None]
@@ -273,13 +274,13 @@ class Campaign:
 
 
 def _place(file: Path, folders: Sequence[Path]) -> Literal["within", "outside", "absent"]:
-    """Whether a file lies in one of the folders, links followed."""
+    """Return whether a file lies in one of the folders, after resolving links."""
     try:
         real = file.resolve()
         if not any(real.is_relative_to(folder.resolve()) for folder in folders):
             return "outside"
         return "within" if real.exists() else "absent"
-    except (OSError, RuntimeError, ValueError):  # not allowed, a loop of links, no name of a file
+    except (OSError, RuntimeError, ValueError):  # no permission, a loop of links, or an invalid file name
         return "absent"
 
 
@@ -287,10 +288,10 @@ def load(path: Path) -> Campaign:
     """Read a campaign.
 
     Args:
-        path: `campaign.toml`, under any name, or the folder that holds one.
+        path: A campaign file under any name, or the folder that holds a `campaign.toml`.
 
     Raises:
-        DataError: it is absent or not text.
+        DataError: the file is absent or not text.
         ConfigError: a key or a value is wrong.
     """
     text, file = _read(path, remedy="Name a campaign.toml or its folder")
@@ -298,11 +299,11 @@ def load(path: Path) -> Campaign:
 
 
 def load_plant(path: Path) -> Plant:
-    """Only the `[plant]` of a campaign or of a file that has nothing else.
+    """Read only the `[plant]` table of a campaign, or of a file that contains nothing else.
 
     Raises:
-        DataError: it is absent or not text.
-        ConfigError: it has no `[plant]`, or a key or a value of it is wrong.
+        DataError: the file is absent or not text.
+        ConfigError: there is no `[plant]`, or one of its keys or values is wrong.
     """
     text, file = _read(path, remedy="Name a file with a [plant] table, or a campaign's folder")
     plant: Plant = checked(_PlantFile, parse_toml(text, where=str(file)), where=str(file)).plant
@@ -310,12 +311,12 @@ def load_plant(path: Path) -> Plant:
 
 
 def parse(text: str, *, where: str, folder: Path = Path()) -> Campaign:
-    """The campaign in `text`.
+    """Parse a campaign.
 
     Args:
-        text: TOML.
-        where: Name of the file, for messages.
-        folder: What the recordings' names are relative to.
+        text: Campaign in TOML.
+        where: Name of the file, for error messages.
+        folder: Folder to which the names of the recordings are relative.
 
     Raises:
         ConfigError: a key or a value is wrong.

@@ -1,6 +1,6 @@
-"""A campaign as the text of its `campaign.toml`: the other direction of `protocol.campaign.parse`.
+"""Writes a campaign as the text of `campaign.toml`: the inverse of `protocol.campaign.parse`.
 
-Rule: `parse(emit(campaign))` is the same campaign, to the last bit of every number.  What has its default is left out.
+Rule: `parse(emit(campaign))` equals `campaign`, every number bit for bit.  Default values are omitted.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from protocol.units import unit_of_name
 
 
 def emit(campaign: Campaign, *, comments: Iterable[str] = ()) -> str:
-    """The TOML text.
+    """Return a campaign as TOML.
 
     Args:
-        campaign: At least one recording, finite numbers.
-        comments: Lines for the head of the file.
+        campaign: Campaign with at least one recording and finite numbers only.
+        comments: Comment lines for the top of the file.
     """
     blocks = [[f"# {line}".rstrip() for line in comments], _plant(campaign.plant)]
     if campaign.controller is not None:
@@ -62,7 +62,7 @@ def _recording(recording: Recording) -> list[str]:
 
 def _column(column: Column, channel: Channel) -> str:
     parts = [f"column = {_text(column.column)}"]
-    if column.scale != 1.0 or unit_of_name(column.column, channel):  # there a scale of 1 is said, not left out
+    if column.scale != 1.0 or unit_of_name(column.column, channel):  # such a name requires an explicit scale
         parts.append(f"scale = {_number(column.scale)}")
     if column.offset != 0.0:
         parts.append(f"offset = {_number(column.offset)}")
@@ -80,5 +80,5 @@ def _number(value: float) -> str:
 
 
 def _text(value: str) -> str:
-    # A JSON string is a TOML basic string but for DEL, which TOML wants escaped and JSON does not escape.
+    # A JSON string is a valid TOML basic string, except for DEL: TOML requires it escaped, JSON does not escape it.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")

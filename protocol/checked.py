@@ -1,11 +1,11 @@
-"""What a file says, checked by pydantic against a plain dataclass, or refused in one line of ours.
+"""Validates the content of a file against a plain dataclass with pydantic, with error messages in one line.
 
-The dataclass is the format: fields are keys, types and `Field(ge=..., le=..., description=...)` what they may hold.
-Only what comes from outside is checked; dataclasses made by the program cost nothing.
+The dataclass defines the format: its fields are the keys, their types and `Field(ge=..., le=..., description=...)`
+the allowed values.  Only external data is checked; dataclasses created by the program are not.
 
-Rule 1: an error names file, key and value, and says what to write instead; the first of several is named.
-Rule 2: an unknown key is an error: one that is ignored for a typing mistake changes results silently.
-Rule 3: nothing is converted but whole numbers to numbers: no text becomes a number, no number a truth value.
+Rule 1: an error names file, key and value, and says what to write instead.  Only the first error is reported.
+Rule 2: an unknown key is an error: ignoring a misspelt key would change results silently.
+Rule 3: the only conversion is from whole numbers to numbers: no text becomes a number, no number a truth value.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _UNKNOWN = "unexpected_keyword_argument"
 
 
 class RuleError(ValueError):
-    """A validator's objection; `problem` goes on where the key's path ends: " = 0 makes every value equal"."""
+    """Error of a validator; `problem` continues the path of the key: " = 0 makes every value equal"."""
 
     def __init__(self, problem: str, *, remedy: str, key: str = "") -> None:
         super().__init__(problem)
@@ -40,12 +40,12 @@ class RuleError(ValueError):
 
 
 def key(about: str, low: float | None = None, high: float | None = None) -> Any:
-    """What an annotated key is, with its unit, and within what bounds."""
+    """Return the annotation of a key: its description with unit, and its bounds."""
     return Field(description=about, ge=low, le=high)
 
 
 def rule(check: Callable[[Any], Any]) -> AfterValidator:
-    """A check that raises one of our errors, as a validator."""
+    """Return a check that raises a `Board51Error` as a pydantic validator."""
 
     def run(value: object) -> object:
         try:
@@ -57,7 +57,7 @@ def rule(check: Callable[[Any], Any]) -> AfterValidator:
 
 
 def needs(*names: str) -> Callable[[object], object]:
-    """For a BeforeValidator: keys that a file must have although the program may leave them out."""
+    """Return a check for a BeforeValidator: a file must have these keys although the dataclass has defaults."""
 
     def check(table: object) -> object:
         absent = [name for name in names if name not in table] if isinstance(table, dict) else []
@@ -77,18 +77,18 @@ def checked(
     error: type[ConfigError] | type[DataError] = ConfigError,
     from_text: bool = False,
 ) -> Any:
-    """`data`, parsed from TOML or JSON, as `kind`.
+    """Validate data that was parsed from TOML or JSON, and return it as `kind`.
 
     Args:
-        kind: a dataclass, or an annotated type.
-        data: tables, lists, numbers, texts.
-        where: file, variable or flag, for the error.
-        key: path of `data` in it; empty: the whole of it.
-        error: to raise.
-        from_text: `data` is a text, as a variable of the environment holds it, and may stand for a number.
+        kind: A dataclass, or an annotated type.
+        data: Tables, lists, numbers and texts.
+        where: File, variable or flag, for the error.
+        key: Path of `data` in it; empty for the whole file.
+        error: Class of the error to raise.
+        from_text: `data` is a text that may stand for a number, such as the value of an environment variable.
 
     Raises:
-        ConfigError, DataError: names where, key and value, and says what belongs there.
+        ConfigError, DataError: a value is invalid; the message names place, key and value, and the allowed values.
     """
     adapter = TypeAdapter(kind)
     try:
@@ -100,7 +100,7 @@ def checked(
 
 
 def keys_of(kind: Any) -> dict[str, Any]:
-    """The annotated type of each key of a table; of a dataclass, or of a mapping with named keys."""
+    """Return the annotated type of each key of a dataclass, or of a mapping with named keys."""
     plain = plain_of(kind)
     if is_dataclass(plain):
         hints = get_type_hints(plain, include_extras=True)
@@ -110,13 +110,13 @@ def keys_of(kind: Any) -> dict[str, Any]:
 
 
 def plain_of(kind: Any) -> Any:
-    """The type without what is annotated to it, and without "or None"."""
+    """Return the type without its annotations and without "or None"."""
     plain = FieldInfo.from_annotation(kind).annotation
     return plain_of(get_args(plain)[0]) if type(None) in get_args(plain) else plain
 
 
 def bounds(kind: Any) -> tuple[float | None, float | None]:
-    """(lowest, highest) that an annotated type allows."""
+    """Return the bounds (lowest, highest) of an annotated type."""
     ends: dict[str, float] = {}
     for one in FieldInfo.from_annotation(kind).metadata:
         ends |= {end: getattr(one, end) for end in ("ge", "le") if hasattr(one, end)}
@@ -124,7 +124,7 @@ def bounds(kind: Any) -> tuple[float | None, float | None]:
 
 
 def _told(kind: Any, data: object, found: list[ErrorDetails], path: str, *, toml: bool) -> tuple[str, str]:
-    """(problem, remedy) of the first error."""
+    """Return (problem, remedy) of the first error."""
     first, hint, keys, value = found[0], kind, {}, data
     mistake, place = first["type"], first["loc"]
     if mistake == "missing" and isinstance(place[-1], int):  # of four numbers: the list is wrong
@@ -168,7 +168,7 @@ def _told(kind: Any, data: object, found: list[ErrorDetails], path: str, *, toml
 
 def _inside(value: object, step: str | int) -> object:
     try:
-        return value[step]  # type: ignore[index]  # what is no table or list has nothing inside
+        return value[step]  # type: ignore[index]  # only tables and lists have items
     except (TypeError, LookupError):
         return None
 

@@ -1,11 +1,11 @@
-"""The exception tree: one class for each decision a caller can take.
+"""The exceptions of Board51: one class for each way in which a caller can react.
 
     Board51Error            everything raised on purpose; says what to do next
     ├── UsageError          the caller asked for something impossible  (exit code 2)
     │   ├── ConfigError     a configuration file or key
     │   ├── DataError       a recording, a table, a model file
     │   └── InstallError    a part that is not installed
-    └── ServiceError        the outside world said no: port, bus, disk  (exit code 1)
+    └── ServiceError        a port, the bus or the disk failed          (exit code 1)
 
 Expected outcomes of an exchange (a time-out, a bad frame, a nack) are values, not exceptions.
 """
@@ -18,9 +18,9 @@ LONGEST = 1000  # characters of a problem, and of a remedy
 
 
 class Board51Error(Exception):
-    """Every error raised on purpose: what is wrong, then what to do.
+    """Base class of all errors that are raised on purpose: what is wrong, then what to do.
 
-    One line that any terminal can show, whatever was put into it: see `one_line`.
+    The message is a single line without control characters, whatever it quotes: see `one_line`.
 
     Args:
         problem: What is wrong and where, with the offending value; no full stop.
@@ -36,7 +36,7 @@ class Board51Error(Exception):
 
 
 class UsageError(Board51Error):
-    """The request cannot be carried out as it was put."""
+    """The request cannot be carried out as given."""
 
     exit_code = 2
 
@@ -46,19 +46,19 @@ class ConfigError(UsageError):
 
 
 class DataError(UsageError):
-    """A file that should hold data, a log or a model does not."""
+    """A file does not contain the expected data, log or model."""
 
 
 class InstallError(UsageError):
-    """A library of an optional part is not installed."""
+    """A library of an optional component is not installed."""
 
 
 class ServiceError(Board51Error):
-    """A port, the bus, the disk or another process refused."""
+    """A port, the bus, the disk or another process failed."""
 
 
 def missing_extra(extra: str, library: str) -> InstallError:
-    """The error of a part whose `library` is absent: it comes with an extra of pyproject.toml."""
+    """Return the error for a missing `library` that the extra `extra` of pyproject.toml installs."""
     return InstallError(
         f"{library} is not installed: it comes with the extra {extra!r}",
         remedy=f"In the folder with board51's source: pip install '.[{extra}]' (or pipx install --force '.[{extra}]')",
@@ -66,10 +66,10 @@ def missing_extra(extra: str, library: str) -> InstallError:
 
 
 def require(extra: str, *libraries: str) -> None:
-    """Ask before long work, or before another process, whether the libraries of `extra` are installed.
+    """Check that the libraries of `extra` are installed, before long work or before starting another process.
 
     Raises:
-        InstallError: one of them is not.
+        InstallError: a library is not installed.
     """
     for library in libraries:
         if find_spec(library) is None:
@@ -77,9 +77,9 @@ def require(extra: str, *libraries: str) -> None:
 
 
 def one_line(text: str, longest: int = LONGEST) -> str:
-    """`text` with line breaks and control characters spelled out, and without its middle if it is long.
+    """Return `text` with line breaks and control characters escaped, and its middle removed if it is long.
 
-    What an error quotes comes from files and from the bus: it must not act on the terminal, or hide what is beside it.
+    Errors quote files and bus messages: the quoted text must not control the terminal or hide the rest of the message.
     """
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     half = (longest - 5) // 2
@@ -87,5 +87,5 @@ def one_line(text: str, longest: int = LONGEST) -> str:
 
 
 def shown(value: object) -> str:
-    """A value in an error: not more of it than tells which."""
+    """Return a value for an error message, shortened to 80 characters."""
     return one_line(repr(value), 80)

@@ -1,8 +1,8 @@
-"""Files that somebody else wrote, opened and read within bounds.
+"""Opens and parses untrusted files within fixed bounds.
 
-Rule 1: only regular files are opened.  A pipe waits for ever, a device never ends, and opening one may act.
-Rule 2: a small file (configuration, campaign, model) has at most LARGEST_SMALL bytes, and nests at most DEEPEST tables.
-Rule 3: whatever a parser raises becomes one line that names the file.  What is in the file is not repeated.
+Rule 1: only regular files are opened.  A pipe may block for ever, a device may never end or react to being opened.
+Rule 2: a small file (configuration, campaign, model) has at most LARGEST_SMALL bytes and DEEPEST levels of tables.
+Rule 3: every error of a parser becomes one line that names the file.  The content of the file is not quoted.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 
 from protocol.errors import ConfigError, DataError, UsageError
 
-LARGEST_SMALL = 4_000_000  # bytes; as large as a model that the bus carries
+LARGEST_SMALL = 4_000_000  # bytes; the largest model that the bus carries
 DEEPEST = 50
 _INTEGER = 1 << 63  # TOML's integers have 64 bits
 _KINDS = (
@@ -32,36 +32,39 @@ Refusal = type[ConfigError] | type[DataError]
 
 
 def open_regular(path: Path, *, remedy: str, what: str = "", error: Refusal = DataError) -> BinaryIO:
-    """Open a regular file to read bytes; never waits.
+    """Open a regular file to read bytes; never blocks.
 
     Args:
-        path: of the file.
-        remedy: of the error, where it is none.
-        what: it is, before the path in the error: "Log ".
-        error: to raise.
+        path: Path of the file.
+        remedy: Remedy of the error if the file cannot be opened.
+        what: Kind of file, printed before the path in the error: "Log ".
+        error: Class of the error to raise.
 
     Raises:
-        DataError, ConfigError: it is absent, not readable, or no regular file.
+        DataError, ConfigError: the file is absent, not readable, or not a regular file.
     """
     try:
         problem = _not_regular(path.stat().st_mode)
         if not problem:
             descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
             file = os.fdopen(descriptor, "rb")
-            problem = _not_regular(os.fstat(descriptor).st_mode)  # it may have been exchanged meanwhile
+            problem = _not_regular(os.fstat(descriptor).st_mode)  # it may have been replaced since the first check
             if not problem:
                 return file
             file.close()
     except (OSError, ValueError) as failed:  # ValueError: a NUL in the name
-        problem = getattr(failed, "strerror", None) or "this is no name of a file"
+        problem = getattr(failed, "strerror", None) or "this is not a valid file name"
     else:
         if "folder" not in problem:
-            remedy = "Save what it gives into a file, and name that"
+            remedy = "Save its content to a regular file, and name that file"
     raise error(f"{what}{path} cannot be read: {problem}", remedy=remedy)
 
 
 def read_small(path: Path, *, remedy: str, what: str = "", error: Refusal = DataError) -> str:
-    """The text of a small file.  Arguments and errors as `open_regular`; also where it is too large or not UTF-8."""
+    """Return the text of a small file.
+
+    Arguments and errors are those of `open_regular`; a file that is too large or not UTF-8 is an error, too.
+    """
     with open_regular(path, remedy=remedy, what=what, error=error) as file:
         data = file.read(LARGEST_SMALL + 1)
     if len(data) > LARGEST_SMALL:
@@ -74,10 +77,10 @@ def read_small(path: Path, *, remedy: str, what: str = "", error: Refusal = Data
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Around whatever makes the file or folder `path`.
+    """Context manager around code that creates the file or folder `path`.
 
     Raises:
-        UsageError: the system did not let it be made.
+        UsageError: the operating system refused to create it.
     """
     try:
         yield
@@ -89,13 +92,13 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def make_folder(path: Path, *, mode: int = 0o777) -> None:
-    """Make the folder `path`, its parents too, where it is not there.  Raises UsageError where it cannot be one."""
+    """Create the folder `path` and its parents if absent; raise UsageError if that is impossible."""
     with writing(path):
         path.mkdir(mode=mode, parents=True, exist_ok=True)
 
 
 def parse_toml(text: str, *, where: str, remedy: str = "Correct that line") -> dict[str, Any]:
-    """The table of a TOML text; `where` names its source in the ConfigError."""
+    """Parse TOML into a table; `where` names the source in the ConfigError."""
     try:
         table = tomllib.loads(text)
         _check_depth(table)
@@ -107,7 +110,7 @@ def parse_toml(text: str, *, where: str, remedy: str = "Correct that line") -> d
 
 
 def parse_json(text: str, *, where: str, remedy: str = "Correct that line") -> Any:
-    """The value of a JSON text; `where` names its source in the DataError.  An integer of 19 digits becomes a float."""
+    """Parse JSON; `where` names the source in the DataError.  An integer of 19 or more digits becomes a float."""
     try:
         value = json.loads(text, parse_int=lambda digits: int(digits) if len(digits) < 19 else float(digits))
         _check_depth(value)
@@ -129,7 +132,7 @@ def _excess(wrong: Exception) -> str:
 
 
 def _check_depth(value: object) -> None:
-    """By levels, not by recursion: dotted keys of TOML nest without any."""
+    """Check depth and integers level by level: dotted keys of TOML nest without recursion in the parser."""
     level: list[object] = [value]
     for _ in range(DEEPEST):
         inner: list[object] = []

@@ -1,8 +1,9 @@
-"""How a panic of zenoh's shows: the one line that Rust writes to stderr.  Pure.
+"""Detection of a panic in zenoh's library, by the line that Rust writes to stderr.  Pure.
 
-zenoh's library goes on after a panic in one of its threads: what that thread did (receiving from one peer, say) is
-done no more, and perhaps a lock stays taken.  No call and no event tells it; upstream issue 2624 is one, under sessions
-that come and go.  So whoever runs such a process reads its stderr (`board51.py`) and ends it, to be started again.
+After a panic in one of its threads the library keeps running without that thread: it may, for example, no longer
+receive from one peer, or hold a lock for ever.  No call or event of its API reports this (upstream issue 2624 is one
+case, with sessions that open and close).  The parent process therefore reads stderr (`board51.py`), ends a process
+after a panic, and starts it again.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ _TOLD = re.compile(rb" panicked at")
 
 
 def is_panic(line: bytes) -> bool:
-    """Whether a line of stderr is one."""
+    """Return whether a line of stderr reports a panic."""
     return _PANIC.search(line) is not None
 
 
 def told(line: bytes) -> bytes:
-    """The same for who reads this process's stderr, and is not to take it for a panic of its own."""
+    """Return the line reworded, so that a parent that reads this process's stderr does not take it for a new panic."""
     return _TOLD.sub(b" panicked, and its process ends, at", line)

@@ -1,6 +1,6 @@
-"""The bytes of a recording in a table (CSV, also .gz; MATLAB), unpacked within bounds.
+"""Reads recordings in tables (CSV, also .gz; MATLAB) within fixed bounds.
 
-Rule: what is unpacked is counted while it is unpacked: a kilobyte may hold a gigabyte.
+Rule: the size is checked during decompression: a compressed kilobyte may expand to a gigabyte.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _COMPRESSED = 15  # miCOMPRESSED of the MAT-file format, level 5
 
 
 def read_csv_bytes(path: Path) -> bytes:
-    """The text of a CSV file, unpacked, without a byte order mark.
+    """Return the content of a CSV file, decompressed, without a byte order mark.
 
     Raises:
-        DataError: absent, no regular file, badly compressed, not text, or beyond the bounds.
+        DataError: the file is absent, not a regular file, badly compressed, not text, or beyond the bounds.
     """
     with open_regular(path, remedy=REMEDY) as file:
         packed = file.read(2) == _GZIP
@@ -45,12 +45,14 @@ def read_csv_bytes(path: Path) -> bytes:
 
 
 def check_table(path: Path, head: Sequence[str], row: Sequence[str]) -> None:
-    """Refuse what cannot be a recording without a word of what it says: it may be any file of the user's.
+    """Refuse a file that cannot be a recording.
+
+    The error does not quote the content: a wrong path may name any private file of the user.
 
     Args:
-        path: for the error.
-        head: cells of the first line.
-        row: cells of the first line of data.
+        path: Path for the error.
+        head: Cells of the first line.
+        row: Cells of the first line of data.
 
     Raises:
         DataError: fewer than two columns, or no cell of the row is a number.
@@ -63,7 +65,7 @@ def check_table(path: Path, head: Sequence[str], row: Sequence[str]) -> None:
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell of a table is one; nan and inf are."""
+    """Return whether a cell of a table is a number; nan and inf count as numbers."""
     try:
         float(cell)
     except ValueError:
@@ -72,10 +74,10 @@ def is_number(cell: str) -> bool:
 
 
 def check_mat(path: Path) -> None:
-    """Refuse a MATLAB file that unpacks to more than LARGEST_TABLE bytes; any other fault is left to its reader.
+    """Refuse a MATLAB file that expands to more than LARGEST_TABLE bytes; its reader reports all other faults.
 
     Raises:
-        DataError: absent, no regular file, or too large.
+        DataError: the file is absent, not a regular file, or too large.
     """
     with open_regular(path, remedy=REMEDY) as file:
         file.seek(_MAT_HEAD - 2)
@@ -101,7 +103,7 @@ def check_mat(path: Path) -> None:
 
 def _within_bounds(path: Path, file: BinaryIO | gzip.GzipFile) -> bytes:
     pieces: list[bytes] = []
-    total = lines = unfinished = 0  # `unfinished`: bytes of the line that the last piece ended in
+    total = lines = unfinished = 0  # `unfinished`: bytes so far of a line that the last piece does not complete
     while piece := file.read(_PIECE):
         total += len(piece)
         if total > LARGEST_TABLE:

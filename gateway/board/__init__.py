@@ -1,1 +1,1 @@
-"""One board as numbers: counts and SI units, what may be commanded, which conditions hold.  Pure."""
+"""Scaling, command limits and alarm conditions of one board.  Pure."""

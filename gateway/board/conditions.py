@@ -1,8 +1,8 @@
-"""What `alarms` says of one board: the conditions that the gateway knows to hold, since when, and who has seen what.
+"""Content of `alarms` for one board: active conditions with their start, and acknowledgements.
 
 No I/O.
 
-Rule: told on change and every EVERY_S, so that a view which starts later lists what it has missed, with its first time.
+Rule: published on change and every EVERY_S, so that a view that starts later lists earlier conditions with their start.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ TO_BOARD = "board-unanswered"  # the other direction of the link; an event of th
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Condition:
-    """Something that is wrong now."""
+    """An active condition."""
 
     text: str
-    since_ns: int = 0  # Unix time; 0: not known, so when it was first seen
+    since_ns: int = 0  # Unix time; 0: not known, replaced by the time of its detection
 
 
 class Standing:
@@ -43,13 +43,13 @@ class Standing:
         host_ns: int,
         now_s: float,
     ) -> pb.Alarms | None:
-        """The message, where it is time for one.
+        """Return the message if it is due, else None.
 
         Args:
-            holding: what is wrong now, by name.
-            acknowledged: what was seen, and by whom.
-            host_ns: Unix time.
-            now_s: monotonic.
+            holding: Active conditions by name.
+            acknowledged: Acknowledgements.
+            host_ns: Unix time, ns.
+            now_s: Monotonic time, s.
         """
         self._since_ns = {
             name: condition.since_ns or self._since_ns.get(name, host_ns) for name, condition in holding.items()

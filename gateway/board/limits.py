@@ -1,15 +1,15 @@
-"""What may be commanded: the last look before the wire.  Pure: time comes in, refusals come out.
+"""Checks commands against the limits of gateway and board before they are sent.  Pure: the caller passes the time.
 
-The board checks again; this gate is nearer to the sender, may be tighter (configuration), and says why in the units of
-the page (lengths in mm).
+The board checks again.  This check may be stricter (configuration), and its refusals use the units of the web page
+(lengths in mm).
 
-Rule 1: STOP passes always: no rate, no mode, no bound, no form but that it can be read as a STOP.
+Rule 1: STOP is never refused: not by rate, mode, bounds or form, as long as it can be decoded as a STOP.
 Rule 2: every refusal has a stable kebab-case reason and a sentence.  Reasons: malformed, oversize, bad-id, bad-who,
         empty-command, not-finite, out-of-range, slew, wrong-mode, fault-active, flood, queue-full, not-available.
-Rule 3: bounds are those of the configuration and of the board, whichever is tighter.
+Rule 3: the stricter of the bounds of configuration and board applies.
 Rule 4: the reference has an allowance, as on the board (protocol/README.md, rule 7): `x_ref_step_m` at once, refilled
         at `x_ref_slew_m_s`, used up by each accepted jump.
-Rule 5: to end an excitation nothing but its mode is needed: no bound can keep somebody from it, and nothing jumps.
+Rule 5: ending an excitation requires only its mode: no bound prevents it, and the signal does not jump.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from protocol.bus.encoding import parse
 from protocol.wire.messages import Flag, Message, Mode
 
 MAX_PAYLOAD = 4096  # bytes; the largest sensible command has about 200
-MAX_STOP = 65536  # bytes that are looked at for a STOP, as many as pass the router of a guarded bus
+MAX_STOP = 65536  # bytes that are searched for a STOP, the largest payload that the router of a guarded bus passes
 MAX_ID = 128
 MAX_WHO = 128
 MAX_TEXT = 200  # characters of a remark, of a comment
@@ -36,7 +36,7 @@ MAX_ALARM = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardView:
-    """What the gate needs to know of the board now; None where the board has not said."""
+    """Current state of the board as needed for the checks; None where it is not known."""
 
     mode: Mode | None
     flags: int
@@ -47,10 +47,10 @@ class BoardView:
 
 
 def read_command(payload: bytes) -> tuple[pb.Command, Refusal | None]:
-    """The command in a query, and why it is none: its form, not yet its content.  Empty where it cannot be read."""
+    """Decode the command in a query and check its form; the command is empty if it cannot be decoded."""
     command = parse(pb.Command, payload) if len(payload) <= MAX_STOP else None
     if command is not None and command.WhichOneof("what") == "stop":
-        # Whatever else is wrong with it; what is too long is cut, for the record.
+        # A STOP is accepted despite other errors; texts that are too long are cut for the record.
         return pb.Command(
             id=command.id[:MAX_ID], who=command.who[:MAX_WHO], issued_ns=command.issued_ns, stop=pb.Stop()
         ), None
@@ -76,7 +76,7 @@ def _form(command: pb.Command) -> Refusal | None:
         text = f"An alarm's name has 1 to {MAX_ALARM} characters, not {len(command.acknowledge.alarm)}."
         return Refusal("malformed", text)
     if command.WhichOneof("what") is None:
-        return Refusal("empty-command", "The command says not what to do, or something this gateway does not know.")
+        return Refusal("empty-command", "The command has no action, or one that this gateway does not know.")
     wrong = next((name for name, value in _numbers(command) if not math.isfinite(value)), None)
     return None if wrong is None else Refusal("not-finite", f"{wrong} is not a finite number.")
 
@@ -92,20 +92,20 @@ def _numbers(message: ProtoMessage, path: str = "") -> Iterator[tuple[str, float
 
 
 def ends_excitation(command: pb.Command) -> bool:
-    """Shape none; but on u_c with an offset it is a level."""
+    """Return whether a command ends an excitation: shape none, except on u_c with an offset, which sets a level."""
     excite = command.excite
     none = command.WhichOneof("what") == "excite" and excite.shape == pb.SHAPE_NONE
     return none and (excite.on_reference or not excite.HasField("offset"))
 
 
 def bumpless(command: pb.Command, board: BoardView) -> pb.Command | Refusal:
-    """`command`; where it ends an excitation, with what is in force now as the level that stays."""
+    """Return `command`; if it ends an excitation, with the current level as its offset, so that nothing jumps."""
     if not ends_excitation(command):
         return command
     closed = board.mode == Mode.CLOSED_LOOP
     level = board.x_ref_m if closed else board.u_c_v
     if board.mode is None or level is None:
-        text = "Where the signal is now is not known yet: try again, or end it with a reference or a mode."
+        text = "The current value of the signal is not known yet: try again, or end it with a reference or a mode."
         return Refusal("not-available", text)
     return pb.Command(excite=pb.Excite(shape=pb.SHAPE_NONE, on_reference=closed, offset=level))
 
@@ -118,16 +118,16 @@ class TokenBucket:
         self._level, self._at_s = size, -math.inf
 
     def level(self, now_s: float) -> float:
-        """What may be taken at `now_s`."""
+        """Return the amount available at `now_s`."""
         return min(self._size, self._level + self._rate * (now_s - self._at_s))
 
     def take(self, amount: float, now_s: float) -> None:
-        """Use up `amount`, which `level` allowed."""
+        """Take `amount`, which must not exceed `level`."""
         self._level, self._at_s = self.level(now_s) - amount, now_s
 
 
 class Gate:
-    """The limits of one board.  `check` decides; `passed` must follow for each command that goes on to the wire."""
+    """Limits of one board.  Call `check` for each command, and `passed` for each command that is sent."""
 
     def __init__(self, limits: LimitsConfig) -> None:
         self._limits = limits
@@ -135,7 +135,7 @@ class Gate:
         self._jumps = TokenBucket(limits.x_ref_step_m, limits.x_ref_slew_m_s)
 
     def admit(self, command: pb.Command, now_s: float) -> Refusal | None:
-        """Against a flood: every command but STOP uses up its share, refused or not."""
+        """Limit the rate of commands: every command except STOP counts, refused or not."""
         if command.WhichOneof("what") == "stop":
             return None
         if self._commands.level(now_s) < 1.0:
@@ -146,7 +146,7 @@ class Gate:
         return None
 
     def check(self, command: pb.Command, wire: WireCommand, board: BoardView, now_s: float) -> Refusal | None:
-        """None if the command may go to the board."""
+        """Return the refusal of a command, or None if it may be sent to the board."""
         match command.WhichOneof("what"):
             case "set_reference":
                 return self.beyond(command) or self._reference(command.set_reference.x_ref_m, wire, board, now_s)
@@ -163,14 +163,14 @@ class Gate:
         return None
 
     def beyond(self, command: pb.Command) -> Refusal | None:
-        """The configuration's bounds alone; asked before a value is counts, which end elsewhere."""
+        """Check the configured bounds only; called before conversion to counts, whose range differs."""
         if command.WhichOneof("what") != "set_reference":
             return None
         limits = self._limits
         return _within(command.set_reference.x_ref_m, limits.x_ref_min_m, limits.x_ref_max_m, "x_ref", "m")
 
     def passed(self, command: pb.Command, board: BoardView, now_s: float) -> None:
-        """`command` goes to the board: use up what it uses up."""
+        """Update the allowances for a command that is sent to the board."""
         if command.WhichOneof("what") == "set_reference" and board.x_ref_m is not None:
             self._jumps.take(abs(command.set_reference.x_ref_m - board.x_ref_m), now_s)
 
@@ -244,9 +244,9 @@ def _within(value: float, low: float, high: float, what: str, unit: str) -> Refu
 
 
 def _on_board(count: int, low: str, high: str, what: str, unit: str, board: BoardView) -> Refusal | None:
-    """Against the bounds in PARAMETERS, in counts; an empty `low` means 0."""
+    """Check a value in counts against the bounds in PARAMETERS; an empty `low` means 0."""
     if board.parameters is None:
-        return None  # the board will look itself
+        return None  # the board checks itself
     lowest, highest = board.parameters.int(low) if low else 0, board.parameters.int(high)
     if lowest <= count <= highest:
         return None
@@ -263,7 +263,7 @@ def _on_board(count: int, low: str, high: str, what: str, unit: str, board: Boar
 
 def _needs(board: BoardView, command: pb.Command) -> Refusal | None:
     if board.mode is None:
-        return None  # no state yet: the board will look itself
+        return None  # no state yet: the board checks itself
     if board.flags & Flag.FAULT:
         return Refusal("fault-active", "A fault is active and the coil is off; set a mode first to clear it.")
     good: tuple[Mode, ...]

@@ -1,8 +1,8 @@
-"""Counts of one board <-> SI units, with the scalings the board itself reported.  Pure.
+"""Converts between counts of one board and SI units, with the scalings that the board reported.  Pure.
 
 Rule 1: SI value = offset + lsb * count (protocol/README.md, rule 14); x_ref uses the scaling of x.
-Rule 2: what cannot be put into the fields of the UART is a `Refusal`, never clipped: a clipped setpoint is another one.
-Rule 3: rounding that the sender would notice is said in `WireCommand.note`.
+Rule 2: a value that does not fit its UART field gives a `Refusal`; it is never clipped to another setpoint.
+Rule 3: `WireCommand.note` states relevant rounding.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ _BEYOND = 2.0**53
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """A command that does not reach the wire.  `reason` is kebab-case and stable; `text` is a sentence for people."""
+    """Refusal of a command by the gateway.  `reason` is kebab-case and stable; `text` is a sentence for the user."""
 
     reason: str
     text: str
 
 
 def measured(value: float, unit: str) -> str:
-    """A value for people, in the units of the page: lengths in mm."""
+    """Return a value as text in the units of the web page: lengths in mm."""
     scale, shown = (1e3, "mm") if unit == "m" else (1.0, unit)
     return f"{value * scale:.6g} {shown}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scaling:
-    """What one count is worth, and the board's times; from IDENTITY."""
+    """Scalings and times of a board, from IDENTITY."""
 
     i_offset_a: float
     i_lsb_a: float
@@ -68,7 +68,7 @@ class Scaling:
 
 
 def scaling_of(identity: Message) -> Scaling | None:
-    """The scalings in an IDENTITY; None where one of them cannot be a scaling (zero)."""
+    """Return the scalings in an IDENTITY, or None if one of them is zero."""
     f = identity.float
     if not (f("i_lsb") and f("x_lsb") and f("u_lsb")):
         return None
@@ -86,7 +86,7 @@ def scaling_of(identity: Message) -> Scaling | None:
 
 
 class StateEncoder:
-    """Samples of one session into serialised pb.State: once, for the bus and the log."""
+    """Encodes the samples of one session as pb.State, serialised once for bus and log."""
 
     def __init__(self, scaling: Scaling, session: int) -> None:
         s = scaling
@@ -96,10 +96,10 @@ class StateEncoder:
         self._message = pb.State(session=session)
 
     def encode(self, sample: Sample, host_time_ns: int) -> bytes:
-        """pb.State of `sample`, which arrived at `host_time_ns` (Unix time)."""
+        """Return the serialised pb.State of `sample`, which arrived at `host_time_ns` (Unix time)."""
         i_offset, i_lsb, x_offset, x_lsb, u_offset, u_lsb = self._scale
         tick, _, lost_before, (sequence, i_c, x, u_c, x_ref, flags), _ = sample
-        # One message is used again and again: half the time of a new one for each sample.
+        # One message object is reused: this takes half the time of a new one for each sample.
         m = self._message
         m.sequence = sequence
         m.tick = tick
@@ -118,7 +118,7 @@ class StateEncoder:
 def parameters_message(
     parameters: Message, identity: Message, scaling: Scaling, *, session: int, host_time_ns: int
 ) -> pb.Parameters:
-    """What the board answered to GET_PARAMETERS, in SI units."""
+    """Return the board's answer to GET_PARAMETERS in SI units."""
     p, s = parameters.int, scaling
     units = s.gain_units(p("law"))
     gains = [p(f"k{n}_mantissa") * 2.0 ** -p(f"k{n}_shift") / units[n - 1] for n in range(1, 5)]
@@ -153,11 +153,11 @@ def parameters_message(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WireCommand:
-    """A bus command in the fields of the UART."""
+    """A bus command, converted to fields of a UART message."""
 
     name: str
     values: dict[str, Value]
-    note: str = ""  # rounding worth knowing; goes into the reply
+    note: str = ""  # text about rounding, for the reply
 
 
 class _OutOfFieldError(Exception):
@@ -165,7 +165,7 @@ class _OutOfFieldError(Exception):
 
 
 def to_wire(command: pb.Command, scaling: Scaling) -> WireCommand | Refusal:
-    """The UART form of a command whose numbers are finite and whose oneof is set (limits.py has looked)."""
+    """Convert a command to its UART form; limits.py has checked that its numbers are finite and its oneof is set."""
     try:
         return _CONVERT[str(command.WhichOneof("what"))](command, scaling)
     except _OutOfFieldError as problem:
@@ -173,7 +173,7 @@ def to_wire(command: pb.Command, scaling: Scaling) -> WireCommand | Refusal:
 
 
 def _nearest(number: float) -> int:
-    """Rounded; what is beyond all fields (1e308 over a small unit is infinite) stays beyond them."""
+    """Round to an integer; a value beyond all fields, even an infinite one, stays beyond them."""
     return round(min(max(number, -_BEYOND), _BEYOND))
 
 
@@ -207,7 +207,7 @@ def _set_reference(command: pb.Command, s: Scaling) -> WireCommand:
 
 
 def to_mantissa(gain: float) -> tuple[int, int]:
-    """(mantissa, shift) with mantissa * 2^-shift nearest to `gain`; OverflowError above 32767."""
+    """Return (mantissa, shift) with mantissa * 2^-shift nearest to `gain`; OverflowError above 32767."""
     if gain == 0:
         return 0, 0
     for shift in range(_SHIFT_MAX, -1, -1):
@@ -280,7 +280,7 @@ def _excite(command: pb.Command, s: Scaling) -> WireCommand:
         raise _OutOfFieldError(f"seed {seed} is above {_U16}")
     if shape == Shape.CHIRP and e.duration_s == 0:
         raise _OutOfFieldError("a chirp needs a duration")
-    # 0 ticks are endless, and nobody who asks for half a tick means that.
+    # 0 ticks mean endless, so a shorter duration must not round to 0.
     duration = _whole(e.duration_s, s.sample_time_s, "duration", 1 if e.duration_s else 0, _U32)
     values |= {"amplitude": amplitude, "period": period, "period_end": period_end, "seed": seed, "duration": duration}
     return WireCommand(name="EXCITE", values=values)

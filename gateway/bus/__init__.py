@@ -1,1 +1,1 @@
-"""The gateway's side of the bus: what it publishes, which queries it answers."""
+"""The gateway on the bus: publishers and the command queryable."""

@@ -2,8 +2,8 @@
 
 On a guarded bus it is `<site>/<board>/command/as/<role>/<who>`, and nothing is served under the plain key.
 
-zenoh calls back in its own threads; the decision falls in the serial thread (`link/command_handler.py`), the reply
-leaves through a publisher's thread.  A query without a reply would look to its sender like a gateway that is not there.
+zenoh calls back in its own threads.  The serial thread handles the command (`link/command_handler.py`), a publisher's
+thread sends the reply.  Every query gets a reply: without one, its sender would assume that there is no gateway.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import zenoh_encoding
 
-MAX_POSTED = 256  # queries on their way to the serial thread; beyond it only STOP is carried there
+MAX_POSTED = 256  # queries that may wait for the serial thread; beyond this, only STOP is passed on
 _ENCODING = zenoh_encoding(pb.CommandReply)
 
 
@@ -31,12 +31,12 @@ class CommandService:
     """Serves one board's commands until the zenoh session closes.
 
     Args:
-        session: of the bus.
-        site: first chunk of the key.
-        driver: of the board.
-        link: the serial thread.
-        replies: takes them; not what events wait in while there is no router.
-        authorizer: says who sends.
+        session: Session of the bus.
+        site: First chunk of the key.
+        driver: Driver of the board.
+        link: Serial thread.
+        replies: Publisher for the replies; separate from that of events, which holds while there is no router.
+        authorizer: Identifies the sender.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class CommandService:
         self._link.command(self._driver, payload, done, sender)
 
     def _flood(self, payload: bytes, sender: Sender) -> pb.CommandReply | None:
-        """The refusal of what is too much, before it costs the serial thread anything; None if it may go on."""
+        """Return the refusal of a command beyond the rate, before it loads the serial thread; None if accepted."""
         full = self._posted >= MAX_POSTED
         if not full and not self._authorizer.guarded:
             return None

@@ -1,12 +1,12 @@
-"""Messages onto the bus, in threads of their own; what a board's driver hands out goes to bus and log from here.
+"""Publishes messages in threads of their own; passes the output of a board's driver to bus and log.
 
 Rule 1: `Publisher.put` returns at once.  A router that stopped reading stalls zenoh's put (BLOCK; what does not fit is
         dropped by the router, for each subscriber by itself): it stalls this thread, never the serial one.
 Rule 2: the queue is bounded; when full, the OLDEST messages are dropped and counted with their channel.
 Rule 3: samples, replies and everything else have separate threads: an event does not wait behind 8000 samples.
 Rule 4: a message is serialised once; bus and log get the same bytes.
-Rule 5: without a router zenoh throws away what it is given and says nothing.  So it is given nothing then (`hold`): the
-        queue keeps the newest, and counts the rest.
+Rule 5: without a router zenoh discards messages silently.  Publishing therefore pauses (`hold`): the queue keeps the
+        newest messages and counts the dropped ones.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Target(Protocol):
 
 
 class PublishQueue:
-    """A target with its counts.  `latencies_s` of about the last second: from read to handed to zenoh."""
+    """A target with its counters.  `latencies_s` holds the times from read to zenoh of about the last second."""
 
     def __init__(self, target: Target) -> None:
         self.target = target
@@ -45,21 +45,21 @@ class PublishQueue:
         self._latencies_s: list[float] = []
 
     def note(self, latency_s: float) -> None:
-        """One read's samples are out."""
+        """Record the latency of one published read."""
         self._latencies_s.append(latency_s)
 
     def take_latencies_s(self) -> list[float]:
-        """What was noted since the last call."""
+        """Return the latencies recorded since the last call, s."""
         taken, self._latencies_s = self._latencies_s, []
         return taken
 
 
 class Publisher:
-    """One thread that puts what is queued, in order.
+    """A thread that publishes queued payloads in order.
 
     Args:
-        name: of the thread.
-        capacity: payloads that may wait.
+        name: Name of the thread.
+        capacity: Largest number of queued payloads.
     """
 
     def __init__(self, name: str, capacity: int) -> None:
@@ -73,7 +73,7 @@ class Publisher:
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
 
     def start(self) -> None:
-        """Begin to put."""
+        """Start the thread."""
         self._thread.start()
 
     def put(self, channel: PublishQueue, payloads: list[bytes], read_mono_ns: int = 0) -> None:
@@ -92,18 +92,18 @@ class Publisher:
                 self._condition.notify()
 
     def hold(self, *, held: bool) -> None:
-        """Put nothing from now on, or go on with what waits."""
+        """Pause publishing, or continue with the queued payloads."""
         with self._condition:
             self._held = held
             self._condition.notify()
 
     @property
     def waiting(self) -> int:
-        """Payloads in the queue."""
+        """Number of payloads in the queue."""
         return self._depth
 
     def stop(self, *, patience_s: float = 1.0) -> None:
-        """Put what waits, as far as the bus takes it within `patience_s`, and end."""
+        """Publish the queued payloads within at most `patience_s`, and end the thread."""
         with self._condition:
             self._stopping = True
             self._condition.notify()
@@ -135,7 +135,7 @@ class Publisher:
 
 
 class BoardSink:
-    """One board's way out: zenoh publishers, liveliness token, recorder (`gateway/link/sink.py`)."""
+    """Output of one board: zenoh publishers, liveliness token, recorder (`gateway/link/sink.py`)."""
 
     def __init__(
         self,
@@ -167,28 +167,28 @@ class BoardSink:
 
     @property
     def wanted(self) -> bool:
-        """Whether somebody on the bus subscribes to this board's samples."""
+        """Whether this board's samples have a subscriber on the bus."""
         return self._states.matching_status.matching  # type: ignore[attr-defined,no-any-return]  # the stub says bool
 
     @property
     def dropped(self) -> int:
-        """Messages of this board that the bus did not take in time."""
+        """Number of messages of this board that the bus did not accept in time."""
         return sum(channel.dropped for channel in self._channels.values())
 
     @property
     def waiting(self) -> int:
-        """Messages of this board that wait for the bus."""
+        """Number of messages of this board that wait for the bus."""
         return sum(channel.waiting for channel in self._channels.values())
 
     def states(self, payloads: list[bytes], host_time_ns: int, read_mono_ns: int) -> None:
-        """Samples of one read to bus and log."""
+        """Send the samples of one read to bus and log."""
         self._samples.put(self.state_channel, payloads, read_mono_ns)
         if self._recorder is not None:
             for payload in payloads:
                 self._recorder.put(self._state_key, payload, host_time_ns)
 
     def send(self, topic: str, message: ProtoMessage, host_time_ns: int) -> None:
-        """One message to bus and log, as the table of topics says."""
+        """Send one message to bus and log, according to the table of topics."""
         row, payload = topics.BY_NAME[topic], message.SerializeToString()
         if row.bus:
             self._messages.put(self._channels[topic], [payload])
@@ -196,18 +196,18 @@ class BoardSink:
             self._recorder.put(self._keys[topic], payload, host_time_ns)
 
     def raw(self, data: bytes, host_time_ns: int, *, to_board: bool) -> None:
-        """Bytes of the UART to the log."""
+        """Write bytes of the UART to the log."""
         if self._recorder is not None:
             message = pb.RawBytes(host_time_ns=host_time_ns, to_board=to_board, data=data)
             self._recorder.put(self._raw_key, message.SerializeToString(), host_time_ns)
 
     def alive(self, *, alive: bool) -> None:
-        """The token says "samples come", not "the gateway runs": it is held while the link is streaming."""
+        """Hold or drop the liveliness token: it is held while the link is streaming, not while the gateway runs."""
         self._messages.put(self._alive_channel, [b"1" if alive else b""])
 
 
 class _Token:
-    """Liveliness as a target, so that declaring it happens in a publisher's thread and in order."""
+    """The liveliness token as a target, so that a publisher's thread declares it in order."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self._session, self._key = session, key

@@ -1,9 +1,9 @@
-"""What a gateway that is a client does while its router is gone: its publishers hold, the queue keeps and counts.
+"""Pauses the publishers of a gateway that is a client while its router is absent; the queues keep and count messages.
 
-Rule 1: `hold` falls in zenoh's thread, at the moment the connection ends; everything else at the next `look`.
-Rule 2: after the router's return the others need a moment to join it again: what were put at once would reach nobody.
-        So the hold lasts SETTLE_S more, and until somebody subscribes, PATIENCE_S at most.
-Rule 3: what zenoh and the system had taken before the connection ended is not known to have arrived, and not counted.
+Rule 1: `hold` is called in zenoh's thread as soon as the connection ends; everything else happens at the next `look`.
+Rule 2: after the router's return the subscribers need time to reconnect, and messages sent at once would be lost.  The
+        pause therefore lasts SETTLE_S longer, and then until there is a subscriber, at most PATIENCE_S.
+Rule 3: messages that zenoh or the system accepted before the end of the connection may be lost; they are not counted.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PATIENCE_S = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RouterChange:
-    """An event to tell."""
+    """An event to publish."""
 
     name: str
     severity: str
@@ -34,11 +34,11 @@ class RouterWatch:
     """Holds `publishers` while `session` has no router.
 
     Args:
-        session: a client's, or a router's that listens nowhere.
-        where: the endpoints that it connects to, for messages.
-        sinks: whose losses are told, and whose subscribers are waited for.
-        publishers: what is held.
-        now_s: monotonic clock.
+        session: Session of a client, or of a router without listeners.
+        where: Endpoints that it connects to, for messages.
+        sinks: Outputs whose losses are reported and whose subscribers are awaited.
+        publishers: Publishers to pause.
+        now_s: Monotonic clock, s.
     """
 
     def __init__(
@@ -54,20 +54,20 @@ class RouterWatch:
         self._lock = threading.Lock()
         self._routers = 0
         self._joined = False  # ever
-        self._lost_s: float | None = now_s()  # None where nothing is held
+        self._lost_s: float | None = now_s()  # None: not paused
         self._back_s = self._lost_s
         self._told = False
-        self._dropped = 0  # of the sinks, when the hold began
+        self._dropped = 0  # count of the sinks at the start of the pause
         self._hold(held=True)
         self._listener = session.info.declare_transport_events_listener(self._changed, history=True)
 
     def close(self) -> None:
-        """Watch no more; what waits may go."""
+        """Stop watching, and release the publishers."""
         self._listener.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
         self._hold(held=False)
 
     def look(self) -> RouterChange | None:
-        """Once a second: what has changed, where it is to be told."""
+        """Return the event to publish, or None; call it once a second."""
         now_s = self._now_s()
         with self._lock:
             if self._lost_s is None:
@@ -89,14 +89,14 @@ class RouterWatch:
             return RouterChange(name="bus-back", severity="warning" if dropped else "info", text=text)
 
     def _changed(self, event: zenoh.TransportEvent) -> None:
-        """In zenoh's thread."""
+        """Handle a change of the connection; called in zenoh's thread."""
         now_s = self._now_s()
         with self._lock:
             if event.kind == zenoh.SampleKind.PUT:
                 first, self._joined, self._back_s = not self._joined, True, now_s
                 self._routers += 1
                 if first and self._lost_s is not None and now_s - self._lost_s < SETTLE_S:
-                    self._lost_s = None  # there from the start: nobody has to come back first
+                    self._lost_s = None  # connected from the start: no subscriber has to reconnect
                     self._hold(held=False)
                 return
             self._routers -= 1

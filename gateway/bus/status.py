@@ -1,4 +1,4 @@
-"""pb.Status and pb.Alarms of one board from what the parts keep."""
+"""Builds pb.Status and pb.Alarms of one board from the counters of its parts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _BITS_PER_BYTE = 10  # 8N1
 
 
 def percentile(values: list[float], share: float) -> float:
-    """The value below which `share` of `values` lie (nearest rank); 0 for none."""
+    """Return the percentile `share` (0 .. 1) of `values` by nearest rank; 0 without values."""
     if not values:
         return 0.0
     ordered = sorted(values)
@@ -30,7 +30,7 @@ class StatusMaker:
         self._standing = Standing()
 
     def make(self, log: RecorderStats | None, now_s: float) -> pb.Status:
-        """The status now; `log` None where no log is written."""
+        """Return the current status; `log` is None if no log is written."""
         driver, session = self._driver, self._driver.session
         counters, unwrapper, counts, handler = session.counters, session.unwrapper, driver.counts, driver.handler
         elapsed_s = max(now_s - self._last_s, 1e-3)
@@ -82,7 +82,7 @@ class StatusMaker:
         return status
 
     def alarms(self, log: RecorderStats | None, now_s: float) -> pb.Alarms | None:
-        """What is wrong and who has seen it, where it is time to say so."""
+        """Return active conditions and acknowledgements if they are due, else None."""
         driver, holding = self._driver, dict[str, Condition]()
         if driver.link != "streaming":
             holding[LINK] = Condition(text=driver.reason, since_ns=driver.since_ns)

@@ -1,9 +1,9 @@
-"""Faults of the link and the board, by name: what to do to the bytes and when.  Pure: time comes in, bytes come out.
+"""Faults of the link and the board, by name, and their effect on the bytes.  Pure: the caller passes the time.
 
     NAME[=VALUE][@START[+LENGTH]][/EVERY][:OPTION]
 
-Rule 1: times are seconds of the board since power-on, so that a run repeats whatever the speed.
-Rule 2: everything random comes from the seed; a direction without an active fault costs nothing and changes nothing.
+Rule 1: times are seconds of the board since power-on, so that a run is reproducible at any speed.
+Rule 2: all randomness comes from the seed; without an active fault, a direction passes its bytes unchanged.
 Rule 3: a rate is a probability per byte and lasts from START for LENGTH (without them: always).  A timed fault begins
         at START and lasts VALUE seconds; with /EVERY it comes again.
 """
@@ -53,7 +53,7 @@ _GRAMMAR = re.compile(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """One fault.  `value` is a probability per byte, or seconds, or 0 for a fault that just happens."""
+    """A fault.  `value` is a probability per byte, a duration in s, or 0 for an event."""
 
     name: str
     value: float = 0.0
@@ -63,7 +63,7 @@ class Fault:
     option: str = ""
 
     def active(self, time_s: float) -> bool:
-        """Whether a rate or a span is on at this time."""
+        """Return whether a rate or a span is active at this time."""
         since = time_s - self.start_s
         if since < 0:
             return False
@@ -72,7 +72,7 @@ class Fault:
         return since < (self.value if self.name in SPANS else self.length_s)
 
     def happens(self, from_s: float, to_s: float) -> bool:
-        """Whether an event falls into [from_s, to_s)."""
+        """Return whether an event occurs within [from_s, to_s)."""
         if to_s <= self.start_s:
             return False
         if from_s <= self.start_s:
@@ -82,15 +82,15 @@ class Fault:
         return math.ceil((from_s - self.start_s) / self.every_s) * self.every_s + self.start_s < to_s
 
     def shifted(self, time_s: float) -> Fault:
-        """The same fault, its START counted from `time_s`."""
+        """Return the same fault with its START counted from `time_s`."""
         return replace(self, start_s=self.start_s + time_s)
 
 
 def parse(text: str) -> Fault:
-    """A fault as given to --fault.
+    """Parse a fault as given to --fault.
 
     Raises:
-        UsageError: unknown name, a value that is missing, superfluous, no number or out of its range.
+        UsageError: the name is unknown, or a value is missing, superfluous, not a number or out of range.
     """
     match = _GRAMMAR.fullmatch(text.strip())
     if match is None:
@@ -121,21 +121,21 @@ def parse(text: str) -> Fault:
 
 
 class FaultyLine:
-    """One direction of the line: bytes in, at most damaged, late or fewer bytes out.
+    """One direction of the line, which may damage, delay or lose bytes.
 
     Args:
-        direction: `tx` (from the board) or `rx`.
-        seed: Of all that is random here.
+        direction: `tx` (from the board) or `rx` (to the board).
+        seed: Seed of the random faults.
     """
 
     def __init__(self, direction: str, seed: int) -> None:
         self._direction = direction
         self._random = random.Random(f"{direction}{seed}")
         self._held = bytearray()
-        self.damaged = 0  # bytes flipped, lost, duplicated, inserted, garbled or thrown away
+        self.damaged = 0  # bytes flipped, lost, duplicated, inserted, garbled or discarded
 
     def convey(self, data: bytes, time_s: float, faults: Iterable[Fault]) -> bytes:
-        """What arrives at `time_s` when `data` is sent."""
+        """Return the bytes that arrive at `time_s` when `data` is sent."""
         active = [
             fault
             for fault in faults

@@ -22,18 +22,18 @@ _T_S = T_S_US * 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineCounts:
-    """What one board's line has seen since power-on."""
+    """Counters of one board's line since power-on."""
 
     time_s: float
     bytes_sent: int  # by the board, before faults
     bytes_received: int  # by the board, after faults
-    bytes_not_taken: int  # nobody connected, or a host that does not read
+    bytes_not_taken: int  # no host is connected, or it does not read
     bytes_damaged: int  # by faults, both directions
     frames_dropped: int  # the board's queues were full: the line is too slow
 
 
 class BoardLine:
-    """One emulated board and everything between it and the host.
+    """An emulated board with its line and port.
 
     Args:
         firmware: The board.
@@ -66,7 +66,7 @@ class BoardLine:
 
     @property
     def counts(self) -> LineCounts:
-        """What happened so far."""
+        """Return the counters."""
         return LineCounts(
             time_s=self.time_s,
             bytes_sent=self._sent,
@@ -91,12 +91,12 @@ class BoardLine:
         self._follow_plug(renamed=renamed)
 
     def power_cycle(self) -> None:
-        """The board loses power for a moment; what was on the line is cut off."""
+        """Interrupt the board's power for a moment; a frame on the line is cut off."""
         self.firmware.reset(EventCode.RESET_POWER_ON)
         self._rest = b""
 
     def step(self, *, wait_s: float = 0.0) -> None:
-        """One tick; `wait_s` is how long a host may keep the board waiting (0: real time, it may not)."""
+        """Run one tick; the board waits at most `wait_s` for a slow host (0: real time, no waiting)."""
         if self._faults:
             self._suffer()
         time_s = self.time_s
@@ -106,7 +106,7 @@ class BoardLine:
         self._send(time_s, wait_s)
 
     def close(self) -> None:
-        """Take the port away."""
+        """Close the port."""
         self.port.close()
 
     def _suffer(self) -> None:

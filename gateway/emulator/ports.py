@@ -1,9 +1,9 @@
-"""What a host can connect to: a pty or a TCP port, never waiting for it.
+"""Non-blocking ports of the emulator, for the host to connect to: a pty or a TCP port.
 
-Rule 1: nothing here blocks, unless `write` is told for how long.  A UART has no flow control: what nobody takes is
-        lost.
-Rule 2: a port can be closed and opened again; `url` is what a gateway is given to open it.
-Rule 3: whoever is connected may go and come; what was sent in between is gone, as on a wire.
+Rule 1: nothing here blocks, except `write` with a time limit.  A UART has no flow control: bytes that the host does not
+        read are lost.
+Rule 2: a port can be closed and opened again; a gateway opens it by its `url`.
+Rule 3: a host may disconnect and reconnect; bytes sent in between are lost, as on a wire.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Protocol
 
 from protocol.errors import ServiceError, UsageError
 
-_SEND_BUFFER = 16384  # bytes; a stalled host shall lose bytes here, as on a serial line, not find them minutes later
+_SEND_BUFFER = 16384  # bytes; a stalled host must lose bytes, as on a serial line, and not read them minutes later
 
 
 class EmulatedPort(Protocol):
@@ -27,22 +27,22 @@ class EmulatedPort(Protocol):
 
     @property
     def url(self) -> str:
-        """What pyserial's `serial_for_url` takes."""
+        """URL for pyserial's `serial_for_url`."""
 
     def open(self, *, renamed: bool = False) -> None:
-        """Offer the port, under another name if it has one to give."""
+        """Open the port, under another name if `renamed` and supported."""
 
     def close(self) -> None:
-        """Drop the host, take the port away."""
+        """Disconnect the host and close the port."""
 
     def connected(self) -> bool:
-        """Whether a host is there now."""
+        """Return whether a host is connected."""
 
     def read(self, limit: int) -> bytes:
-        """At most `limit` bytes that the host has sent."""
+        """Return at most `limit` bytes that the host has sent."""
 
     def write(self, data: bytes, wait_s: float = 0.0) -> int:
-        """Give bytes to the host; how many it took."""
+        """Send bytes to the host; return the number of bytes accepted."""
 
 
 class PtyPort:
@@ -65,17 +65,17 @@ class PtyPort:
         return str(self._link)
 
     def open(self, *, renamed: bool = False) -> None:
-        """Make a pty, point the link to it.
+        """Create a pty, and the link to it.
 
         Raises:
-            UsageError: something that is not a link is in the way, or its folder cannot be written.
+            UsageError: the path exists and is not a link, or its folder cannot be written.
         """
         self._link = self._plain.with_name(self._plain.name + "-renamed") if renamed else self._plain
         self._master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(self._master, False)
         self._target = os.ttyname(slave)
-        os.close(slave)  # from now on a read of the master says whether somebody else has the slave open
+        os.close(slave)  # from now on a read of the master shows whether a host has the slave open
         try:
             if self._link.is_symlink():
                 self._link.unlink()
@@ -89,7 +89,7 @@ class PtyPort:
             ) from error
 
     def close(self) -> None:
-        """Hang up: the host's next read ends, the link is gone."""
+        """Hang up: the host's next read ends, and the link is removed."""
         if self._master < 0:
             return
         if self._link.is_symlink() and os.readlink(self._link) == self._target:
@@ -114,10 +114,10 @@ class PtyPort:
             data = os.read(self._master, limit)
         except BlockingIOError:
             data = b""
-        except OSError:  # EIO: nobody has the slave open
+        except OSError:  # EIO: no process has the slave open
             if self._present:
                 self._present = False
-                termios.tcflush(self._master, termios.TCOFLUSH)  # the next host shall not read what this one left
+                termios.tcflush(self._master, termios.TCOFLUSH)  # the next host must not read the remaining bytes
             return b""
         self._present = True
         return data
@@ -130,7 +130,7 @@ class PtyPort:
 
 
 class TcpPort:
-    """A listening TCP socket; one host at a time, a second one is turned away.
+    """A listening TCP socket for one host at a time; further connections are refused.
 
     Args:
         host: Address to listen on.
@@ -150,10 +150,10 @@ class TcpPort:
         return f"socket://{f'[{self._host}]' if ':' in self._host else self._host}:{self._port}"
 
     def open(self, *, renamed: bool = False) -> None:
-        """Listen; a TCP port has no other name to give.
+        """Listen; a TCP port ignores `renamed`.
 
         Raises:
-            ServiceError: the address is not ours or the port is taken.
+            ServiceError: the address is not of this machine, or the port is in use.
         """
         try:
             family = socket.getaddrinfo(self._host, self._port, type=socket.SOCK_STREAM)[0][0]
@@ -175,14 +175,14 @@ class TcpPort:
         self._listener = listener
 
     def close(self) -> None:
-        """Drop the host, stop listening."""
+        """Disconnect the host and stop listening."""
         self._drop()
         if self._listener is not None:
             self._listener.close()
             self._listener = None
 
     def connected(self) -> bool:
-        """Whether a host is connected; takes one that waits."""
+        """Return whether a host is connected; accepts a waiting one."""
         if self._client is None:
             self._client = self._accept()
         return self._client is not None
@@ -217,7 +217,7 @@ class TcpPort:
             return None
         try:
             client, _ = self._listener.accept()
-        except OSError:  # nobody waits, or whoever did has gone already
+        except OSError:  # no connection waits, or it has ended already
             return None
         client.setblocking(False)
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -232,7 +232,7 @@ class TcpPort:
 
 def _write(descriptor: int, data: bytes, wait_s: float) -> int:
     taken = 0
-    with contextlib.suppress(OSError):  # a host that has gone: the next read finds out
+    with contextlib.suppress(OSError):  # a disconnected host is detected by the next read
         while taken < len(data):
             try:
                 taken += os.write(descriptor, data[taken:])

@@ -1,4 +1,4 @@
-"""Emulated boards in real time, faster, or as fast as possible; in this thread or in one beside a test.
+"""Runs emulated boards in real time, faster, or as fast as possible; in this thread or a separate one.
 
     with Emulator(boards=2, effects={"quadratic-drag": 1.0}) as emulator:
         gateway.open(emulator.urls[0])     # socket://127.0.0.1:PORT
@@ -7,8 +7,8 @@
 Rule 1: deadlines are absolute: tick k of every board is due at start + k * T_s / speed.  Late ticks are counted and
         made up for, so the boards' clocks never drift from the wall's: a tenth of a second at once, more than that at
         twice the speed.  At once, a host would have no time to answer, and its boards would call it lost.
-Rule 2: one thread runs all boards; other threads only hand it work (`call`).
-Rule 3: with speed 0 nothing is due: time stands until a host is connected, and a host that reads slowly slows the
+Rule 2: one thread runs all boards; other threads schedule actions in it (`call`).
+Rule 3: with speed 0 there are no deadlines: time stands still until a host is connected, and a slow host slows the
         boards instead of losing bytes.
 Rule 4: in lockstep time passes in `advance` alone.  What the host has written before is there at the first tick; what
         it does not read in between, it loses once the port's buffer is full.
@@ -69,7 +69,7 @@ class Server:
         self._wake()
 
     def call(self, action: Callable[[], None]) -> None:
-        """Have `action` done between two ticks by the thread that runs the boards."""
+        """Run `action` between two ticks, in the thread that runs the boards."""
         self._calls.append(action)
         self._wake()
 
@@ -89,9 +89,9 @@ class Server:
                 line.close()
 
     def close(self) -> None:
-        """Take the ports away and give the rest back; after `run`, by whoever made the server.
+        """Close the ports and release all resources; the creator of the server calls it after `run`.
 
-        Not at the end of `run`: another thread may just be waking it.
+        `run` itself does not do this, because another thread may be waking it.
         """
         for line in self.lines:
             line.close()
@@ -148,7 +148,7 @@ class Server:
         if self._wake_in >= 0:
             try:
                 os.write(self._wake_in, b"w")
-            except BlockingIOError:  # full of wake-ups: it will wake
+            except BlockingIOError:  # the pipe is full, so the thread will wake
                 return
 
 
@@ -217,11 +217,11 @@ class Emulator:
 
     @property
     def late_ticks(self) -> int:
-        """Ticks that could not be run in time."""
+        """Number of ticks that were not run in time."""
         return self._server.late_ticks
 
     def advance(self, duration_s: float) -> float:
-        """In lockstep: let that much time of all boards pass, and return; the boards' time since power-on, s.
+        """Advance all boards by `duration_s` in lockstep; return their time since power-on, s.
 
         Raises:
             UsageError: the emulator runs by the clock.
@@ -248,24 +248,24 @@ class Emulator:
         return lines[0].time_s
 
     def counts(self, board: int = 0) -> LineCounts:
-        """What the line of a board has seen."""
+        """Return the counters of a board's line."""
         return self._server.lines[board].counts
 
     def inject(self, fault: str | Fault, board: int = 0) -> None:
-        """A fault whose START counts from now; it is in force when this returns."""
+        """Add a fault whose START counts from now; it is in force on return."""
         parsed = parse(fault) if isinstance(fault, str) else fault
         self._do(lambda line: line.inject(parsed), board)
 
     def reset_board(self, board: int = 0) -> None:
-        """Cut the board's power for a moment."""
+        """Interrupt the board's power for a moment."""
         self._do(BoardLine.power_cycle, board)
 
     def disconnect(self, board: int = 0) -> None:
-        """Unplug the line until `reconnect`."""
+        """Disconnect the line until `reconnect`."""
         self._do(BoardLine.disconnect, board)
 
     def reconnect(self, board: int = 0, *, renamed: bool = False) -> None:
-        """Plug it in again; a pty perhaps under another name."""
+        """Connect the line again; a pty under another name if `renamed`."""
         self._do(lambda line: line.reconnect(renamed=renamed), board)
 
     def _do(self, action: Callable[[BoardLine], None], board: int, *, patience_s: float = 10.0) -> None:
@@ -287,14 +287,14 @@ class Emulator:
 
 
 def pty_ports(link: Path, boards: int) -> list[EmulatedPort]:
-    """PATH for one board, PATH-1, PATH-2, ... for several."""
+    """Return the ptys: PATH for one board, PATH-1, PATH-2, ... for several."""
     if boards == 1:
         return [PtyPort(link)]
     return [PtyPort(link.with_name(f"{link.name}-{n}")) for n in range(1, boards + 1)]
 
 
 def tcp_ports(host: str, port: int, boards: int) -> list[EmulatedPort]:
-    """Consecutive ports from `port` on; free ones where it is 0."""
+    """Return consecutive TCP ports from `port` on, or free ones if it is 0."""
     return [TcpPort(host, port + n if port else 0) for n in range(boards)]
 
 
@@ -307,11 +307,11 @@ def build_lines(
     baud: int = 115200,
     board_id: int = 1,
 ) -> list[BoardLine]:
-    """A board with a plant of its own for each port; all ports open or none.
+    """Create a board with its own plant for each port; either all ports are opened or none.
 
     Raises:
-        UsageError: an unknown effect or fault, a pty path in use.
-        ServiceError: a TCP port in use.
+        UsageError: an effect or fault is unknown, or a pty path is in use.
+        ServiceError: a TCP port is in use.
     """
     parsed = [parse(fault) if isinstance(fault, str) else fault for fault in faults]
     lines: list[BoardLine] = []

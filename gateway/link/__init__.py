@@ -1,1 +1,1 @@
-"""Bytes <-> boards.  Read `driver.py` (one board, no I/O), then `io_thread.py` (the thread that serves all of them)."""
+"""Serial links to the boards.  Read `driver.py` (one board, no I/O), then `io_thread.py` (the thread of all boards)."""

@@ -1,9 +1,9 @@
-"""Commands that are for people: a remark, and who has seen which alarm.  The board never hears of them.  No I/O.
+"""Remarks and acknowledgements of alarms: commands that are not sent to the board.  No I/O.
 
-Rule 1: the gateway does not know all alarms (the twin and the views judge too), so an acknowledgement is taken by name:
-        it means what was active under that name when it came in, and nothing that comes later.
-Rule 2: the latest of each name is kept and repeated in `alarms`, for views that start later; MAX_KEPT names, the oldest
-        make room.
+Rule 1: the gateway does not know all alarms (the twin and the views raise alarms, too), so an acknowledgement refers to
+        a name: it applies to the alarm active under that name on arrival, not to a later one.
+Rule 2: the latest acknowledgement of each name is kept and repeated in `alarms`, for views that start later.  At most
+        MAX_KEPT names are kept; the oldest is discarded first.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ KINDS = ("mark", "acknowledge")
 
 
 class Annotations:
-    """Of one board.  Written by the serial thread, read by any."""
+    """Remarks and acknowledgements of one board.  Written by the serial thread, read by any thread."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self.acknowledged: tuple[pb.Acknowledgement, ...] = ()  # replaced, never changed
 
     def take(self, command: pb.Command, host_ns: int, *, tick: int, session: int) -> pb.CommandReply:
-        """One command of KINDS, at this moment of the board."""
+        """Execute a command of KINDS at the given tick of the board, and return the reply."""
         who = command.who or "unknown"
         if command.WhichOneof("what") == "mark":
             name, said = "mark", command.mark.text

@@ -1,7 +1,7 @@
-"""One capture from its ACK to the CaptureRecord: wait for the end, read the blocks one by one.  No I/O.
+"""Reads a capture from the board block by block, from its ACK to the CaptureRecord.  No I/O.
 
-Blocks are read one command at a time, so other commands find their place in between.  CAPTURE_DONE may be lost on the
-line, so reading begins at the latest when the capture must be over.
+Blocks are read one command at a time, so that other commands can be sent in between.  CAPTURE_DONE may be lost on the
+line, so reading begins at the latest at the computed end of the capture.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ _ATTEMPTS = 10
 
 
 class CaptureReader:
-    """Reads the captures of one board, one at a time; without one under way its methods do nothing.
+    """Reads the captures of one board, one at a time; without an active capture its methods do nothing.
 
     Args:
-        session: for the READ_CAPTURE commands.
-        finished: called once for each capture, with its record (host_time_ns still 0) or a sentence why there is none.
+        session: Session for the READ_CAPTURE commands.
+        finished: Called once for each capture, with its record (host_time_ns still 0) or a sentence with the reason of
+            its failure.
     """
 
     def __init__(self, session: Session, finished: Callable[[pb.CaptureRecord | str], None]) -> None:
@@ -36,7 +37,7 @@ class CaptureReader:
         self._token: int | None = None  # of the READ_CAPTURE that is under way
 
     def begin(self, scaling: Scaling, wire: WireCommand, now_s: float) -> None:
-        """The board has accepted `wire`; it gives up the one before."""
+        """Begin a capture that the board has accepted as `wire`; a previous one is abandoned."""
         self.interrupt("another one")
         self._scaling = scaling
         self._wanted = int(wire.values["count"])
@@ -58,16 +59,16 @@ class CaptureReader:
             self._read(now_s)
 
     def poll(self, now_s: float) -> None:
-        """Read where CAPTURE_DONE has not come, and again after BUSY."""
+        """Begin to read if CAPTURE_DONE is missing, and retry after BUSY."""
         if now_s >= self.deadline_s and self._token is None:
             self._read(now_s)
 
     def interrupt(self, why: str) -> None:
-        """STOP, another mode, a reset: the board will not have the data."""
+        """Abandon the capture: after STOP, a change of mode or a reset the board has no data."""
         self._end(f"The capture was interrupted by {why}.")
 
     def answered(self, answer: Answer, now_s: float) -> bool:
-        """Take the end of a READ_CAPTURE; False if it is not ours."""
+        """Process the answer to a READ_CAPTURE; return False for any other answer."""
         if self._token is None or answer.token != self._token:
             return False
         self._token = None

@@ -1,7 +1,7 @@
-"""The host's time for samples: Unix time that never steps, carried by the monotonic clock.
+"""Host time of samples: Unix time that does not step, derived from the monotonic clock.
 
-Unix time is read once, when a session begins, and the monotonic clock takes it on from there.  A step of the host's
-clock (NTP after boot, a hand on `date`) is noticed and told, and reaches the samples with the next session only.
+Unix time is read once, at the start of a session, and advanced by the monotonic clock.  A step of the host's clock
+(NTP after boot, a manual change) is detected and reported; it affects the samples from the next session on.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ class HostClock:
     """Compares the wall clock with the monotonic one.
 
     Args:
-        wall_ns: Unix time, ns.
-        mono_ns: monotonic time, ns.
+        wall_ns: Returns Unix time, ns.
+        mono_ns: Returns monotonic time, ns.
     """
 
     def __init__(
@@ -27,14 +27,14 @@ class HostClock:
         self._seen_offset_ns = self.offset_ns()
 
     def offset_ns(self) -> int:
-        """Unix time minus monotonic time, now."""
+        """Return the current Unix time minus monotonic time, ns."""
         before = self._mono_ns()
         wall = self._wall_ns()
         # The mean of two readings: being descheduled between them would shift every sample of the session.
         return wall - (before + self._mono_ns()) // 2
 
     def step_ns(self) -> int:
-        """By how much the wall clock stepped since the last call; 0 where it did not.  Call it about once a second."""
+        """Return the step of the wall clock since the last call, or 0.  Call it about once a second."""
         offset = self.offset_ns()
         step = offset - self._seen_offset_ns
         self._seen_offset_ns = offset

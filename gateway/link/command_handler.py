@@ -1,17 +1,17 @@
-"""Commands from the bus on their way to one board, and the answers on their way back.  No I/O.
+"""Passes commands from the bus to one board, and the answers back.  No I/O.
 
-Rule 1: every query is answered, once: refused by gateway, board or link (down, timed out, cancelled), or by a fault of
-        ours (`internal-error`).
+Rule 1: every query is answered exactly once: accepted, refused by gateway, board or link (down, timed out, cancelled),
+        or failed by an error of the gateway (`internal-error`).
 Rule 2: an id is executed at most once.  The replies of the last 256 ids, and of all of the last 20 s, are kept; the
         same command again gets the kept reply, which says until when.  The same id with other content is refused
-        (`id-reused`): "accepted" would be a lie.  A dated command is too old before its id can be forgotten
-        (access/authorize.py): it is executed at most once whatever happens, an undated one within one run of this.
-Rule 3: `link-down`, `flood`, `queue-full` and a time-out before a byte was sent are not kept: nothing was executed, and
-        trying again with the same id is just what the sender should do.
-Rule 4: who, when, what and result of every command go out as CommandRecord.
+        (`id-reused`).  A dated command expires before its id is discarded (access/authorize.py), so it is executed at
+        most once in any case; an undated one at most once within one run of the gateway.
+Rule 3: the refusals `link-down`, `flood`, `queue-full` and a time-out before a byte was sent are not kept: nothing was
+        executed, and the sender may try again with the same id.
+Rule 4: sender, time, content and result of every command are published as a CommandRecord.
 Rule 5: on a guarded bus the sender (access/authorize.py) is written into the command, and its role and the command's
-        age are judged first.  What is refused for these is not kept: nobody fills the memory without a right.
-Rule 6: STOP goes to the board each time it is asked for, whatever its id: used, pending, or none at all.
+        age are checked first.  These refusals are not kept, so that senders without a right cannot fill the memory.
+Rule 6: every STOP is sent to the board, whatever its id: used, pending, or absent.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from protocol.wire.messages import Flag, Message, Mode, Reason
 from protocol.wire.session import Session
 
 RETAINED_IDS = 256
-RETAINED_S = 20.0  # longer than a command is fresh (access/authorize.py): no bytes are executed twice
-MAX_WAITING = 32  # commands on their way to one board: at 0.5 s per time-out, a queue beyond it is not worth joining
+RETAINED_S = 20.0  # longer than a command is valid (access/authorize.py): none is executed twice
+MAX_WAITING = 32  # commands that may wait for one board: at 0.5 s per time-out, more would expire in the queue
 
 _NOT_RETAINED = (
     "flood", "queue-full", "id-reused", "not-allowed", "not-fresh", "not-available", "link-down", "internal-error",
@@ -62,7 +62,7 @@ _NACK_TEXT = {
 
 @dataclass(slots=True, kw_only=True)
 class _Asked:
-    """One command, and who waits for its reply: more than one where it was repeated meanwhile."""
+    """A command and the callers that wait for its reply: several if it was repeated."""
 
     command: pb.Command
     received_ns: int
@@ -83,14 +83,14 @@ class _Retained:
 
 
 class CommandHandler:
-    """The commands of one board.
+    """Handles the commands of one board.
 
     Args:
-        limits: of this board.
-        session: where accepted commands go.
-        known: what the board has said; the driver keeps it up to date.
-        sink: for the records.
-        accepted: called with wire command, bus command and ACK of what the board accepted.
+        limits: Limits of this board.
+        session: Session that sends the accepted commands.
+        known: Data reported by the board; the driver keeps it up to date.
+        sink: Receives the records.
+        accepted: Called with wire command, bus command and ACK of each command that the board accepted.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class CommandHandler:
         reason: str,
         sender: Sender,
     ) -> None:
-        """One query.  `link` and `reason` say how the link is, for the case that it is down."""
+        """Handle one query.  `link` and `reason` describe the state of the link, for a refusal if it is down."""
         command, bad_form = read_command(payload)
         asked = _Asked(command=command, received_ns=host_ns, replies=[reply])
         sender.sign(command)
@@ -131,14 +131,14 @@ class CommandHandler:
             return
         try:
             refusal = self._decide(asked, now_s, link, reason, sender)
-        except Exception as error:  # a fault of ours costs this command, and neither its answer nor its record
+        except Exception as error:  # an internal error fails this command, which still gets its answer and its record
             _logger.exception("a command")
             refusal = Refusal("internal-error", f"A fault of the gateway ({type(error).__name__}); its log says where.")
         if refusal is not None:
             self._refuse(asked, refusal, keep=refusal.reason not in _NOT_RETAINED)
 
     def _decide(self, asked: _Asked, now_s: float, link: str, reason: str, sender: Sender) -> Refusal | None:
-        """Answer it, hand it on, or say why not."""
+        """Answer the command or pass it on; return the refusal if it is neither."""
         command = asked.command
         not_allowed = sender.right(command)
         if not_allowed is not None:
@@ -170,7 +170,7 @@ class CommandHandler:
         return self._carry_on(asked, now_s, link, reason, sender.left_s(command))
 
     def answered(self, answer: Answer, host_ns: int) -> bool:
-        """Take the end of a command; False if it is not one of the bus."""
+        """Process the outcome of a command; return False if the command did not come from the bus."""
         pending = self._pending.pop(answer.token, None)
         if pending is None:
             return False
@@ -231,7 +231,7 @@ class CommandHandler:
         return None
 
     def _note(self, asked: _Asked) -> None:
-        """What the gateway itself does; the board need not be there."""
+        """Execute a command of the gateway itself, which does not need the board."""
         tick = self._known.sample.tick if self._known.sample is not None else 0
         session = self._session.number if self._session.is_open else 0
         answer = self.annotations.take(asked.command, asked.received_ns, tick=tick, session=session)
@@ -241,7 +241,7 @@ class CommandHandler:
     def _view(self) -> BoardView:
         sample, scaling, parameters = self._known.sample, self._known.scaling, self._known.parameters
         if parameters is not None and parameters.int("divider") == 0:
-            sample = None  # the stream is off: the last state tells nothing about now
+            sample = None  # the stream is off: the last state is out of date
         tick = -1 if sample is None else sample.tick
         x_ref_m = None
         if self._x_ref_tick > tick:
@@ -266,7 +266,7 @@ class CommandHandler:
             self._mode_tick = tick
 
     def session_ended(self) -> None:
-        """The count of ticks begins anew: what was commanded before says nothing about the board now."""
+        """Discard the commanded reference: after a new count of ticks it does not describe the board."""
         self._x_ref_tick = self._mode_tick = -1
 
     def _refuse(self, asked: _Asked, refusal: Refusal, *, keep: bool) -> None:
@@ -304,7 +304,7 @@ def _down(link: str, reason: str) -> Refusal:
 
 
 def _content(command: pb.Command) -> bytes:
-    """What the command does: two senders may carry the same id on behalf of each other, so not who, nor when."""
+    """Return the effect of a command, without sender and time: another program may repeat the command."""
     bare = pb.Command()
     bare.CopyFrom(command)
     bare.who, bare.role, bare.issued_ns, bare.valid_s = "", "", 0, 0.0

@@ -1,11 +1,11 @@
-"""One board: what the link is doing, what the board says, what it is told.  No I/O; `io_thread.py` moves the bytes.
+"""State machine of the link to one board.  No I/O; `io_thread.py` moves the bytes.
 
 Link states: `absent` (no port), `connecting` (being opened), `handshake` (open, the board has not agreed yet),
 `streaming` (valid frames arrive, and states where the stream is on), `silent` (none for `stale_s`).  That is the
 direction from the board (`from_board.py`); the one to it has a state of its own, see `to_board.py`.
 
-Rule 1: one event and one log line for each change of state or reason, with counts; not one for each attempt.
-Rule 2: nothing here changes mode or reference: a gateway that comes or goes must not drop the ball.
+Rule 1: each change of state or reason gives one event and one log line, with counts; repeated attempts give none.
+Rule 2: the driver never changes mode or reference: starting or ending the gateway must not drop the ball.
 Rule 3: within a session `host_time_ns` never steps (clock.py).
 """
 
@@ -33,13 +33,13 @@ from protocol.wire.events import Answer, BoardEvent, Event, Opened, Restarted, S
 from protocol.wire.messages import FAULT_EVENTS, EventCode, Message
 from protocol.wire.session import Session
 
-REFUSED_RETRY_S = 5.0  # a board that was refused may have been exchanged or flashed
+REFUSED_RETRY_S = 5.0  # retry of a refused board, which may have been replaced or flashed since
 _logger = logging.getLogger("gateway.link")
 
 
 @dataclass(slots=True)
 class LinkCounts:
-    """Of one board since the gateway's start."""
+    """Counters of one board since the gateway's start."""
 
     bytes_sent: int = 0
     reconnects: int = 0
@@ -49,13 +49,13 @@ class LinkCounts:
 
 
 class BoardDriver:
-    """The state machine of one board's link.  All calls from one thread.
+    """State machine of one board's link.  All calls must come from one thread.
 
     Args:
-        config: of this board.
-        sink: where samples, events and records go.
-        clock: the host's time.
-        log_raw: whether raw bytes are worth handing to the sink.
+        config: Configuration of this board.
+        sink: Receives samples, events and records.
+        clock: Host clock.
+        log_raw: Whether raw bytes are passed to the sink.
     """
 
     def __init__(self, config: BoardConfig, sink: Sink, clock: HostClock, *, log_raw: bool = True) -> None:
@@ -63,7 +63,7 @@ class BoardDriver:
         self.counts = LinkCounts()
         self.link = "connecting"
         self.reason = "the port is being opened"
-        self.fault: pb.Event | None = None  # the latest of the board; whether it holds is for the FAULT flag to say
+        self.fault: pb.Event | None = None  # the latest fault event; whether it is active: FAULT flag
         self._kind = ""
         self.port = config.port
         self.deadline_s = float("inf")
@@ -93,11 +93,11 @@ class BoardDriver:
     # -- the port, as the loop finds it
 
     def port_absent(self, kind: str, text: str) -> None:
-        """It could not be opened; `kind` is the event's name."""
+        """Note that the port could not be opened; `kind` is the event's name."""
         self._change("absent", kind, text, severity="warning")
 
     def port_opened(self, name: str, now_s: float) -> None:
-        """Bytes can flow; begin the handshake."""
+        """Begin the handshake on an open port."""
         self.counts.opened += 1
         self.counts.reconnects = self.counts.opened - 1
         self.port = name
@@ -110,7 +110,7 @@ class BoardDriver:
         self._set_deadline()
 
     def port_lost(self, text: str, now_s: float, *, severity: str = "warning") -> None:
-        """The port is gone, or given back; whatever was under way is answered."""
+        """Note that the port was lost or closed; all pending commands are answered."""
         self._now_s = now_s
         for event in self.session.disconnect():
             self._handle(event, now_s)
@@ -122,7 +122,7 @@ class BoardDriver:
     # -- bytes and time
 
     def received(self, data: bytes, now_ns: int) -> None:
-        """Bytes read at `now_ns` (monotonic)."""
+        """Process bytes read at `now_ns` (monotonic)."""
         now_s = self._now_s = now_ns * 1e-9
         host_ns = now_ns + self._offset_ns
         self.from_board.bytes_received += len(data)
@@ -154,7 +154,7 @@ class BoardDriver:
         if counters.valid_frames != valid:
             self.from_board.heard(now_s, states=counters.states != states)
             if counters.late_answers != late:
-                self.to_board.answered()  # too late for its command, but the board has heard it
+                self.to_board.answered()  # too late for its command, but it proves that the board received it
             self.to_board.heard(now_s, self.known.stream_period_s)
             if self.link != "streaming" and self._encoder is not None and not self.from_board.states_missing(now_s):
                 assert self.known.identity is not None
@@ -163,7 +163,7 @@ class BoardDriver:
         self._set_deadline()
 
     def poll(self, now_s: float) -> None:
-        """Something is due: an answer, a PING, a verdict on silence."""
+        """Process what is due: time-outs of answers, PINGs and the check for silence."""
         self._now_s = now_s
         for event in self.session.poll(now_s):
             self._handle(event, now_s)
@@ -178,28 +178,28 @@ class BoardDriver:
         self._set_deadline()
 
     def command(self, payload: bytes, reply: Reply, now_s: float, sender: Sender) -> None:
-        """A query from the bus."""
+        """Handle a query from the bus."""
         self._now_s = now_s
         self.handler.take(payload, reply, now_s, self.host_ns(), link=self.link, reason=self.reason, sender=sender)
         self._drain(now_s)
         self._set_deadline()
 
     def output(self) -> bytes:
-        """What to write next; asked again after `wrote`, for there may be more."""
+        """Return the bytes to write next; call it again after `wrote`, because there may be more."""
         data = self.session.output()
         if data:  # also where the port takes nothing: then nothing reaches the board
             self.to_board.sent(self._now_s)
         return data
 
     def wrote(self, count: int) -> None:
-        """The port has taken so much of it: that is sent, and logged."""
+        """Note that the port has accepted `count` bytes, and log them."""
         if count and self._log_raw:
             self._sink.raw(self.session.output()[:count], self.host_ns(), to_board=True)
         self.counts.bytes_sent += count
         self.session.wrote(count)
 
     def host_ns(self) -> int:
-        """Unix time that does not step within a session."""
+        """Return Unix time that does not step within a session, ns."""
         return time.monotonic_ns() + self._offset_ns
 
     def tell(self, name: str, severity: str, text: str, *, source: str = "gateway", tick: int = 0) -> pb.Event:
@@ -220,7 +220,7 @@ class BoardDriver:
         self.counts.samples += len(payloads)
         self._sink.states(payloads, host_ns, now_ns)
 
-    # -- what the session says
+    # -- events of the session
 
     def _handle(self, event: Event, now_s: float) -> None:
         match event:

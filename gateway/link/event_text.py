@@ -1,4 +1,4 @@
-"""What happens on a link, in sentences; EVENT frames with name and severity (protocol/README.md, rules 15 and 16)."""
+"""Texts of link events; name and severity of EVENT frames (protocol/README.md, rules 15 and 16)."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _TEXT = {
 
 
 def mode_name(mode: int) -> str:
-    """`closed loop` for 2; the number itself where it is no mode."""
+    """Return the name of a mode, such as `closed loop` for 2; the number itself if it is not a mode."""
     return Mode(mode).name.lower().replace("_", " ") if 0 <= mode <= max(Mode) else str(mode)
 
 
 def of_board(event: BoardEvent) -> tuple[str, str, str]:
-    """(name, severity, text) of a board's event."""
+    """Return (name, severity, text) of a board's event."""
     code = event.code
     severity = "fault" if code in FAULT_EVENTS else "warning" if code in _WARNINGS else "info"
     text = _TEXT.get(code, _RESET).format(detail=event.detail, mode=mode_name(event.detail))
@@ -34,7 +34,7 @@ def of_board(event: BoardEvent) -> tuple[str, str, str]:
 
 
 def who_is_there(identity: Message, port: str, session: int) -> str:
-    """A board that streams, for people."""
+    """Return a sentence that describes a streaming board."""
     f = identity.int
     return (
         f"Board {f('board_id')} at {port}, firmware {f('firmware_major')}.{f('firmware_minor')},"
@@ -43,7 +43,7 @@ def who_is_there(identity: Message, port: str, session: int) -> str:
 
 
 def other_version(board_version: int) -> str:
-    """A board of another protocol."""
+    """Return a sentence about a board with another protocol version."""
     return (
         f"The board speaks protocol version {board_version}, this gateway {VERSION}:"
         f" flash firmware of version {VERSION}.x or install a gateway for it."
@@ -51,7 +51,7 @@ def other_version(board_version: int) -> str:
 
 
 def wrong_board(port: str, board_id: int, wanted: int) -> str:
-    """A board with another serial number than is configured."""
+    """Return a sentence about a board whose serial number differs from the configured one."""
     return (
         f"The board at {port} has the serial number {board_id}, the configuration wants {wanted}:"
         " exchange the cables or correct board_id."
@@ -59,7 +59,7 @@ def wrong_board(port: str, board_id: int, wanted: int) -> str:
 
 
 def in_doubt(first_tick: int, last_tick: int, session: int) -> str:
-    """Samples that a PONG contradicts."""
+    """Return a sentence about samples whose ticks PONGs contradict."""
     return (
         f"PONGs of the board contradict the count of its ticks: the samples {first_tick} to {last_tick} of session"
         f" {session} may have wrong ticks."
@@ -67,7 +67,7 @@ def in_doubt(first_tick: int, last_tick: int, session: int) -> str:
 
 
 def answers_nothing(for_s: float) -> str:
-    """The line to the board may be cut."""
+    """Return a sentence about a board that does not answer: the line to it may be cut."""
     return (
         f"The board has answered nothing for {for_s:g} s although its frames arrive: a STOP may not reach it."
         " Check the line to the board (its RX); to stop the rig now, cut its power."

@@ -1,6 +1,7 @@
-"""What has come from one board, when, and what it means that nothing comes.  No I/O; `to_board.py` is the other way.
+"""Supervision of the direction from one board to the host.  No I/O; `to_board.py` supervises the other direction.
 
-Rule: states and frames count apart: a board that answers but sends no STATE although its stream is on is silent, too.
+Rule: states and other frames are supervised separately: a board that answers but sends no STATE although its stream is
+      on is silent, too.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ STANDSTILL_S = 0.6
 
 @dataclass(slots=True)
 class Known:
-    """What the board has said in this session."""
+    """Data that the board has reported in this session."""
 
     identity: Message | None = None
     scaling: Scaling | None = None
@@ -28,24 +29,24 @@ class Known:
     sample: Sample | None = None
 
     def forget(self) -> None:
-        """The session is over."""
+        """Discard the data at the end of a session."""
         self.identity = self.scaling = self.parameters = self.sample = None
 
     @property
     def stream_period_s(self) -> float:
-        """Between two states; 0 where the stream is off or not known."""
+        """Time between two states, s; 0 if the stream is off or not known."""
         if self.identity is None or self.parameters is None:
             return 0.0
         return self.parameters.int("divider") * self.identity.int("sample_time") * 1e-6
 
 
 class FromBoard:
-    """The direction from one board to the host.
+    """Supervises the direction from one board to the host.
 
     Args:
-        config: of the board.
-        counters: of its frames.
-        known: what it has said.
+        config: Configuration of the board.
+        counters: Counters of its frames.
+        known: Data that it has reported.
     """
 
     def __init__(self, config: BoardConfig, counters: Counters, known: Known) -> None:
@@ -55,35 +56,35 @@ class FromBoard:
         self._valid_at_open = self._bytes_at_open = 0
 
     def port_opened(self, now_s: float) -> None:
-        """Another line: what came before is no witness."""
+        """Reset the supervision for a newly opened port."""
         self._began_s = self._valid_s = now_s
         self._valid_at_open, self._bytes_at_open = self._counters.valid_frames, self.bytes_received
 
     def handshake_begins(self, now_s: float) -> None:
-        """Anew, on the same line."""
+        """Restart the time limit of the handshake, on the same port."""
         self._began_s = now_s
 
     def states_may_begin(self, now_s: float) -> None:
-        """The wait for the first of them begins."""
+        """Begin to wait for the first state."""
         self._state_s = now_s
 
     def heard(self, now_s: float, *, states: bool) -> None:
-        """Valid frames have come, STATEs among them or not."""
+        """Note that valid frames have arrived, with or without STATE frames."""
         if states or now_s - self._valid_s >= STANDSTILL_S:
             self._state_s = now_s
         self._valid_s = now_s
 
     @property
     def deadline_s(self) -> float:
-        """When `silence` has something to say, if nothing comes."""
+        """Time at which `silence` is due if nothing arrives."""
         return min(self._valid_s + self._config.stale_s, self._state_s + self._states_limit_s())
 
     def states_missing(self, now_s: float) -> bool:
-        """Whether none has come for too long although the stream is on."""
+        """Return whether no state has arrived for too long although the stream is on."""
         return now_s - self._state_s >= self._states_limit_s()
 
     def silence(self, now_s: float) -> tuple[str, str] | None:
-        """Name and sentence of the event where the board has fallen silent."""
+        """Return name and text of the event if the board has fallen silent, else None."""
         stale_s = self._config.stale_s
         if now_s - self._valid_s >= stale_s:
             return "link-silent", f"No valid frame for {stale_s:g} s."
@@ -96,7 +97,7 @@ class FromBoard:
         return None
 
     def no_handshake(self, now_s: float) -> tuple[str, str] | None:
-        """Name and sentence of the event where the handshake takes too long: what the bytes say of the cause."""
+        """Return name and text of the event if the handshake takes too long, with the probable cause, else None."""
         if now_s - self._began_s < DIAGNOSE_S:
             return None
         received = self.bytes_received - self._bytes_at_open

@@ -1,11 +1,11 @@
-"""The serial thread: one selector over all boards.  Nothing in it blocks.
+"""The serial thread: one selector over all boards, without blocking calls.
 
-Rule 1: a port that is ready is read once, everything there is, and stamped once.
-Rule 2: what may block is done elsewhere: ports are opened in short-lived helper threads, puts and replies go out in the
-        publisher's threads, the log has its own.
-Rule 3: nothing waits here to be written: what the port does not take stays with the session, which knows who still
-        waits for it.
-Rule 4: a fault in the handling of one board costs that board its connection, not the others theirs.
+Rule 1: a ready port is read once, completely, and the data gets one time stamp.
+Rule 2: operations that may block run elsewhere: helper threads open the ports, the publisher's threads send messages
+        and replies, the log has its own thread.
+Rule 3: there is no write buffer here: what the port does not accept stays in the session, which drops commands that
+        have expired.
+Rule 4: an error in the handling of one board closes the connection to that board only.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from gateway.link.driver import BoardDriver
 from gateway.link.port import Port, PortProblem, open_port
 from gateway.link.sink import Reply
 
-POLL_S = 0.005  # how late a time-out may be noticed; the shortest configurable one is 20 ms
+POLL_S = 0.005  # largest delay of a time-out; the shortest configurable time-out is 20 ms
 # From this many streaming boards on, the thread rests after each round so that the next one finds several boards ready:
 # without it 32 boards cost a wake-up for each of 16000 frames a second.
 BATCH_BOARDS = 4
@@ -36,7 +36,7 @@ _logger = logging.getLogger("gateway.link")
 
 @dataclass(slots=True)
 class _Line:
-    """A board's driver and what the loop needs to move its bytes."""
+    """A board's driver with its port and the state of the loop."""
 
     driver: BoardDriver
     port: Port | None = None
@@ -59,7 +59,7 @@ class LinkThread:
         self._actions: deque[Callable[[], None]] = deque()
         self._closing: list[threading.Thread] = []
         self._stopping = False
-        self._gate = threading.Lock()  # the number of a pipe that was closed may be another file's by then
+        self._gate = threading.Lock()  # the descriptor of a closed pipe may belong to another file
         self._ended = False
         self._thread = threading.Thread(target=self._work, name="link", daemon=True)
 
@@ -68,7 +68,7 @@ class LinkThread:
         self._thread.start()
 
     def post(self, action: Callable[[], None]) -> bool:
-        """Have `action` run in the serial thread, soon; from any thread.  False where that has ended: nobody will."""
+        """Schedule `action` in the serial thread, from any thread; return False if that thread has ended."""
         with self._gate:
             if self._ended:
                 return False
@@ -78,7 +78,7 @@ class LinkThread:
             return True
 
     def command(self, driver: BoardDriver, payload: bytes, reply: Reply, sender: Sender) -> None:
-        """Hand a query to a board's driver; from any thread."""
+        """Pass a query to a board's driver; from any thread."""
 
         def act() -> None:
             line = self._by_driver[id(driver)]
@@ -93,7 +93,7 @@ class LinkThread:
             act()  # says that the link is down
 
     def stop(self) -> None:
-        """Close all ports and end the thread.  The boards are told nothing: their host-loss policy decides."""
+        """Close all ports and end the thread.  Nothing is sent to the boards: their host-loss policy applies."""
         self._stopping = True
         self.post(lambda: None)
         self._thread.join()
@@ -151,7 +151,7 @@ class LinkThread:
         self._write_output(line)
 
     def _poll(self, now_s: float) -> int:
-        """What is due on any board; the number of boards that stream."""
+        """Process what is due on all boards; return the number of streaming boards."""
         streaming = 0
         for line in self._lines:
             driver = line.driver
@@ -180,7 +180,7 @@ class LinkThread:
                 _logger.exception("an action of the link thread failed")
 
     def _give_up(self, line: _Line) -> None:
-        """A fault of ours (called in an except block) must not take the other boards with it."""
+        """Close the connection after an internal error, so that other boards continue; call it in an except block."""
         self._close(line, "An internal error; see the gateway's log.")
 
     # -- opening and closing

@@ -1,9 +1,9 @@
-"""What a board needs from its gateway during a session: settings, signs of life, its parameters read.  No I/O.
+"""Periodic commands of a session: settings, PINGs and the reading of parameters.  No I/O.
 
-Rule 1: a PING at least every quarter of the host-loss time-out: three may be lost; and every PING_S, so that it is
-        known whether the board answers.
-Rule 2: a setting that the board did not take is sent again a second later, for as long as the session lasts.
-Rule 3: nothing here changes mode or reference: a gateway that comes or goes must not drop the ball.
+Rule 1: a PING is sent at least every quarter of the host-loss time-out, so that three may be lost, and at least every
+        PING_S, to check that the board answers.
+Rule 2: a setting that the board did not accept is sent again a second later, for as long as the session lasts.
+Rule 3: nothing here changes mode or reference: starting or ending the gateway must not drop the ball.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from protocol.wire.session import Session
 PARAMETERS_S = 5.0
 PING_S = 0.25
 REDO_S = 1.0
-_BOARD_TIMEOUT_S = 0.5  # the board's own host-loss time-out until it is told ours
+_BOARD_TIMEOUT_S = 0.5  # the board's default host-loss time-out, until the configured one is set
 _POLICIES = {"keep": HostLoss.KEEP, "coil-off": HostLoss.COIL_OFF, "hold": HostLoss.HOLD}
 _NEVER = float("inf")
 
 
 class Keepalive:
-    """Of one board.
+    """Sends the periodic commands of one board.
 
     Args:
-        config: its settings.
-        session: where the commands go.
-        got_parameters: called with each PARAMETERS.
+        config: Settings of the board.
+        session: Session that sends the commands.
+        got_parameters: Called with each PARAMETERS.
     """
 
     def __init__(self, config: BoardConfig, session: Session, got_parameters: Callable[[Message], None]) -> None:
@@ -42,11 +42,11 @@ class Keepalive:
 
     @property
     def deadline_s(self) -> float:
-        """When `poll` has something to do."""
+        """Time at which `poll` is due."""
         return min(self._next_ping_s, self._next_parameters_s, self._redo_s)
 
     def begin(self, now_s: float) -> None:
-        """A session has opened: give the board its settings, ask for its parameters."""
+        """Send the settings and read the parameters, at the start of a session."""
         config = self._config
         self._ping_s = min(_BOARD_TIMEOUT_S, config.host_loss_timeout_s) / 4
         self._next_ping_s = now_s + self._ping_s
@@ -57,22 +57,22 @@ class Keepalive:
         self._order("GET_PARAMETERS", now_s)
 
     def end(self) -> None:
-        """The session is over."""
+        """Stop, at the end of a session."""
         self._under_way.clear()
         self._redo.clear()
         self._next_ping_s = self._next_parameters_s = self._redo_s = _NEVER
 
     def read_parameters(self, now_s: float) -> None:
-        """Something changed them."""
+        """Read the parameters again, after a change."""
         self._order("GET_PARAMETERS", now_s)
 
     def host_loss_is(self, timeout_ms: int, now_s: float) -> None:
-        """The board has a new host-loss time-out."""
+        """Note the new host-loss time-out of the board."""
         self._ping_s = min(PING_S, timeout_ms / 4e3)
         self._next_ping_s = min(self._next_ping_s, now_s + self._ping_s)
 
     def answered(self, answer: Answer, now_s: float) -> None:
-        """The end of a command that was ours; others are ignored."""
+        """Process the outcome of a command sent here; others are ignored."""
         name, values = self._under_way.pop(answer.token, ("", {}))
         if answer.outcome == "ack" and answer.message is not None:
             if name == "PING":
@@ -87,7 +87,7 @@ class Keepalive:
             self._redo_s = now_s + REDO_S
 
     def poll(self, now_s: float) -> None:
-        """Send what is due."""
+        """Send the commands that are due."""
         if now_s >= self._next_ping_s:
             self._next_ping_s = now_s + self._ping_s
             if not any(name == "PING" for name, _ in self._under_way.values()):

@@ -1,7 +1,7 @@
-"""A pyserial URL as a file descriptor that never blocks, or the reason why there is none.
+"""Opens a pyserial URL as a non-blocking file descriptor, or reports why that is not possible.
 
-A tty, a pty and socket:// have a descriptor of their own.  Other handlers (rfc2217://, loop://, spy://) are pumped
-through a socket pair by two small threads, so that the serial thread waits for one kind of thing only.
+A tty, a pty and socket:// have a descriptor of their own.  For other handlers (rfc2217://, loop://, spy://) two threads
+copy the bytes through a socket pair, so that the serial thread can wait for descriptors only.
 
 `open_port` may block for seconds (TCP, a stuck driver): never call it in the serial thread.
 """
@@ -23,7 +23,7 @@ import serial
 
 from protocol.errors import ConfigError
 
-_USER_TIMEOUT_MS = 5000  # a TCP peer that acknowledges nothing for this long is gone: its host lost power or network
+_USER_TIMEOUT_MS = 5000  # a TCP connection without acknowledgement for this long is lost: no power or network
 READ_SIZE = 65536
 _GLOB = frozenset("*?[")
 
@@ -50,7 +50,7 @@ class Port:
         os.set_blocking(self.fd, False)
 
     def read(self) -> bytes | None:
-        """What has arrived; None if nothing has, b"" if the port is gone."""
+        """Return the bytes that have arrived; None if there are none, b"" if the port is lost."""
         try:
             return os.read(self.fd, READ_SIZE)
         except BlockingIOError:
@@ -59,7 +59,7 @@ class Port:
             return b""
 
     def write(self, data: bytes) -> int | None:
-        """How many bytes the kernel took, at once; None if the port is gone."""
+        """Write without blocking; return the number of accepted bytes, or None if the port is lost."""
         try:
             return os.write(self.fd, data)
         except BlockingIOError:
@@ -68,7 +68,7 @@ class Port:
             return None
 
     def close(self) -> None:
-        """Give the port back; never raises."""
+        """Close the port; never raises."""
         with contextlib.suppress(OSError, termios.error, serial.SerialException):
             if self._pair is not None:
                 self._pair.close()
@@ -104,10 +104,10 @@ def _to_device(device: serial.SerialBase, end: socket.socket) -> None:
 
 
 def check_url(url: str) -> None:
-    """Refuse what can never be opened.
+    """Refuse a URL that can never be opened.
 
     Raises:
-        ConfigError: no such kind of URL, or a malformed one.
+        ConfigError: the kind of URL is unknown, or the URL is malformed.
     """
     if "://" not in url:
         return
@@ -127,7 +127,7 @@ def _has_tcp_port(url: str) -> bool:
 
 
 def open_port(url: str, baud: int) -> Port | PortProblem:
-    """Open `url`; a path with * ? or [ takes the first match that can be opened."""
+    """Open `url`; for a path with *, ? or [, open the first match that can be opened."""
     names = [url]
     if "://" not in url and _GLOB & set(url):
         names = sorted(glob.glob(url))
@@ -176,12 +176,12 @@ def _problem(name: str, baud: int, error: Exception) -> PortProblem:
     if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
         return PortProblem("port-absent", f"There is no {name}: is the adapter plugged in?")
     if name.startswith("socket://"):
-        return PortProblem("port-absent", f"Nobody answers at {name}: is the serial server running?")
+        return PortProblem("port-absent", f"No answer from {name}: is the serial server running?")
     return PortProblem("port-failed", f"{name} cannot be opened at {baud} bit/s: {text}.")
 
 
 def _tune(device: serial.SerialBase) -> None:
-    """Less latency, and no surprise for the board when the port is closed; each is a wish that may be refused."""
+    """Reduce latency, and prevent a reset of the board when the port closes; a device may ignore each setting."""
     try:
         fd = int(device.fileno())
         is_socket = stat.S_ISSOCK(os.fstat(fd).st_mode)

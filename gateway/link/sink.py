@@ -1,4 +1,4 @@
-"""Where a board's driver puts what it made.  Every method returns at once: the serial thread calls them."""
+"""Interface for the output of a board's driver.  Methods must not block: the serial thread calls them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Reply = Callable[[pb.CommandReply], None]  # answers one query; called once, fro
 
 
 class Sink(Protocol):
-    """One board's way to the bus and the log."""
+    """Output of one board to bus and log."""
 
     def states(self, payloads: list[bytes], host_time_ns: int, read_mono_ns: int) -> None:
         """Serialised pb.State of one read; `read_mono_ns` is when its last byte was read (monotonic)."""

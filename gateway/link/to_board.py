@@ -1,8 +1,8 @@
-"""Whether what the host sends reaches the board: known from the board's answers and from nothing else.  No I/O.
+"""Supervision of the direction from the host to one board, by the board's answers alone.  No I/O.
 
-    unknown      nobody has answered yet
-    answering    what was sent last was answered, or has not waited long
-    unanswered   frames of the board arrive, but none that answers: a STOP may not reach it
+    unknown      no answer has arrived yet
+    answering    the last frame sent was answered, or has not waited long
+    unanswered   frames of the board arrive, but no answers: a STOP may not reach it
 
 Rule 1: a wait counts only while frames arrive without a pause.  A board or a host that was held up for a moment, or a
         cut of the other direction, keeps answers back, too, and would be taken for a cut line to the board.
@@ -20,10 +20,10 @@ _NEVER = float("inf")
 
 
 class ToBoard:
-    """The direction from the host to one board.
+    """Supervises the direction from the host to one board.
 
     Args:
-        changed: called with each new state.
+        changed: Called with each new state.
     """
 
     def __init__(self, changed: Callable[[str], None]) -> None:
@@ -35,33 +35,33 @@ class ToBoard:
         self._heard_s = -_NEVER
 
     def begin(self) -> None:
-        """A port was opened or lost: what was known is of another line."""
+        """Reset the state after a port was opened or lost."""
         self._wait(None)
         self._heard_s = -_NEVER
         self._become(UNKNOWN)
 
     def sent(self, now_s: float) -> None:
-        """Bytes went out that want an answer."""
+        """Note that bytes were sent that require an answer."""
         if self._waits_since_s is None:
             self._wait(now_s)
 
     def heard(self, now_s: float, period_s: float) -> None:
-        """Valid frames arrived, of whatever kind; `period_s` is that of the stream."""
+        """Note that valid frames of any kind arrived; `period_s` is the period of the stream."""
         if now_s - self._heard_s > max(_PAUSE_S, 3 * period_s):
             self._wait(None)
         self._heard_s = now_s
 
     def answered(self) -> None:
-        """An answer to something that was sent."""
+        """Note that an answer arrived."""
         self._wait(None)
         self._become(ANSWERING)
 
     def unanswered_s(self, now_s: float) -> float:
-        """For how long nothing that was sent has been answered; 0 where that is not so."""
+        """Return for how long the board has not answered, s; 0 if it answers."""
         return now_s - self._unanswered_since_s if self.state == UNANSWERED else 0.0
 
     def judge(self, now_s: float) -> None:
-        """Look whether an answer has been missing for too long."""
+        """Check whether an answer has been missing for too long."""
         waited_from_s = self._waits_since_s
         if waited_from_s is None or now_s < waited_from_s + UNANSWERED_S:
             return

@@ -1,1 +1,1 @@
-"""`board51` commands as child processes: called and ended (`command`), kept running (`supervisor`)."""
+"""`board51` commands as child processes: start and end (`command`), supervision (`supervisor`)."""

@@ -1,8 +1,8 @@
 """Runs one `board51` command as a child of the gateway: `python -m gateway.processes.child opcua --listen ...`.
 
-It ends when its standard input does: with the gateway, however that ended.  It gives way to the gateway on a busy
-machine (NICER, and never in real time, as a gateway may run), and starts without what the gateway's process has grown:
-no fork of a process full of threads.
+It ends when its standard input closes, which happens when the gateway ends for any reason.  It runs at a lower priority
+than the gateway (NICER, and never in real time, as a gateway may run).  It is a new interpreter and not a fork of the
+multi-threaded gateway.
 
 Its main thread writes a byte every BEAT_S to the descriptor in the environment (BEAT_VARIABLE): from a signal
 handler, which Python runs there and nowhere else.  A process that is stopped, or whose main thread hangs in a call,
@@ -37,7 +37,7 @@ def _beat() -> None:
     os.set_blocking(descriptor, False)
 
     def beat(_number: int, _frame: FrameType | None) -> None:
-        with suppress(OSError):  # nobody reads it any more: the gateway is gone, and so is this process in a moment
+        with suppress(OSError):  # the gateway has ended, and this process is about to end
             os.write(descriptor, b".")
 
     signal.signal(signal.SIGALRM, beat)
@@ -45,7 +45,7 @@ def _beat() -> None:
 
 
 def main() -> int:
-    """Exit code of the command."""
+    """Run the command and return its exit code."""
     import board51
 
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

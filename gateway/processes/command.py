@@ -1,4 +1,4 @@
-"""A `board51` command as a process of its own: how it is called, and how it ends whatever happens."""
+"""Starts `board51` commands as processes, and ends them reliably."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Process = subprocess.Popen[Any]  # of bytes or of text
 
 
 def words_of(*command: str, child: bool = False) -> list[str]:
-    """`board51 COMMAND` of this interpreter; `child`: one that ends with this process (child.py)."""
+    """Return the command line of `board51 COMMAND`; with `child`, the process ends with this one (child.py)."""
     return [sys.executable, "-m", "gateway.processes.child" if child else "board51", *command]
 
 
 def end(processes: Sequence[Process], with_signal: signal.Signals, limit_s: float) -> list[Process]:
-    """Signal all of them and wait; those that are not done after `limit_s` are killed and returned."""
+    """Signal all processes and wait; kill and return those that still run after `limit_s`."""
     running = [process for process in processes if process.poll() is None]
     for process in running:
         process.send_signal(with_signal)
@@ -32,7 +32,7 @@ def end(processes: Sequence[Process], with_signal: signal.Signals, limit_s: floa
                 late.append(process)
                 process.kill()
                 process.wait()
-    except BaseException:  # somebody is in a hurry: a second Ctrl-C must leave none behind
+    except BaseException:  # a second Ctrl-C must leave no process behind
         for process in running:
             process.kill()
         raise

@@ -1,10 +1,10 @@
-"""Child processes that are kept running: started again when they die, ended with this process.
+"""Supervises child processes: restarts them after a failure, and ends them with this process.
 
-Rule 1: a child's trouble is the child's: it is logged, and everything else goes on.
-Rule 2: what died is started again after 1 s, 2 s, ... at most 30 s; after a minute without trouble, from 1 s again.
-Rule 3: exit code 2 is a wrong option or file, which another start does not mend: it stays ended.
-Rule 4: what hangs is killed and started again: each child beats (child.py), and HUNG_S without a beat is a hang.
-Rule 5: no child outlives this process, also not after kill -9 (see child.py).
+Rule 1: a failure of a child is logged and does not affect anything else.
+Rule 2: a failed child is restarted after 1 s, 2 s, ... at most 30 s; after a minute without failure, after 1 s again.
+Rule 3: exit code 2 means a wrong option or file, which a restart cannot correct: the child is not restarted.
+Rule 4: a hanging child is killed and restarted: each child sends beats (child.py), and HUNG_S without one is a hang.
+Rule 5: no child outlives this process, not even after kill -9 (see child.py).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from gateway.processes.command import Process, end, words_of
 FIRST_WAIT_S = 1.0
 LONGEST_WAIT_S = 30.0
 CALM_S = 60.0
-END_S = 5.0  # to end by itself before it is killed
-HUNG_S = 20.0  # far beyond what a busy machine keeps a process waiting
+END_S = 5.0  # time to end before the child is killed
+HUNG_S = 20.0  # much longer than any delay on a busy machine
 _USAGE = 2
 _logger = logging.getLogger("gateway.views")
 
@@ -42,7 +42,7 @@ class Service:
 
 @contextmanager
 def running(services: Sequence[Service]) -> Iterator[None]:
-    """Keep the services running within the block."""
+    """Context manager: keep the services running within the block."""
     keepers = [_Keeper(service) for service in services]
     try:
         yield
@@ -68,7 +68,7 @@ class _Keeper:
         self._thread.start()
 
     def stop(self) -> Process | None:
-        """Start nothing any more; the process that is to be ended."""
+        """Prevent further starts, and return the process to end."""
         with self._lock:
             self._stop.set()
             return self._process
@@ -97,7 +97,7 @@ class _Keeper:
             wait_s = min(2 * wait_s, LONGEST_WAIT_S)
 
     def _end_of(self, process: Process) -> int:
-        """Its exit code, once it has ended, or was killed because it hangs."""
+        """Wait for the process, or kill it if it hangs; return its exit code."""
         beats, poll = self._beats, select.poll()
         poll.register(beats, select.POLLIN)
         try:

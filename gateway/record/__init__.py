@@ -1,6 +1,7 @@
-"""Everything about logs: one MCAP file per part, protobuf inside, readable by Foxglove, PlotJuggler and `@mcap/core`.
+"""Recording, recovery, replay and conversion of logs: MCAP files with protobuf messages.
 
-Reading order: `writer` (one file), `recorder` (queue, thread, rotation, full disk).  Logs are read by `protocol.log`;
-on it are built `recover`, `summary`, `replay` (onto the bus), `byte_replay` and `byte_port` (into a gateway) and
-`tables` (CSV, MATLAB and Parquet, both ways).
+Foxglove, PlotJuggler and `@mcap/core` can read the files.
+Reading order: `writer` (one file), `recorder` (queue, thread, rotation, full disk).  `protocol.log` reads logs; based
+on it are `recover`, `summary`, `replay` (onto the bus), `byte_replay` and `byte_port` (into a gateway) and `tables`
+(CSV, MATLAB and Parquet, both ways).
 """

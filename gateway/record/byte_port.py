@@ -1,7 +1,7 @@
-"""A recorded board on a pty or a TCP port: the I/O around `byte_replay`.
+"""Serves a recorded board on a pty or a TCP port: the I/O of `byte_replay`.
 
-It waits for the first HELLO, then sends what the board sent, in the rhythm of the log.  A reader that is slow, or gone,
-makes it wait: a recording has time.
+It waits for the first HELLO, then sends the recorded bytes at the pace of the log.  It waits for a slow or absent
+reader, so that no byte is lost.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from pathlib import Path
 from gateway.record.byte_replay import RecordedBoard
 from protocol.errors import ServiceError
 
-POLL_S = 0.1  # how soon a request to stop is noticed
-DRAIN_S = 0.5  # at the end: time to answer what the host still asks
+POLL_S = 0.1  # largest delay of a request to stop
+DRAIN_S = 0.5  # time to answer remaining commands at the end
 
 
 @contextmanager
 def open_pty(link: Path) -> Iterator[int]:
-    """The board's end of a new pty, whose other end is `link`.
+    """Open a pty; yield the board's end, and make the other end available as `link`.
 
     Raises:
         ServiceError: the link exists or cannot be made.
@@ -45,12 +45,12 @@ def open_pty(link: Path) -> Iterator[int]:
             link.unlink(missing_ok=True)
     finally:
         os.close(board)
-        os.close(host)  # open until now: without it the board's end reports an error whenever nobody listens
+        os.close(host)  # open until now: otherwise the board's end reports an error while it has no reader
 
 
 @contextmanager
 def open_tcp(host: str, port: int, *, stop: threading.Event) -> Iterator[int | None]:
-    """The first connection to host:port; None where `stop` came first.
+    """Wait for the first connection to host:port and yield it; None if `stop` is set first.
 
     Raises:
         ServiceError: the port cannot be opened.
@@ -80,13 +80,13 @@ def serve(board: RecordedBoard, port: int, *, speed: float, stop: threading.Even
     """Play the board on an open file descriptor until its last byte, `stop`, or the host hangs up.
 
     Args:
-        board: What to play.
-        port: Of a pty or a socket.
+        board: Board to play.
+        port: File descriptor of a pty or a socket.
         speed: Log seconds per second; 0 is as fast as the host reads.
-        stop: Ends it.
+        stop: Set it to end early.
 
     Returns:
-        Pieces sent.
+        Number of pieces sent.
     """
     os.set_blocking(port, False)
     out = b""

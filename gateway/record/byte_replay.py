@@ -1,12 +1,12 @@
-"""The logged bytes of a UART as the board sent them, so that the gateway itself can be run again.  No I/O, no clock.
+"""Replays the recorded bytes of a UART, so that the gateway can process them again.  No I/O, no clock.
 
-What cannot be replayed as it is, and what is done instead:
+Differences from the recording:
 
-- Answers carry the ids of the commands of that day.  They are taken out of the stream: a logged ACK could be mistaken
-  for the answer to a command of today.  Everything else goes out byte for byte, damaged frames and noise included.
-- HELLO, GET_PARAMETERS and PING are answered with what the board answered in the log (the newest at that place, or the
-  one after a reset), under the new id, with the tick that the stream has reached.
-- Every other command is refused with NACK NOT_AVAILABLE: a recording cannot be influenced.
+- Recorded answers are removed: they contain the ids of recorded commands, and could be taken for answers to new
+  commands.  Everything else is sent byte for byte, including damaged frames and noise.
+- HELLO, GET_PARAMETERS and PING are answered as the board answered in the log (the newest answer at that place, or the
+  one after a reset), with the new id and the tick that the stream has reached.
+- All other commands are refused with NACK NOT_AVAILABLE: a recording cannot be influenced.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _ANSWERS = frozenset({"IDENTITY", "PONG", "ACK", "NACK", "PARAMETERS", "CAPTURE_
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Bytes to send together, and the tick of the last state in them (None: there is none)."""
+    """Bytes that are sent together, and the tick of the last state in them (None without a state)."""
 
     time_ns: int
     data: bytes
@@ -36,7 +36,7 @@ class Piece:
 
 @dataclass(slots=True)
 class _Known:
-    """What the board said of itself, and from which piece on."""
+    """Answers of the board about itself, with the pieces from which they hold."""
 
     at: list[int] = field(default_factory=list)
     messages: list[Message] = field(default_factory=list)
@@ -46,7 +46,7 @@ class _Known:
         self.messages.append(message)
 
     def at_place(self, at: int, since: int) -> Message | None:
-        """The newest up to piece `at`; where that is older than the reset at `since`, the first after it."""
+        """Return the newest answer up to piece `at`; if it precedes the reset at `since`, the first answer after it."""
         newest = bisect_right(self.at, at) - 1
         if newest >= 0 and self.at[newest] >= since:
             return self.messages[newest]
@@ -57,15 +57,15 @@ class _Known:
 
 
 class RecordedBoard:
-    """A board that repeats what it said.
+    """A board that repeats recorded bytes.
 
-    `pieces` are to be sent in order; `answer` takes what the host sent and gives the bytes to send back.
+    Send `pieces` in order; `answer` takes the bytes of the host and returns the bytes to send back.
 
     Args:
-        raw: RawBytes of one board in the order of the log; what went to the board is skipped.
+        raw: RawBytes of one board in the order of the log; bytes to the board are skipped.
 
     Raises:
-        DataError: there are no bytes of the board, or it never said who it is.
+        DataError: there are no bytes of the board, or no IDENTITY.
     """
 
     def __init__(self, raw: Iterable[pb.RawBytes]) -> None:
@@ -118,7 +118,7 @@ class RecordedBoard:
             known.add(len(self.pieces), message)
 
     def _count_ticks(self) -> None:
-        """Unwrap the sequences; every IDENTITY says anew where the count stands."""
+        """Unwrap the sequence numbers; every IDENTITY sets the tick."""
         anchors = {*self._resets, *self._identities.at}
         tick: int | None = None
         for index, piece in enumerate(self.pieces):
@@ -133,7 +133,7 @@ class RecordedBoard:
             self.pieces[index] = Piece(piece.time_ns, piece.data, tick)
 
     def _since(self, at: int) -> int:
-        """Where the newest reset up to piece `at` was."""
+        """Return the piece of the newest reset up to piece `at`."""
         newest = bisect_right(self._resets, at) - 1
         return self._resets[newest] if newest >= 0 else 0
 
@@ -143,17 +143,17 @@ class RecordedBoard:
         return identity
 
     def answer(self, data: bytes, *, position: int) -> bytes:
-        """What the board answers to bytes from the host.
+        """Return the board's answer to bytes from the host.
 
         Args:
             data: As received.
             position: Index of the next piece to be sent.
 
         Returns:
-            Frames to send now; empty where nothing is complete yet.
+            Frames to send now; empty if no command is complete yet.
         """
         frames = []
-        # A damaged command is not answered, as the board does not: the host repeats it.
+        # As on the board, a damaged command is not answered: the host repeats it.
         for event in self._host.feed(data):
             if isinstance(event, Message) and BY_NAME[event.name].to_board:
                 frames.append(encode_frame(self._answer(event, position)))
@@ -178,7 +178,7 @@ class RecordedBoard:
         return self._refuse(command, Reason.NOT_AVAILABLE, 0)
 
     def _tick(self, at: int, identity: Message) -> int:
-        """The tick of the next state to come, or what IDENTITY said where no state tells."""
+        """Return the tick of the next state, or that of IDENTITY if no state follows."""
         for piece in self.pieces[at:]:
             if piece.tick is not None:
                 return piece.tick
@@ -197,7 +197,7 @@ class RecordedBoard:
 
 
 def _near(tick: int, sequence: int) -> int:
-    """The tick nearest to `tick` whose low 16 bits are `sequence`."""
+    """Return the tick nearest to `tick` whose low 16 bits equal `sequence`."""
     step = (sequence - tick) & 0xFFFF
     near = tick + (step if step < 0x8000 else step - 0x10000)
     return near if near >= 0 else sequence

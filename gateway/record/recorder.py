@@ -1,13 +1,13 @@
-"""Messages from any thread into MCAP parts, in a thread of its own.  `put` never blocks and never raises.
+"""Writes messages from any thread into MCAP parts, in a thread of its own.  `put` never blocks and never raises.
 
-Rule 1: a full queue drops the OLDEST message and counts it.  Blocking the caller would move the loss into the serial
-        driver, where bytes vanish in mid-frame.
+Rule 1: a full queue drops the OLDEST message and counts it.  Blocking the caller would move the loss to the serial
+        driver, which would lose parts of frames.
 Rule 2: every part stands alone: it is closed with an index, and begins with the newest `parameters` of every board.
 Rule 3: at most `flush_s` plus one drain of data is in memory only: that is what `kill -9` costs.
 Rule 4: a full disk or a failing one stops the log, not the caller.  It is reported once, the queue keeps the newest
         messages, and a new part begins when the disk is back; the part that was cut off is finished then, too.
 Rule 5: a part that was deleted or moved while it was written is noticed at the next drain: a new one begins, and it is
-        told.  What a deleted one held is gone with it; a moved one gets its end where it is.
+        reported.  The content of a deleted part is lost; a moved part is completed at its new place.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecorderStats:
-    """What the status message says about the log."""
+    """State of the log for the status message."""
 
     file: str  # name of the part being written, "" if none
     bytes: int  # of that part, on disk
@@ -129,7 +129,7 @@ class Recorder:
             self._queue.append((key, data, time_ns))
 
     def stats(self) -> RecorderStats:
-        """A snapshot, from any thread."""
+        """Return a snapshot; callable from any thread."""
         writer = self._writer
         return RecorderStats(
             file=writer.path.name if writer else "",
@@ -142,7 +142,7 @@ class Recorder:
         )
 
     def close(self) -> None:
-        """Write what is queued and close the part: it is complete and readable afterwards."""
+        """Write the queued messages and close the part, which is complete and readable afterwards."""
         if self._thread is not None:
             self._stop.set()
             self._thread.join()
@@ -157,7 +157,7 @@ class Recorder:
         self._finish()
 
     def _step(self) -> None:
-        """One drain; afterwards the state is `writing`, or says why not."""
+        """Drain the queue once; afterwards the state is `writing`, or gives the reason why not."""
         try:
             if self._writer is None:
                 self._resume()
@@ -170,7 +170,7 @@ class Recorder:
                 self._flush(now_s)
         except LogError as error:
             self._pause(error)
-        except Exception as error:  # a recorder that dies silently is the worst outcome: say so, and try again
+        except Exception as error:  # the recorder must not end silently: report the error and retry
             _logger.exception("recorder")
             self._pause(error)
 
@@ -211,7 +211,7 @@ class Recorder:
             self._tell("log-rotated", "info", f"{finished.path.name} closed, {finished.bytes_written} bytes")
 
     def _replace(self, lost: LogWriter, *, gone: bool) -> None:
-        """Go on in a new part, as the one in work is no longer under its name."""
+        """Continue in a new part, because the current one was moved or deleted."""
         self._writer = None
         if gone:
             lost.abandon()
@@ -263,7 +263,7 @@ class Recorder:
         self._tell("log-resumed", "info", f"Logging into {self._writer.path.name}")
 
     def _finish_cut_off(self, writer: LogWriter) -> None:
-        """Give the part its end; a part that fails for another reason than space must not keep us from going on."""
+        """Complete a part that was cut off; a failure for another reason than space does not stop the log."""
         try:
             writer.close()
         except LogError as error:
@@ -279,7 +279,7 @@ class Recorder:
         )
 
     def _pause(self, error: Exception) -> None:
-        """Close the part as far as the disk lets us, and remember to finish it."""
+        """Close the part as far as the disk allows, and keep it to be completed later."""
         writer, self._writer = self._writer, None
         if writer is not None:
             try:
@@ -312,5 +312,5 @@ class Recorder:
         if self.on_event is not None:
             try:
                 self.on_event(name, severity, text)
-            except Exception:  # the callback belongs to someone else; its fault must not end the log
+            except Exception:  # an error in the caller's callback must not end the log
                 _logger.exception("on_event")

@@ -1,4 +1,4 @@
-"""What can be saved of a broken log, in a clean file, and an account of what cannot.
+"""Recovers the intact messages of a broken log into a clean file, and reports the losses.
 
 Messages are copied byte for byte (never parsed and written again), in the order of the broken file.
 """
@@ -21,7 +21,7 @@ from protocol.log.scan import Damage
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovery:
-    """What came of it.  Times are seconds from the first message."""
+    """Result of a recovery.  Times are in seconds from the first message."""
 
     broken: Path
     clean: Path
@@ -37,12 +37,12 @@ class Recovery:
 
     @property
     def bytes_lost(self) -> int:
-        """Bytes of the broken file that gave nothing, or not everything."""
+        """Number of bytes of the broken file that could not be read completely."""
         return sum(damage.bytes for damage in self.damages)
 
     @property
     def seconds_lost(self) -> float | None:
-        """From the last message saved to the last one known to have been logged; None where nothing tells."""
+        """Time from the last saved message to the last one known to have been logged; None if unknown."""
         known = [damage.until_ns for damage in self.damages if damage.until_ns]
         return max(0.0, (max(known) - self.last_good_ns) / 1e9) if known and self.last_good_ns is not None else None
 
@@ -84,7 +84,7 @@ def recover(broken: Path, clean: Path) -> Recovery:
         raise
     if not messages:
         clean.unlink()
-        reasons = "; ".join(damage.reason for damage in scan.damages) or "it holds no messages of ours"
+        reasons = "; ".join(damage.reason for damage in scan.damages) or "it holds no Board51 messages"
         raise DataError(f"Nothing of {broken} can be recovered: {reasons}", remedy="Use another part of the log")
     return Recovery(
         broken=broken,

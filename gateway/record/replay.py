@@ -1,9 +1,9 @@
-"""A log back onto the bus, under the keys it was recorded from, at any speed.
+"""Replays a log onto the bus under its recorded keys, at any speed.
 
-Rule 1: payloads travel byte for byte: a twin fed from a replay computes what it computed live.
-Rule 2: order is that of the log; pace is the log time over the speed; speed 0 waits for nobody but the bus itself.
-Rule 3: twin/* stays in the log unless asked for: a live twin recomputes it, and two writers under one key lie.
-Rule 4: a board that is alive on the bus is not overwritten.
+Rule 1: payloads are sent byte for byte: a twin computes the same from a replay as from the live board.
+Rule 2: the order is that of the log; the pace is log time divided by speed; with speed 0 only the bus limits the pace.
+Rule 3: twin/* is replayed only on request: a live twin publishes it, too, and two sources under one key would mix.
+Rule 4: a replay does not publish under the name of a board that is alive on the bus.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from protocol.bus import encoding, topics
 from protocol.errors import ServiceError, UsageError
 from protocol.log.reader import LogReader, RawLogRecord
 
-SESSIONS_PER_PASS = 100_000  # --loop: nothing is continuous across the seam, so each pass has its own sessions
+SESSIONS_PER_PASS = 100_000  # --loop: passes are not continuous, so each pass has its own session numbers
 DEFAULT_TOPICS = tuple(topic.name for topic in topics.TOPICS if topic.bus and topic.logged and topic.by == "gateway")
 BUS_TOPICS = tuple(topic.name for topic in topics.TOPICS if topic.bus and topic.logged)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayReport:
-    """What was sent."""
+    """Summary of a replay."""
 
     messages: int
     passes: int
-    seconds: float  # it took
-    log_seconds: float  # it stands for
+    seconds: float  # duration of the replay
+    log_seconds: float  # duration of the replayed log
 
 
 def pace(
@@ -44,14 +44,14 @@ def pace(
     send: Callable[[RawLogRecord], None],
     now_s: Callable[[], float] = time.monotonic,
 ) -> tuple[int, float]:
-    """Send each record when its time has come.
+    """Send each record at its time.
 
     Args:
         records: In the order to send.
         speed: Log seconds per second; 0 sends at once.
         stop: Set it to end early.
         send: Called for each record.
-        now_s: The clock that `stop.wait` runs by.
+        now_s: Clock that corresponds to `stop.wait`, s.
 
     Returns:
         Records sent, and the log time they span in seconds.
@@ -76,11 +76,11 @@ def pace(
 
 
 class BusReplay:
-    """Publishes records on a zenoh session.  Use it as a context; the board counts as alive inside.
+    """Publishes records on a zenoh session.  Use it as a context manager; the boards are alive on the bus within it.
 
     Args:
         session: An open session.
-        boards: (site, board) pairs that will be published.
+        boards: (site, board) pairs to publish.
         rename: Publish the only board under this name instead.
         site: Publish under this site instead of the recorded one.
     """
@@ -124,7 +124,7 @@ class BusReplay:
             self._publisher(site, board, topic)
 
     def matched(self) -> bool:
-        """Somebody subscribes to something that was announced."""
+        """Whether an announced key has a subscriber."""
         return any(publisher.matching_status for publisher in self._publishers.values())
 
     def send(self, record: RawLogRecord) -> None:
@@ -142,7 +142,7 @@ class BusReplay:
                 self._session.declare_publisher(
                     key,
                     encoding=encoding.zenoh_encoding(topics.BY_NAME[topic].message),
-                    # Nothing here is live: a slow subscriber may hold the replay up, and gets every message.
+                    # A replay is not live: it waits for slow subscribers, so that they get every message.
                     congestion_control=zenoh.CongestionControl.BLOCK,
                 )
             )
@@ -151,7 +151,7 @@ class BusReplay:
 
 
 def contents(reader: LogReader, *, wanted: Sequence[str], boards: Sequence[str] | None) -> list[tuple[str, str, str]]:
-    """(site, board, topic) of what a replay would send, in the order of appearance."""
+    """Return (site, board, topic) of the keys that a replay would send, in the order of appearance."""
     found: dict[tuple[str, str, str], None] = {}
     if all(scan.indexed for scan in reader.scans):
         keys = [channel.topic for scan in reader.scans for channel in scan.channels.values()]

@@ -1,4 +1,4 @@
-"""What a log holds: boards, duration, counts, rates, gaps, ranges, sessions.  One pass, nothing kept but sums."""
+"""Summarises a log in one pass: boards, duration, counts, rates, gaps, ranges, sessions.  Only sums are kept."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from protocol.bus import board51_pb2 as pb
 from protocol.log.reader import LogReader
 
 CHANNELS = ("i_c_a", "x_m", "u_c_v", "x_ref_m")
-GAPS_RETAINED = 1000  # a list is for reading; the sums go on
+GAPS_RETAINED = 1000  # entries in the list; the sums include all gaps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gap:
-    """Samples that the board made and the log lacks."""
+    """Samples that the board made and that are missing in the log."""
 
     board: str
     session: int
@@ -26,7 +26,7 @@ class Gap:
 
 
 class SampleGaps:
-    """Finds gaps in the ticks of one board; `divider` ticks from sample to sample are no gap."""
+    """Finds gaps in the ticks of one board; a step of `divider` ticks is not a gap."""
 
     def __init__(self, board: str) -> None:
         self.board = board
@@ -34,11 +34,11 @@ class SampleGaps:
         self.missing = 0
         self.count = 0
         self.sessions = 0
-        self.divider = 1  # as the newest parameters say
+        self.divider = 1  # from the newest parameters
         self._last: pb.State | None = None
 
     def take(self, state: pb.State) -> None:
-        """One sample, in the order of the log."""
+        """Process one sample; samples must come in the order of the log."""
         last, self._last = self._last, state
         if last is None or last.session != state.session or state.tick <= last.tick:
             self.sessions += last is None or last.session != state.session
@@ -74,7 +74,7 @@ class Range:
 
 @dataclass(slots=True)
 class TopicSummary:
-    """Messages under one key."""
+    """Statistics of the messages under one key."""
 
     count: int = 0
     bytes: int = 0
@@ -104,7 +104,7 @@ class BoardSummary:
 
 @dataclass(slots=True)
 class LogSummary:
-    """The whole log."""
+    """Summary of a complete log."""
 
     parts: list[dict[str, object]]
     start_ns: int
@@ -118,10 +118,10 @@ class LogSummary:
 
 
 def summarise(paths: Path | Sequence[Path]) -> LogSummary:
-    """Read a log once, damaged or not, and say what it holds.
+    """Read a log once, damaged or not, and return its summary.
 
     Raises:
-        DataError: a file is absent, empty, not MCAP, or holds nothing of ours.
+        DataError: a file is absent, empty, not MCAP, or holds no Board51 messages.
     """
     reader = LogReader(paths)
     boards: dict[str, BoardSummary] = {}
@@ -180,7 +180,7 @@ def _take_state(board: BoardSummary, state: pb.State) -> None:
 
 
 def as_json(summary: LogSummary) -> dict[str, object]:
-    """Plain data for `--json`."""
+    """Return the summary as plain data for `--json`."""
     return {
         "parts": summary.parts,
         "start_ns": summary.start_ns,

@@ -1,14 +1,14 @@
-"""One MCAP file: `write` to memory, `flush` to disk, `close` with an index.  Not thread-safe (`recorder` is).
+"""Writes one MCAP file: `write` to memory, `flush` to disk, `close` with an index.  Not thread-safe (`recorder` is).
 
-Rule 1: the file only ever grows by whole chunks.  foxglove-sdk writes into memory; `flush` finishes the chunk and hands
-        the bytes to the kernel in one go.  So `kill -9` costs what came after the last `flush`, and nothing before it.
-Rule 2: no error passes silently.  foxglove-sdk given a file of its own only prints when a write fails and then refuses
-        everything; here the write is ours, the file is cut back to its last whole chunk, the bytes are kept, and
-        `flush` or `close` may be called again when the disk has space.
-Rule 3: an existing file is never touched.
-Rule 4: chunks are small, whoever writes and however seldom it flushes, and the channels are described between them
-        again and again: a damaged spot costs the chunks it touches, and neither the first chunk (which has the
-        descriptions) nor the index at the end is needed to read the others.
+Rule 1: the file grows by whole chunks only.  foxglove-sdk writes into memory; `flush` finishes the chunk and passes the
+        bytes to the kernel in one call.  `kill -9` therefore loses only messages after the last `flush`.
+Rule 2: no error is silent.  When foxglove-sdk writes to a file itself, it only prints a failed write and then refuses
+        all further ones.  Here, after a failed write, the file is cut back to its last whole chunk, the bytes are kept,
+        and `flush` or `close` may be called again when the disk has space.
+Rule 3: an existing file is never changed.
+Rule 4: chunks are small, however rarely the caller flushes, and channel descriptions are repeated between them.  Damage
+        therefore affects only the chunks that contain it; the others can be read without the first chunk (with the
+        descriptions) and without the index at the end.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from protocol.log.chunk import channel_records
 
 Compression = Literal["zstd", "lz4", "none"]
 DESCRIBE_BYTES = 1 << 16  # of the file, between two descriptions of its channels, 60 bytes for each
-HELD_BYTES = 4 << 20  # a writer nobody flushes (an import) goes to disk in pieces of this size
+HELD_BYTES = 4 << 20  # without `flush` (an import), data is written to disk in pieces of this size
 
 _COMPRESSION = {"zstd": MCAPCompression.Zstd, "lz4": MCAPCompression.Lz4, "none": None}
 _REASONS: dict[int, tuple[str, str]] = {
@@ -54,14 +54,14 @@ class LogError(ServiceError):
 
     @property
     def is_disk_full(self) -> bool:
-        """Waiting for space may help."""
+        """Whether the error may disappear when space becomes free."""
         return self.reason == "disk full"
 
 
 class _Memory:
-    """The file foxglove-sdk believes it writes: the part that is on disk already, and `held`, which is not.
+    """File object for foxglove-sdk: the part that is on disk already, and `held`, which is not.
 
-    It goes back only to the start of the chunk in work, never into what was handed to the disk.
+    The library seeks back only to the start of the current chunk, never into the part on disk.
     """
 
     def __init__(self) -> None:
@@ -71,7 +71,7 @@ class _Memory:
 
     @property
     def end(self) -> int:
-        """Size of the whole file."""
+        """Size of the whole file, in memory and on disk."""
         return self.on_disk + len(self.held)
 
     def write(self, data: bytes | bytearray) -> int:
@@ -92,7 +92,7 @@ class _Memory:
 
 
 class LogWriter:
-    """An MCAP file in the making.
+    """An MCAP file that is being written.
 
     Args:
         path: File to create; it must not exist.
@@ -118,7 +118,9 @@ class LogWriter:
         self.messages = 0
         self._finished = False
         self._memory = _Memory()
-        self._context = Context()  # of its own: channels of one file never reach another, nor a Foxglove server
+        self._context = (
+            Context()
+        )  # separate context: channels of one file must not reach another file or a Foxglove server
         self._descriptors = encoding.descriptor_set()
         self._channels: dict[str, Channel] = {}
         self._mcap = open_mcap(
@@ -127,7 +129,7 @@ class LogWriter:
             writer_options=MCAPWriteOptions(
                 compression=_COMPRESSION[compression],
                 chunk_size=None,  # `_end_chunk` ends them
-                calculate_data_section_crc=False,  # it does not know of our descriptions; each chunk has its own
+                calculate_data_section_crc=False,  # excludes our descriptions; chunks have CRCs
                 compression_threads=0,
             ),
         )
@@ -146,7 +148,7 @@ class LogWriter:
         return self._memory.on_disk
 
     def whereabouts(self) -> Literal["here", "elsewhere", "gone"]:
-        """Whether the file is still under its name: somebody may have moved it or put another there, or deleted it."""
+        """Return whether the file is still under its name, was moved or replaced, or was deleted."""
         if os.fstat(self._fd).st_nlink == 0:
             return "gone"
         try:
@@ -163,8 +165,8 @@ class LogWriter:
             time_ns: MCAP log time, Unix time.
 
         Raises:
-            ValueError: the key is not one of ours.
-            LogError: a piece had to go to disk and could not.
+            ValueError: the key is not a Board51 key.
+            LogError: data could not be written to disk.
         """
         channel = self._channels.get(key) or self._open_channel(key)
         channel.base.log(data, time_ns)

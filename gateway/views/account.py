@@ -1,4 +1,4 @@
-"""Who a view is on a guarded bus: the views' service account, which may send commands for people it has checked."""
+"""Identity of a view on a guarded bus: a service account that may send commands for users it has authenticated."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ ACCOUNT = "views"
 
 
 def views_identity(folder: str | None) -> Identity | None:
-    """The identity in `folder` or BOARD51_IDENTITY; None on an unguarded bus.
+    """Return the identity in `folder` or BOARD51_IDENTITY; None on an unguarded bus.
 
     Raises:
-        ConfigError: it is not usable, or somebody's own.
+        ConfigError: the identity is not usable, or belongs to a person.
     """
     identity = find_identity(folder)
     if identity is not None and identity.role != ACCOUNT:

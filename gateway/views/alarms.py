@@ -1,6 +1,6 @@
-"""What needs attention on one board: divergence alarms, faults, a link without samples, a failing log.  Pure.
+"""Alarms of one board: divergence alarms, faults, a link without samples, a failing log.  Pure.
 
-An alarm is active (the condition holds) and acknowledged (somebody has seen it), independently:
+An alarm is active (the condition holds) and acknowledged (an operator has seen it), independently:
 
     comes:         active, not acknowledged          listed, calls for attention
     acknowledged:  active, acknowledged              listed, quiet
@@ -12,8 +12,8 @@ Rule 1: it comes again after it went: not acknowledged again, `times` counts.  W
 Rule 2: one alarm for each name of a board; the latest text and value are shown.
 Rule 3: memory is bounded: names come from the bus, so beyond MAX_ALARMS the oldest alarm that is gone is dropped, then
         the newest is refused.
-Rule 4: times are those of who judges: of gateway and twin theirs, of the views' own conditions this host's.
-Rule 5: an acknowledgement means what came before it (an alarm that came again calls again), from whichever view.
+Rule 4: times are from the clock of the source: gateway, twin, or this host for conditions that the views detect.
+Rule 5: an acknowledgement from any view applies to earlier alarms only; an alarm that is raised again needs a new one.
 Rule 6: `revision` rises with each change that a screen would show.
 """
 
@@ -34,7 +34,7 @@ _REFUSED_BOARD = frozenset({"version-mismatch", "wrong-board", "bad-identity"}) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alarm:
-    """One condition of one board."""
+    """A condition of a board."""
 
     board: str
     name: str  # kebab-case, stable
@@ -62,7 +62,10 @@ class AlarmBook:
         self._fault_at = (0, 0)  # session, tick
 
     def listed(self) -> tuple[Alarm, ...]:
-        """Active or not acknowledged; the most urgent first: active, then faults, then not acknowledged, then new."""
+        """Return the alarms that are active or not acknowledged, the most urgent first.
+
+        Order: active, then faults, then not acknowledged, then new.
+        """
         urgency = sorted(
             self._alarms.values(),
             key=lambda a: (not a.active, a.severity != "fault", a.acknowledged, -a.since_ns),
@@ -79,7 +82,7 @@ class AlarmBook:
         self.come(alarm.name, "warning", alarm.text, at_ns, value=alarm.value, threshold_on=threshold_on, of_twin=True)
 
     def twin_alarms(self, alarms: pb.TwinAlarms, now_ns: int) -> None:
-        """From `twin/alarms`: what is not among them has ended, perhaps with the twin that raised it."""
+        """Process `twin/alarms`: an alarm that is missing there has ended, possibly with the twin that raised it."""
         self.go(TWIN, now_ns)
         active = {alarm.name for alarm in alarms.active}
         for name in [a.name for a in self._alarms.values() if a.of_twin and a.active and a.name not in active]:
@@ -88,15 +91,15 @@ class AlarmBook:
             self.twin_alarm(alarm, now_ns)
 
     def twin_gone(self, now_ns: int) -> None:
-        """Nothing comes from the twin that was there: what it said holds no longer, and nobody compares."""
+        """Note that the twin has ended: its alarms end, and the alarm `twin-gone` is raised."""
         for name in [a.name for a in self._alarms.values() if a.of_twin and a.active]:
             self.go(name, now_ns)
-        self.come(TWIN, "warning", "The twin has ended: nobody compares the rig with its model.", now_ns)
+        self.come(TWIN, "warning", "The twin has ended: the rig is not compared with its model.", now_ns)
 
     def repeated(self, alarms: pb.Alarms, now_ns: int) -> None:
-        """From the gateway's `alarms`: name and first time of what holds here too; what was acknowledged.
+        """Process the gateway's `alarms`: names and start of active conditions, and acknowledgements.
 
-        It only fills in: whether a condition holds, this view judges by samples and status, which are newer.
+        They only complete existing alarms: whether a condition holds follows from samples and status, which are newer.
         """
         for alarm in alarms.active:
             since_ns = alarm.host_time_ns or now_ns
@@ -111,7 +114,7 @@ class AlarmBook:
             self.acknowledge(seen.alarm, seen.who, seen.host_time_ns or now_ns, seen.comment)
 
     def event(self, event: pb.Event, now_ns: int) -> None:
-        """From `event`: faults come, and what ends them."""
+        """Process `event`: the start and end of faults."""
         now_ns = event.host_time_ns or now_ns
         if event.name in BOARD_FAULTS:
             self._fault_at = (event.session, event.tick)  # samples from before it may still be on their way
@@ -129,7 +132,7 @@ class AlarmBook:
             self.go(TO_BOARD, now_ns)
 
     def state(self, state: pb.State, now_ns: int) -> None:
-        """From each `state`: the board's FAULT flag.  Faults have no end event; the flag is what ends them."""
+        """Process `state`: faults have no end event, so the end of the FAULT flag ends them."""
         if state.flags & Flag.FAULT:
             if not self.fault():
                 self.come("fault", "fault", "A fault is active and the coil is off; set a mode to clear it.", now_ns)
@@ -138,7 +141,7 @@ class AlarmBook:
                 self.go(name, now_ns)
 
     def link(self, down: str, now_ns: int) -> None:
-        """The judgement of the link: `down` says why no samples come, empty where they do."""
+        """Set the state of the link: `down` is the reason why no samples arrive; empty if they arrive."""
         if down:
             self.come(LINK, "fault", down, now_ns)
             return
@@ -164,11 +167,11 @@ class AlarmBook:
             self.come(LOG, "fault", f"The log is not written: {log_state}.", now_ns)
 
     def waits(self, name: str) -> bool:
-        """Whether there is something of that name to acknowledge."""
+        """Return whether there is an alarm of that name to acknowledge."""
         return name in self._alarms and not self._alarms[name].acknowledged
 
     def acknowledge(self, name: str, who: str, at_ns: int, comment: str = "") -> bool:
-        """Somebody has seen what came before `at_ns`; False where there is nothing of that name to acknowledge."""
+        """Acknowledge an alarm that was raised before `at_ns`; return False if there is none of that name."""
         alarm = self._alarms.get(name)
         if alarm is None or alarm.acknowledged or alarm.since_ns > at_ns:
             return False
@@ -216,7 +219,7 @@ class AlarmBook:
         )
 
     def go(self, name: str, now_ns: int) -> None:
-        """The condition holds no longer."""
+        """Note that the condition no longer holds."""
         alarm = self._alarms.get(name)
         if alarm is None or not alarm.active:
             return

@@ -1,4 +1,4 @@
-"""Bins of one topic for one reader: every floating-point value of its messages, with minimum and maximum."""
+"""Bins of one topic for one reader: minimum, maximum and last of each floating-point value of its messages."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ class TopicBins:
         )
 
     def take(self, *, unfinished: bool = False) -> list[Bin]:
-        """The bins finished since the last call, oldest first; at most the newest 256."""
+        """Return the bins finished since the last call, oldest first; at most the newest 256."""
         with self._lock:
             return self._decimator.take(unfinished=unfinished)
 
 
 def channels(message: type[Message]) -> tuple[str, ...]:
-    """Names of all floating-point values of a message, `x_m.error` for those within another message."""
+    """Return the names of all floating-point values of a message, such as `x_m.error` in nested messages."""
     return tuple(_doubles(message.DESCRIPTOR))
 
 

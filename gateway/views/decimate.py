@@ -1,9 +1,9 @@
-"""Samples at the tick rate in, bins at the rate of a screen out; per channel the lowest, highest and last value.  Pure.
+"""Decimates samples at the tick rate to bins with the lowest, highest and last value of each channel.  Pure.
 
 Rule 1: no spike is lost: every finite value lies within low .. high of exactly one bin.
 Rule 2: a bin covers `width_ticks` ticks and begins at a multiple of them, so two readers of one board see equal bins.
 Rule 3: a bin never spans two sessions: ticks of different sessions are not comparable.
-Rule 4: memory is bounded: of bins that nobody takes, the oldest are dropped and counted.
+Rule 4: memory is bounded: of bins that are not taken, the oldest are dropped and counted.
 Rule 5: a channel without a finite value in a bin is NaN in low, high and last of it.
 """
 
@@ -19,7 +19,7 @@ INF = math.inf
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bin:
-    """What happened within one width; `low`, `high`, `last` by the name of the channel."""
+    """Values within one width; `low`, `high`, `last` by the name of the channel."""
 
     session: int
     first_tick: int
@@ -72,7 +72,7 @@ class Decimator:
         lost: int = 0,
         message: object = None,
     ) -> None:
-        """One sample; its values in the order of `channels`, NaN for an absent one; `message`: what it came in."""
+        """Add a sample: its values in the order of `channels`, NaN for absent ones, and its message."""
         slot = tick // self._width
         if slot != self._slot or session != self._session:
             self._close()
@@ -137,7 +137,7 @@ class Decimator:
 
 
 def merge(bins: Sequence[Bin]) -> Bin:
-    """One bin for several of one session, in order: for a screen that shows a longer time.
+    """Merge consecutive bins of one session into one.
 
     Raises:
         ValueError: no bins, or bins of different sessions.

@@ -1,4 +1,4 @@
-"""The bus as a view sees it: the latest of everything per board, how fresh it is, alarms, bins, and commands back.
+"""Access of a view to the bus: latest messages per board with their age, alarms, bins, and commands.
 
     feed = Feed(session, "board51")
     feed.boards()                      names, in order; a board appears with its first message
@@ -11,11 +11,12 @@
     feed.acknowledge("rig1", "divergence-x", who="eva", role="operator")           a command too: all views and the log
     feed.command("rig1", pb.Command(stop=pb.Stop()), who="eva", role="operator")    blocks up to 5 s: use a thread
 
-Rule 1: poll it.  Messages are taken in by zenoh's thread; nothing of a view's runs there, so a view that is slow falls
-        behind by itself (a tap keeps the newest bins) and stalls neither router nor gateway.
-Rule 2: age is by this process's monotonic clock, never by time stamps of others.
-Rule 3: what is malformed, of unknown type or of one board too many is counted (`refused`), never raised.
-Rule 4: `feed.now_ns()` stamps what the views themselves judge; samples bear the time that the gateway gave them.
+Rule 1: views poll the feed.  zenoh's thread receives the messages and runs no code of a view, so a slow view only falls
+        behind itself (a tap keeps the newest bins) and stalls neither router nor gateway.
+Rule 2: age is measured by this process's monotonic clock, never by time stamps of others.
+Rule 3: messages that are malformed, of unknown type or beyond the number of boards are counted (`refused`); no error is
+        raised.
+Rule 4: `feed.now_ns()` stamps alarms that the views raise themselves; samples have the time stamp of the gateway.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ M = TypeVar("M", bound=Message)
 MAX_BOARDS = 64
 RETAINED_EVENTS = 200
 SILENT_S = 0.5  # without a state for so long (and three of its periods) a board is not live
-GRACE_S = 2.0  # a board that is just being found is no alarm yet
+GRACE_S = 2.0  # no alarm while a board is being discovered
 GATEWAY_S = 3.5  # status comes once a second: without it, three times over, there is no gateway
 TWIN_GONE_S = 12.0  # `twin/alarms` comes every 5 s: without it twice over, there is no twin
 _WANTED = ("state", "status", "event", "alarms", "parameters", "command/record", "twin/state", "twin/divergence",
@@ -65,7 +66,7 @@ _TYPES: dict[str, type[Message]] = {name: topics.BY_NAME[name].message for name 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Link:
-    """Whether samples come, and else why not.
+    """Whether samples arrive, and if not, why.
 
     `state`: "live"; of the gateway "connecting", "handshake", "streaming" (but its samples do not reach this view),
     "silent", "absent"; "no-gateway" where nothing at all comes.
@@ -82,7 +83,7 @@ class Link:
 
 
 class BoardFeed:
-    """One board, as heard on the bus."""
+    """Messages of one board on the bus."""
 
     def __init__(self, name: str, lock: threading.Lock, now_s: Callable[[], float]) -> None:
         self.name = name
@@ -99,17 +100,17 @@ class BoardFeed:
         self._back_s = self._first_s  # the gateway came, or came back
 
     def latest(self, message: type[M]) -> M | None:
-        """The newest message of this type."""
+        """Return the newest message of this type, or None."""
         found = self._latest.get(message.DESCRIPTOR.full_name)
         return found if isinstance(found, message) else None
 
     def age_s(self, message: type[Message]) -> float:
-        """How long ago it came; infinite where none came."""
+        """Return the age of the newest message of this type, s; infinite if there is none."""
         at_s = self._at_s.get(message.DESCRIPTOR.full_name)
         return math.inf if at_s is None else max(0.0, self._now_s() - at_s)
 
     def link(self) -> Link:
-        """The link of now."""
+        """Return the current state of the link."""
         age_s = self.age_s(pb.State)
         status = self.latest(pb.Status)
         limit_s = max(SILENT_S, 3.0 * self._period_s)
@@ -147,7 +148,7 @@ class BoardFeed:
             return tuple(self._events)
 
     def commands(self) -> tuple[pb.CommandRecord, ...]:
-        """The newest 200, oldest first: who did what, and what became of it."""
+        """Return the newest 200 commands with sender and result, oldest first."""
         with self._lock:
             return tuple(self._commands)
 
@@ -165,12 +166,12 @@ class BoardFeed:
         return tap
 
     def untap(self, tap: TopicBins) -> None:
-        """The reader is gone."""
+        """Remove a tap."""
         with self._lock:
             self._taps[tap.message.DESCRIPTOR.full_name].remove(tap)
 
     def take(self, message: Message, now_ns: int) -> None:
-        """One message from the bus; with the feed's lock."""
+        """Process one message from the bus; the caller holds the feed's lock."""
         name = message.DESCRIPTOR.full_name
         if isinstance(message, _OF_GATEWAY) and min(self.age_s(kind) for kind in _OF_GATEWAY) > GATEWAY_S:
             self._back_s = self._now_s()  # with whichever comes first: status follows a sample by up to a second
@@ -200,7 +201,7 @@ class BoardFeed:
             self._period_s = message.sample_time_s * max(1, message.stream_divider)
 
     def alive_is(self, *, alive: bool) -> None:
-        """The gateway's liveliness token came or went: at once, before any time-out."""
+        """Note that the gateway's liveliness token appeared or disappeared, before any time-out."""
         self._alive = alive
 
     def waits(self, alarm: str) -> bool:
@@ -234,7 +235,7 @@ class Feed:
     Args:
         session: of the bus.
         site: first chunk of the keys.
-        guarded: whether commands go under `command/as/<role>/<who>`, as a bus with roles wants them.
+        guarded: whether commands use the key `command/as/<role>/<who>`, as required on a guarded bus.
         now_s: monotonic clock, for tests.
     """
 
@@ -256,25 +257,26 @@ class Feed:
         self._token = session.liveliness().declare_subscriber(f"{site}/*/{topics.ALIVE}", self._alive, history=True)
 
     def close(self) -> None:
-        """Hear no more."""
+        """Unsubscribe."""
         for subscriber in self._subscribers:
             subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
         self._token.undeclare()  # type: ignore[no-untyped-call]  # the same
 
     def boards(self) -> tuple[str, ...]:
-        """Names of the boards heard so far, in order."""
+        """Return the names of the boards seen so far, in order."""
         with self._lock:
             return tuple(sorted(self._boards))
 
     def board(self, name: str) -> BoardFeed | None:
-        """One board, None where nothing was heard of it."""
+        """Return a board, or None if no message of it has arrived."""
         return self._boards.get(name)
 
     def acknowledge(self, board: str, alarm: str, *, who: str, role: str = "", comment: str = "") -> pb.CommandReply:
-        """Somebody has seen this alarm: a command, so that every view and the log know; blocks like `command`.
+        """Acknowledge an alarm by a command, so that every view and the log receive it; blocks like `command`.
 
-        Refused by "view" with the reason "no-alarm" where there is none to acknowledge.  Without a gateway it counts in
-        this view alone, and `text` says so: an operator must be able to silence the alarm that says there is none.
+        If there is no such alarm, the reply is refused by "view" with the reason "no-alarm".  Without a gateway the
+        acknowledgement counts in this view only, and `text` says so: an operator must be able to silence the alarm that
+        reports the missing gateway.
         """
         feed = self._boards.get(board)
         if feed is None or not feed.waits(alarm):
@@ -291,10 +293,10 @@ class Feed:
     def command(
         self, board: str, what: pb.Command, *, who: str, role: str = "", timeout_s: float = 5.0
     ) -> pb.CommandReply:
-        """Send `what` on behalf of `who`, and wait for what becomes of it; an empty id is filled in.
+        """Send the command `what` on behalf of `who`, and wait for its reply; an empty id is filled in.
 
-        `refused_by` is "link" where no gateway answered.  The caller has checked who it is; `role` is what the gateway
-        judges the command by on a guarded bus.
+        `refused_by` is "link" if no gateway answered.  The caller has authenticated the user; on a guarded bus the
+        gateway checks `role`.
         """
         command = pb.Command()
         command.CopyFrom(what)

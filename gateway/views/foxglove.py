@@ -1,9 +1,9 @@
-"""The bus as a live Foxglove WebSocket: the same topics, bytes and schemas as in the MCAP logs.
+"""Serves the bus as a live Foxglove WebSocket: the same topics, bytes and schemas as in the MCAP logs.
 
-Rule 1: it shows and never commands: no parameters, no services, nothing is taken from a client.
-Rule 2: bytes pass as they are; only their time is looked up: the gateway's, as in its log.
-Rule 3: the protocol knows no login, so it stays on loopback unless `--insecure` says otherwise.
-Rule 4: a client that does not read loses messages of its own (`BACKLOG`), nobody else's.
+Rule 1: it is read-only: no parameters, no services, no messages from clients.
+Rule 2: payloads are passed on unchanged, with the time stamps of the gateway, as in its log.
+Rule 3: the protocol has no login, so the server listens on loopback only, unless `--insecure` is given.
+Rule 4: a client that does not read loses only its own messages (`BACKLOG`).
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class FoxgloveView:
 def serve(
     session: zenoh.Session, site: str, host: str, port: int, stop: threading.Event, ready: Callable[[int], None]
 ) -> None:
-    """Serve until `stop` is set; `ready` is told the port."""
+    """Serve until `stop` is set; `ready` is called with the port."""
     view = FoxgloveView(session, site, host, port)
     _logger.info("Foxglove on ws://%s:%d", host, view.port)
     ready(view.port)

@@ -1,4 +1,4 @@
-"""The views that a configuration asks for, as commands to keep running (processes/supervisor.py)."""
+"""The configured views as commands for the supervisor (processes/supervisor.py)."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ NEEDS = {"opcua": ("opcua", "asyncua"), "hmi": ("web", "starlette", "uvicorn")} 
 
 
 def views_for(config: GatewayConfig) -> list[Service]:
-    """The commands that serve the views of `config`, on its bus.
+    """Return the commands that serve the views of `config` on its bus.
 
     Raises:
-        ConfigError: an address that is none, or a view that would be open to the network without protection.
-        InstallError: a view whose libraries are not installed.
+        ConfigError: an address is invalid, or a view would be open to the network without protection.
+        InstallError: the libraries of a view are not installed.
     """
     z = config.zenoh
     endpoints = z.listen if z.mode == "router" else z.connect

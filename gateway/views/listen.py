@@ -1,4 +1,4 @@
-"""What the commands of the views have in common: HOST:PORT, and whether it may be opened."""
+"""Common arguments of the views' commands: HOST:PORT, and the check whether it may be opened."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ def add_view_arguments(parser: argparse.ArgumentParser, view: str, *, security: 
     """The bus, `--listen`, `--insecure`, and `--security` where `security` says what it gives."""
     add_bus_arguments(parser)
     default = ADDRESSES[view]
-    parser.add_argument("--listen", default=default, metavar="HOST:PORT", help=f"where (default {default})")
+    parser.add_argument(
+        "--listen", default=default, metavar="HOST:PORT", help=f"address to listen on (default {default})"
+    )
     parser.add_argument("--insecure", action="store_true", help=insecure)
     if security:
         parser.add_argument("--security", type=Path, metavar="DIR", help=SECURITY + security)
@@ -34,7 +36,7 @@ def listener(args: argparse.Namespace, what: str, *, remedy: str) -> tuple[str, 
         remedy: instead of opening it to the network without protection.
 
     Raises:
-        ConfigError: the site is no name, the address is none, or would be open to the network without protection.
+        ConfigError: site or address is invalid, or the address would be open to the network without protection.
     """
     check_name(args.site, what="--site")
     host, port = address(args.listen)
@@ -53,7 +55,7 @@ def address(text: str, *, where: str = "--listen") -> tuple[str, int]:
     """(host, port) of `127.0.0.1:4840` or `[::1]:4840`.
 
     Raises:
-        ConfigError: it is no address.
+        ConfigError: the text is not an address.
     """
     host, colon, port = text.rpartition(":")
     good = bool(colon and host) and port.isascii() and port.isdigit() and int(port) <= 65535

@@ -1,1 +1,1 @@
-"""What travels on zenoh and lies in logs, after calibration.  Start at `topics.py`."""
+"""Messages on the zenoh bus and in logs, in SI units.  Start with `topics.py`."""

@@ -1,7 +1,7 @@
-"""Message class <-> the names zenoh and MCAP know it by, and its descriptor set.
+"""Names of the message classes in zenoh and MCAP, and their descriptor set.
 
-zenoh encoding `application/protobuf;board51.v1.State`; MCAP schema `board51.v1.State` with the serialised
-FileDescriptorSet, so that a tool which never saw this repository can decode a log.
+The zenoh encoding is `application/protobuf;board51.v1.State`.  The MCAP schema is `board51.v1.State` with the
+serialised FileDescriptorSet, so that any protobuf tool can decode a log without this repository.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from protocol.bus import board51_pb2 as pb
 MIME = "application/protobuf"
 M = TypeVar("M", bound=Message)
 SCHEMA_ENCODING = MESSAGE_ENCODING = "protobuf"
-# Of a log, before compression: what a damaged spot costs.  0.3 s of one board; files compressed with zstd are 22 %
-# larger than with chunks of 1 MiB, with lz4 6 %.
+# Size of a log's chunks before compression, 0.3 s of one board: a damaged byte costs at least one chunk.  Compared with
+# chunks of 1 MiB, files are 22 % larger with zstd and 6 % with lz4.
 CHUNK_BYTES = 1 << 14
 
 
@@ -27,19 +27,19 @@ def schema_name(message: type[Message]) -> str:
 
 
 def zenoh_encoding(message: type[Message]) -> str:
-    """What a publisher declares, and a subscriber may check before it parses."""
+    """Return the zenoh encoding of a message class; subscribers may check it before they parse."""
     return f"{MIME};{schema_name(message)}"
 
 
 def descriptor_set() -> bytes:
-    """Serialised FileDescriptorSet of board51.proto (it imports nothing)."""
+    """Return the serialised FileDescriptorSet of board51.proto, which has no imports."""
     files = FileDescriptorSet()
     pb.DESCRIPTOR.CopyToProto(files.file.add())
     return files.SerializeToString(deterministic=True)
 
 
 def parse(message: type[M], data: bytes) -> M | None:
-    """The message, or None where `data` is not one: malformed input is an outcome on a bus, not an exception."""
+    """Parse a message; return None if `data` is malformed, which is an expected outcome on a bus."""
     try:
         return message.FromString(data)
     except DecodeError:

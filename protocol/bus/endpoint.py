@@ -1,12 +1,12 @@
-"""How a process of ours joins the bus: the zenoh configuration as plain values, for any language's zenoh.
+"""The zenoh configuration with which a process joins the bus, as plain values for zenoh in any language.
 
-The default needs no server: the gateway is the router (`listen`), everybody else a client that connects to it.
-Multicast scouting is off: two rigs in one lab must not find each other by accident.
+By default no separate server is needed: the gateway is the router (`listen`), all other processes are clients of it.
+Multicast scouting is off, so that two rigs in one laboratory do not connect by accident.
 
-Rule: who does not read loses its own messages and nobody else's.  Publishers say BLOCK, so that what they hand to their
-      router waits where a bounded queue counts it.  Where a router hands it on (egress), each subscriber has a queue of
-      1 MiB and what does not fit is dropped at once: blocking there, or waiting a moment for each message, would stall
-      all subscribers behind the one (measured: gateway/README.md, "A subscriber that does not read").
+Rule: a subscriber that does not read loses only its own messages.  Publishers use BLOCK towards their router, so that
+      messages wait in a bounded queue that counts losses.  On the way out of the router (egress), each subscriber has a
+      queue of 1 MiB, and messages that do not fit are dropped at once: waiting there would stall all other subscribers
+      (measured: gateway/README.md, "A subscriber that does not read").
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ _DROP = {"congestion_control": "drop"}
 ROUTER_QOS: dict[str, Any] = {
     "network": [
         {"messages": ["put", "delete", "query"], "flows": ["egress"], "overwrite": _DROP},
-        # Replies go as their query came: not in the queue of the states, which may be full of what nobody reads.
+        # Replies have the priority of their query, so that they do not wait behind unread states.
         {"messages": ["query"], "flows": ["ingress"], "overwrite": _DROP | {"priority": "data_high"}},
     ]
 }
 
 
 def check_endpoint(endpoint: str, *, where: str) -> str:
-    """Return a zenoh endpoint such as tcp/127.0.0.1:7447, else raise ConfigError naming `where`."""
+    """Return `endpoint` if it is valid, such as tcp/127.0.0.1:7447, else raise ConfigError naming `where`."""
     if not _ENDPOINT.fullmatch(endpoint):
         raise ConfigError(
             f"{where}: {endpoint!r} is not a zenoh endpoint",
@@ -55,17 +55,17 @@ def zenoh_config(
     wait_for_router: bool = True,
     identity: Identity | None = None,
 ) -> str:
-    """JSON5 text for `zenoh.Config.from_json5`.
+    """Return the JSON5 text for `zenoh.Config.from_json5`.
 
     Args:
-        mode: router for the one who listens for others, client for everybody else.
-        listen: endpoints to open, e.g. tcp/127.0.0.1:7447.
-        connect: endpoints to reach.
-        wait_for_router: True fails after 5 s without a router: a command should say so.  False returns at once and
-            keeps looking for it in the background: daemons must start in any order.  (zenoh does that for peers and
-            routers, a client's open blocks.  A router passes nothing between two peers that cannot reach each other, so
-            such a daemon joins as a router that listens nowhere.)
-        identity: who this process is on a guarded bus.
+        mode: "router" for the process that others connect to, "client" for all others.
+        listen: Endpoints to open, e.g. tcp/127.0.0.1:7447.
+        connect: Endpoints to connect to.
+        wait_for_router: True (for commands) fails after 5 s without a router.  False (for daemons, which may start in
+            any order) returns at once and connects in the background.  zenoh does this for peers and routers only; a
+            client's open blocks.  A router passes no messages between two peers that cannot reach each other, so
+            such a daemon joins as a router without listeners.
+        identity: Identity of this process on a guarded bus.
     """
     config: dict[str, Any] = {
         "mode": mode if wait_for_router else "router",
@@ -97,18 +97,18 @@ def zenoh_config(
 
 
 def refused_by_router(endpoints: Sequence[str], identity: Identity | None) -> ServiceError:
-    """The error for a client whose `zenoh.open` failed: zenoh tells only that nobody answered in time.
+    """Return the error for a client whose `zenoh.open` failed; zenoh itself reports only a time-out.
 
-    A router that does not take this client's certificate or password looks like no router; so does a guarded one to a
-    client without an identity.
+    A router that rejects this client's certificate or password cannot be told from an absent router.  The same holds
+    for a guarded router and a client without an identity.
     """
     where = ", ".join(endpoints)
     remedy = "Start `board51 gateway`, or give its endpoint with --connect"
     if identity is not None:
         return ServiceError(
-            f"No router answers at {where}, or it does not take the identity {identity.name}",
-            remedy=f"{remedy}; if it runs, get {identity.folder} anew from its `board51 security` folder",
+            f"No router answers at {where}, or it does not accept the identity {identity.name}",
+            remedy=f"{remedy}; if it runs, copy {identity.folder} again from its `board51 security` folder",
         )
     if any(endpoint.startswith(("tls/", "quic/")) for endpoint in endpoints):
-        remedy += "; a guarded one wants --identity DIR/identities/NAME"
+        remedy += "; a guarded router requires --identity DIR/identities/NAME"
     return ServiceError(f"No router answers at {where}", remedy=remedy)

@@ -1,10 +1,10 @@
-"""Who a process is on a guarded bus: a folder with its name, role, password and certificate.
+"""Identity of a process on a guarded bus: a folder with its name, role, password and certificate.
 
 `board51 security init` makes one folder for each person and service, `identities/NAME/`:
 
     identity.toml     name, role, site, password of the bus, valid_until; mode 0600
     certificate.pem   signed by the plant's authority, key.pem (mode 0600) beside it
-    ca.pem            the authority: which router to believe
+    ca.pem            certificate of the authority, which verifies the router
 
 The folder may be copied to the machine that needs it.  `--identity FOLDER` names it, or BOARD51_IDENTITY.
 """
@@ -21,9 +21,7 @@ from protocol.errors import ConfigError
 from protocol.files import open_regular, parse_toml, read_small
 
 VARIABLE = "BOARD51_IDENTITY"
-HELP = (
-    f"who you are on a guarded bus: DIR/identities/NAME of `board51 security init` (default ${VARIABLE})"  # --identity
-)
+HELP = f"identity on a guarded bus: DIR/identities/NAME of `board51 security init` (default ${VARIABLE})"  # --identity
 FILES = ("identity.toml", "certificate.pem", "key.pem", "ca.pem")
 _PRIVATE = ("identity.toml", "key.pem")
 _REMEDY = "Give a folder that `board51 security init` made: DIR/identities/NAME"
@@ -31,7 +29,7 @@ _REMEDY = "Give a folder that `board51 security init` made: DIR/identities/NAME"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """What the bus must be shown, and what commands are sent as."""
+    """Credentials for a guarded bus, and the name and role under which commands are sent."""
 
     name: str
     role: str  # viewer | operator | engineer, or the name of a service
@@ -41,46 +39,46 @@ class Identity:
 
     @property
     def certificate(self) -> Path:
-        """PEM."""
+        """Path of the certificate (PEM)."""
         return self.folder / "certificate.pem"
 
     @property
     def key(self) -> Path:
-        """PEM, its owner's alone."""
+        """Path of the private key (PEM), readable by its owner only."""
         return self.folder / "key.pem"
 
     @property
     def ca(self) -> Path:
-        """PEM."""
+        """Path of the authority's certificate (PEM)."""
         return self.folder / "ca.pem"
 
     def __repr__(self) -> str:
         return f"Identity({self.name}, {self.role})"  # no password in a traceback
 
     def check_valid(self, now: datetime) -> None:
-        """Raises ConfigError where the certificate has run out; the bus would only say nothing."""
+        """Raise ConfigError if the certificate has expired; zenoh itself would only time out."""
         if now >= self.valid_until:
             raise ConfigError(
                 f"The identity {self.folder} expired on {self.valid_until:%Y-%m-%d}",
-                remedy="Renew it with `board51 security renew DIR`, and copy the folder anew",
+                remedy="Renew it with `board51 security renew DIR`, and copy the folder again",
             )
 
 
 def find_identity(folder: Path | str | None, environment: Mapping[str, str] = os.environ) -> Identity | None:
-    """The identity in `folder`, else in BOARD51_IDENTITY, else None: an unguarded bus.
+    """Return the identity in `folder`, else in BOARD51_IDENTITY, else None for an unguarded bus.
 
     Raises:
-        ConfigError: a folder is named but is none, or is open to others.
+        ConfigError: the folder is not an identity, or other users can read it.
     """
     named = folder or environment.get(VARIABLE)
     return load_identity(Path(named)) if named else None
 
 
 def load_identity(folder: Path) -> Identity:
-    """Read a folder.
+    """Read the identity in a folder.
 
     Raises:
-        ConfigError: a file is missing, open to others, or not what it should be.
+        ConfigError: a file is missing, readable by other users, or malformed.
     """
     folder = folder.absolute()
     for name in FILES:

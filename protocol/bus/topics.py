@@ -1,7 +1,7 @@
-"""THE table of the bus: what travels under which key, how often, and whether it is logged.
+"""The table of all topics of the bus: message type, publisher, rate, and whether it is logged.
 
 A key is `<site>/<board>/<topic>`, without a leading slash.  The same key is the topic of the MCAP channel.
-Every process and document that needs a key, a type or a rate takes it from here.
+All processes and documents take keys, types and rates from this table.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")  # no wildcards, no slashes: it 
 class Topic:
     """One row of the table.
 
-    `by` is who publishes.  `rate` is for people.  `bus` / `logged` say where it goes.
+    `by` is the publisher.  `rate` is text for the documentation.  `bus` and `logged` say where messages go.
     """
 
     name: str
@@ -43,7 +43,7 @@ TOPICS: tuple[Topic, ...] = (
     Topic(name="event", message=pb.Event, by="gateway", rate="on event", bus=True, logged=True,
           about="faults, resets, limits hit, link changes"),
     Topic(name="alarms", message=pb.Alarms, by="gateway", rate="on change, and every 5 s", bus=True, logged=True,
-          about="what the gateway knows to be wrong, and which alarms were acknowledged"),
+          about="conditions that the gateway detects, and acknowledgements of alarms"),
     Topic(name="parameters", message=pb.Parameters, by="gateway", rate="on change, and every 5 s", bus=True,
           logged=True, about="identity, gains, operating point, limits, scalings"),
     Topic(name="capture", message=pb.CaptureRecord, by="gateway", rate="on request", bus=True, logged=True,
@@ -61,7 +61,7 @@ TOPICS: tuple[Topic, ...] = (
     Topic(name="twin/alarm", message=pb.Alarm, by="twin", rate="on change", bus=True, logged=True,
           about="divergence alarms with hysteresis"),
     Topic(name="twin/alarms", message=pb.TwinAlarms, by="twin", rate="every 5 s", bus=True, logged=True,
-          about="all alarms of the twin that are active: for who comes late"),
+          about="all active alarms of the twin, for late subscribers"),
     Topic(name="twin/model", message=pb.TwinModel, by="twin", rate="on change, and every 5 s", bus=True, logged=True,
           about="the model the twin runs on, since when, from whom"),
     Topic(name="twin/command", message=pb.TwinCommand, by="client", rate="query", bus=True, logged=False,
@@ -91,24 +91,25 @@ def key(site: str, board: str, topic: str) -> str:
 
 
 def command_key(site: str, board: str, *, role: str = "", who: str = "", topic: str = "command") -> str:
-    """Where a command goes: on a guarded bus, where its sender has a role, the key says as whom.
+    """Return the key of a command; on a guarded bus it contains the sender's role and name.
 
-    `<site>/<board>/command/as/<role>/<who>`: the router lets nobody send as somebody else, which no field in the
-    message could achieve.  Without a role `<site>/<board>/command`, served on an unguarded bus only.
+    On a guarded bus the key is `<site>/<board>/command/as/<role>/<who>`: the router enforces that a client uses only
+    its own name, which it could not do with a field of the message.  Without a role the key is
+    `<site>/<board>/command`, served on an unguarded bus only.
     """
     plain = key(site, board, topic)
     return f"{plain}/{AS}/{role}/{check_name(who, what='who')}" if role else plain
 
 
 def sender(full: str) -> tuple[str, str] | None:
-    """(role, who) of a key that `command_key` made, or None where it says neither."""
+    """Return (role, who) of a key made by `command_key`, or None if the key contains neither."""
     _, found, rest = full.partition(f"/{AS}/")
     role, _, who = rest.partition("/")
     return (role, who) if found and _NAME.fullmatch(role) and _NAME.fullmatch(who) else None
 
 
 def split(full: str) -> tuple[str, str, str] | None:
-    """(site, board, topic) of a key, or None where it is not one of ours."""
+    """Return (site, board, topic) of a key, or None if it is not a Board51 key."""
     site, _, rest = full.partition("/")
     board, _, topic = rest.partition("/")
     before, found, _ = topic.partition(f"/{AS}/")

@@ -1,4 +1,4 @@
-"""Logs: MCAP files with the messages of the bus, read by gateway and twin, whatever became of them.
+"""Reading of logs: MCAP files with the messages of the bus, complete or damaged.
 
 Reading order: `scan` with `chunk` (bytes of a file into messages), `reader` (messages into records).
 """

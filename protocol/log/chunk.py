@@ -1,4 +1,4 @@
-"""The inside of an MCAP chunk, and the two compound types of the format: pure functions of bytes.
+"""Decoding of MCAP chunks, and of the two compound types of the format: pure functions of bytes.
 
 Format: mcap.dev/spec.  Integers are little-endian; a string is its length (4 bytes) and UTF-8.
 """
@@ -19,7 +19,7 @@ _LARGEST_CHUNK = 1 << 30  # a length beyond this is damage, not data
 
 
 def unpack(content: bytes) -> tuple[bytes, str]:
-    """(records of a chunk, "") or (b"", what is wrong with it)."""
+    """Return (records of a chunk, ""), or (b"", description of the error)."""
     try:
         _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(content)
         at = CHUNK_HEAD.size + name_length
@@ -44,7 +44,7 @@ def unpack(content: bytes) -> tuple[bytes, str]:
 
 
 def channel_records(written: bytes) -> dict[int, bytes]:
-    """The records that describe channels in the whole chunks of `written`, by channel."""
+    """Return the channel records in the complete chunks of `written`, by channel id."""
     found = {}
     for opcode, chunk in _records(written):
         for inner, content in _records(unpack(chunk)[0]) if opcode == CHUNK else ():
@@ -64,7 +64,7 @@ def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def unpack_prefix(content: bytes) -> bytes:
-    """As much as can be had of a chunk that lacks its end."""
+    """Return the records that can be decompressed from a chunk without its end."""
     try:
         _, _, _, _, name_length = CHUNK_HEAD.unpack_from(content)
         at = CHUNK_HEAD.size + name_length
@@ -79,10 +79,10 @@ def unpack_prefix(content: bytes) -> bytes:
 
 
 def text(content: bytes, at: int) -> tuple[str, int]:
-    """The string at `at`, and where it ends.
+    """Return the string at offset `at`, and the offset of its end.
 
     Raises:
-        struct.error, IndexError, UnicodeDecodeError: there is none.
+        struct.error, IndexError, UnicodeDecodeError: there is no valid string.
     """
     (length,) = struct.unpack_from("<I", content, at)
     end = at + 4 + length
@@ -92,7 +92,7 @@ def text(content: bytes, at: int) -> tuple[str, int]:
 
 
 def text_map(content: bytes, at: int) -> dict[str, str]:
-    """The map of strings at `at`; raises as `text` does."""
+    """Return the map of strings at offset `at`; raises the same errors as `text`."""
     (length,) = struct.unpack_from("<I", content, at)
     at += 4
     end = at + length

@@ -1,9 +1,9 @@
-"""Records of one log, of any number of parts, finished or not.
+"""Reads the records of a log that consists of any number of parts, finished or not.
 
 Rule 1: a part without its end (the recorder still runs, or was killed) is read to its last whole chunk, silently: that
         is all there is of it.  Damage is not silent: everything intact is delivered first, then a DataError says how
         far that was and points to `board51 recover`.
-Rule 2: what is not ours (another schema, another topic) is skipped and counted; a log with nothing of ours is an error.
+Rule 2: messages with a foreign schema or topic are skipped and counted; a log without Board51 messages is an error.
 Rule 3: order is the order of the file, which is the order of arrival: a model fed from a log sees what it saw live.
 """
 
@@ -22,7 +22,7 @@ from protocol.log.scan import McapChannel, Scan
 
 
 class LogRecord(NamedTuple):
-    """One message of the log."""
+    """A parsed message of the log."""
 
     key: str  # <site>/<board>/<topic>
     site: str
@@ -33,7 +33,7 @@ class LogRecord(NamedTuple):
 
 
 class RawLogRecord(NamedTuple):
-    """The same, not parsed."""
+    """An unparsed message of the log."""
 
     key: str
     site: str
@@ -44,9 +44,9 @@ class RawLogRecord(NamedTuple):
 
 
 class LogReader:
-    """One log.
+    """A log, opened for reading.
 
-    `foreign` (messages skipped, by topic), `unparsable` and the scans' damages are complete after a pass.
+    `foreign` (skipped messages, by topic), `unparsable` and the damages of the scans are complete after one pass.
 
     Args:
         paths: An MCAP file, or the parts of one log.
@@ -71,17 +71,17 @@ class LogReader:
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """MCAP metadata of all parts; of equal names the last."""
+        """MCAP metadata of all parts; for equal names, that of the last part."""
         return {name: dict(values) for scan in self.scans for name, values in scan.metadata.items()}
 
     @property
     def boards(self) -> set[str]:
-        """Those with a channel of ours, under whatever topic; complete after a pass."""
+        """Names of the boards with a Board51 topic; complete after one pass."""
         return {ours[1] for scan in self.scans for channel in scan.channels.values() if (ours := _ours(channel))}
 
     @property
     def finished(self) -> bool:
-        """After a pass: whether every part has its end."""
+        """Whether every part has its end; valid after one pass."""
         return all(scan.finished for scan in self.scans)
 
     @property
@@ -103,7 +103,7 @@ class LogReader:
         start_s: float = 0.0,
         end_s: float | None = None,
     ) -> Iterator[RawLogRecord]:
-        """Unparsed records; damage is noted in `scans` and otherwise passed over.
+        """Yield unparsed records; damage is recorded in `scans` and skipped.
 
         Args:
             topics_: Topics of the bus table; None means all.
@@ -135,7 +135,7 @@ class LogReader:
         start_s: float = 0.0,
         end_s: float | None = None,
     ) -> Iterator[LogRecord]:
-        """Parsed records; like `raw`.  A message that does not parse is counted in `unparsable`."""
+        """Yield parsed records, as `raw` does.  Messages that cannot be parsed are counted in `unparsable`."""
         self.unparsable.clear()
         for key, site, board, topic, data, time_ns in self.raw(
             topics_=topics_, boards=boards, start_s=start_s, end_s=end_s
@@ -147,7 +147,7 @@ class LogReader:
                 yield LogRecord(key, site, board, topic, message, time_ns)
 
     def schema_of(self, key: str) -> str:
-        """Schema and encoding of a key's messages, for people."""
+        """Return schema and encoding of a key's messages, as text."""
         for scan in self.scans:
             for channel in scan.channels.values():
                 if channel.topic == key:
@@ -155,11 +155,11 @@ class LogReader:
         return "nothing"
 
     def check_damage(self, *, last_ns: int | None, cut_is_damage: bool = True) -> None:
-        """After a pass: raise where bytes were lost.
+        """Raise an error if bytes were lost; call it after one pass.
 
         Args:
             last_ns: Log time of the last message that was delivered; None if there was none.
-            cut_is_damage: Whether a file that just ends within a record counts.
+            cut_is_damage: Whether a file that ends within a record counts as damaged.
 
         Raises:
             DataError: damage.
@@ -177,13 +177,13 @@ class LogReader:
                 )
 
     def check(self, *, last_ns: int | None) -> None:
-        """After a pass: raise what it came upon.
+        """Raise an error for damage, or for a log without Board51 messages; call it after one pass.
 
         Args:
             last_ns: Log time of the last message that was delivered; None if there was none.
 
         Raises:
-            DataError: damage, or nothing of ours.
+            DataError: the log is damaged, or holds no Board51 messages.
         """
         self.check_damage(last_ns=last_ns)
         ours = any(_ours(channel) for scan in self.scans for channel in scan.channels.values())
@@ -205,7 +205,7 @@ def read(
     start_s: float = 0.0,
     end_s: float | None = None,
 ) -> Iterator[LogRecord]:
-    """The records of a log; what most callers need.
+    """Read the records of a log.
 
     Args:
         path: An MCAP file, or the parts of one log.
@@ -218,8 +218,8 @@ def read(
         Records in the order of the file.
 
     Raises:
-        DataError: the file is absent, empty, not MCAP, or holds nothing of ours; or, after everything intact has been
-            delivered, it is damaged.
+        DataError: the file is absent, empty, not MCAP, or holds no Board51 messages.  A damaged file raises it after
+            all intact records have been delivered.
     """
     reader = LogReader(path)
     last_ns = None

@@ -1,13 +1,13 @@
-"""One pass over the bytes of an MCAP file, finished or not: messages out, damage noted, nothing raised after opening.
+"""Reads the messages of an MCAP file in one pass, finished or damaged; raises no errors after opening.
 
-The `mcap` package's stream reader stops with an exception at the first byte that is not there, and its indexed reader
-wants an end that a killed process never wrote.  This one goes on.
+The stream reader of the `mcap` package stops with an exception at the first missing byte, and its indexed reader
+needs the end of the file, which a killed process never wrote.  This reader continues after damage.
 
-Rule 1: only what is provably whole leaves: a chunk's CRC is checked; a chunk cut off by the end of the file gives the
-        messages before the cut, which decompression reproduces exactly or not at all.
-Rule 2: after damage the scan looks for the next chunk whose CRC is right, and goes on there: the first one behind what
-        was proven, wherever a damaged length may have led.
-Rule 3: every loss is a `Damage`: where, how many bytes, why.
+Rule 1: only verified data is delivered: the CRC of each chunk is checked.  A chunk cut off by the end of the file gives
+        the messages before the cut, which decompression reproduces exactly or not at all.
+Rule 2: after damage the scan continues at the next chunk with a correct CRC.  The search starts right behind the last
+        verified byte, because a damaged length may point anywhere.
+Rule 3: every loss is recorded as a `Damage`: offset, number of bytes, reason.
 
 Format: mcap.dev/spec.  A record is opcode (1 byte), length (8), content; integers are little-endian.
 """
@@ -50,12 +50,12 @@ class McapChannel(NamedTuple):
     id: int
     topic: str
     message_encoding: str
-    schema_id: int  # 0: it has none
-    schema: McapSchema | None  # None also where its description is lost
+    schema_id: int  # 0: the channel has no schema
+    schema: McapSchema | None  # None also if the schema record is lost
 
 
 class McapMessage(NamedTuple):
-    """As stored: not parsed."""
+    """A message as stored, not parsed."""
 
     channel: McapChannel
     time_ns: int
@@ -64,22 +64,22 @@ class McapMessage(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Damage:
-    """Bytes that could not be used."""
+    """A range of bytes that could not be read."""
 
     offset: int
     bytes: int
     reason: str
-    until_ns: int | None = None  # log time of the last message in it, where that can be told
+    until_ns: int | None = None  # log time of the last message in it, if known
 
     @property
     def is_cut(self) -> bool:
-        """The file just ends here: its writer was killed, or is still at it."""
+        """Whether the file ends here without its end mark: its writer was killed, or is still running."""
         return self.reason.startswith(_CUT)
 
 
 @dataclass(slots=True)
 class _Tail:
-    """What the summary at the end of a finished file says."""
+    """Summary at the end of a finished file."""
 
     first_ns: int | None = None
     last_ns: int | None = None
@@ -87,7 +87,7 @@ class _Tail:
 
 
 class Scan:
-    """A log file, opened.
+    """A log file, opened for one or more passes.
 
     `damages`, `finished` and `unknown_channel` are complete once `messages` has been exhausted.
 
@@ -109,29 +109,29 @@ class Scan:
 
     @property
     def indexed(self) -> bool:
-        """The file has its end: topics and times are known without a pass."""
+        """Whether the file has its index, so that topics and times are known without a pass."""
         return self._tail is not None
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """First and last log time by the index, where there is one."""
+        """First and last log time according to the index; None without an index."""
         tail = self._tail
         return None if tail is None or tail.first_ns is None or tail.last_ns is None else (tail.first_ns, tail.last_ns)
 
     def messages(self, *, start_ns: int = 0, end_ns: int = 1 << 64) -> Iterator[McapMessage]:
-        """All messages with start_ns <= log time < end_ns, in the order of the file."""
+        """Yield all messages with start_ns <= log time < end_ns, in the order of the file."""
         self.damages.clear()
         self.unknown_channel = 0
         self.finished = False
         with self.path.open("rb") as file:
-            at = proven = len(MAGIC)  # up to `proven` everything was as it was written
+            at = proven = len(MAGIC)  # everything before `proven` was verified
             while at < self.size:
                 file.seek(at)
                 head = file.read(_RECORD.size)
                 opcode, length = _RECORD.unpack(head) if len(head) == _RECORD.size else (0, 0)
                 end = at + _RECORD.size + length
                 if not (0 < opcode <= _LAST_OPCODE or opcode >= _FIRST_PRIVATE) or end > self.size:
-                    # Not from here: the length of a record before may have been damaged, and whole chunks skipped.
+                    # Search from `proven`, not from `at`: a damaged length may have skipped whole chunks.
                     resumed = _next_chunk(file, proven, self.size)
                     if resumed is None and opcode == _CHUNK:
                         yield from self._cut_chunk(file.read() if _seek(file, at + _RECORD.size) else b"", at)
@@ -150,7 +150,7 @@ class Scan:
                         continue
                     plain, problem = unpack(content)
                     if problem:
-                        end = min(end, _next_chunk(file, at + 1, self.size) or end)  # its length may be what is damaged
+                        end = min(end, _next_chunk(file, at + 1, self.size) or end)  # the length itself may be damaged
                         self._damage(at, end - at, problem, chunk=content)
                     else:
                         proven = end
@@ -180,7 +180,7 @@ class Scan:
         self._damage(at, self.size - at, f"{_CUT} a chunk ({retained} messages of it are whole)", chunk=content)
 
     def _inside(self, plain: bytes, *, cut: bool = False) -> Iterator[McapMessage]:
-        """The messages among the records in `plain`."""
+        """Yield the messages among the records in `plain`."""
         at, size = 0, len(plain)
         unpack_record, unpack_message, channels = _RECORD.unpack_from, _MESSAGE_HEAD.unpack_from, self.channels
         while at + 9 <= size:
@@ -202,7 +202,7 @@ class Scan:
             at += length
 
     def _take(self, opcode: int, content: bytes, at: int) -> None:
-        """Remember a schema, a channel or metadata; a malformed one is damage."""
+        """Store a schema, channel or metadata record; a malformed record is recorded as damage."""
         try:
             if opcode == _SCHEMA:
                 (schema_id,) = struct.unpack_from("<H", content)
@@ -226,7 +226,7 @@ class Scan:
             self._damage(at, len(content), "a malformed record")
 
     def _read_tail(self) -> _Tail | None:
-        """Schemas, channels and statistics from the summary, if the file has one."""
+        """Read schemas, channels and statistics from the summary; None if the file has no summary."""
         if self.size < len(MAGIC) + _FOOTER_BYTES:
             return None
         with self.path.open("rb") as file:
@@ -239,7 +239,7 @@ class Scan:
             file.seek(start)
             summary = file.read(self.size - _FOOTER_BYTES - start)
         if crc and zlib.crc32(footer[: _RECORD.size + 16], zlib.crc32(summary)) != crc:
-            return None  # a damaged index misleads: the pass finds the same in the data
+            return None  # do not use a damaged index: the pass finds the same records in the data
         tail = _Tail()
         at = 0
         while at + _RECORD.size <= len(summary):
@@ -260,7 +260,7 @@ class Scan:
 
 
 def _check(path: Path) -> int:
-    """The size of a file that begins as MCAP does."""
+    """Return the size of the file; raise DataError if it does not begin as an MCAP file."""
     remedy = f"Name the MCAP files in it: {path}/*.mcap" if path.is_dir() else "Name an MCAP file"
     with open_regular(path, remedy=remedy, what="Log ") as file:
         size = os.fstat(file.fileno()).st_size
@@ -291,7 +291,7 @@ def _why(head: bytes, opcode: int, end: int, size: int) -> str:
 
 
 def _next_chunk(file: BinaryIO, start: int, size: int) -> int | None:
-    """Offset of the next chunk whose CRC is right, from `start` on."""
+    """Return the offset of the next chunk with a correct CRC, from `start` on."""
     file.seek(start)
     data = file.read()
     at = data.find(_CHUNK)

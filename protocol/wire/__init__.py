@@ -1,1 +1,1 @@
-"""The UART: one frame, one body, a stream of them.  Start at `framing.py`."""
+"""The UART protocol: frames, message bodies and the stream of both.  Start with `framing.py`."""

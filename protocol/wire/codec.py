@@ -1,4 +1,4 @@
-"""Bodies from values and back, by the table of `messages.py`."""
+"""Encodes and decodes message bodies, driven by the table in `messages.py`."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class _Codec:
         return self.struct.pack(*flat)
 
     def unpack(self, body: bytes) -> dict[str, Value] | str:
-        """Values by field name, or the name of the first field out of range."""
+        """Return the values by field name, or the name of the first field that is out of range."""
         flat = iter(self.struct.unpack(body)[1:])
         values: dict[str, Value] = {}
         second: int | None = None
@@ -79,7 +79,7 @@ def _in_range(field: Field, value: Value) -> bool:
 
 
 def pack_pair(a: int, b: int) -> bytes:
-    """Two 12-bit counts in three bytes: a[7:0], b[3:0] a[11:8], b[11:4]."""
+    """Pack two 12-bit counts into three bytes: a[7:0], b[3:0] a[11:8], b[11:4]."""
     return (a | b << 12).to_bytes(3, "little")
 
 
@@ -94,11 +94,11 @@ BODY_SIZE = {row.name: _CODECS[row.type].struct.size for row in ROWS}
 
 
 def encode_body(name: str, /, **values: Value) -> bytes:
-    """The body of message `name`.
+    """Encode the body of message `name`.
 
     Raises:
-        ValueError: a field is out of its range or not of its type.
-        KeyError: a field of the row is not given, or there is no such message.
+        ValueError: a value is out of range or has the wrong type.
+        KeyError: a field is missing or unknown, or the message does not exist.
     """
     row = BY_NAME[name]
     unknown = values.keys() - {field.name for field in row.fields}
@@ -108,7 +108,7 @@ def encode_body(name: str, /, **values: Value) -> bytes:
 
 
 def decode_body(body: bytes) -> Message | str:
-    """The message, or the cause for which the body was rejected: `type`, `length` or `range`."""
+    """Decode a body; return the message, or the reason for its rejection: `type`, `length` or `range`."""
     codec = _CODECS.get(body[0]) if body else None
     if codec is None:
         return "type"

@@ -1,12 +1,13 @@
-"""UART bytes in, events out.  No I/O, no clock, no threads.
+"""Decodes the byte stream of the UART into events.  No I/O, no clock, no threads.
 
-Read `framing.py` first (one frame), then `messages.py` (one body), then this file (a stream of them).
-`protocol/README.md` draws the bytes; where they disagree, that page is right.
+Read `framing.py` first (one frame), then `messages.py` (one body), then this file (the stream).
+`protocol/README.md` shows the bytes; if they disagree, that page is right.
 
-Rule 1: no input raises.  Line noise is information about the link, so it leaves as a `BadFrame` and decoding goes on.
-Rule 2: chunking is invisible.  Any split of the same bytes gives the same events.
-Rule 3: a frame ends at 0x00 whatever came before: one damaged frame never costs the next one, because each has its
-        own delimiter at both ends.
+Rule 1: no input raises an error.  Line noise is information about the link: it is reported as a `BadFrame`, and
+        decoding continues.
+Rule 2: the result does not depend on how the bytes are split into reads.
+Rule 3: a frame ends at 0x00, whatever precedes it.  Each frame has a delimiter at both ends, so a damaged frame never
+        destroys the next one.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ CAUSES = ("cobs", "crc", "type", "length", "range", "oversize")
 
 
 class State(NamedTuple):
-    """A STATE frame, in counts.  A tuple, because 500 of them arrive each second from each board."""
+    """A STATE frame, in counts.  A tuple for speed: each board sends 500 of them per second."""
 
     sequence: int
     i_c: int
@@ -48,10 +49,10 @@ _STATE_SIZE = BODY_SIZE["STATE"] + 2
 
 
 class StreamDecoder:
-    """Takes a byte stream apart into states, messages and bad frames.
+    """Decodes a byte stream into states, messages and bad frames.
 
-    One per connection and direction.  `pending` bytes of an unfinished frame wait for their delimiter; a frame
-    that outgrows MAX_ENCODED is reported once as `oversize` when its delimiter comes.
+    Use one decoder per connection and direction.  The bytes of an unfinished frame (`pending` of them) wait for their
+    delimiter.  A frame longer than MAX_ENCODED is reported once, as `oversize`, when its delimiter arrives.
     """
 
     def __init__(self) -> None:
@@ -59,11 +60,11 @@ class StreamDecoder:
 
     @property
     def pending(self) -> int:
-        """Bytes waiting for their delimiter."""
+        """Number of bytes that wait for their delimiter."""
         return len(self._pending)
 
     def feed(self, data: bytes) -> list[Event]:
-        """The events that `data` completes, in order; never raises."""
+        """Return the events that `data` completes, in order; never raises."""
         *frames, rest = (self._pending + data).split(b"\x00")
         events: list[Event] = []
         for frame in frames:
@@ -73,7 +74,7 @@ class StreamDecoder:
                 events.append(BadFrame("oversize", frame[: MAX_ENCODED + 1]))
                 continue
             events.append(_decode(frame))
-        # What is kept of an endless frame is bounded: more would be a leak that line noise can trigger.
+        # Limit the bytes kept of an endless frame: otherwise line noise could exhaust the memory.
         self._pending = rest[: MAX_ENCODED + 1]
         return events
 

@@ -1,4 +1,4 @@
-"""What a `Session` tells of one board, in the order in which it happened."""
+"""Events that a `Session` reports about one board, in the order of their occurrence."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from protocol.wire.messages import EventCode, Message
 
 
 class Sample(NamedTuple):
-    """A state with its place in time."""
+    """A state with its tick."""
 
     tick: int
     session: int
     lost_before: int
     state: State
-    arrived_s: float  # when it was read; earlier than the events around it where it had to wait for its successor
+    arrived_s: float  # when it was read; earlier than neighbouring events if it waited for its successor
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +36,9 @@ class VersionRefused:
 
 @dataclass(frozen=True, slots=True)
 class Restarted:
-    """The count of ticks ends here; `Opened` begins a new one.  `why`: 'tick', 'no-session'.
+    """The count of ticks ends; the next `Opened` begins a new one.  `why` is 'tick' or 'no-session'.
 
-    `doubtful`: first and last tick of the samples that may have been given wrong ticks before this was found.
+    `doubtful` holds the first and last tick of the samples that may have wrong ticks.
     """
 
     why: str
@@ -61,9 +61,10 @@ Outcome = Literal["ack", "nack", "timed-out", "cancelled"]
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """How a submitted command ended.
+    """Outcome of a submitted command.
 
-    `message` is the board's answer (ack, nack); `why` says what cancelled it: 'stop', 'board-reset', 'disconnected'.
+    `message` is the board's answer (ack, nack); `why` is the reason of a cancellation: 'stop', 'board-reset',
+    'disconnected'.
     """
 
     token: int

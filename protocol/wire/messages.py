@@ -1,9 +1,9 @@
-"""THE table of UART messages: one row drives encode, decode (`codec.py`) and the interface page.
+"""The table of all UART messages: one row defines encoding, decoding (`codec.py`) and the interface page.
 
-Read `framing.py` for what is around a body.  A body is the type byte and then the fields of its row, little-endian,
-without padding.  All process values are converter counts: what one count is worth the board says in IDENTITY.
+`framing.py` describes the frame around a body.  A body is the type byte followed by the fields of its row,
+little-endian, without padding.  All process values are converter counts; IDENTITY contains their scalings.
 
-`protocol/README.md` is the page a firmware author works from; a test compares its field tables with this file.
+`protocol/README.md` is the reference for firmware authors; a test compares its field tables with this file.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-VERSION = 1  # of the protocol; the board answers HELLO with the one it chose
+VERSION = 1  # protocol version; the board's answer to HELLO contains the version it chose
 COUNTS_MAX = 4095  # 12-bit converters
 
 
 class Mode(IntEnum):
-    """What drives the coil."""
+    """Source of the coil's input."""
 
     IDLE = 0
     OPEN_LOOP = 1
@@ -54,9 +54,9 @@ class Shape(IntEnum):
 
 
 class HostLoss(IntEnum):
-    """What the board does when no valid frame came for the time-out."""
+    """Reaction of the board when no valid frame has arrived within the time-out."""
 
-    KEEP = 0  # go on as commanded
+    KEEP = 0  # continue as commanded
     COIL_OFF = 1  # mode IDLE
     HOLD = 2  # closed loop: keep regulating, excitation off; otherwise as COIL_OFF
 
@@ -292,7 +292,7 @@ Value = int | float | bytes
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A body taken apart: its row's name and the fields by name."""
+    """A decoded body: name of its row, and values by field name."""
 
     name: str
     values: dict[str, Value]

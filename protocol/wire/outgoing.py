@@ -1,8 +1,8 @@
-"""Commands on their way to one board, and what the port is given to write.
+"""Queue of the commands to one board, and the bytes to write to its port.
 
-Rule: nothing waits as bytes.  `SendQueue.output` gives one frame at a time, when the port has room, and a command that
-      was given up or cancelled has no frame any more; the rest of one that was begun is dropped, and the board's CRC
-      drops what it got.  A STOP alone goes out also after it was given up: it can do no harm late.
+Rule: frames do not wait in a buffer of bytes.  `SendQueue.output` gives one frame at a time, when the port has room.  A
+      command that was given up or cancelled is not sent.  If its frame is partly written, the rest is dropped, and the
+      board rejects the part by its CRC.  A STOP is sent even after it was given up: a late STOP is harmless.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ ANSWERS = {
 
 @dataclass(slots=True, eq=False)
 class Command:
-    """One command, from its submission to its answer."""
+    """A command between its submission and its answer."""
 
-    token: int  # 0: the session's own
+    token: int  # 0: a command of the session itself
     name: str
     values: dict[str, Value]
     id: int = 0
     frame: bytes = b""
-    tries: int = 0  # times that it was to be written
-    attempts: int = 0  # times that at least one byte of it was
-    deadline_s: float = 0.0  # waiting: to be begun until then; outstanding: to be answered until then
+    tries: int = 0  # how often it was scheduled for writing
+    attempts: int = 0  # how often at least one byte of it was written
+    deadline_s: float = 0.0  # waiting: latest start of writing; outstanding: latest time of the answer
 
     def number(self, new_id: int) -> None:
-        """Give it its id, and with it its frame."""
+        """Set the id, and encode the frame with it."""
         self.id = new_id
         self.frame = encode_frame(encode_body(self.name, id=new_id, **self.values))
 
     def is_answered_by(self, message: Message) -> bool:
-        """Whether `message`, which has the right id, is of the kind that answers this."""
+        """Return whether `message`, which has the same id, is of a type that answers this command."""
         if message.name in ("ACK", "NACK"):
             good = message.int("command") == BY_NAME[self.name].type
             return good and (message.name == "NACK" or self.name not in ANSWERS)
@@ -51,26 +51,26 @@ class Command:
 
 
 class SendQueue:
-    """What is to be written next: the frames of commands in order, a STOP first."""
+    """Frames to write: commands in their order, a STOP before all others."""
 
     def __init__(self) -> None:
         self._due: deque[Command] = deque()
-        self._writer: Command | None = None  # whose frame was begun
-        self._rest = b""  # of that frame
+        self._writer: Command | None = None  # command whose frame is partly written
+        self._rest = b""  # unwritten rest of that frame
 
     def clear(self) -> None:
-        """A fresh connection: nothing is due, nothing was begun."""
+        """Discard everything, for a new connection."""
         self._due.clear()
         self._rest = b""
 
     def output(self) -> bytes:
-        """One frame, or the rest of it; nothing where b""."""
+        """Return the next frame, or the rest of the current one; b"" if there is none."""
         if self._rest:
             return self._rest
         return self._due[0].frame if self._due else b""
 
     def wrote(self, count: int) -> None:
-        """The port has taken this many bytes of `output`."""
+        """Note that the port has accepted `count` bytes of `output`."""
         if not self._rest and count:
             self._writer = self._due.popleft()
             self._writer.attempts += 1
@@ -78,7 +78,7 @@ class SendQueue:
         self._rest = self._rest[count:]
 
     def take(self) -> bytes:
-        """All of it, for a port that takes everything."""
+        """Return all bytes to write, for a port that accepts any number of bytes."""
         taken = bytearray()
         while data := self.output():
             taken += data
@@ -86,7 +86,7 @@ class SendQueue:
         return bytes(taken)
 
     def add(self, command: Command) -> None:
-        """It is to be written, if it does not wait for that already."""
+        """Schedule a command for writing unless it is scheduled already."""
         if command in self._due:
             return
         if command.name == "STOP":
@@ -95,17 +95,17 @@ class SendQueue:
             self._due.append(command)
 
     def withdraw(self, command: Command) -> None:
-        """It need not be written again; a STOP that is to be is, whatever became of it."""
+        """Cancel the repetition of a command; a scheduled STOP is written nevertheless."""
         if command in self._due and command.name != "STOP":
             self._due.remove(command)
 
     def drop(self, command: Command) -> None:
-        """It must not act any more."""
+        """Remove a command that must not act any more, including the rest of its frame."""
         self.withdraw(command)
         if command is self._writer and command.name != "STOP":
             self._rest = b""
 
     def spare(self, stop: Command) -> None:
-        """A STOP that was given up need not go out where another one does."""
+        """Remove a STOP that was given up, because another STOP is scheduled."""
         if stop in self._due and sum(c.name == "STOP" for c in self._due) > 1:
             self._due.remove(stop)

@@ -1,20 +1,19 @@
-"""The host's side of the conversation with one board: bytes and time in, events and bytes out.  No I/O, no clock.
+"""The host's side of the protocol with one board: bytes and time in, events and bytes out.  No I/O, no clock.
 
-Read `events.py` (what comes out) and `unwrap.py` (how states get their tick) first; `protocol/README.md` states the
-board's side.
+Read `events.py` (the output) and `unwrap.py` (ticks of states) first; `protocol/README.md` specifies the board's side.
 
 Rule 1: one command is outstanding; the others wait in order.  STOP does not wait: it goes out at once, and whatever
         was waiting that could move the ball is cancelled, because a command given before STOP must not act after it.
 Rule 2: a command is repeated with the same id, at most `retries` times.  Every submitted command ends in exactly one
         `Answer`, also when the board restarts or the connection ends (STOPs that share a token: in one for all).
-Rule 3: after a reset of the board nothing that was under way counts; the handshake is made again and the session
-        number goes up.
-Rule 4: nothing waits as bytes (`outgoing.py`): what was given up or cancelled does not go out any more.
-Rule 5: a pipe may swallow frames that its other end reads much later.  So what changes something goes out only while
-        the board has answered within PROVEN_S and no command was given up since; else a PING asks first.  Whatever
-        has not begun to go out within its `wait_s` is given up with 0 attempts: it has not acted and never will.
-Rule 6: time comes in as `now_s` (any monotonic clock, seconds); feed what was read before calling `poll`, so that an
-        answer that waited in a buffer is not mistaken for a missing one.
+Rule 3: a reset of the board cancels all commands; the handshake is repeated and the session number increases.
+Rule 4: frames do not wait in a buffer of bytes (`outgoing.py`): a command that was given up or cancelled is not sent.
+Rule 5: a pipe may accept frames that the board reads much later.  A command that changes something is therefore sent
+        only if the board has answered within PROVEN_S and no command was given up since; otherwise a PING is sent
+        first.  A command that was not begun within its `wait_s` is given up with 0 attempts: it has not acted and
+        never will.
+Rule 6: the caller passes the time as `now_s` (any monotonic clock, seconds).  Feed the bytes that were read before
+        calling `poll`, so that an answer in a buffer does not count as missing.
 """
 
 from __future__ import annotations
@@ -32,34 +31,34 @@ from protocol.wire.outgoing import ANSWERS, Command, SendQueue
 from protocol.wire.unwrap import Jump, TickUnwrapper
 
 MOVERS = frozenset({"SET_MODE", "SET_REFERENCE", "SET_GAINS", "EXCITE", "CAPTURE"})
-WAIT_S = 2.0  # a command that could not begin to go out for this long is given up: nobody expects it to act any more
-PROVEN_S = 0.5  # twice the time between two PINGs that keep the default host-loss time-out away
-MAX_STOPS = 8  # unanswered at a time: more would fill the line with STOPs, and no answer would come in time
+WAIT_S = 2.0  # a command that cannot be sent within this time is given up: its sender no longer expects it to act
+PROVEN_S = 0.5  # twice the time between two PINGs at the default host-loss time-out
+MAX_STOPS = 8  # unanswered at a time: more would fill the line with STOPs and delay the answers
 
 
 @dataclass(slots=True, kw_only=True)
 class Counters:
-    """What one board's sessions have seen, over all connections."""
+    """Counters of one board's sessions, over all connections."""
 
     valid_frames: int = 0
     states: int = 0  # valid STATE frames; each is a sample, counted by the unwrapper, or ignored, see `states_ignored`
     samples: int = 0
-    states_without_session: int = 0  # nothing said what a count is worth
+    states_without_session: int = 0  # the scalings were not known
     bad_frames: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CAUSES, 0))
-    stray_answers: int = 0  # to nothing that is under way: late ones, doubled ones, an echo
-    late_answers: int = 0  # those of them that only a board sends
+    stray_answers: int = 0  # answers without an outstanding command: late, duplicated, or an echo
+    late_answers: int = 0  # stray answers of types that only a board sends
     events_lost: int = 0
     board_resets: int = 0
 
 
 class Session:
-    """One board's conversation.  `connect` when the port is open, `disconnect` when it is gone.
+    """Protocol session with one board.  Call `connect` when the port is open, `disconnect` when it is lost.
 
     Args:
         choose_session: gives a random 16-bit number for each handshake.
         timeout_s: wait for an answer before repeating.
         retries: repetitions before giving up.
-        hello_s: between two HELLO while nobody answers.
+        hello_s: time between two HELLO without an answer.
         first_number: of the first session; later ones count up.
     """
 
@@ -82,20 +81,20 @@ class Session:
         self._decoder = StreamDecoder()
         self._sending = SendQueue()
         self._queue: deque[Command] = deque()
-        self._outstanding: dict[int, Command] = {}  # the one command, and a STOP beside it
+        self._outstanding: dict[int, Command] = {}  # at most one command, and a STOP
         self._hello: Command | None = None
-        # Not from 1: without a session the board may still hold answers to the ids of the host before us, and a STOP
-        # with such an id would be answered but not executed.
+        # Ids do not start from 1: without a session the board may still keep answers to ids of the previous host, and
+        # it would answer a STOP with such an id without executing it.
         self._next_id = choose_session() & 0xFF
         self._next_token = 0
         self._proven_s = -math.inf  # the board has answered
         self._identity: Message | None = None
         self._last_event: Message | None = None
-        self._pending: list[Event] = []  # outcomes that arose outside `feed` and `poll`
+        self._pending: list[Event] = []  # outcomes that occurred outside `feed` and `poll`
 
     @property
     def states_ignored(self) -> dict[str, int]:
-        """Valid STATE frames that became no sample, by cause; at most two more wait for their successor."""
+        """Valid STATE frames that gave no sample, by cause; at most two more wait for their successor."""
         unwrapper = self.unwrapper
         return {
             "no-session": self.counters.states_without_session,
@@ -106,17 +105,17 @@ class Session:
 
     @property
     def waiting(self) -> int:
-        """Commands not answered yet."""
+        """Number of commands that are not answered yet."""
         return len(self._queue) + len(self._outstanding)
 
     def connect(self, now_s: float) -> None:
-        """Begin the handshake on a fresh connection."""
+        """Begin the handshake on a new connection."""
         self._decoder = StreamDecoder()
         self._sending.clear()
         self._shake(now_s)
 
     def disconnect(self) -> list[Event]:
-        """The port is gone: everything under way is cancelled."""
+        """Cancel all commands, after the loss of the port."""
         self._cancel(lambda _: True, "disconnected")
         if self._hello is not None:
             self._sending.drop(self._hello)
@@ -129,7 +128,7 @@ class Session:
     def submit(self, name: str, now_s: float, wait_s: float = WAIT_S, /, **values: Value) -> int:
         """Queue a command and return its token; it waits for the handshake, STOP does not.
 
-        While MAX_STOPS are not answered, and repeated until they are, what is asked for shares the STOP after them, and
+        While MAX_STOPS are not answered, and repeated until they are, further STOPs share the STOP after them, and
         its token.
 
         Args:
@@ -141,7 +140,7 @@ class Session:
         Raises:
             ValueError: a value is out of the range of its field.
         """
-        encode_body(name, id=1, **values)  # refuse what cannot be sent before it gets a place in the queue
+        encode_body(name, id=1, **values)  # refuse invalid values before queueing
         if name == "STOP":
             self._cancel(lambda c: c.name in MOVERS, "stop")
             shared = next((c for c in self._queue if c.name == "STOP"), None)
@@ -154,24 +153,24 @@ class Session:
         return command.token
 
     def output(self) -> bytes:
-        """What to write to the UART next: one frame, or the rest of it; nothing where b""."""
+        """Return the next bytes for the UART: one frame, or the rest of one; b"" if there is none."""
         return self._sending.output()
 
     def wrote(self, count: int) -> None:
-        """The port has taken this many bytes of `output`."""
+        """Note that the port has accepted `count` bytes of `output`."""
         self._sending.wrote(count)
 
     def take_output(self) -> bytes:
-        """All that is to be written, for a port that takes everything."""
+        """Return all bytes to write, for a port that accepts any number of bytes."""
         return self._sending.take()
 
     def take_outcomes(self) -> list[Event]:
-        """Commands that ended within `submit`: those that a STOP cancelled."""
+        """Return the outcomes of commands that ended within `submit`, because a STOP cancelled them."""
         pending, self._pending = self._pending, []
         return pending
 
     def feed(self, data: bytes, now_s: float) -> list[Event]:
-        """Bytes read at `now_s`; never raises, whatever they are."""
+        """Process bytes read at `now_s` and return the events; never raises."""
         events: list[Event] = []
         good = states = samples = 0
         unwrapper = self.unwrapper
@@ -206,7 +205,7 @@ class Session:
         return events + self.take_outcomes() if self._pending else events
 
     def poll(self, now_s: float) -> list[Event]:
-        """Repeat or give up what was not answered in time."""
+        """Repeat or give up commands that were not answered in time."""
         if self._hello is not None and now_s >= self._hello.deadline_s:
             self._transmit(self._hello, now_s, self._hello_s)
         for command in list(self._outstanding.values()):
@@ -232,7 +231,7 @@ class Session:
         if message.name == "EVENT":
             self._event(message, now_s, events)
             return
-        if BY_NAME[message.name].to_board:  # our own echo, or noise
+        if BY_NAME[message.name].to_board:  # an echo of the host, or noise
             self.counters.stray_answers += 1
             return
         hello = self._hello
@@ -253,7 +252,7 @@ class Session:
                 self._restart(events, "no-session", board_reset=True, now_s=now_s)
             return
         self._answer(command, "ack", message)
-        # The answer to a repeated PING is the kept one: its tick is that of the first.
+        # A repeated PING gets the stored answer: its tick is that of the first PING.
         if message.name == "PONG" and command.attempts == 1:
             self._witness(message.int("tick"), now_s, events)
         elif command.name == "SET_STREAM":
@@ -283,10 +282,10 @@ class Session:
     def _event(self, message: Message, now_s: float, events: list[Event]) -> None:
         last, self._last_event = self._last_event, message
         if last is not None and last.values == message.values:
-            return  # the line doubled it
+            return  # a duplicate
         code = EventCode(message.int("code"))
         missed = 0
-        if last is not None and code not in RESETS:  # with a reset the numbers begin anew
+        if last is not None and code not in RESETS:  # a reset restarts the numbers
             missed = (message.int("number") - last.int("number") - 1) & 0xFF
             self.counters.events_lost += missed
         events.append(BoardEvent(message.int("tick"), code, message.int("detail"), missed))
@@ -300,7 +299,7 @@ class Session:
                 self._jumped(jump, now_s, events)
 
     def _ask_tick(self, now_s: float) -> None:
-        """A full tick contradicts the count: a second one decides, and soon."""
+        """Send a PING soon: a full tick contradicts the count, and a second one decides."""
         if not any(c.name == "PING" for c in [*self._outstanding.values(), *self._queue]):
             self.submit("PING", now_s)
 
@@ -316,9 +315,9 @@ class Session:
         now_s: float,
         doubtful: tuple[int, int] | None = None,
     ) -> None:
-        """Nothing is continuous with before: cancel, forget the identity, shake hands again."""
+        """Cancel all commands, discard the identity and repeat the handshake, after a loss of continuity."""
         if not self.is_open:
-            return  # the handshake is being made already
+            return  # the handshake is in progress already
         if board_reset:
             self.counters.board_resets += 1
         self._cancel(lambda _: True, "board-reset")
@@ -328,7 +327,7 @@ class Session:
     # -- commands to the board
 
     def _shake(self, now_s: float) -> None:
-        """HELLO with a new session; states are ignored until it is answered, for nothing says what a count is worth."""
+        """Send HELLO with a new session; states are ignored until the answer, which contains the scalings."""
         self.is_open = False
         self._identity = None
         self.unwrapper.give_up()
@@ -361,7 +360,7 @@ class Session:
         self._outstanding[command.id] = command
         old, new = self.unwrapper.divider, command.values.get("divider")
         if command.name == "SET_STREAM" and old is not None and isinstance(new, int):
-            self.unwrapper.divider = max(old, new)  # until the ACK: which frames are of which rate cannot be told
+            self.unwrapper.divider = max(old, new)  # until the ACK, the rate of a frame is not known
         self._transmit(command, now_s, self._timeout_s)
         self._set_deadline()
 

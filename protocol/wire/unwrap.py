@@ -1,6 +1,6 @@
-"""Sixteen-bit sequence numbers in, board ticks out.  No clock: every call is told the time.
+"""Converts the 16-bit sequence numbers of states into board ticks.  No clock: the caller passes the time.
 
-Rule 1: a tick is published once and in rising order; what cannot be placed is counted, never guessed.
+Rule 1: a tick is published once and in rising order; states that cannot be placed are counted, never guessed.
 Rule 2: a frame can be late, never early.  Since the best arrival so far says when tick 0 was, a sequence that would
         lie in the future is either noise that passed the CRC (once in 65536) or a restarted board.
 Rule 3: no single frame moves the count.  The one witness besides the frame itself is, for the step of the stream, the
@@ -8,7 +8,7 @@ Rule 3: no single frame moves the count.  The one witness besides the frame itse
         count, another full tick.  Until then the frame is held; if the next one goes on from the old count, the held
         one was noise (`implausible`).
 Rule 4: what sequences cannot tell, the number of wraps, is not concluded from them: after half a wrap without a state
-        or a full tick, or a step forward that the host's clock does not allow, the count ends and is asked for anew.
+        or a full tick, or a step forward that the host's clock does not allow, the count ends and is requested again.
 Rule 5: losses are counted against the divider of the stream; while it is not known, against the smallest step seen.
 """
 
@@ -24,11 +24,11 @@ _TICK_BITS = 32
 _EARLY_TICKS = 25  # 50 ms at T_s = 2 ms: queueing of the anchoring answer, drift of both clocks between two anchors
 _LATE_TICKS = 256  # an answer overtaken by this many states still speaks of the same run of the board
 _LEAD_WINDOW_S = 10.0  # the best arrival is forgotten after at most twice this, so that clock drift does not add up
-_CLAIM_S = 1.0  # a contradiction that nobody repeats within this is dropped: the count has its own witnesses
+_CLAIM_S = 1.0  # a contradiction that no second full tick confirms within this time is dropped
 
 
 class Placed(NamedTuple):
-    """A state with its place in time."""
+    """A state with its tick."""
 
     tick: int  # since the board's reset
     lost_before: int  # states missing directly before this one
@@ -37,22 +37,22 @@ class Placed(NamedTuple):
 
 
 class Jump(NamedTuple):
-    """The count cannot go on; nothing is placed until the next `restart`."""
+    """The count of ticks ends; no state is placed until the next `restart`."""
 
     board_reset: bool  # False: the board may never have restarted, but continuity cannot be claimed
     doubtful: tuple[int, int] | None = None  # ticks, first and last, placed since a full tick agreed for the last time
 
 
 class TickUnwrapper:
-    """Follows one board's tick.  Call `restart` with a tick heard in full before the first `feed`.
+    """Tracks one board's tick.  Call `restart` with a full tick before the first `feed`.
 
-    Every state fed is placed, counted in `duplicates`, `implausible` or `unplaced`, or waits: at most two do.
+    Every state is placed, counted in `duplicates`, `implausible` or `unplaced`, or waits (at most two do).
     """
 
     def __init__(self) -> None:
         self.duplicates = 0
         self.implausible = 0
-        self.unplaced = 0  # good perhaps, but the count ended, or was in doubt, before a second witness came
+        self.unplaced = 0  # possibly valid, but the count ended, or was in doubt, before a second frame confirmed them
         self.lost = 0
         self.divider: int | None = None  # None: not known
         self._smallest_step = WRAP
@@ -72,16 +72,16 @@ class TickUnwrapper:
 
     @property
     def last_tick(self) -> int:
-        """The newest tick placed; before the first one, what the anchor said."""
+        """The newest tick placed; before the first one, the tick of the anchor."""
         return max(self._last, 0)
 
     @property
     def in_doubt(self) -> bool:
-        """A full tick has contradicted the count: another one is wanted."""
+        """Whether a full tick contradicts the count, so that a second full tick is needed."""
         return self._claim is not None
 
     def restart(self, tick: int, now_s: float, *, sample_time_s: float | None = None) -> None:
-        """Begin a count near `tick`, heard in full at `now_s`; T_s in seconds where it is news."""
+        """Begin a count at the full tick `tick`, received at `now_s`; pass T_s in seconds if it is new."""
         if sample_time_s is not None:
             self._rate = 1.0 / sample_time_s
             self._sure_s = _HALF_WRAP / self._rate
@@ -96,18 +96,18 @@ class TickUnwrapper:
         self._window_end_s = now_s + _LEAD_WINDOW_S
 
     def give_up(self) -> None:
-        """Nothing comes any more that could place what waits."""
+        """Count the waiting states as unplaced: no further states follow."""
         self.unplaced += (self._gap is not None) + (self._unexpected is not None)
         self._gap = self._unexpected = self._claim = None
 
     def stream(self, divider: int) -> None:
-        """The board sends every n-th tick from now on; 0: none, and what it does not send is not lost."""
+        """Set the divider: the board sends every n-th tick (0: none); ticks that it skips are not losses."""
         self.divider = divider or None
         if not divider:
             self._first, self._quick = True, False
 
     def witness(self, tick: int, now_s: float) -> Jump | None:
-        """A tick heard in full, modulo 2^32 (PONG, EVENT): it agrees, contradicts, or is the second that does."""
+        """Compare a full tick, modulo 2^32 (PONG, EVENT), with the count; a second contradiction gives a Jump."""
         tick = self._last + _signed(tick - self._last)
         if self._last - _LATE_TICKS <= tick <= max(self._latest(now_s), self._last + _EARLY_TICKS):
             self._claim = None
@@ -126,7 +126,7 @@ class TickUnwrapper:
         return Jump(ahead < 0, doubtful)
 
     def feed(self, state: State, now_s: float) -> list[Placed | Jump]:
-        """Place a state that arrived at `now_s`; nothing, one, or with what had waited several results."""
+        """Place a state that arrived at `now_s`; return no, one, or (with states that waited) several results."""
         step = (state.sequence - self._last) & 0xFFFF
         if step == self.divider and self._quick and now_s - self._last_s < self._sure_s:
             self._last += step
@@ -135,7 +135,7 @@ class TickUnwrapper:
         return self._feed_slowly(state, now_s)
 
     def settle(self, now_s: float) -> None:
-        """Once per read, after its states: the newest of them is the best witness of the board's clock."""
+        """Update the estimate of the board's clock from the newest state; call it once per read, after its states."""
         if not self._first:
             self._arrived(self._last, now_s)
 
@@ -201,7 +201,7 @@ class TickUnwrapper:
         return [Jump(board_reset)]
 
     def _candidate(self, sequence: int) -> int:
-        """The first tick after the last one placed, or after the newest witness, with this sequence number."""
+        """Return the first tick with this sequence number after the last placed tick or the newest full tick."""
         start = max(self._last, self._witnessed - _LATE_TICKS)
         tick = start + 1 + ((sequence - start - 1) & 0xFFFF)
         return tick if tick >= 0 else tick + WRAP
@@ -224,7 +224,7 @@ class TickUnwrapper:
             self.implausible += 1
 
     def _fits_claim(self, state: State, now_s: float) -> bool:
-        """Whether the state speaks for the full tick that contradicts the count as much as for the count."""
+        """Return whether the state fits the full tick that contradicts the count as well as the count."""
         if self._claim is None:
             return False
         tick, said_s = self._claim
@@ -235,7 +235,7 @@ class TickUnwrapper:
         return since <= 2 * _LATE_TICKS + (now_s - said_s) * self._rate
 
     def _latest(self, now_s: float) -> float:
-        """No tick can be later than this by our clock."""
+        """Return the latest tick that is possible by the host's clock."""
         return now_s * self._rate + self._lead + _EARLY_TICKS
 
     def _agreed(self, tick: int, now_s: float) -> None:
@@ -255,6 +255,6 @@ class TickUnwrapper:
 
 
 def _signed(ticks: int) -> int:
-    """The nearest difference that is equal to `ticks` modulo 2^32."""
+    """Return the difference of smallest magnitude that equals `ticks` modulo 2^32."""
     half = 1 << _TICK_BITS - 1
     return (ticks + half) % (1 << _TICK_BITS) - half

@@ -1,4 +1,4 @@
-"""The board's firmware: bytes from the host in, ticks of the loop, frames out.  No I/O, no clock, no threads.
+"""The board's firmware: processes bytes from the host, runs the control loop, sends frames.  No I/O, clock or threads.
 
     firmware = Firmware(EmulatedPlant(), board_id=1)
     firmware.feed(frame)               # between two ticks
@@ -48,23 +48,23 @@ _PRIORITY = {"EVENT": Priority.EVENT, "CAPTURE_BLOCK": Priority.CAPTURE_BLOCK}
 
 
 class AnalogSide(Protocol):
-    """What the converters are connected to; `plant.Plant` is one."""
+    """Analog side of the converters; `plant.EmulatedPlant` implements it."""
 
     def advance(self, u_v: float, duration_s: float) -> None:
-        """Let time pass with the input held."""
+        """Advance the time with the input held."""
 
     def sense(self) -> tuple[float, float]:
-        """(i_c in A, x in m) now."""
+        """Return the current readings (i_c in A, x in m)."""
 
     def drop_sample(self) -> bool:
-        """Whether this tick's STATE is lost on the board."""
+        """Return whether this tick's STATE is lost on the board."""
 
 
 class Firmware:
-    """One board, powered on.
+    """A board, powered on.
 
     Args:
-        plant: The analog side; the firmware moves its time.
+        plant: Analog side; the firmware advances its time.
         board_id: Serial number in IDENTITY.
     """
 
@@ -98,17 +98,17 @@ class Firmware:
         self._emit(cause, self._resets)
 
     def reset(self, cause: EventCode) -> None:
-        """Restart: coil off, silence for the time of a boot, then tick 0; a power cycle also clears the count."""
+        """Restart: coil off, no output during the boot, then tick 0; a power cycle also clears the count of resets."""
         self._resets = 0 if cause == EventCode.RESET_POWER_ON else min(self._resets + 1, 0xFFFF)
         self._boot(cause)
         self._dead_ticks = BOOT_TICKS
 
     def hang(self) -> None:
-        """The program counter is lost: no loop, no answers, u_c as it was, until the watchdog resets the board."""
+        """Hang the program: no loop, no answers, u_c unchanged, until the watchdog resets the board."""
         self._hung_ticks = WATCHDOG_TICKS
 
     def overrun(self) -> None:
-        """The next tick comes late by the board's own account."""
+        """Let the board report the next tick as late."""
         self._overruns = min(self._overruns + 1, 0xFFFF)
         self.loop.overrun = True
         if self._ticks_since_overrun_event >= TICKS_PER_S:
@@ -116,14 +116,14 @@ class Firmware:
             self._emit(EventCode.OVERRUN, 0)
 
     def feed(self, data: bytes, *, into_tick_us: int = 0) -> None:
-        """Bytes from the host, at this time after the last tick; never raises."""
+        """Process bytes from the host, `into_tick_us` after the last tick; never raises."""
         if self._hung_ticks or self._dead_ticks:
             return
         for body in self._inbox.feed(data):
             self._receive(body, min(into_tick_us, T_S_US))
 
     def tick(self) -> None:
-        """T_s of plant time with the input held, then one run of the loop."""
+        """Advance the plant by T_s with the input held, then run the loop once."""
         self._advance_to(T_S_US)
         self._elapsed_us = 0
         if self._dead_ticks:
@@ -148,20 +148,20 @@ class Firmware:
         self._ticks_since_overrun_event += 1
 
     def take_frame(self) -> bytes:
-        """The frame that goes on the line next, or nothing."""
+        """Return the next frame for the line, or b""."""
         return b"" if self._dead_ticks else self.outbox.take()
 
     def take_output(self) -> bytes:
-        """All frames waiting, in the order of the line."""
+        """Return all waiting frames, in the order of transmission."""
         return b"".join(iter(self.take_frame, b""))
 
     @property
     def bad_frames(self) -> int:
-        """Frames rejected since the reset."""
+        """Number of frames rejected since the reset."""
         return self._inbox.bad_frames
 
     def _advance_to(self, time_us: int) -> None:
-        """Bring the plant to this time after the last tick, taking capture samples on the way."""
+        """Advance the plant to this time after the last tick, taking capture samples on the way."""
         loop = self.loop
         while self._elapsed_us < time_us:
             step_us = time_us - self._elapsed_us
@@ -263,7 +263,7 @@ class Firmware:
         return identity(self._board_id, self.next_tick, self._reset_cause)
 
     def _leave(self) -> bool:
-        """Whether the RESET that was acknowledged happens now."""
+        """Return whether an acknowledged RESET is due."""
         self._reset_wait -= 1
         if self._reset_wait and self.outbox.waiting(Priority.ANSWER):
             return False

@@ -1,4 +1,4 @@
-"""A burst of i_c at 25 kHz around a step of u_c: rule 12 of protocol/README.md.
+"""Captures a burst of i_c at 25 kHz around a step of u_c: rule 12 of protocol/README.md.
 
     u_from for 20 ms | u_from, `pre` samples | u_to, the rest of `count` samples | as the mode says
                      ^ sample 0 = `began_tick`
@@ -15,7 +15,7 @@ from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES
 
 
 class FirmwareCapture:
-    """One capture, from the command on; knows its input, is told the samples."""
+    """A capture: gives the input over time, and stores the samples."""
 
     def __init__(self, *, u_from: int, u_to: int, pre: int, count: int, tick: int) -> None:
         self.total = count
@@ -33,24 +33,24 @@ class FirmwareCapture:
 
     @property
     def done(self) -> bool:
-        """All samples are taken and the last one's 40 us are over."""
+        """Whether all samples are taken and the 40 us of the last one are over."""
         return len(self._samples) == self.total and self._start_us <= 0
 
     def time_to_sample_us(self) -> int:
-        """Until the next sample is due; 0: now.  After the last one: until the capture is over."""
+        """Time until the next sample is due (0: now); after the last sample, until the end of the capture."""
         return self._start_us
 
     def pass_time(self, duration_us: int) -> None:
-        """Let time pass, at most `time_to_sample_us()`."""
+        """Advance the time, by at most `time_to_sample_us()`."""
         self._start_us -= duration_us
 
     def take(self, i: int) -> None:
-        """Keep the sample that is due."""
+        """Store the sample that is due."""
         self._samples.append(i)
         self._start_us = CAPTURE_US
 
     def block(self, index: int) -> bytes:
-        """Up to 32 samples from `index` on, packed in pairs, filled up with 0: 48 bytes."""
+        """Return up to 32 samples from `index` on, packed in pairs, filled with 0 to 48 bytes."""
         part = self._samples[index : index + CAPTURE_BLOCK_SAMPLES]
         part += [0] * (CAPTURE_BLOCK_SAMPLES - len(part))
         return b"".join(pack_pair(a, b) for a, b in zip(part[::2], part[1::2], strict=True))

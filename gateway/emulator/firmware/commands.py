@@ -1,7 +1,7 @@
-"""What each command does to the loop, and why it may be refused: rules 6 to 8, 12 and 15 of protocol/README.md.
+"""Execution of commands on the control loop, and their refusals: rules 6 to 8, 12 and 15 of protocol/README.md.
 
-A handler gets the loop, the message and the tick that comes next, and returns a `Nack` or the `Acceptance`.  It changes
-something only when it does not refuse.  The commands of session, stream and host loss are executed in `board.py`.
+A handler takes the loop, the message and the next tick, and returns a `Nack` or an `Acceptance`.  A refused command
+changes nothing.  `board.py` executes the commands of session, stream and host loss.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from protocol.wire.messages import BY_TYPE, VERSION, EventCode, HostLoss, Messag
 
 @dataclass(frozen=True, slots=True)
 class Nack:
-    """A NACK: why, and the bound or the mode in the way."""
+    """A NACK: its reason, and the violated bound or the current mode."""
 
     reason: Reason
     detail: int = 0
@@ -38,7 +38,7 @@ class Nack:
 
 @dataclass(frozen=True, slots=True)
 class Acceptance:
-    """The message that answers, without its id."""
+    """The answer to an accepted command, without its id."""
 
     name: str
     values: Mapping[str, Value]
@@ -48,15 +48,15 @@ Handler = Callable[[ControlLoop, Message, int], Nack | Acceptance]
 
 
 def acknowledge(message_type: int, tick: int) -> Acceptance:
-    """The plain ACK: in force from `tick` on."""
+    """Return an ACK: in force from `tick` on."""
     return Acceptance("ACK", {"command": message_type, "tick": tick})
 
 
 def refuse_range(body: bytes) -> Nack:
-    """The refusal of a command with a field outside its row's range, the nearest bound as detail.
+    """Return the refusal of a command with a field out of range, with the nearest bound as detail.
 
-    Fields are looked at one by one, as a firmware does that knows the offsets: the row's own decoder only says that
-    something is out of range.
+    Fields are checked one by one at their offsets, as in a real firmware: the decoder of the row does not report the
+    bound.
     """
     at = 1
     for field in BY_TYPE[body[0]].fields:
@@ -70,7 +70,7 @@ def refuse_range(body: bytes) -> Nack:
 
 
 def identity(board_id: int, tick: int, reset_cause: EventCode) -> Acceptance:
-    """The answer to HELLO: who this is and what a count is worth (rule 14)."""
+    """Return the answer to HELLO: identity and scalings (rule 14)."""
     major, minor = FIRMWARE
     return Acceptance(
         "IDENTITY",
@@ -98,7 +98,7 @@ def identity(board_id: int, tick: int, reset_cause: EventCode) -> Acceptance:
 
 
 def parameters(loop: ControlLoop, divider: int, policy: HostLoss, timeout_ms: int) -> Acceptance:
-    """The answer to GET_PARAMETERS: what is in force."""
+    """Return the answer to GET_PARAMETERS: the values in force."""
     gains = loop.law.gains
     values: dict[str, Value] = {"law": gains.law, "i_0": gains.i_0, "x_0": gains.x_0, "u_0": gains.u_0}
     for n, (mantissa, shift) in enumerate(zip(gains.mantissas, gains.shifts, strict=True), start=1):

@@ -1,7 +1,7 @@
 """The control loop between two converters: modes, reference, excitation, law, faults.  Counts in, counts out.
 
-Rules 6 to 9, 11 and the board's half of 12 and 13 of protocol/README.md.  Frames, ids and sessions are
-`board.py`'s business; what a command does to the loop is `commands.py`'s.
+Rules 6 to 9, 11 and the board's half of 12 and 13 of protocol/README.md.  `board.py` handles frames, ids and sessions,
+`commands.py` the effect of commands on the loop.
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ class Reference:
 
     @property
     def allowance(self) -> int:
-        """The largest jump that would be accepted now, counts."""
+        """Largest jump that is accepted now, counts."""
         return self._allowance // TICKS_PER_S
 
     def refill(self) -> None:
-        """One tick passes."""
+        """Refill the allowance for one tick."""
         self._allowance = min(self._allowance + self._limits.x_ref_slew, self._full)
 
     def jump(self, x_ref: int) -> None:
-        """Go to `x_ref` and use up the allowance."""
+        """Set the reference to `x_ref` and reduce the allowance by the jump."""
         self._allowance -= abs(x_ref - self.x_ref) * TICKS_PER_S
         self.x_ref = x_ref
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tick:
-    """What one run of the loop leaves for STATE."""
+    """Values of one run of the loop, for STATE."""
 
     i: int
     x: int
@@ -61,10 +61,10 @@ class Tick:
 
 
 class ControlLoop:
-    """State of the loop after a reset, until the next one.
+    """The control loop between two resets.
 
     Args:
-        emit: Takes an event: (code, detail).
+        emit: Called with each event: (code, detail).
     """
 
     def __init__(self, emit: Callable[[EventCode, int], None]) -> None:
@@ -89,16 +89,16 @@ class ControlLoop:
 
     @property
     def u(self) -> int:
-        """The count on the input converter."""
+        """Count of the input converter."""
         return self._u if self.capture is None or self.capture.done else self.capture.u
 
     @property
     def capturing(self) -> bool:
-        """A capture drives the coil."""
+        """Whether a capture drives the coil."""
         return self.capture is not None and not self.capture.done
 
     def set_mode(self, mode: Mode) -> None:
-        """Enter `mode`, as SET_MODE does; the mode in force stays untouched."""
+        """Enter `mode`, as SET_MODE does; the current mode is not entered again."""
         if mode == Mode.IDLE and self.capturing:
             self.capture = None
         if mode == self.mode:
@@ -112,17 +112,17 @@ class ControlLoop:
         self._emit(EventCode.MODE_CHANGED, mode)
 
     def switch_off(self) -> None:
-        """Coil off now, not at the next tick; mode idle, excitation and capture ended."""
+        """Switch the coil off at once, not at the next tick: mode idle, excitation and capture ended."""
         self.set_mode(Mode.IDLE)
         self._u = 0
 
     def excite(self, excitation: Excitation) -> None:
-        """Play from this tick on."""
+        """Start an excitation at this tick."""
         self.excitation = excitation
         self._announced = excitation.done
 
     def end_excitation(self) -> None:
-        """The signal is its offset from here on."""
+        """End the excitation: the signal stays at its offset."""
         if self.excitation is not None and self.excitation.signal.target == TARGET_X_REF:
             self.reference.x_ref = self.excitation.signal.offset
         elif self.excitation is not None:
@@ -130,13 +130,13 @@ class ControlLoop:
         self.excitation = None
 
     def set_reference(self, x_ref: int) -> None:
-        """A reference already checked; it replaces an excitation of the reference."""
+        """Set a reference that is already checked; it ends an excitation of the reference."""
         if self.excitation is not None and self.excitation.signal.target == TARGET_X_REF:
             self.excitation = None
         self.reference.jump(x_ref)
 
     def run(self, i: int, x: int) -> Tick:
-        """One tick, from the converters' counts to the input's."""
+        """Run one tick: from the counts of current and position to the count of the input."""
         self._watch(i, x)
         self._play()
         limited = False

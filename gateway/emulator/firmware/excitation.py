@@ -2,7 +2,7 @@
 
 Rule 1: a signal is its offset plus a shape; the shape never exceeds +-amplitude, so the range check at the command
         holds for every tick.
-Rule 2: everything follows from the command's fields: the same command plays the same counts.
+Rule 2: the fields of the command determine all counts: the same command gives the same signal.
 
 Multisine: harmonic h has amplitude 1 and phase -h(h-1)/16 of a turn (Schroeder), the low 7 bits of the seed flip the
 signs of harmonics 2..8, the upper bits shift the signal in time.  So a seed has one of 128 peaks, which a firmware
@@ -38,7 +38,7 @@ class Signal:
 
 
 class Excitation:
-    """A signal being played; `next` once per tick, from the tick in the ACK on."""
+    """An active excitation; call `next` once per tick, from the tick in the ACK on."""
 
     def __init__(self, signal: Signal) -> None:
         self.signal = signal
@@ -51,11 +51,11 @@ class Excitation:
 
     @property
     def done(self) -> bool:
-        """The duration is over: from here on the signal is its offset."""
+        """Whether the duration is over, so that the signal stays at its offset."""
         return self.signal.shape == Shape.NONE or 0 < self.signal.duration <= self._ticks
 
     def next(self) -> int:
-        """The signal at this tick, in counts of its target."""
+        """Return the signal at this tick, in counts of its target."""
         value = self.signal.offset if self.done else self.signal.offset + self._shape()
         self._ticks += 1
         return value
@@ -86,7 +86,7 @@ class Excitation:
 
 
 def _multisine(phase: int, seed: int) -> int:
-    """Sum of the harmonics at `phase` of the period, Q15."""
+    """Return the sum of the harmonics at `phase` of the period, Q15."""
     phase += (seed >> 7) * (_TURN >> 9)
     total = 0
     for h in _HARMONICS:
@@ -97,7 +97,7 @@ def _multisine(phase: int, seed: int) -> int:
 
 @cache
 def _multisine_peak(signs: int) -> int:
-    """Largest |value| of the multisine with these signs, Q15."""
+    """Return the largest |value| of the multisine with these signs, Q15."""
     return max(abs(_multisine(_TURN // _PEAK_GRID * n, signs)) for n in range(_PEAK_GRID))
 
 

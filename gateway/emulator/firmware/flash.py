@@ -1,4 +1,4 @@
-"""What is in the emulated board's flash: scalings, gains, operating point, limits, identity.
+"""Content of the emulated board's flash: scalings, gains, operating point, limits, identity.
 
 Rule 1: everything the board itself works with is an integer count; the SI numbers beside it are for IDENTITY and for
         the build that computed the counts.
@@ -39,16 +39,16 @@ class ConverterScale:
     lsb: float
 
     def to_count(self, value: float) -> int:
-        """What the converter makes of `value`: nearest count, limited to 0..4095; not a number reads as 0."""
+        """Convert `value` to the nearest count, limited to 0..4095; NaN gives 0."""
         count = (value - self.offset) / self.lsb + 0.5
         return 0 if not count > 0 else COUNTS_MAX if count > COUNTS_MAX else math.floor(count)
 
     def to_si(self, count: int) -> float:
-        """The value that `count` stands for."""
+        """Convert `count` to a value in SI units."""
         return self.offset + self.lsb * count
 
     def span(self, distance: float) -> int:
-        """`distance`, in the unit of the channel, as a number of counts."""
+        """Convert `distance`, in the unit of the channel, to a number of counts."""
         return round(distance / self.lsb)
 
 
@@ -66,7 +66,7 @@ INPUT = ConverterScale(offset=0.0, lsb=5.0 / _CODES)  # V
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlashLimits:
-    """What the board refuses to be commanded beyond, in counts (rules 7 and 8)."""
+    """Limits of commanded values, in counts (rules 7 and 8)."""
 
     x_ref_min: int
     x_ref_max: int
@@ -89,7 +89,7 @@ OPERATING_POINT = (0.6365, 2.85e-3, 2.143)  # i_0 A, x_0 m, u_0 V: mid-travel at
 
 
 def gains_in_counts(law: Law, gains_si: tuple[float, ...], operating_point: tuple[float, float, float]) -> Gains:
-    """SI gains as the board takes them: rule 14 of protocol/README.md.
+    """Convert SI gains to the format of the board: rule 14 of protocol/README.md.
 
     Args:
         law: LQI or PID.

@@ -22,7 +22,7 @@ _HALF = 1 << FRACTION_BITS - 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gains:
-    """What SET_GAINS loads: gain n is mantissas[n] * 2^-shifts[n], counts of u_c per count."""
+    """Gains of SET_GAINS: gain n is mantissas[n] * 2^-shifts[n], in counts of u_c per count."""
 
     law: int  # messages.Law
     mantissas: tuple[int, int, int, int]
@@ -33,7 +33,7 @@ class Gains:
 
 
 class ControlLaw:
-    """Gains and the memory between two ticks: integral of the error, last position."""
+    """Control law with its gains and its state: integral of the error, last position."""
 
     def __init__(self, gains: Gains) -> None:
         self.gains = gains
@@ -41,12 +41,12 @@ class ControlLaw:
         self._x_previous: int | None = None
 
     def reset(self) -> None:
-        """As on entering closed loop: integral 0, and the speed is 0 at the next tick."""
+        """Reset the state, as on entering closed loop: integral 0, and speed 0 at the next tick."""
         self.sum = 0
         self._x_previous = None
 
     def accumulate(self, i: int, x: int, x_ref: int) -> int:
-        """The input u before rounding and limits, in 1/256 counts, from the integral as it stands."""
+        """Return the input u before rounding and limits, in 1/256 counts, with the current integral."""
         gains = self.gains
         (m1, m2, m3, m4), (s1, s2, s3, s4) = gains.mantissas, gains.shifts
         step = 0 if self._x_previous is None else x - self._x_previous
@@ -61,7 +61,7 @@ class ControlLaw:
         return saturate(u - scaled_product(m3, s3, step), 32)
 
     def run(self, i: int, x: int, x_ref: int) -> tuple[int, bool]:
-        """One tick: (u_c in counts, whether it had to be limited); then the integral is advanced."""
+        """Run one tick: return (u_c in counts, whether it was limited), and advance the integral."""
         wanted = self.accumulate(i, x, x_ref) + _HALF >> FRACTION_BITS
         u = min(max(wanted, 0), COUNTS_MAX)
         error = x_ref - x

@@ -1,10 +1,10 @@
-"""The board's UART: frames out in order of priority and at the baud rate, frames in.
+"""The board's UART: transmits frames by priority at the baud rate, and receives frames.
 
 Rule 1: a frame that has begun is finished first; then STATE, answers, EVENT, CAPTURE_BLOCK (rule 5 of
         protocol/README.md).  So STATE waits for one frame at most.
 Rule 2: every queue is bounded.  A full STATE queue loses its oldest (the newest tells most), the others refuse the
         newest; each loss is counted, and the host sees it by sequence, by number or by a repeated command.
-Rule 3: a byte takes 10 bit times.  Time that the line stands idle is not saved up.
+Rule 3: a byte takes 10 bit times.  Idle time of the line is not accumulated.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _BITS_PER_BYTE = 10  # 8N1
 
 
 class Priority(IntEnum):
-    """What goes first."""
+    """Priority of transmission, highest first."""
 
     STATE = 0
     ANSWER = 1
@@ -31,14 +31,14 @@ _DEPTH = {Priority.STATE: 8, Priority.ANSWER: 8, Priority.EVENT: 16, Priority.CA
 
 
 class Outbox:
-    """Frames waiting for the transmitter."""
+    """Queues of frames for the transmitter."""
 
     def __init__(self) -> None:
         self._queues: tuple[deque[bytes], ...] = tuple(deque() for _ in Priority)
         self.dropped = 0
 
     def put(self, frame: bytes, priority: Priority) -> None:
-        """Queue a frame; where there is no room one is lost and counted."""
+        """Queue a frame; if the queue is full, one frame is lost and counted."""
         queue = self._queues[priority]
         if len(queue) >= _DEPTH[priority]:
             self.dropped += 1
@@ -48,24 +48,24 @@ class Outbox:
         queue.append(frame)
 
     def take(self) -> bytes:
-        """The next frame for the line, or nothing."""
+        """Return the next frame for the line, or b""."""
         for queue in self._queues:
             if queue:
                 return queue.popleft()
         return b""
 
     def clear(self) -> None:
-        """Forget all frames, as a reset does; the count of lost ones stays."""
+        """Discard all frames, as a reset does; the count of lost frames stays."""
         for queue in self._queues:
             queue.clear()
 
     def waiting(self, priority: Priority) -> int:
-        """Frames of this priority not yet taken."""
+        """Return the number of waiting frames of this priority."""
         return len(self._queues[priority])
 
 
 class Inbox:
-    """Bytes from the host into bodies whose CRC is right."""
+    """Receiver: decodes bytes from the host into bodies with a correct CRC."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
@@ -73,7 +73,7 @@ class Inbox:
         self.bad_frames = 0
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The bodies (without CRC) that `data` completes; what is no frame is counted."""
+        """Return the bodies (without CRC) that `data` completes; invalid frames are counted."""
         bodies = []
         *ends, rest = data.split(b"\x00")
         for end in ends:
@@ -104,7 +104,7 @@ class Inbox:
 
 
 class Pacer:
-    """How many bytes a line of `baud` bits per second carries while time passes."""
+    """Computes how many bytes a line of `baud` bits per second carries over time."""
 
     def __init__(self, baud: int) -> None:
         self._baud = baud
@@ -112,12 +112,12 @@ class Pacer:
         self.byte_us = 1_000_000 * _BITS_PER_BYTE // baud
 
     def allow(self, duration_us: int) -> int:
-        """Bytes that may pass in this stretch of time; tell by `spend` how many did."""
+        """Return the number of bytes that may pass in this time; report the actual number with `spend`."""
         self._credit += self._baud * duration_us
         return self._credit // (_BITS_PER_BYTE * 1_000_000)
 
     def spend(self, count: int, *, more: bool) -> None:
-        """`count` bytes passed; without `more` waiting the line stood idle and what is left is forfeited."""
+        """Note that `count` bytes passed; without `more` bytes waiting, the rest of the time is idle and lost."""
         self._credit -= count * _BITS_PER_BYTE * 1_000_000
         if not more:
             self._credit = 0

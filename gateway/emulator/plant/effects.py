@@ -1,4 +1,4 @@
-"""THE table of effects: what a real rig may do that eq. (1) and (6) do not say.
+"""The table of effects: behaviour of real rigs beyond eq. (1) and (6).
 
 Each effect has ONE number, its own physical parameter in the unit given here; numbers that an effect needs besides
 (a heating time constant, a frequency) are fixed below.  An effect that is not named has its `neutral` value and is then
@@ -26,7 +26,7 @@ MAX_DELAY_S = 20e-3  # actuation-delay, sampling-delay: ten ticks
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """One effect: its parameter, what values are possible, and what it does."""
+    """An effect: its parameter, the range of its values, and its description."""
 
     name: str
     family: str  # amplifier | force | motion | sensing | timing
@@ -180,10 +180,10 @@ NEUTRAL: Mapping[str, float] = MappingProxyType({effect.name: effect.neutral for
 
 
 def check(effects: Mapping[str, float]) -> dict[str, float]:
-    """The strengths of all effects, the unnamed ones at their neutral value.
+    """Check effects, and return the strengths of all effects; those that are not named have their neutral value.
 
     Raises:
-        UsageError: an unknown name, or a value outside low .. high that is not the neutral one.
+        UsageError: a name is unknown, or a value is outside low .. high and not the neutral one.
     """
     strengths = dict(NEUTRAL)
     for name, value in effects.items():
@@ -199,10 +199,10 @@ def check(effects: Mapping[str, float]) -> dict[str, float]:
 
 
 def parse(assignment: str) -> tuple[str, float]:
-    """A command-line argument `name=value` or `name=weak|medium|strong` as (name, strength).
+    """Parse a command-line argument `name=value` or `name=weak|medium|strong` into (name, strength).
 
     Raises:
-        UsageError: not of that form, unknown, or out of range.
+        UsageError: the argument has another form, or the name is unknown, or the value is out of range.
     """
     name, equals, text = (part.strip() for part in assignment.partition("="))
     effect = _find(name)
@@ -220,7 +220,7 @@ def parse(assignment: str) -> tuple[str, float]:
 
 
 def listing() -> str:
-    """The table as text for a help page: one line per effect, by family."""
+    """Return the table as text for a help page: one line per effect, by family."""
     lines = []
     family = ""
     for effect in _TABLE:

@@ -1,12 +1,12 @@
-"""A rig that a board can be connected to: an input in, two analog sensor readings out.
+"""The emulated rig as seen by a board: one input, two analog sensor readings.
 
     plant = EmulatedPlant(effects={"quadratic-drag": 1.0}, seed=1)
     plant.advance(3.5, 0.002)          # one tick with u_c = 3.5 V
     i_c_a, x_m = plant.sense()         # with noise, before the converters
 
 Rule 1: physical time moves only in `advance`, in steps of 20 us; a tick is 100 of them, a capture sample 2.
-Rule 2: everything random comes from `seed`: sensor noise and lost frames from generators of their own, so that asking
-        for one never changes the other.  The trajectory itself is not random.
+Rule 2: all randomness comes from `seed`.  Sensor noise and lost frames have generators of their own, so that they do
+        not affect each other.  The trajectory itself is not random.
 Rule 3: the plant never prints or logs its effects: they may be secret.
 """
 
@@ -28,13 +28,13 @@ _NO_EFFECTS: Mapping[str, float] = MappingProxyType({})
 
 
 class EmulatedPlant:
-    """The 'real' rig, from rest: ball on the bottom stop, no current, cold.
+    """An emulated rig, initially at rest: ball on the bottom stop, no current, coil cold.
 
     Args:
-        rig: Its numbers.
+        rig: Constants of the rig.
         effects: Strength of each effect by name (`effects.EFFECTS`); an effect not named is absent.
-        seed: Of noise and lost frames.
-        step_s: Integration step.
+        seed: Seed of noise and lost frames.
+        step_s: Integration step, s.
 
     Raises:
         UsageError: an unknown effect, or a strength out of its range or impossible on this rig.
@@ -59,7 +59,7 @@ class EmulatedPlant:
         self._sensed = np.zeros((length, 2))
         self.set_effects(effects)
         self.place(0.0)
-        self.advance(0.0, 0.0)  # compiles now: the first tick of a running board must not wait for it
+        self.advance(0.0, 0.0)  # compiles now, so that the first tick is not delayed
 
     @property
     def time_s(self) -> float:
@@ -82,10 +82,10 @@ class EmulatedPlant:
         return self._state.v
 
     def set_effects(self, effects: Mapping[str, float]) -> None:
-        """Replace all effects from now on; state and time go on.
+        """Replace all effects from now on; state and time continue.
 
         Raises:
-            UsageError: as the constructor.
+            UsageError: as in the constructor.
         """
         rig, strength = self.rig, check(effects)
         if rig.coil_plane_above_stop_m + strength["air-gap-offset"] < 1e-4:
@@ -100,10 +100,10 @@ class EmulatedPlant:
         self._loss_probability = strength["lost-samples"]
 
     def place(self, x_m: float, *, v_m_s: float = 0.0, i_c_a: float = 0.0) -> None:
-        """Put the ball at x with a speed, and the coil to a current, as if it had been so for long.
+        """Set position and speed of the ball and the current, with lags and delays in steady state, coil cold.
 
         Raises:
-            UsageError: x outside the travel, a negative current, or not a number.
+            UsageError: x is outside the travel, the current is negative, or a value is not a number.
         """
         if not (0.0 <= x_m <= self.rig.travel_m and 0.0 <= i_c_a <= self.rig.current_max_a and math.isfinite(v_m_s)):
             raise UsageError(
@@ -115,14 +115,14 @@ class EmulatedPlant:
         self._sensed[:] = i_c_a, s
 
     def advance(self, u_v: float, duration_s: float) -> None:
-        """Let `duration_s` of physical time pass with the input held.
+        """Advance the physical time by `duration_s` with the input held.
 
         Args:
             u_v: Input voltage; the amplifier limits it to 0 .. input_max_v.
             duration_s: A multiple of `step_s`, not negative.
 
         Raises:
-            UsageError: an input that is not a number, or a duration that is not such a multiple.
+            UsageError: the input is not a number, or the duration is not such a multiple.
         """
         count = round(duration_s / self.step_s) if math.isfinite(duration_s) else -1
         if count < 0 or abs(count * self.step_s - duration_s) > 1e-3 * self.step_s or math.isnan(u_v):
@@ -137,7 +137,7 @@ class EmulatedPlant:
         self._steps += count
 
     def sense(self) -> tuple[float, float]:
-        """(i_c in A, x in m) as the analog sensors give them now: effects and fresh noise included."""
+        """Return the current sensor readings (i_c in A, x in m), with effects and new noise."""
         i, x = self._sensed[(self._steps - self._sensing_delay) % len(self._sensed)]
         noise = self._noise.standard_normal(2)
         return (
@@ -146,7 +146,7 @@ class EmulatedPlant:
         )
 
     def drop_sample(self) -> bool:
-        """Whether the board loses the state frame of this tick (effect lost-samples); ask once per frame."""
+        """Return whether the state frame of this tick is lost (effect lost-samples); call it once per frame."""
         return bool(self._loss.random() < self._loss_probability)
 
 

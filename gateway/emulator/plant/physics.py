@@ -1,4 +1,4 @@
-"""Equations of motion of the 'real' rig and their integration.  Pure functions; no noise, no clock.
+"""Equations of motion of the emulated rig and their integration.  Pure functions; no noise, no clock.
 
 All quantities in SI units; x is up from the sensor.
 
@@ -11,7 +11,7 @@ All quantities in SI units; x is up from the sensor.
 Rule 1: the step is fixed, so the same inputs give the same bits however a span is cut into calls.
 Rule 2: a stop is an event.  The step is cut where the ball touches (bisection), the speed is reversed there, and the
         rest of the step goes on: no stiff spring, no penetration, no dependence on where the steps happen to fall.
-Rule 3: a ball that is pressed onto a stop, or held by dry friction, is held exactly: x does not move by one bit.
+Rule 3: a ball that rests on a stop, or is held by dry friction, keeps its x bit for bit.
 
 Classical Runge-Kutta of 4th order in between.  At 20 us and T_A = 300 us its error in i_c stays below 1e-7 of a jump,
 far under the noise; an Euler step of that error would have to be far below 1 ns.
@@ -40,7 +40,7 @@ _BISECTIONS = 40  # locates an event to 20 us * 2^-40 = 2e-17 s
 
 
 class PlantState(NamedTuple):
-    """What the rig remembers."""
+    """State of the rig."""
 
     i: float  # coil current, A
     f: float  # current that the force sees, A
@@ -51,7 +51,7 @@ class PlantState(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """Rig and effects as the equations need them; SI units."""
+    """Constants of the equations, from rig and effects; SI units."""
 
     mass: float
     travel: float
@@ -89,7 +89,7 @@ class Constants(NamedTuple):
 
 
 def _compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """`function` compiled by numba and cached; as it is where numba is absent: same numbers, far slower."""
+    """Return `function` compiled by numba and cached; without numba, unchanged: same results, much slower."""
     try:
         import numba
     except ImportError:
@@ -114,14 +114,14 @@ def _cache_folder() -> str:
 
 @_compiled
 def reading(x: float, i: float, c: Constants) -> float:
-    """What the position sensor tends to, m: nonlinearity, gain, offset, crosstalk."""
+    """Return the static reading of the position sensor, m: nonlinearity, gain, offset, crosstalk."""
     place = x / c.travel
     return c.x_gain * (x + 4.0 * c.x_bow * place * (1.0 - place)) + c.x_offset + c.crosstalk * i
 
 
 @_compiled
 def pull(y: PlantState, t: float, c: Constants) -> float:
-    """Force on the ball without dry friction, N: magnetic (3), weight (4), drag (5), disturbances."""
+    """Return the force on the ball without dry friction, N: magnetic (3), weight (4), drag (5), disturbances."""
     field = y.f + c.residual
     if c.inverse_saturation > 0.0:
         field /= math.sqrt(1.0 + (field * c.inverse_saturation) ** 2)
@@ -178,13 +178,13 @@ def _runge_kutta(y: PlantState, t: float, h: float, u: float, free: bool, direct
 
 @_compiled
 def _event(y: PlantState, direction: float, c: Constants) -> bool:
-    """Whether the ball has passed a stop, or dry friction has turned it round."""
+    """Return whether the ball has passed a stop, or its motion has reversed under dry friction."""
     return y.x < 0.0 or y.x > c.travel or (c.friction > 0.0 and y.v * direction < 0.0)
 
 
 @_compiled
 def _land(y: PlantState, c: Constants) -> PlantState:
-    """The state just after an event: on the stop with the speed reversed, or at rest."""
+    """Return the state just after an event: on the stop with the speed reversed, or at rest."""
     x, v = y.x, y.v
     if x < 0.0 or x > c.travel:
         outward = -1.0 if x < 0.0 else 1.0
@@ -206,7 +206,7 @@ def _sign(value: float) -> float:
 
 @_compiled
 def step(y: PlantState, t: float, h: float, u: float, c: Constants) -> PlantState:
-    """One step of length h with the input u held; stops and dry friction resolved inside it."""
+    """Integrate one step of length h with the input u held, including stops and dry friction."""
     for _ in range(_EVENTS_PER_STEP):
         direction = _sign(y.v)
         free = True

@@ -1,6 +1,6 @@
-"""The numbers of a rig: the CE 152 as measured, or any other of the same kind.
+"""Constants of a rig: the CE 152 as measured, or another rig of the same kind.
 
-Where the numbers of `CE152` come from:
+Derivation of the constants of `CE152`:
 
 Four steady points of a CE 152 are published (gap under the top stop, current; see `MEASURED_EQUILIBRIA`).  At rest
 F_m = m g, so eq. (3) asks for i = sqrt(m g / K_c) (x_max - x).  The points do lie on a straight line, within 1.4 %

@@ -1,9 +1,8 @@
-"""Effects that nobody is told: drawn from a seed, kept in a sealed file to compare with afterwards.
+"""Secret effects for blind tests: drawn from a seed, and stored in a sealed file for a later comparison.
 
-The sealed file is JSON: `commitment` = SHA-256 over salt and content, and the content itself, packed so that nobody
-reads it by accident.  It is an honest envelope, not encryption: whoever wants to look can.  The commitment may be shown
-at once; opened later, the file proves that the effects were not changed in between.  The salt is inside the envelope,
-so that the commitment alone cannot be guessed from the table of effects.
+The sealed file is JSON: `commitment` = SHA-256 over salt and content, and the content itself, packed so that it is not
+read by accident.  It is not encrypted.  The commitment may be published at once; the file, opened later, then proves
+that the effects were not changed.  The salt prevents guessing the effects from the commitment alone.
 """
 
 from __future__ import annotations
@@ -24,19 +23,19 @@ from protocol.errors import Board51Error, DataError, UsageError
 from protocol.files import LARGEST_SMALL, parse_json, read_small, writing
 
 FORMAT = "board51-sealed-effects-1"
-# Each of these alone leaves the nominal LQI its stability, two strong ones together do not: a ball on the floor would
-# end every experiment, and a diagnosis needs one.
+# The nominal LQI is stable with each of these alone, but not with two strong ones: the ball would fall, which ends any
+# experiment.
 _DELAYING = frozenset({"actuation-delay", "eddy-current-lag", "position-sensor-lag", "sampling-delay"})
 _PURPOSE = 0x5EA1  # keeps these draws apart from the sensor noise of a plant with the same seed
 
 
 def draw(seed: int) -> dict[str, float]:
-    """One to three effects with strengths between weak and strong, both signs where they are plausible.
+    """Draw one to three effects with strengths between weak and strong, of either sign where plausible.
 
     At most one of them delays the loop.  The same seed gives the same effects.
 
     Raises:
-        UsageError: a negative seed.
+        UsageError: the seed is negative.
     """
     if seed < 0:
         raise UsageError(f"Seed {seed} is negative", remedy="Give a whole number from 0")
@@ -53,9 +52,9 @@ def draw(seed: int) -> dict[str, float]:
 
 
 def seal(path: Path, effects: Mapping[str, float]) -> str:
-    """Write the sealed file and give its commitment, which may be shown.
+    """Write the sealed file, and return its commitment, which may be published.
 
-    A file that already holds the same effects is left as it is, so that a restart with the same seed goes through.
+    A file that already holds the same effects is not changed, so that a restart with the same seed is possible.
 
     Raises:
         UsageError: the file exists and holds anything else.
@@ -85,10 +84,10 @@ def seal(path: Path, effects: Mapping[str, float]) -> str:
 
 
 def open_sealed(path: Path) -> dict[str, float]:
-    """The effects in a sealed file, after its commitment was checked.
+    """Check the commitment of a sealed file, and return the effects.
 
     Raises:
-        DataError: no such file, not a sealed file, or changed since it was sealed.
+        DataError: the file is absent, not a sealed file, or was changed since it was sealed.
     """
     remedy = "Give the file that --sealed named"
     envelope = parse_json(read_small(path, remedy=remedy, what="Sealed file "), where=str(path), remedy=remedy)
@@ -111,7 +110,7 @@ def open_sealed(path: Path) -> dict[str, float]:
 
 
 def _strength(effect: Effect, rng: np.random.Generator) -> float:
-    """Log-uniform between weak and strong, seen from the neutral value, and mirrored there half the time if signed."""
+    """Draw a strength, log-uniform in its distance from neutral between weak and strong; of either sign if signed."""
     reference = effect.neutral if np.isfinite(effect.neutral) else 0.0
     weak, strong = effect.weak - reference, effect.strong - reference
     deviation = weak * (strong / weak) ** rng.random()

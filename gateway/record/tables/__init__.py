@@ -1,1 +1,1 @@
-"""Tables into logs (`table`, `mat`, `table_import`) and logs into tables (`export`): CSV, MATLAB, Parquet."""
+"""Import of tables into logs (`table`, `mat`, `table_import`) and export of logs (`export`): CSV, MATLAB, Parquet."""

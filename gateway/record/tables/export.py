@@ -1,4 +1,4 @@
-"""A topic of a log as columns, into CSV, MATLAB or Parquet.  Numbers keep every bit; what is absent stays absent.
+"""Exports a topic of a log as columns to CSV, MATLAB or Parquet.  Numbers are exact; absent values stay absent.
 
 Columns are the fields of the message, nested ones joined with `_` (x_m_error), `t_s` first.  Absent numbers are an
 empty cell in CSV, null in Parquet, NaN in MATLAB.  A capture has one row per sample, t_s counted from the step.
@@ -28,12 +28,12 @@ from protocol.log.reader import LogReader, LogRecord
 Format = Literal["csv", "mat", "parquet"]
 Cell = float | int | str | None
 Getter = Callable[[Message], Cell]
-Reach = Callable[[Any], Any]  # from a message to the nested one that holds a field; None where that is absent
+Reach = Callable[[Any], Any]  # from a message to the nested message with the field; None if that is absent
 
 
 @dataclass(slots=True)
 class Columns:
-    """One topic of one board: rows of cells."""
+    """Rows of cells of one topic of one board."""
 
     names: list[str]
     rows: list[list[Cell]]
@@ -55,7 +55,7 @@ def export(
         Files and their numbers of rows.
 
     Raises:
-        DataError: the log is absent, damaged, or has nothing of the topic.
+        DataError: the log is absent, damaged, or has no messages of the topic.
         LogError: a file exists or cannot be written.
     """
     reader = LogReader(logs)
@@ -76,7 +76,7 @@ def export(
     for board, columns in found.items():
         path = out if len(found) == 1 else out.with_name(f"{out.stem}-{board}{out.suffix}")
         try:
-            path.open("x").close()  # never over an existing file
+            path.open("x").close()  # never overwrite an existing file
         except OSError as error:
             raise LogError(path, error) from None
         try:
@@ -109,7 +109,7 @@ def _rows(record: LogRecord, getters: dict[str, Getter], *, start_ns: int) -> It
 
 
 def _getters(message: type[Message]) -> dict[str, Getter]:
-    """Column name -> how to get the cell out of a message."""
+    """Return the functions that read a cell from a message, by column name."""
     return dict(_walk(message.DESCRIPTOR, "", lambda root: root))
 
 
@@ -129,7 +129,7 @@ def _walk(descriptor: Any, prefix: str, reach: Reach) -> Iterator[tuple[str, Get
 
 
 def _step(name: str, reach: Reach) -> Reach:
-    """Into a message that may be absent, or inside one that is."""
+    """Return the access to the nested message `name`; None if it or its parent is absent."""
 
     def get(root: Any) -> Any:
         holder = reach(root)

@@ -1,4 +1,4 @@
-"""MATLAB files: columns in, columns out.  A variable is a vector, or a scalar struct of vectors (`run.x`)."""
+"""Reads and writes columns in MATLAB files.  A variable is a vector, or a scalar struct of vectors (`run.x`)."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from protocol.table_file import check_mat
 
 
 def read_mat(path: Path) -> Table:
-    """The numeric vectors of a .mat file up to version 7.
+    """Read the numeric vectors of a .mat file up to version 7.
 
     Raises:
-        DataError: it is absent, not a MATLAB file, version 7.3, without vectors, or its vectors differ in length.
+        DataError: the file is absent, not a MATLAB file, of version 7.3, without vectors, or with vectors of different
+            lengths.
     """
     from scipy.io import loadmat
 
@@ -27,7 +28,7 @@ def read_mat(path: Path) -> Table:
         content: dict[str, Any] = loadmat(path, squeeze_me=False, struct_as_record=False)
     except NotImplementedError:
         raise DataError(f"{path} is a MATLAB 7.3 file", remedy="Save it again with: save(name, '-v7')") from None
-    except Exception as error:  # scipy lets through whatever its parser stumbles over, KeyError and zlib.error too
+    except Exception as error:  # scipy passes on any error of its parser, including KeyError and zlib.error
         raise DataError(f"{path} is not a MATLAB file, or is cut off: {error}", remedy="Save it again") from None
     columns: dict[str, FloatArray] = {}
     unusable: dict[str, str] = {}
@@ -70,7 +71,7 @@ def _collect(name: str, value: Any, columns: dict[str, FloatArray], unusable: di
 
 
 def _why(value: Any) -> str:
-    """Why a variable is no column, with what it is."""
+    """Return why a variable cannot be used as a column."""
     if not isinstance(value, np.ndarray):
         return f"it is of a type that is not read ({type(value).__name__})"
     shape = " x ".join(str(size) for size in value.shape)
@@ -86,7 +87,7 @@ def _why(value: Any) -> str:
 
 
 def write_mat(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Column vectors under their names (a `.` or `/` in a name becomes `_`)."""
+    """Write column vectors under their names (a `.` or `/` in a name becomes `_`)."""
     from scipy.io import savemat
 
     savemat(

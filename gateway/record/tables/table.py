@@ -1,6 +1,6 @@
-"""Columns of numbers from a CSV file (also .gz), with errors that name file, line, column and value.
+"""Reads columns of numbers from a CSV file (also .gz), with errors that name file, line, column and value.
 
-Only the columns that are asked for are turned into numbers: a comment column does not stand in the way.
+Only requested columns are converted to numbers, so that a file may have text columns.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ class Table:
     cell: Callable[[str, int], str | float]
     unusable: Mapping[str, str] = field(
         default_factory=dict
-    )  # what else there is under a name, and why it is no column
+    )  # other variables by name, with the reason why they are not columns
 
     def numbers(self, column: str) -> FloatArray:
-        """A column, shape (rows,), finite.
+        """Return a column of finite numbers, shape (rows,).
 
         Raises:
-            DataError: no such column, or a cell is not a finite number.
+            DataError: the column does not exist, or a cell is not a finite number.
         """
         if column not in self.names:
             why = f": {self.unusable[column]}" if column in self.unusable else ""
@@ -67,10 +67,12 @@ class Table:
 
 
 def read_csv(path: Path) -> Table:
-    """A CSV file with names in its first line; comma, semicolon or tab between cells; `#` begins a comment line.
+    """Read a CSV file with names in its first line.
+
+    Comma, semicolon or tab separate the cells; `#` begins a comment line.
 
     Raises:
-        DataError: it is absent, not text, badly compressed, has no names, no rows, or lines of different lengths.
+        DataError: the file is absent, not text, badly compressed, has no names, no rows, or lines of different lengths.
     """
     try:
         lines = read_csv_bytes(path).decode("utf-8").splitlines()

@@ -1,10 +1,10 @@
-"""A recording in a table (CSV, MATLAB) into a log: the same State messages that a board's samples become.
+"""Imports a recording in a table (CSV, MATLAB) into a log, as State messages like those of a board.
 
-Rule 1: a channel that the table lacks is absent in every State; nothing is filled in.
+Rule 1: a channel that is missing in the table is absent in every State; nothing is filled in.
 Rule 2: T_s is the median step of t; `tick` counts in T_s from the first row.  A step of more than 1.5 T_s is a gap:
         the tick jumps, `lost_before` says by how much.  `t_s` stays the table's own time, to the bit.
-Rule 3: log time is the table's time from the epoch 0: an imported log is not pretended to be of a certain day.
-Rule 4: where it came from (file, SHA-256, columns, campaign) lies in the log's metadata.
+Rule 3: log time is the table's time from the epoch 0: an imported log has no date.
+Rule 4: the log's metadata contain its source (file, SHA-256, columns, campaign).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _FIELDS: Mapping[Channel, str] = {"u_c": "u_c_v", "i_c": "i_c_a", "x": "x_m", "x
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportReport:
-    """What was imported, and what to know about it."""
+    """Summary of an import, with warnings."""
 
     source: Path
     log: Path
@@ -48,14 +48,14 @@ class ImportReport:
     irregular_steps: int
     worst_step_s: float  # the step farthest from a whole number of T_s
     beyond_table: Mapping[str, int]  # values for which a look-up table was extrapolated, by channel
-    warnings: tuple[str, ...] = ()  # what a rig of this kind does not do, and columns that cannot be used
+    warnings: tuple[str, ...] = ()  # implausible values, and columns that cannot be used
 
 
 def open_table(path: Path) -> Table:
-    """A CSV or MATLAB file, by its name.
+    """Open a CSV or MATLAB file, according to its name.
 
     Raises:
-        DataError: it cannot be read as one.
+        DataError: the file cannot be read.
     """
     if path.suffix == ".mcap":
         raise DataError(f"{path} is a log already", remedy="Use it as it is")
@@ -82,7 +82,7 @@ def import_recording(
         campaign: Gives the gains and the plant, where it is known.
 
     Raises:
-        DataError: the table is not as the recording says: file, line, column, value.
+        DataError: the table does not match the recording; the message names file, line, column and value.
         LogError: the log exists or cannot be written.
     """
     table = open_table(source)
@@ -128,7 +128,7 @@ def import_recording(
 
 
 def _channels(table: Table, recording: Recording) -> tuple[dict[Channel, FloatArray], dict[str, int]]:
-    """Converted values of the channels there are, and how many lay beyond a look-up table."""
+    """Return the converted values of the present channels, and the numbers of values beyond a look-up table."""
     values: dict[Channel, FloatArray] = {}
     beyond: dict[str, int] = {}
     for channel in CHANNELS:
@@ -151,13 +151,13 @@ def _check_measured(table: Table, channel: Channel, column: Column, values: Floa
         row = int(bad[0])
         raise DataError(
             f"{table.path}, {table.place(row)}: {column.column} = {shown(table.cell(column.column, row))} gives "
-            f"{values[row]:.3g} {UNITS[channel]} for {channel}, which nothing measures",
+            f"{values[row]:.3g} {UNITS[channel]} for {channel}, which cannot be a measurement",
             remedy="Correct the cell, leave that row out, or give the column another scale",
         )
 
 
 def _implausible(recording: Recording, values: Mapping[Channel, FloatArray], steps: FloatArray) -> Iterator[str]:
-    """One line for each channel that is beyond what a rig of this kind has, with the scale that would mend it."""
+    """Yield one line for each channel with implausible values, with the scale that would make it plausible."""
     sizes: dict[Channel, float] = {} if recording.kind == "equilibria" else {"t": float(np.median(steps))}
     sizes |= {channel: float(np.percentile(np.abs(column), 99)) for channel, column in values.items()}
     for channel, size in sizes.items():
@@ -178,10 +178,10 @@ def _convert(column: Column, raw: FloatArray) -> FloatArray:
 
 
 def _check_time(table: Table, recording: Recording, time_s: FloatArray) -> FloatArray:
-    """Steps of t, shape (rows - 1,)."""
+    """Check the time column and return its steps, s, shape (rows - 1,)."""
     name = recording.column("t").column
     if table.rows < 2:
-        raise DataError(f"{table.path} has one row", remedy="T_s needs two at least")
+        raise DataError(f"{table.path} has one row", remedy="Give at least two rows, to determine T_s")
     steps = np.diff(time_s)
     median_s = float(np.median(steps))
     torn = np.flatnonzero(steps > LARGEST_GAP * median_s) if median_s > 0.0 else np.zeros(0, dtype=int)
@@ -203,7 +203,7 @@ def _check_time(table: Table, recording: Recording, time_s: FloatArray) -> Float
 
 
 def _round(step_s: float) -> float:
-    """Nine digits: 0.002 computed as a difference of large times is 0.00200000000018."""
+    """Round to nine digits: 0.002 computed as a difference of large times is 0.00200000000018."""
     return float(f"{step_s:.6g}") if abs(float(f"{step_s:.6g}") - step_s) < 1e-6 * step_s else step_s
 
 
@@ -245,7 +245,7 @@ def _write(
 
 
 def _parameters(report: ImportReport, recording: Recording, campaign: Campaign | None) -> pb.Parameters:
-    """What is known; the rest stays 0, which for limits and converters means unknown."""
+    """Return the known parameters; all others are 0, which for limits and converters means unknown."""
     parameters = pb.Parameters(session=1, firmware="import", sample_time_s=report.sample_time_s, stream_divider=1)
     if campaign is not None:
         parameters.x_ref_max_m = campaign.plant.travel_m

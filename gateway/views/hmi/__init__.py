@@ -1,1 +1,1 @@
-"""The control room in a browser: one process, a client of the bus, that serves pages and a stream of frames."""
+"""The control room in a browser: a client of the bus that serves pages and a stream of frames."""

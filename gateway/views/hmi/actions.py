@@ -1,9 +1,8 @@
-"""What a session may do, and doing it: every act of a page or a request passes here.  Blocking: call it in a thread.
+"""Checks and executes the actions of all pages and requests.  Blocking: call it in a thread.
 
-Rule 1: rights are looked up at each act, in the session and the role of now: a page that was open before they changed
-        gives none.
-Rule 2: a refusal is a value with a reason and a sentence, whoever refused: page, gateway, board or link.
-Rule 3: everything a person does goes out under the person's name, so the log shows who did what.
+Rule 1: rights are checked for each action, with the current session and role, whatever an open page shows.
+Rule 2: a refusal by page, gateway, board or link is a value with a reason and a sentence.
+Rule 3: every action is sent under the user's name, so that the log shows who did what.
 """
 
 from __future__ import annotations
@@ -92,25 +91,25 @@ class Actions:
         self._data, self._routes, self._clock = data, routes, clock
 
     def role(self, session: LoginSession) -> Role:
-        """The role of now: a changed users file counts at once."""
+        """Return the current role: a change of the users file takes effect at once."""
         if self.users is not None:
             user = self.users.find(session.name)
             session.role = Role.VIEWER if user is None else user.role  # None: the session is over, too
         return session.role
 
     def may(self, session: LoginSession, act: str) -> bool:
-        """Whether a control is shown; each act asks again."""
+        """Return whether to show a control; each action checks the right again."""
         return may(self.role(session), act)
 
     def command(self, session: LoginSession, board: str, what: pb.Command) -> pb.CommandReply:
-        """Send a command to a board and wait for what becomes of it."""
+        """Send a command to a board and wait for the reply."""
         refused = self._refused(session, str(what.WhichOneof("what")))
         if refused is not None:
             return refused
         return self._sent(session, board, lambda who, role: self.feed.command(board, what, who=who, role=role))
 
     def stop(self, session: LoginSession, board: str) -> dict[str, pb.CommandReply]:
-        """Coil off at once, of one board or ("*") of every board of the site; what became of each."""
+        """Switch the coil off at once, of one board or ("*") of all boards of the site; return their replies."""
         boards = self.feed.boards() if board == "*" else (board,)
         with ThreadPoolExecutor(max(1, len(boards))) as pool:  # a board that does not answer must not hold up the next
             replies = pool.map(lambda name: self.command(session, name, pb.Command(stop=pb.Stop())), boards)
@@ -126,7 +125,7 @@ class Actions:
             return _refusal("not-delivered", f"The bus did not take the command: {error}.")
 
     def acknowledge(self, session: LoginSession, board: str, alarm: str) -> pb.CommandReply:
-        """Somebody has seen an alarm."""
+        """Acknowledge an alarm."""
         refused = self._refused(session, "acknowledge")
         if refused is not None:
             return refused
@@ -211,7 +210,7 @@ class Actions:
         return pb.CommandReply(accepted=True, text=f"{title}: started")
 
     def _refused(self, session: LoginSession, act: str) -> pb.CommandReply | None:
-        """Why not; None where it is allowed.  An act is what a person does: the idle time begins anew."""
+        """Return the refusal, or None if the action is allowed.  An action restarts the idle time."""
         now_s = self._clock()
         if not self.sessions.is_open(session, now_s):
             return _refusal("session-over", "The session is over: log in again.")

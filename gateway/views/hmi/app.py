@@ -1,6 +1,6 @@
 """The web server: guard, pages, requests and live frames around one client of the bus.
 
-It decides nothing about the rig; `actions.py` asks the table of rights, the gateway asks it again.
+It makes no decisions about the rig: `actions.py` checks the table of rights, and the gateway checks it again.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class HmiSettings:
     """Of one server."""
 
     site: str
-    users: Users | None  # None: everybody who reaches the server is the local operator
+    users: Users | None  # None: every client is the local operator
     guarded: bool  # the bus has roles
     certificate: Path | None
     key: Path | None
@@ -154,7 +154,7 @@ def _recorded(settings: HmiSettings) -> dict[str, Path]:
 
 
 def _local(sessions: LoginSessions) -> LoginSession:
-    """Whoever sits at this machine, as for `board51 send`."""
+    """Open a session for the user of this machine, as `board51 send` does."""
     try:
         name = getpass.getuser()
     except (KeyError, OSError):  # a container's user need not have a name

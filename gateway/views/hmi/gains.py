@@ -1,6 +1,6 @@
-"""A file with gains, as `board51 design --json` or `--out` writes it, or the same keys in TOML, into a command.  Pure.
+"""Converts a file with gains (`board51 design --json` or `--out`, or the same keys in TOML) to a command.  Pure.
 
-Rule: a file is checked whole before anything of it is shown: what the screen shows is what would be sent.
+Rule: the complete file is checked before any part is shown: the screen shows exactly what would be sent.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""Between the network and the pages: every request passes here first, HTTP and WebSocket alike.  ASGI.
+"""ASGI middleware that checks every HTTP and WebSocket request before the pages.
 
 Rule 1: no session, no page: a browser is sent to /login, anything else gets 401.  Only PUBLIC is served without.
 Rule 2: what changes something (any method but GET and HEAD) and every WebSocket must come from our own origin; without
         an Origin header it is not from a browser's page and is refused as well.
 Rule 3: what changes something bears the session's token in TOKEN_HEADER, a WebSocket bears it as subprotocol.  The
         login form has no session yet: its origin is checked.
-Rule 4: on loopback the Host must be a name of loopback: a page elsewhere whose name leads to 127.0.0.1 is no guest.
+Rule 4: on loopback the Host must be a name of loopback, against foreign pages whose name resolves to 127.0.0.1.
 Rule 5: a WebSocket ends with its session, also in the middle.
 Rule 6: bodies are bounded.
-Rule 7: over TLS the browser is told to come by TLS for a year (HSTS).  It keeps that for the host's name, whatever the
+Rule 7: over TLS the browser is asked to use TLS for a year (HSTS).  It keeps that for the host's name, whatever the
         port, and not for an address.
 """
 
@@ -52,7 +52,7 @@ class Guard:
     Args:
         app: what is guarded.
         sessions: all that are open.
-        newcomer: opens a session for a browser without one, where nobody needs a password; else None.
+        newcomer: Opens a session for a browser without one if no login is needed; else None.
         loopback: whether the server listens on loopback only.
         https: whether it speaks TLS.
     """
@@ -106,7 +106,7 @@ class Guard:
             not public
             and (TOKEN_HEADER in headers or not reads)
             and not _bears_token(headers.get(TOKEN_HEADER, ""), session)
-        ):  # a page of an earlier session asks with a token, too: it must load anew
+        ):  # a page of an earlier session also sends a token: it must reload
             status = 401 if reads else 403
             answer = refusal(status, "token", f"The request does not bear this session's token in {TOKEN_HEADER}.")
         if answer is None and _too_long(headers):

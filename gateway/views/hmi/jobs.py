@@ -1,4 +1,4 @@
-"""Long work that a page starts: a recording, a campaign, a replay, each `board51 ...` as a process of its own.
+"""Jobs that a page starts: recordings, campaigns and replays, each a `board51` command in its own process.
 
 Rule 1: one job of a kind and board at a time; jobs end with this process, also after kill -9, and are interrupted as by
         Ctrl-C, so that a campaign parks the ball and a recording closes its file.
@@ -40,7 +40,7 @@ class Job:
 
     @property
     def running(self) -> bool:
-        """Whether it goes on."""
+        """Whether the job is running."""
         return self.process.poll() is None
 
     @property

@@ -1,4 +1,4 @@
-"""Files that a page may show: logs, recordings and diagnosis reports, by names that a scan found.
+"""Files that a page may show: logs, recordings and diagnosis reports, found by a scan of folders.
 
 Rule 1: a name from a browser is looked up among those found, never joined to a path: `../` and absolute names, links
         out of the folder and hidden files are simply not there.
@@ -53,7 +53,7 @@ class Library:
         return sorted(found.values(), key=lambda e: -e.changed_s)[:MAX_FILES]
 
     def find(self, name: str) -> LibraryFile | None:
-        """The file of that name, None where there is none to show."""
+        """Return the file of that name, or None if there is none."""
         return next((entry for entry in self.entries() if entry.name == name), None)
 
     def _scan(self) -> Iterator[LibraryFile]:

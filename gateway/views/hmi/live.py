@@ -1,4 +1,4 @@
-"""Frames to a browser, 30 a second, for as long as it reads them.
+"""Sends frames to a browser, 30 per second, as long as it reads them.
 
 Rule 1: the newest frame wins: a frame is made when the last one has gone out, so a slow browser gets fewer and memory
         holds one.  Rows that it missed come with the next frame, as far as the ring of `traces.py` reaches.
@@ -35,7 +35,7 @@ REST_S = 0.25  # lists and health are looked at so often, and sent when they cha
 OVERVIEW_S = 0.2
 STUCK_S = 10.0
 MAX_READERS = 64
-_MARGIN = 1.1  # of the drawing above the highest reference, where nobody told the travel
+_MARGIN = 1.1  # of the drawing above the highest reference, if the travel is not known
 
 
 class Snapshots:
@@ -154,7 +154,7 @@ class Live:
                 due_s = max(due_s + period_s, time.monotonic())  # a late frame does not make the next one late
                 await asyncio.sleep(due_s - time.monotonic())
         except (WebSocketDisconnect, TimeoutError, RuntimeError):
-            pass  # it went away, or takes nothing: the end of this reader and of nobody else
+            pass  # the browser disconnected or does not read: only this reader ends
         finally:
             self._readers -= 1
             listener.cancel()

@@ -1,17 +1,17 @@
-"""What the page's own script and other programs may ask by HTTP; answers are JSON in the form of a CommandReply.
+"""HTTP requests of the page's script and other programs; answers are JSON in the form of a CommandReply.
 
 POST /api/<board>/stop              no body; of <board> "*": every board; {"boards": {"rig": answer}} then
 POST /api/<board>/command           a Command as protobuf's JSON: {"set_reference": {"x_ref_m": 0.003}}
 POST /api/<board>/acknowledge       {"name": "divergence-x"}
 POST /api/<board>/gains             a file; the command and the table that it makes, nothing is sent to the board
 POST /api/<board>/job               {"kind": "record" | "campaign" | "replay", "act": "start" | "stop", ...}
-GET  /api/session                   who am I
-GET  /api/summary/<name>            what a log holds
+GET  /api/session                   the current user
+GET  /api/summary/<name>            summary of a log
 GET  /log/<name>, /report-file/<name>    a file that the lists name
 POST /login (form), POST /logout
 
 Rule 1: a request may say when it was made, in SEEN_HEADER, by this server's clock as the page knows it from its frames.
-        One that a network held up is refused: its sender was told long ago that it was not answered.  STOP always acts.
+        A request delayed by the network is refused, because its sender has already seen a time-out.  STOP always acts.
 Rule 2: STOP has threads of its own: commands that wait for their boards must not make it wait.
 """
 
@@ -57,7 +57,7 @@ class Requests:
 
     Args:
         actions: does what is asked.
-        users: who may log in; None: nobody needs to.
+        users: Users who may log in; None: no login is needed.
     """
 
     def __init__(self, actions: Actions, users: Users | None) -> None:
@@ -110,12 +110,12 @@ class Requests:
         except (ParseError, TypeError, ValueError) as error:
             return refusal(400, "malformed", f"The body is not a command: {str(error)[:200]}.")
         if command.WhichOneof("what") is None:
-            return refusal(400, "empty-command", "The command says not what to do.")
+            return refusal(400, "empty-command", f"The command has no action; give one of {', '.join(_WHAT)}.")
         board = request.path_params["board"]
         return await self._act(request, lambda session: self._actions.command(session, board, command))
 
     async def gains(self, request: Request) -> Response:
-        """What a file would set."""
+        """Return the command that a file of gains gives."""
         board, data = request.path_params["board"], await request.body()
         try:
             command, rows = await asyncio.to_thread(self._actions.gains, board, data)
@@ -147,7 +147,7 @@ class Requests:
         return await self._act(request, do)
 
     async def acknowledge(self, request: Request) -> Response:
-        """An alarm was seen."""
+        """Acknowledge an alarm."""
         table = await _json(request)
         name = table.get("name") if table is not None else None
         if not isinstance(name, str):
@@ -156,7 +156,7 @@ class Requests:
         return await self._act(request, lambda session: self._actions.acknowledge(session, board, name))
 
     async def session(self, request: Request) -> Response:
-        """Who asks, and for how long still."""
+        """Return the user and the remaining time of the session."""
         session = _session(request)
         left_s = self._actions.sessions.left_s(session, time.monotonic())
         return JSONResponse(
@@ -180,7 +180,7 @@ class Requests:
         return FileResponse(entry.path, media_type="text/html", headers=own)
 
     async def summary(self, request: Request) -> Response:
-        """What a log holds, in words."""
+        """Return the summary of a log as text."""
         entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-log", "There is no such log.")
@@ -194,7 +194,7 @@ class Requests:
         return _form("Your session is over: log in again." if "over" in asked else "", own_page(asked.get("next", "/")))
 
     async def login(self, request: Request) -> Response:
-        """Name and password in, a session out."""
+        """Check name and password, and open a session."""
         if self._logins is None or self.guard is None:
             return RedirectResponse("/", status_code=303)
         fields = parse_qs((await request.body())[:4096].decode("utf-8", errors="replace"))
@@ -246,7 +246,7 @@ def _late(request: Request) -> Response | None:
         age_s = math.nan
     if abs(age_s) <= FRESH_S:
         return None
-    text = f"The network held it up for {age_s:.1f} s; nothing was done. Do it again if you still want it."
+    text = f"The network delayed it by {age_s:.1f} s; nothing was done. Repeat it if it is still needed."
     return refusal(409, "not-fresh", text)
 
 

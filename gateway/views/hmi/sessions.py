@@ -1,10 +1,10 @@
-"""Who sits behind a browser: sessions by an unguessable cookie, with an end.  Pure: time comes in.
+"""Login sessions of browsers, by an unguessable cookie and with limited time.  Pure: the caller passes the time.
 
-Rule 1: a session ends after `idle_s` without a person's action and after `lifetime_s` in any case.  A page that is open
-        is no action: frames flow for ever on a screen that everybody has left.
+Rule 1: a session ends after `idle_s` without an action of the user, and after `lifetime_s` in any case.  An open page
+        is not an action: it receives frames even if nobody is at the screen.
 Rule 2: the token of a session is in an HttpOnly cookie; `csrf` is in the page, and every request that changes something
         must bear it.
-Rule 3: who is removed from the users is out at once, also where a page is open.
+Rule 3: the sessions of a removed user end at once, even while a page is open.
 Rule 4: memory is bounded: the session that was idle longest makes room.
 """
 
@@ -38,7 +38,7 @@ class LoginSessions:
     Args:
         idle_s: without an action for so long, a session is over.
         lifetime_s: so long after login it is over in any case.
-        known: whether somebody of that name may be logged in.
+        known: Returns whether a user of that name exists.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class LoginSessions:
         return token if self._names.get(token) == name else ""
 
     def get(self, token: str, now_s: float) -> LoginSession | None:
-        """The session of a cookie, None where there is none or it is over."""
+        """Return the session of a cookie, or None if there is none or it has ended."""
         session = self._open.get(token)
         if session is not None and (self.left_s(session, now_s) <= 0.0 or not self._known(session.name)):
             self._open.pop(token, None)
@@ -74,15 +74,15 @@ class LoginSessions:
         return session
 
     def is_open(self, session: LoginSession, now_s: float) -> bool:
-        """Whether it still counts."""
+        """Return whether the session is still valid."""
         return self.get(session.token, now_s) is session
 
     def acted(self, session: LoginSession, now_s: float) -> None:
-        """A person did something: the idle time begins anew."""
+        """Restart the idle time after an action of the user."""
         session.acted_s = max(session.acted_s, now_s)
 
     def left_s(self, session: LoginSession, now_s: float) -> float:
-        """Until it is over, if nothing is done."""
+        """Return the remaining time without further actions, s."""
         return min(session.acted_s + self.idle_s, session.opened_s + self.lifetime_s) - now_s
 
     def close(self, session: LoginSession) -> None:

@@ -1,4 +1,4 @@
-"""What a page shows of a board, as plain data for JSON.  Two paces: `now` with each frame, `rest` when it changed.
+"""Data of a board for a page, as plain data for JSON: `now` with each frame, `rest` on change.
 
 `rest` bears a version of its parts, so that a reader which saw it is not sent it again.
 """
@@ -73,7 +73,7 @@ def now(board: BoardFeed) -> dict[str, Any]:
 
 
 def rest(board: BoardFeed) -> dict[str, Any]:
-    """Health, limits, alarms, what happened and who did it."""
+    """Return health, limits, alarms, events and commands."""
     return {
         "status": _status(board),
         "limits": _limits(board.latest(pb.Parameters)),

@@ -61,7 +61,7 @@ class Traces:
 
 
 def number(value: float, digits: int = 6) -> float | None:
-    """For JSON, which knows no NaN; as many digits as a screen can show."""
+    """Round a number for JSON, which has no NaN, to the digits that a screen can show."""
     return float(f"{value:.{digits}g}") if math.isfinite(value) else None
 
 

@@ -1,5 +1,5 @@
-"""The rigs as an OPC UA server.
+"""OPC UA server for the boards of a site.
 
 Read `address_space/` first (the nodes and their values), then `operations.py` (writes and methods as commands),
-`sessions.py` (who may), `server.py` (all of it together).
+`sessions.py` (rights), `server.py` (the complete server).
 """

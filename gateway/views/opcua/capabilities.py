@@ -1,4 +1,4 @@
-"""What the server says of itself under Server/ServerCapabilities, for clients that look before they ask.
+"""Capabilities of the server under Server/ServerCapabilities.
 
 Rule: a profile is listed when what it asks of a server is done and tested.  Not listed: core and subscription facets
       (asyncua ignores the largest number of references of a Browse and marks no queue that has run over), and the one

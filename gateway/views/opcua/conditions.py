@@ -2,8 +2,8 @@
 
 A condition of a board is `<board>/alarm/<name>`.  Everything is emitted by the Server object and by the board's object:
 clients subscribe at either.  ConditionRefresh shows what is retained; Acknowledge, AddComment, Enable and Disable are
-methods of the condition.  A disabled one is not told of to any client of this server, until it is enabled or the server
-starts again; every other view goes on showing it.
+methods of the condition.  A disabled condition is not reported to any client of this server until it is enabled or the
+server restarts; all other views continue to show it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The monitored items of one subscription: what is news to them, and which timestamps they get.
+"""The monitored items of one subscription: which changes they report, and with which timestamps.
 
-Rule 1: a deadband counts from the value that was sent last, so a slow drift is told, too; a change of status always is
-        (Part 4, 7.22.2).
-Rule 2: no value and no filter of a client's raises: it would end the service of all.
+Rule 1: a deadband is relative to the last value sent, so that a slow drift is reported, too; a change of status is
+        always reported (Part 4, 7.22.2).
+Rule 2: no value or filter of a client raises an error: it would end the service for all clients.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def _refused() -> ua.MonitoredItemCreateResult:
 
 
 def is_news(sent: ua.DataValue | None, value: ua.DataValue, asked: Any) -> bool:
-    """Whether a client that got `sent` last is to be told of `value`; `asked`: its DataChangeFilter, or None."""
+    """Return whether to report `value` to a client after `sent`; `asked`: its DataChangeFilter, or None."""
     if sent is None or sent.StatusCode != value.StatusCode:
         return True
     trigger = asked.Trigger if asked is not None else Trigger.StatusValue

@@ -1,7 +1,7 @@
-"""Writes and method calls as commands of the bus, and what became of them as status codes.
+"""Executes writes and method calls as commands of the bus, and returns their results as status codes.
 
-Rule 1: the same way as everybody's: feed.command, so the gateway's limits, its log and its record of who apply.
-Rule 2: rights are those of the table in gateway/access/roles.py, whoever looks them up.
+Rule 1: commands use feed.command like all other views, so that the gateway's limits, log and records apply.
+Rule 2: rights are those of the table in gateway/access/roles.py.
 Rule 3: every refusal has a status code and, as output of the method and under last_command, its reason in words.
 """
 
@@ -51,7 +51,7 @@ _CODES: dict[str, int] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Visitor:
-    """Who is at the other end of a session."""
+    """User of a session."""
 
     name: str
     role: Role
@@ -80,7 +80,7 @@ class Operations:
         STOP is a right of viewers who have logged in: who came in without a name, to look, is refused here always.
         """
         if (visitor.name, visitor.role) == (NOBODY.name, NOBODY.role):
-            text = "Whoever has not logged in only looks: log in, or let --anonymous say more."
+            text = "Without a login values can only be read: log in, or give clients a role with --anonymous."
             return pb.CommandReply(id=command.id, refused_by="gateway", reason="not-allowed", text=text)
         if not self._feed.guarded and not may(visitor.role, act):
             text = refusal_text(visitor.name, visitor.role, act)
@@ -95,7 +95,7 @@ class Operations:
 
 
 def written(field: str, value: ua.DataValue) -> tuple[str, pb.Command] | int:
-    """(act, command) of a value written to a setpoint, or the status code that says why it is none."""
+    """Return (action, command) for a value written to a setpoint, or the status code of its refusal."""
     if value.StatusCode is not None and not value.StatusCode.is_good():
         return int(S.BadWriteNotSupported)
     if value.Value is None or not is_of(value.Value, SETPOINTS[field], is_array=False):
@@ -111,7 +111,7 @@ def written(field: str, value: ua.DataValue) -> tuple[str, pb.Command] | int:
 
 
 def called(method: Method, inputs: list[ua.Variant]) -> pb.Command | tuple[int, list[int]]:
-    """The command of a call, or (status code, one code per argument) that say why it is none."""
+    """Return the command of a call, or the refusal as (status code, one code per argument)."""
     wanted = method.arguments
     if len(inputs) != len(wanted):
         return int(S.BadArgumentsMissing if len(inputs) < len(wanted) else S.BadTooManyArguments), []

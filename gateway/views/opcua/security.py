@@ -66,7 +66,7 @@ class Security:
         self._trusted = path / "opcua" / "trusted"
 
     def identify(self, name: str | None, password: str | None, certificate: bytes | None, host: str) -> Visitor | None:
-        """Who this is; None for a wrong password, an unknown certificate and an unknown name alike.
+        """Return the user; None for a wrong password, an unknown certificate or an unknown name.
 
         Raises:
             ServiceError: too many passwords were tried from this host.

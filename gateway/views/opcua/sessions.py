@@ -1,9 +1,9 @@
-"""Who has come, and what a session may do.  asyncua's server with its open ends closed.
+"""Users and rights of sessions: asyncua's server with additional security checks and limits.
 
 Rule 1: on a secured server a session without an encrypted channel is refused, whatever its credentials: asyncua
         accepts an unencrypted channel even where no endpoint offers one.
-Rule 2: a session stays with its channel.  asyncua numbers its session tokens; whoever guesses one would be handed the
-        session of somebody else together with their rights, before their own credentials are looked at.
+Rule 2: a session stays with its channel.  asyncua numbers its session tokens: a client that guesses one would get the
+        session and rights of another user before its own credentials are checked.
 Rule 3: nothing can be written but setpoints, nothing called but what `model.py` lists, nothing added to the space.
 Rule 4: every client gets a bounded service: sessions, logins, queues, bytes that it has not read; see subscriptions.py.
 """
@@ -125,7 +125,7 @@ class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes 
         return GuardedSession(self, self.aspace, self.subscription_service, name, user=user, external=external)
 
     def lookup_external_session(self, auth_token: ua.NodeId) -> InternalSession | None:
-        """None: rule 2."""
+        """Return None (rule 2)."""
         return None
 
     def register_server(self, server: Any, conf: Any = None) -> None:
@@ -133,7 +133,7 @@ class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes 
         raise ServiceError(S.BadServiceUnsupported)
 
     def drop_deaf(self) -> int:
-        """Close connections that do not read what they asked for; returns how many."""
+        """Close the connections of clients that do not read; return their number."""
         deaf = [t for t in self.asyncio_transports if t.get_write_buffer_size() > MAX_UNREAD_BYTES]
         for transport in deaf:
             transport.abort()
@@ -170,7 +170,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
 
     @property
     def visitor(self) -> Visitor:
-        """Who this is."""
+        """Return the user of the session."""
         found = self.user.visitor if isinstance(self.user, Guest) else None
         return found if found is not None else NOBODY
 
@@ -205,7 +205,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         raise ServiceError(S.BadUserAccessDenied)
 
     async def transfer_subscriptions(self, params: Any, callback: Any) -> list[Any]:
-        """Nobody takes over another's."""
+        """Refuse: a session must not take over the subscriptions of another one."""
         raise ServiceError(S.BadServiceUnsupported)
 
     async def browse_next(self, parameters: ua.BrowseNextParameters) -> list[ua.BrowseResult]:
@@ -344,7 +344,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
     async def _enable(self, condition: ConditionNode, *, enabled: bool) -> int:
         if condition.enabled == enabled:
             return int(S.BadConditionAlreadyEnabled if enabled else S.BadConditionAlreadyDisabled)
-        if not may(self.visitor.role, "disable_alarm"):  # the bus knows no such command: it is judged here
+        if not may(self.visitor.role, "disable_alarm"):  # the bus has no such command: the right is checked here
             return int(S.BadUserAccessDenied)
         state = "enabled" if enabled else "disabled"
         code = await self._remark(condition, f"{condition.alarm} {state} for OPC UA clients")
@@ -353,7 +353,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         return code
 
     async def _remark(self, condition: ConditionNode, text: str) -> int:
-        """Into the log and every view; what nobody records does not happen."""
+        """Send a remark to the log and every view; the action fails if it cannot be recorded."""
         remark = pb.Command(mark=pb.Mark(text=text[:LONGEST_COMMENT]))
         return code_of(await self.iserver.operations.command(self.visitor, condition.board, "mark", remark))
 

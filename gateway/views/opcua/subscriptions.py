@@ -1,4 +1,4 @@
-"""What a client may ask of a subscription: everything at 1 ms becomes a bounded service."""
+"""Limits of a client's subscriptions: shortest interval and largest number of items."""
 
 from __future__ import annotations
 

@@ -189,8 +189,8 @@ def test_on_loopback_without_tls_the_password_decides_alone(keys: SecurityFolder
 def test_the_error_of_a_client_names_the_identity_that_was_not_taken(keys: SecurityFolder) -> None:
     endpoint = "tls/127.0.0.1:7447"
 
-    assert "does not take the identity ben" in str(refused_by_router([endpoint], keys.identity("ben")))
-    assert "wants --identity" in str(refused_by_router([endpoint], None))
+    assert "does not accept the identity ben" in str(refused_by_router([endpoint], keys.identity("ben")))
+    assert "requires --identity" in str(refused_by_router([endpoint], None))
     assert "identity" not in str(refused_by_router(["tcp/127.0.0.1:7447"], None))
 
 

@@ -120,7 +120,7 @@ def test_kinds_of_csv(tmp_path: Path, separator: str, compressed: bool) -> None:
         ("t,x\n0,1\n1,nan\n", "line 3: x = 'nan' is not a finite number"),
         ("t,x\n0,1\n1,inf\n", "line 3: x = 'inf' is not a finite number"),
         ("t,x\n0,1\n1,far\n", "line 3: x = 'far' is not a finite number"),
-        ("t,x\n0,1\n1,1e308\n", r"line 3: x = '1e308' gives 1e\+308 m for x, which nothing measures"),
+        ("t,x\n0,1\n1,1e308\n", r"line 3: x = '1e308' gives 1e\+308 m for x, which cannot be a measurement"),
         ("t,x\n0,1\n1e308,1\n", "line 3: t = '1e308' gives"),
         ("t,x\n0,1\n1,1\n2,1\n9e9,1\n", "line 5: t jumps by 9e"),
         ("t,x\n0,-999999999\n1,1\n", "line 2: x = '-999999999'"),

@@ -1,5 +1,5 @@
-"""The nodes of the OPC UA server: what there is of a board, its values and their quality.
+"""The nodes of the OPC UA server: variables and methods of a board, with values and quality.
 
-Read `model.py` first (what nodes there are), then `nodes.py` (one board's nodes kept up to date), `quality.py` (status
+Read `model.py` first (definition of the nodes), then `nodes.py` (update of one board's nodes), `quality.py` (status
 codes), `history.py` (the last minutes of a variable).
 """

@@ -1,6 +1,6 @@
-"""Nodes by the dozen: objects, variables, properties, methods, as AddNodes items.
+"""Builds nodes in bulk: objects, variables, properties and methods, as AddNodes items.
 
-asyncua's convenient calls read back and write each attribute: 2 ms a node.  A site of eight boards has 2500 of them.
+asyncua's own calls read and write each attribute, which takes 2 ms per node.  A site of eight boards has 2500 nodes.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ so that it follows the drift of the quartz and not the queue.
 from __future__ import annotations
 
 PULL = 0.002  # share of a late arrival's error taken per sample
-JUMP_NS = 500_000_000  # a clock that was set, or a long silence: begin anew
+JUMP_NS = 500_000_000  # a clock that was set, or a long gap: restart the estimate
 
 
 class StampClock:

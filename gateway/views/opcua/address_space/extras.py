@@ -1,4 +1,4 @@
-"""What the views know of a board beyond its topics: is the link live, which alarms, who commanded last."""
+"""Variables of a board beyond its topics: state of the link, alarms, last command."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EXTRAS: tuple[tuple[str, ua.VariantType, bool, str], ...] = (
 
 
 def extra(feed: BoardFeed, path: str) -> object:
-    """The value of now; None where there is none."""
+    """Return the current value, or None if there is none."""
     match path:
         case "link/state":
             return feed.link().state

@@ -147,7 +147,7 @@ class Historian(HistoryManager):  # type: ignore[misc]  # as above
         self.set_storage(storage)
 
     async def read_history(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
-        """One result for each node that is asked for."""
+        """Return one result for each requested node."""
         results: list[ua.HistoryReadResult] = await super().read_history(params)
         return [
             self._judged(params, wanted.NodeId, result)

@@ -1,4 +1,4 @@
-"""What variables and methods a board has: generated from the topic table and the message descriptors.  Pure.
+"""Variables and methods of a board, generated from the topic table and the message descriptors.  Pure.
 
     <board>/state/x_m            the last value of each interval (1 / rate)
     <board>/state/x_m/min, /max  the lowest and highest tick within it: no spike is lost by the slower rate

@@ -1,6 +1,6 @@
 """One board's nodes, kept up to date from its feed.
 
-Rule 1: a value that nobody subscribes to is made when it is read; only subscribed ones are made at the rate.
+Rule 1: only subscribed values are made at the rate; all others are made when they are read.
 Rule 2: each interval reaches each subscriber, in order, also when this process was late: the feed keeps the bins.
 Rule 3: a status is judged at the moment of reading or sending, never stored.  After an outage it is good again with the
         first interval since, not with the first sample: until then the value is the one from before.
@@ -216,7 +216,7 @@ class BoardNodes:
     # -- updating
 
     async def update(self) -> None:
-        """Send what has changed since the last call to whoever subscribed it, and keep history."""
+        """Send the changes since the last call to their subscribers, and append to the history."""
         self._update_ranges()
         for topic in TICK_TOPICS:
             down = quality.is_down(self._judged(topic))

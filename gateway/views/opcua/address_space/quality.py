@@ -1,4 +1,4 @@
-"""Status codes that tell the truth about a value.  Pure.
+"""OPC UA status codes of values.  Pure.
 
 | what is known | status |
 |---|---|

@@ -1,6 +1,6 @@
-"""EURange of each variable, by path: what the converters can show; of the reference, what the board takes.  Pure.
+"""EURange of each variable, by path: the range of the converters; for the reference, the board's limits.  Pure.
 
-A variable without a range here has none in the address space either: an empty one with a good status would be a lie.
+A variable without a range here has no EURange in the address space: an empty range with a good status would be wrong.
 """
 
 from __future__ import annotations

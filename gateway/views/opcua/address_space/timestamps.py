@@ -1,6 +1,6 @@
-"""Which timestamps a client gets: those that it asked for (TimestampsToReturn of Part 4, 7.40), and no others.  Pure.
+"""Timestamps of returned values: exactly those that the client requested (TimestampsToReturn, Part 4, 7.40).  Pure.
 
-Source: when the sample was made.  Server: when this server looked at the value, or took it into its history.
+Source: time of the sample.  Server: time at which this server read the value, or added it to its history.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ T = ua.TimestampsToReturn
 
 
 def check(asked: ua.TimestampsToReturn, *, of_history: bool = False) -> None:
-    """Whether that can be asked for; a history without time stamps is none (Part 11, 6.4.2).
+    """Check the requested timestamps; a history must have timestamps (Part 11, 6.4.2).
 
     Raises:
         ServiceError: BadTimestampsToReturnInvalid.
@@ -28,7 +28,7 @@ def check(asked: ua.TimestampsToReturn, *, of_history: bool = False) -> None:
 def stamped(
     value: ua.DataValue, asked: ua.TimestampsToReturn, served: datetime | None, *, of_value: bool = True
 ) -> ua.DataValue:
-    """`value` with what was asked for.
+    """Return `value` with the requested timestamps.
 
     Args:
         value: as it is kept; not changed.

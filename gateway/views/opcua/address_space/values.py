@@ -15,7 +15,7 @@ _STATUS: dict[int, ua.StatusCode] = {}
 
 
 class Value(ua.DataValue):  # type: ignore[misc]  # asyncua is untyped here
-    """A DataValue that nobody changes.
+    """An immutable DataValue.
 
     asyncua copies the value deeply for each monitored item and change: 31 us of 35 for one notification.
     """
