@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
-PYTEST_ARGS ?= -n 2 --dist loadgroup
+PYTEST_ARGS ?=
 STAMP  := $(VENV)/.from-lock
 
 .PHONY: setup demo test test-slow mutants check docs clean
@@ -24,13 +24,13 @@ $(STAMP): requirements.lock pyproject.toml
 demo: setup
 	$(BIN)/board51 demo
 
-# Five minutes on two idle cores: what guards a change.
+# Five minutes on two idle cores: what guards a change.  Four processes: half of these tests wait for a board or a bus.
 test: setup
-	$(BIN)/pytest $(PYTEST_ARGS) -m "not slow"
+	$(BIN)/pytest -n 4 --dist loadgroup $(PYTEST_ARGS) -m "not slow"
 
 # The rest: samples of hidden campaigns, coverage of intervals, long flights, the demo, browsers over a failing network.
 test-slow: setup
-	$(BIN)/pytest $(PYTEST_ARGS) -m slow
+	$(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS) -m slow
 
 # Half an hour: see tests/README.md.
 mutants: setup
