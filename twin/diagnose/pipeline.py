@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from protocol.campaign import Campaign
+from protocol.campaign import Campaign, Plant
 from protocol.errors import DataError
 from twin.diagnose import settings
 from twin.diagnose.assemble import Asked, Say, Searched, testable_causes, timed, told
@@ -26,6 +26,7 @@ from twin.diagnose.checks.change_point import find_change
 from twin.diagnose.checks.outlier_recording import Outlier, find_outlier
 from twin.diagnose.evidence.gather import Evidence, gather
 from twin.diagnose.evidence.instruments import instruments, with_noise
+from twin.diagnose.evidence.noise_levels import Noise
 from twin.diagnose.evidence.outliers import without_outliers
 from twin.diagnose.evidence.shorten import shortened
 from twin.diagnose.inference.adequacy import adequate
@@ -139,16 +140,9 @@ def diagnose_records(
     records, warnings = _prepared(campaign, records, quick)
     stages: dict[str, float] = {}
     with timed(stages, "evidence"):
-        evidence = gather(records, plant)
-        judge = gather(judges, plant, (evidence.low_m, evidence.high_m)) if judges else None
-        evidence, judge = without_outliers(evidence), judge and without_outliers(judge)
-        noise = instruments([evidence, *([judge] if judge else [])])
-        evidence, judge = with_noise(evidence, noise), judge and with_noise(judge, noise)
+        evidence, judge, noise = _evidence(records, judges, plant)
         warnings += evidence.notes
-    if not judges:
-        warnings.append('no recording has use = "judge": the gain cannot be measured on data that were not used')
-    if not any(record.has("x") for record in records):
-        warnings.append("no recording has x: only the amplifier was judged; K_c and b of the model files are guesses")
+    warnings += _missing(records, judges)
     start = no_better(start_theta(records, plant), evidence)
     enough(evidence)
     criterion = Criterion(evidence, plant, tick_of(records), workers=workers, budget=budget)
@@ -191,6 +185,27 @@ def diagnose_records(
                 judge = with_noise(without_outliers(gather(later, plant, stops)), noise)
         with criterion.free(), done.criterion.free():
             return told(campaign, done, records, judges, evidence, judge, warnings, asked, stages)
+
+
+def _evidence(
+    records: Sequence[Record], judges: Sequence[Record], plant: Plant
+) -> tuple[Evidence, Evidence | None, Noise]:
+    """The series for fitting and for judging, without outliers, and the noise of their instruments."""
+    evidence = gather(records, plant)
+    judge = gather(judges, plant, (evidence.low_m, evidence.high_m)) if judges else None
+    evidence, judge = without_outliers(evidence), judge and without_outliers(judge)
+    noise = instruments([evidence, *([judge] if judge else [])])
+    return with_noise(evidence, noise), judge and with_noise(judge, noise), noise
+
+
+def _missing(records: Sequence[Record], judges: Sequence[Record]) -> list[str]:
+    """Warnings about recordings that are not there."""
+    warnings = []
+    if not judges:
+        warnings.append('no recording has use = "judge": the gain cannot be measured on data that were not used')
+    if not any(record.has("x") for record in records):
+        warnings.append("no recording has x: only the amplifier was judged; K_c and b of the model files are guesses")
+    return warnings
 
 
 def _with_share(say: Say, budget: Budget) -> Say:

@@ -14,10 +14,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from google.protobuf.message import Message
+
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.topics import key
 from protocol.errors import DataError
-from protocol.log.reader import LogReader
+from protocol.log.reader import LogReader, RawLogRecord
 from twin.mirror.bus.handover import believe
 from twin.mirror.mirror import Mirror
 from twin.mirror.output import Output
@@ -141,6 +143,11 @@ def run_log(
     reader = LogReader(path)
     belief = believe(model)
     log = TwinLog(out) if out else None
+
+    def keep(entry: RawLogRecord, topic: str, data: bytes | Message, kind: type[Message]) -> None:
+        if log:
+            log.write(key(entry.site, entry.board, topic), data, message_type=kind, log_time_ns=entry.time_ns)
+
     try:
         for entry in entries(reader, topics=("state", "parameters", "twin/model"), board=board):
             run = runs.get((entry.site, entry.board))
@@ -153,34 +160,16 @@ def run_log(
             if entry.topic == "parameters":
                 run.parameters_seen += 1
                 run.mirror.parameters(parse(pb.Parameters, entry, path))
-                if log:
-                    log.write(
-                        key(entry.site, entry.board, entry.topic),
-                        entry.data,
-                        message_type=pb.Parameters,
-                        log_time_ns=entry.time_ns,
-                    )
+                keep(entry, entry.topic, entry.data, pb.Parameters)
                 continue
             state = parse(pb.State, entry, path)
             run.samples += 1
             run.last_t_s = state.t_s
             if run.samples == 1:
                 run.first_t_s = state.t_s
-                if log:
-                    log.write(
-                        key(entry.site, entry.board, "twin/model"),
-                        belief.message(session=state.session, since_tick=state.tick),
-                        message_type=pb.TwinModel,
-                        log_time_ns=entry.time_ns,
-                    )
+                keep(entry, "twin/model", belief.message(session=state.session, since_tick=state.tick), pb.TwinModel)
             output = run.mirror.handle(state)
-            if log:
-                log.write(
-                    key(entry.site, entry.board, "state"),
-                    entry.data,
-                    message_type=pb.State,
-                    log_time_ns=entry.time_ns,
-                )
+            keep(entry, "state", entry.data, pb.State)
             if output is None:
                 continue
             run.alarms += output.alarms

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocol.campaign import Plant
 from twin.diagnose.evidence.lost_rows import between, bridged, mark
@@ -115,23 +116,10 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         x[:n] = np.where(np.isfinite(record.x), record.x, 0.0)
         t[:n] = np.where(np.isfinite(record.t), record.t, 0.0)
         if n:
-            own = flags[:n]
-            own[at_converter_end(record.i_c)] &= np.uint8(~USE_I & 0xFF)
-            own[np.isin(record.x, blind)] &= np.uint8(~(FLIES | USE_X) & 0xFF)
             cut = at_converter_end(record.x) if noise_shows else np.zeros(n, np.bool_)
-            own[bounces(record, plant)] &= np.uint8(~(FLIES | USE_X) & 0xFF)
-            if told.kind in OPEN_LOOP:
-                _trim(own)
-            own[still & (own & FLIES != 0)] &= np.uint8(~(FLIES | USE_X) & 0xFF)
-            # One such sample had a score of 32 000 in K_c, any other at most 60: where the paper's model has the
-            # coil too low it decided the fit, and the screen after it named anything.
-            own[(plant.x_max_m - record.x < POLE_SHARE * plant.travel_m) & (own & FLIES != 0)] &= np.uint8(
-                ~(FLIES | USE_X) & 0xFF
-            )
-            for mask, bit in zip(on_stop, (RESTS_LOW, RESTS_HIGH), strict=True):
-                free = own & FLIES == 0
-                own[mask & free & np.isfinite(record.x)] |= np.uint8(bit)
-                own[mask & free & np.isfinite(record.x) & ~cut] |= np.uint8(USE_X)
+            own = flags[:n]
+            _flag(own, record, told.kind, still, blind, plant)
+            _flag_rest(own, record, on_stop, cut)
             if not lifted[number]:
                 own[beyond_range(record, still, blind) & (own & FLIES == 0)] |= np.uint8(RESTS_UNSEEN)
             if told.kind in OPEN_LOOP:
@@ -155,6 +143,30 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         high_m=high,
         notes=tuple(notes),
     )
+
+
+def _flag(
+    own: NDArray[np.uint8], record: Record, kind: str, still: BoolArray, blind: list[float], plant: Plant
+) -> None:
+    """Clear the flags of readings that are not used, in place: `own`, shape (n,), of the samples of `record`."""
+    no_flight = np.uint8(~(FLIES | USE_X) & 0xFF)
+    own[at_converter_end(record.i_c)] &= np.uint8(~USE_I & 0xFF)
+    own[np.isin(record.x, blind)] &= no_flight
+    own[bounces(record, plant)] &= no_flight
+    if kind in OPEN_LOOP:
+        _trim(own)
+    own[still & (own & FLIES != 0)] &= no_flight
+    # One such sample had a score of 32 000 in K_c, any other at most 60: where the paper's model has the coil too low
+    # it decided the fit, and the screen after it named anything.
+    own[(plant.x_max_m - record.x < POLE_SHARE * plant.travel_m) & (own & FLIES != 0)] &= no_flight
+
+
+def _flag_rest(own: NDArray[np.uint8], record: Record, on_stop: tuple[BoolArray, BoolArray], cut: BoolArray) -> None:
+    """Set the flags of readings at a stop, in place; `cut`: where the converter's end cuts off the noise of x."""
+    for mask, bit in zip(on_stop, (RESTS_LOW, RESTS_HIGH), strict=True):
+        rests = mask & (own & FLIES == 0) & np.isfinite(record.x)
+        own[rests] |= np.uint8(bit)
+        own[rests & ~cut] |= np.uint8(USE_X)
 
 
 def _on_platform(record: Record, still: BoolArray, low: float | None, plant: Plant) -> bool:
