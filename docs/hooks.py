@@ -1,6 +1,6 @@
-"""What MkDocs is told beyond `mkdocs.yml`: Markdown that lies beside the code it describes is a page of the site, too,
-and so is a script with cells (percent format): its text as text, its code as code.
+"""What MkDocs is told beyond `mkdocs.yml`: Markdown that lies beside the code it describes is a page of the site, too.
 
+So is a script with cells (percent format): its text as text, its code as code.
 A link in any page is written as it works in the repository.  To a file that is a page here it leads to that page; of
 any other file of the repository the link's text stays, since the site holds no source code.
 """
