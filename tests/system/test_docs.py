@@ -44,6 +44,16 @@ def test_pages_load_nothing_from_other_servers(site: Path) -> None:
     assert not [(page, address) for page, address in loaded if re.match(r"(?:https?:)?//", address)]
 
 
+def test_a_script_with_cells_is_a_page_of_text_and_code(site: Path) -> None:
+    page = (site / "notebooks" / "subscribe_command_replay.html").read_text(encoding="utf-8")
+
+    assert re.search(r"<h1[^>]*>Subscribe, command, replay", page)
+    assert re.search(r"<h2[^>]*>2 Command", page)
+    assert re.search(r"<code>.*>import</span>", page)
+    assert "%%" not in page
+    assert (site / "notebooks" / "subscribe_command_replay.py").is_file()
+
+
 @pytest.mark.skipif(CHROMIUM is None, reason=ABSENT)
 def test_the_search_works_from_the_file_system(site: Path) -> None:
     with chromium() as browser:

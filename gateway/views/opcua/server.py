@@ -2,7 +2,7 @@
 
 Secured (a folder made by `board51 security init`): Basic256Sha256, Aes128Sha256RsaOaep and Aes256Sha256RsaPss, sign and
 encrypt only; users by password or certificate; anonymous off.  Without security: loopback only, and everybody on this
-machine may command, as on the bus (gateway/commands/opcua.py decides).
+machine may command, as on the bus (gateway/commands/views/opcua.py decides).
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from websockets.asyncio.client import connect
 from websockets.typing import Subprotocol
 
-from gateway.commands.foxglove import layout
+from gateway.commands.views.foxglove import layout
 from gateway.views.foxglove import FoxgloveView
 from protocol.bus import topics
 from protocol.errors import ServiceError

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import board51
-from gateway.commands.opcua import anonymous
+from gateway.commands.views.opcua import anonymous
 from gateway.views.listen import address
 
 

@@ -1,0 +1,1 @@
+"""Commands over logs: make them, change their form, play them."""

@@ -1,0 +1,1 @@
+"""Commands that show the rigs to people and to SCADA systems."""
