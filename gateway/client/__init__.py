@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from gateway.client.commands import HostLoss, Law, Mode, OperatingPoint, Shape
     from gateway.client.errors import CommandNotDeliveredError, CommandRefusedError, NoSamplesError
     from gateway.client.recording import Recording
-    from gateway.client.rig import Rig, SampleStream
+    from gateway.client.rig import Rig
+    from gateway.client.sample_stream import SampleStream
     from gateway.client.values import Capture, Reply, Sample, Samples, read_log
 
 __all__ = [
@@ -47,7 +48,8 @@ _HOMES = {
     "commands": ("HostLoss", "Law", "Mode", "OperatingPoint", "Shape"),
     "errors": ("CommandNotDeliveredError", "CommandRefusedError", "NoSamplesError"),
     "recording": ("Recording",),
-    "rig": ("Rig", "SampleStream"),
+    "rig": ("Rig",),
+    "sample_stream": ("SampleStream",),
     "values": ("Capture", "Reply", "Sample", "Samples", "read_log"),
 }
 

@@ -10,6 +10,7 @@ import enum
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeVar
 
 from protocol.bus import board51_pb2 as pb
@@ -177,6 +178,19 @@ def stop() -> pb.Command:
 def ping() -> pb.Command:
     """A sign of life."""
     return pb.Command(ping=pb.Ping())
+
+
+def use_model(model: Path) -> pb.TwinCommand:
+    """Hand a model file to the twin.
+
+    Raises:
+        DataError: no such file.
+    """
+    from protocol.files import read_small
+
+    command = pb.TwinCommand()
+    command.use_model.model_json = read_small(model, remedy="Name a model file, such as model.json")
+    return command
 
 
 def _chosen(kind: type[E_], value: str, name: str) -> E_:

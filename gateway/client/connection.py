@@ -7,6 +7,7 @@ empty is "not delivered" and is said as such.
 from __future__ import annotations
 
 import argparse
+import getpass
 import time
 import uuid
 from collections.abc import Iterator
@@ -125,3 +126,11 @@ def _unanswered(command: pb.Command, board: str, *, guarded: bool, typed: bool) 
         text += options[0] if guarded else options[1]
     text += " Had one received the command before it ended, it may have acted."
     return pb.CommandReply(id=command.id, refused_by="link", reason="not-delivered", text=text)
+
+
+def login_name() -> str:
+    """Of who runs this process."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a container's user need not have a name
+        return "unknown"

@@ -8,6 +8,7 @@ ServiceError
 
 from __future__ import annotations
 
+from gateway.client.values import Reply
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import ServiceError
 
@@ -62,3 +63,17 @@ class NoSamplesError(ServiceError):
 
 def _what(command: pb.Command | pb.TwinCommand) -> str:
     return str(command.WhichOneof("what")).replace("_", " ")
+
+
+def accepted(command: pb.Command | pb.TwinCommand, reply: pb.CommandReply) -> Reply:
+    """The reply to a command that was accepted.
+
+    Raises:
+        CommandNotDeliveredError: the board did not answer.
+        CommandRefusedError: it was refused.
+    """
+    if reply.accepted:
+        return Reply.of(reply)
+    if reply.refused_by == "link" and isinstance(command, pb.Command):
+        raise CommandNotDeliveredError(command, reply)
+    raise CommandRefusedError(command, reply)

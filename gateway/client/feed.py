@@ -10,15 +10,17 @@ import threading
 import time
 import weakref
 from collections import deque
-from collections.abc import Iterable
-from typing import NamedTuple, Self
+from collections.abc import Callable, Iterable
+from typing import NamedTuple, Self, TypeVar
 
 import zenoh
 from google.protobuf.message import Message
 
 from protocol.bus import topics
 from protocol.bus.encoding import parse
+from protocol.errors import UsageError
 
+M = TypeVar("M", bound=Message)
 CAPACITY = 100_000  # messages: 200 s of one board's samples
 
 
@@ -68,6 +70,14 @@ class Feed:
         """The next message, or None where none came within `timeout_s` (None: for ever)."""
         return self._waiting.take(timeout_s)
 
+    def first(self, kind: type[M], timeout_s: float, wanted: Callable[[M], bool] = lambda message: True) -> M | None:
+        """The next message of that kind that is wanted; None if none comes within `timeout_s`."""
+        end_s = time.monotonic() + timeout_s
+        while (arrival := self.take(max(0.0, end_s - time.monotonic()))) is not None:
+            if isinstance(arrival.message, kind) and wanted(arrival.message):
+                return arrival.message
+        return None
+
 
 class _Waiting:
     def __init__(self, capacity: int) -> None:
@@ -102,3 +112,14 @@ def _undeclare(subscribers: list[zenoh.Subscriber[None]]) -> None:
     for subscriber in subscribers:
         with contextlib.suppress(zenoh.ZError):  # the session is closed
             subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+
+
+def check_topic(name: str) -> None:
+    """Refuse a name that is no topic which a client can receive.
+
+    Raises:
+        UsageError: with the topics to choose from.
+    """
+    if name not in topics.BY_NAME or topics.BY_NAME[name].by == "client" or not topics.BY_NAME[name].bus:
+        there = ", ".join(topic.name for topic in topics.TOPICS if topic.bus and topic.by != "client")
+        raise UsageError(f"{name!r} is no topic to listen to", remedy=f"Choose among {there}")

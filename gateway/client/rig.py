@@ -9,7 +9,6 @@ Rule 3: who leaves the `with` block by an exception has lost control.  Where thi
 from __future__ import annotations
 
 import contextlib
-import getpass
 import math
 import time
 import uuid
@@ -24,11 +23,12 @@ from google.protobuf.message import Message
 
 from gateway.client import commands
 from gateway.client.commands import HostLoss, Law, Mode, OperatingPoint, Shape
-from gateway.client.connection import ask, open_bus, send
-from gateway.client.errors import CommandNotDeliveredError, CommandRefusedError, NoSamplesError
-from gateway.client.feed import CAPACITY, Feed
+from gateway.client.connection import ask, login_name, open_bus, send
+from gateway.client.errors import CommandNotDeliveredError, accepted
+from gateway.client.feed import CAPACITY, Feed, check_topic
 from gateway.client.recording import Recording
-from gateway.client.values import Capture, Reply, Sample, Samples
+from gateway.client.sample_stream import SampleStream
+from gateway.client.values import Capture, Reply, Samples
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
@@ -45,9 +45,7 @@ M = TypeVar("M", bound=Message)
 
 
 class Rig:
-    """One board, through its gateway; a context manager.
-
-    Any thread may use it, several at once, too.
+    """One board, through its gateway; a context manager that several threads may use at once.
 
     Args:
         board: Its name.
@@ -185,7 +183,7 @@ class Rig:
             period_end_s: s; of "chirp" the last.
             seed: Of "prbs" and "multisine".
         """
-        command = commands.excite(
+        signal = commands.excite(
             shape,
             duration_s=duration_s,
             on_reference=on_reference,
@@ -195,7 +193,7 @@ class Rig:
             period_end_s=period_end_s,
             seed=seed,
         )
-        return self._execute(command)
+        return self._execute(signal)
 
     def capture(self, *, u_from_v: float, u_to_v: float, duration_s: float = 0.04, pre_s: float = 0.004) -> Capture:
         """Record the coil current at 25 kHz around a step of u_c, and wait for it; idle or open loop.
@@ -213,14 +211,11 @@ class Rig:
             ServiceError: accepted, but its samples did not come.
         """
         with Feed(self._session, self.site, self.board, ["capture"]) as feed:
-            reply = self._execute(
-                commands.capture(u_from_v=u_from_v, u_to_v=u_to_v, duration_s=duration_s, pre_s=pre_s)
-            )
-            end_s = time.monotonic() + CAPTURE_WAIT_S
-            while (arrival := feed.take(max(0.0, end_s - time.monotonic()))) is not None:
-                record = arrival.message
-                if isinstance(record, pb.CaptureRecord) and record.tick >= reply.tick:
-                    return Capture.of(record)
+            wanted = commands.capture(u_from_v=u_from_v, u_to_v=u_to_v, duration_s=duration_s, pre_s=pre_s)
+            reply = self._execute(wanted)
+            record = feed.first(pb.CaptureRecord, CAPTURE_WAIT_S, lambda one: one.tick >= reply.tick)
+        if record is not None:
+            return Capture.of(record)
         raise ServiceError(
             f"The samples of the capture did not come from {self.site}/{self.board} within {CAPTURE_WAIT_S:g} s",
             remedy="Look at the events of the board: `board51 watch --topic event`",
@@ -257,10 +252,8 @@ class Rig:
             CommandRefusedError: the twin does not take it, and says why.
             ServiceError: no twin answers.
         """
-        from protocol.files import read_small
-
-        command = pb.TwinCommand(id=uuid.uuid4().hex, who=self.who)
-        command.use_model.model_json = read_small(Path(model), remedy="Name a model file, such as model.json")
+        command = commands.use_model(Path(model))
+        command.id, command.who = uuid.uuid4().hex, self.who
         role, who = ("", "") if self.identity is None else (self.identity.role, self.identity.name)
         key = topics.command_key(self.site, self.board, role=role, who=who, topic="twin/command")
         reply = ask(self._session, key, command, self._timeout_s)
@@ -269,7 +262,7 @@ class Rig:
                 f"No twin answers for {self.site}/{self.board}",
                 remedy="Start `board51 twin`; on a guarded bus only an engineer hands models over",
             )
-        return _accepted(command, reply)
+        return accepted(command, reply)
 
     def stop(self) -> Reply:
         """Coil off at once, mode idle.  Repeated until it is answered; works on a closed rig, too.
@@ -311,7 +304,7 @@ class Rig:
         return send(session, self.site, self.board, command, timeout_s=timeout_s, identity=self.identity)
 
     def _execute(self, command: pb.Command) -> Reply:
-        return _accepted(command, self.send(command))
+        return accepted(command, self.send(command))
 
     # --- what the board says
 
@@ -348,7 +341,7 @@ class Rig:
             timeout_s: Ends after this silence, s; None: never.
         """
         for name in names:
-            _check_topic(name)
+            check_topic(name)
         feed = Feed(self._session, self.site, self.board, names)
         return (arrival.message for arrival in iter(lambda: feed.take(timeout_s), None) if arrival.message is not None)
 
@@ -378,10 +371,9 @@ class Rig:
 
     def _next(self, topic: str, kind: type[M], timeout_s: float) -> M:
         with Feed(self._session, self.site, self.board, [topic]) as feed:
-            end_s = time.monotonic() + timeout_s
-            while (arrival := feed.take(max(0.0, end_s - time.monotonic()))) is not None:
-                if isinstance(arrival.message, kind):
-                    return arrival.message
+            found = feed.first(kind, timeout_s)
+        if found is not None:
+            return found
         raise ServiceError(
             f"No {topic} from {self.site}/{self.board} within {timeout_s:g} s",
             remedy="Is its gateway running, and is that the board's name?",
@@ -402,75 +394,7 @@ class Rig:
             UsageError: the directory cannot be made.
             LogError: it is read-only or full.
         """
-        metadata = {"record": {"connect": self.connect, "keys": f"{self.site}/{self.board}/**"}}
-        recording = Recording(self._session, self.site, self.board, directory, prefix=prefix, metadata=metadata).start()
-        self._closing.callback(recording.close)
+        source = {"record": {"connect": self.connect, "keys": f"{self.site}/{self.board}/**"}}
+        recording = Recording(self._session, self.site, self.board, directory, prefix=prefix, metadata=source)
+        self._closing.callback(recording.start().close)
         return recording
-
-
-class SampleStream(Iterator[Sample]):
-    """Samples as they come; `rig.samples()` makes it.
-
-    It listens from the moment it is made, so nothing is missed before the loop begins.
-    """
-
-    def __init__(self, feed: Feed, board: str, duration_s: float, timeout_s: float) -> None:
-        self._feed, self._board = feed, board
-        self._left_s, self._timeout_s = duration_s, timeout_s
-        self._last: Sample | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End the subscription."""
-        self._feed.close()
-
-    @property
-    def dropped(self) -> int:
-        """Samples that were lost because the loop did not take them in time."""
-        return self._feed.dropped
-
-    def __next__(self) -> Sample:
-        state = None
-        while not isinstance(state, pb.State):
-            arrival = self._feed.take(self._timeout_s)
-            if arrival is None:
-                raise NoSamplesError(
-                    f"No samples from {self._board} for {self._timeout_s:g} s",
-                    remedy="Look at rig.status(): gateway, link or board is gone, or its stream is off",
-                )
-            state = arrival.message
-        sample, last = Sample.of(state), self._last
-        if last is not None and last.session == sample.session:
-            self._left_s -= sample.t_s - last.t_s
-        self._last = sample
-        if self._left_s < 1e-6:  # s; less than any tick, more than rounding
-            self.close()
-            raise StopIteration
-        return sample
-
-
-def login_name() -> str:
-    """Of who runs this process."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a container's user need not have a name
-        return "unknown"
-
-
-def _check_topic(name: str) -> None:
-    if name not in topics.BY_NAME or topics.BY_NAME[name].by == "client" or not topics.BY_NAME[name].bus:
-        there = ", ".join(topic.name for topic in topics.TOPICS if topic.bus and topic.by != "client")
-        raise UsageError(f"{name!r} is no topic to listen to", remedy=f"Choose among {there}")
-
-
-def _accepted(command: pb.Command | pb.TwinCommand, reply: pb.CommandReply) -> Reply:
-    if reply.accepted:
-        return Reply.of(reply)
-    if reply.refused_by == "link" and isinstance(command, pb.Command):
-        raise CommandNotDeliveredError(command, reply)
-    raise CommandRefusedError(command, reply)
