@@ -161,7 +161,6 @@ def test_unplug_ends_the_connection_and_plug_brings_it_back(emulator: Emulator) 
 
 def test_reset_shows_as_a_new_start(emulator: Emulator) -> None:
     with Wire(emulator.urls[0]) as wire:
-        wire.until(is_event(EventCode.RESET_POWER_ON))
         wire.until(lambda event: isinstance(event, State) and event.sequence > 50)
         emulator.reset_board()
         wire.until(is_event(EventCode.RESET_POWER_ON))

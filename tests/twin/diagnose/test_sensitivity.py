@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from protocol.campaign import load
-from tests.bench.sensitivity import AS_IT_IS, VARIED, VARIED_FULL, table, variants, varied
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.remembered import INSIDE, remembered
+from tests.harness.diagnose.sensitivity import AS_IT_IS, VARIED, VARIED_FULL, table, variants, varied
 from twin.diagnose import settings
 from twin.diagnose.pipeline import diagnose_records
 from twin.diagnose.result import Diagnosis, to_json

@@ -50,6 +50,8 @@ def without_outliers(evidence: Evidence) -> Evidence:
 
 def _wild(series: Series, place: int) -> BoolArray:
     """Which readings are outliers, shape (n,); of one recording."""
+    if len(series) < _FEWEST:
+        return np.zeros(len(series), np.bool_)
     values, whole = smooth(series, place, around=2)
     off = np.full(len(values), np.nan)
     off[2:-2] = np.convolve(values, _SPIKE, mode="valid")

@@ -33,6 +33,7 @@ from twin.mirror.bus.handover import Answered, believe, read_command, read_model
 from twin.mirror.bus.watched import Watched
 from twin.mirror.output import Output
 from twin.mirror.settings import Settings
+from twin.mirror.warm_up import compile_kernels
 from twin.model.parameters import Model
 
 QUEUE_LENGTH = 5000  # ten seconds of one board
@@ -96,6 +97,7 @@ class TwinService:
 
     def start(self) -> None:
         """Open the session and begin.  Raises ServiceError where zenoh refuses the configuration."""
+        compile_kernels(self._belief.model)
         try:
             self._session = self._open()
         except zenoh.ZError as error:

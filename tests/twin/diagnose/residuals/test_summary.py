@@ -38,6 +38,12 @@ def curve(show: Show, name: str) -> dict[float, tuple[float, float]]:
     return {point.at: (point.baseline.value, point.extended.value) for point in found.points}
 
 
+def spread(show: Show, name: str) -> dict[float, float]:
+    """Standard error of the baseline's by place, N, from its 95 % interval."""
+    found = next(one for one in show.force if one.name == name)
+    return {point.at: (point.baseline.high - point.baseline.low) / (2.0 * 1.96) for point in found.points}
+
+
 def test_the_extended_model_is_at_the_noise_floor_and_the_baseline_far_above() -> None:
     at_20 = next(one for one in with_gap().ahead if abs(one.horizon_s - 0.02) < 1e-3)
 
@@ -59,14 +65,16 @@ def test_the_missing_force_of_a_gap_offset_is_the_difference_of_the_two_laws() -
 
 
 def test_the_missing_force_of_quadratic_drag_follows_the_square_of_the_speed() -> None:
-    points = curve(with_drag(), "v")
+    points, error = curve(with_drag(), "v"), spread(with_drag(), "v")
     fast = [(v, before) for v, (before, _) in points.items() if abs(v) > 0.01]
 
     assert any(v < 0.0 for v, _ in fast)
     assert any(v > 0.0 for v, _ in fast)
     for v, before in fast:
         # A group's mean of v |v| lies above the square of its mean speed, at most twice for a group down from 0.
-        assert 0.9 < -before / (2.0 * v * abs(v)) < 2.0
+        drag, most = -before * math.copysign(1.0, v), 4.0 * error[v]
+        assert 2.0 * v * v - most < drag < 4.0 * v * v + most
+        assert drag > 2.0 * most, "more than noise"
     assert max(abs(after) for _, after in points.values()) < 2e-4  # near standstill, where the loop answers noise
 
 

@@ -1,7 +1,7 @@
 """What each number of `twin/diagnose/settings.py` does to the answers: halved and doubled, one at a time.
 
-    python -m tests.bench.sensitivity --results sensitivity.jsonl --minutes 50    made or continued
-    python -m tests.bench.sensitivity --results sensitivity.jsonl --minutes 0     the table of what is there
+    python -m tests.harness.diagnose.sensitivity --results sensitivity.jsonl --minutes 50    made or continued
+    python -m tests.harness.diagnose.sensitivity --results sensitivity.jsonl --minutes 0     the table of what is there
 
 The campaigns are a frozen draw (seeds from FIRST on, `tests/harness/diagnose/draws.py`) that nothing was tuned on.
 Whoever tunes on it takes another FIRST.  They are short ones, diagnosed with `--quick` unless `--full` is given.
