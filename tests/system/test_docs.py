@@ -14,6 +14,7 @@ from playwright.sync_api import expect
 from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
 from tests.patience import HANG_S
 
+pytestmark = pytest.mark.slow  # `make docs` builds the same pages, strictly
 ROOT = Path(__file__).parents[2]
 LOADED = re.compile(r"<(?:script|img|iframe|link)\b[^>]*?\b(?:src|href)=[\"']?([^\"'\s>]+)")
 

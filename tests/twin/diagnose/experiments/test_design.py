@@ -129,7 +129,14 @@ def test_force_laws_are_told_apart_by_wide_motion(
     assert "warm-run" not in z  # nothing here heats
 
 
-@pytest.mark.parametrize("name", ["steps", "prbs-reference", "multisine", "lift-off", "wide-steps"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "steps",
+        "lift-off",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("prbs-reference", "multisine", "wide-steps")),
+    ],
+)
 def test_the_separation_is_what_a_refit_with_the_experiment_finds(
     name: str, gap_or_exponent: tuple[list[Record], Criterion, Fit, Fit, list[Proposal]]
 ) -> None:
