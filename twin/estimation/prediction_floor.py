@@ -56,7 +56,7 @@ def _carry(
     predicted: NDArray[np.bool_],
     variances: NDArray[np.float64],
 ) -> None:
-    spread, steps, step, loud = along.spread, along.steps, samples.step, samples.loud
+    spread, steps, step, noise_ratio = along.spread, along.steps, samples.step, samples.noise_ratio
     for n in range(ahead, len(predicted)):
         if not predicted[n]:
             continue
@@ -66,4 +66,4 @@ def _carry(
             carry(f.F, f.P, f.G, f.m)
             add_process_noise(f, step[k])
         position_slopes(base_of(f), f.c[:], steps.before[n], f.sensor, f.h_x[:])
-        variances[n] = variance(f, f.h_x[:], f.r_x * loud[n, 1] if loud.shape[0] > 0 else f.r_x)
+        variances[n] = variance(f, f.h_x[:], f.r_x * noise_ratio[n, 1] if noise_ratio.shape[0] > 0 else f.r_x)

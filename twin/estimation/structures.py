@@ -63,12 +63,12 @@ class Samples(NamedTuple):
     i: NDArray[np.float64]  # A
     x: NDArray[np.float64]  # m
     flags: NDArray[np.uint8]  # `innovations.py`, `ekf.py`
-    loud: NDArray[np.float64] = ALIKE  # variance of the noise of i and x over that of their levels, shape (n, 2)
+    noise_ratio: NDArray[np.float64] = ALIKE  # variance of the noise of i and x over that of their levels, shape (n, 2)
 
     def part(self, piece: slice) -> Samples:
         """Some of them, as views."""
-        t, step, u, i, x, flags, loud = self
-        return Samples(t[piece], step[piece], u[piece], i[piece], x[piece], flags[piece], loud[piece])
+        t, step, u, i, x, flags, noise_ratio = self
+        return Samples(t[piece], step[piece], u[piece], i[piece], x[piece], flags[piece], noise_ratio[piece])
 
 
 class Steps(NamedTuple):

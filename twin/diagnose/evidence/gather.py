@@ -53,13 +53,13 @@ class Evidence:
     high_m: float | None
     notes: tuple[str, ...]
     noise: Noise | None = None  # of the instruments, where they differ
-    loud: FloatArray = field(default_factory=lambda: ALIKE)  # as `Samples` has it
+    noise_ratio: FloatArray = field(default_factory=lambda: ALIKE)  # as `Samples` has it
 
     @property
     def samples(self) -> Samples:
         """The series, as the filter takes it."""
         s = self.series
-        return Samples(self.t, s.step, s.u, s.i, s.x, s.flags, self.loud)
+        return Samples(self.t, s.step, s.u, s.i, s.x, s.flags, self.noise_ratio)
 
     def names(self) -> list[str]:
         """Of the recordings."""

@@ -70,7 +70,7 @@ def with_noise(evidence: Evidence, noise: Noise | None) -> Evidence:
     """The evidence with the noise of each reading; unchanged where it is the same for all."""
     if noise is None or noise.plain:
         return evidence
-    return replace(evidence, noise=noise, loud=noise.loud(evidence.records, evidence.series))
+    return replace(evidence, noise=noise, noise_ratio=noise.noise_ratio(evidence.records, evidence.series))
 
 
 def _windows(evidences: Sequence[Evidence], names: Sequence[str], place: int) -> _Windows:

@@ -51,7 +51,7 @@ class Noise:
         """Whether one number for each channel says it all."""
         return not any(channel.bend or any(one.ratio != 1.0 for one in channel.levels) for channel in self.channels)
 
-    def loud(self, records: Sequence[Record], series: Series) -> FloatArray:
+    def noise_ratio(self, records: Sequence[Record], series: Series) -> FloatArray:
         """Variance of the noise of each reading of i_c and x over that of its channel, shape (n, 2)."""
         ratio, flies = np.zeros((len(series), 2)), series.flags & FLIES != 0
         for place, channel in enumerate(self.channels):

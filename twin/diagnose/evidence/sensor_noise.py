@@ -52,8 +52,8 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
                     continue
                 line = np.polynomial.polynomial.polyfit(_LINE, values, 1)
                 residual = values - np.polynomial.polynomial.polyval(_LINE, line)
-                if len(evidence.loud):  # another instrument's, as the reference would have it
-                    residual = residual / np.sqrt(evidence.loud[window, place])
+                if len(evidence.noise_ratio):  # another instrument's, as the reference would have it
+                    residual = residual / np.sqrt(evidence.noise_ratio[window, place])
                 squares[place].append(float(residual @ residual))
     result = []
     for channel in squares:

@@ -81,15 +81,15 @@ def fill(system: System, samples: Samples, known: Steps, results: Results) -> No
 
 @kernel
 def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
-    t, step, u, y_i, y_x, flags, loud = samples
+    t, step, u, y_i, y_x, flags, noise_ratio = samples
     out, state, spread, found = results
     inputs = u.copy()  # those of lost samples are found
     r_i, r_x = f.r_i, f.r_x
     for n in range(len(u)):
         for column in range(out.shape[1]):
             out[n, column] = np.nan
-        if loud.shape[0] > 0:
-            f.r_i, f.r_x = r_i * loud[n, 0], r_x * loud[n, 1]
+        if noise_ratio.shape[0] > 0:
+            f.r_i, f.r_x = r_i * noise_ratio[n, 0], r_x * noise_ratio[n, 1]
         follows, flies = flags[n] & FOLLOWS != 0 and n > 0, flags[n] & FLIES != 0
         use_i, use_x = flags[n] & USE_I != 0, flags[n] & USE_X != 0
         f.in_flight = f.in_flight and flies and follows

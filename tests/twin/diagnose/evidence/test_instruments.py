@@ -168,14 +168,14 @@ def test_a_reading_that_is_twice_as_noisy_weighs_as_one_of_a_sensor_that_is() ->
     criterion = criterion_of(narrow(THETA, seconds=2.0))
     samples = criterion.evidence.samples
     system = replace(THETA, sigma_x_m=2.0 * THETA.sigma_x_m).system(PLANT, criterion.tick_s)
-    loud = samples._replace(loud=np.tile((1.0, 4.0), (len(samples.u), 1)))
+    noisier = samples._replace(noise_ratio=np.tile((1.0, 4.0), (len(samples.u), 1)))
     plain = THETA.system(PLANT, criterion.tick_s)
 
-    there, here = filtered(system, samples).innovations, filtered(plain, loud).innovations
+    there, here = filtered(system, samples).innovations, filtered(plain, noisier).innovations
 
     np.testing.assert_array_equal(here, there)
     predicted = np.arange(len(samples.u)) > 300
-    assert floor_rmse(plain, loud, 10, predicted) == floor_rmse(system, samples, 10, predicted)
+    assert floor_rmse(plain, noisier, 10, predicted) == floor_rmse(system, samples, 10, predicted)
     criterion.close()
 
 
@@ -185,9 +185,9 @@ def test_a_capture_is_told_from_the_samples_beside_it() -> None:
     captured = next(record for record in evidence.records if record.captures)
     level = Level(sources=(f"{captured.name}, captures",), flies=False, ratio=3.0, error=0.02)
 
-    loud = Noise((Channel(levels=(level,)), Channel())).loud(evidence.records, evidence.series)
+    noise_ratio = Noise((Channel(levels=(level,)), Channel())).noise_ratio(evidence.records, evidence.series)
 
     fast = (evidence.series.step > 0.0) & (evidence.series.step < 1e-4)
-    np.testing.assert_allclose(loud[fast, 0], 9.0)
-    np.testing.assert_array_equal(loud[~fast], 1.0)
+    np.testing.assert_allclose(noise_ratio[fast, 0], 9.0)
+    np.testing.assert_array_equal(noise_ratio[~fast], 1.0)
     criterion.close()
