@@ -24,7 +24,7 @@ $(STAMP): requirements.lock pyproject.toml
 demo: setup
 	$(BIN)/board51 demo
 
-# Five minutes on two idle cores: what guards a change.  Four processes: half of these tests wait for a board or a bus.
+# What guards a change, seven minutes on two idle cores.  Four processes: some of these tests wait for a board or a bus.
 test: setup
 	$(BIN)/pytest -n 4 --dist loadgroup $(PYTEST_ARGS) -m "not slow"
 
