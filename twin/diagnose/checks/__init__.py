@@ -1,1 +1,1 @@
-"""May the answer be believed: consistent recordings, no change during the campaign, no outlier."""
+"""Checks of an answer: consistent recordings, no change during the campaign, no outlying recording."""

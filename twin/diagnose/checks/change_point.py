@@ -1,12 +1,12 @@
-"""An effect that begins, or ends, in the middle of the campaign: between which recordings, and which one it is.
+"""Change points: an effect that begins or ends between two recordings of a campaign.
 
-Asked only where no cause that is there from the first recording to the last leaves noise.
+A change is looked for only if no cause that acts in all recordings leaves just noise.
 
 Rule 1: one set of the paper's parameters for the whole campaign; a cause counts on one side of the change alone.
-Rule 2: a change is said only where all of this holds: with it what is left is noise, and a cause that is there all the
-        time, fitted anew, is worse by far.  A cause that the earlier recordings would merely not show passes the first
-        and fails the second.
-Rule 3: the place is one between recordings; within a recording `consistency.beginnings` looks.
+Rule 2: a change is reported only if what is left with it is noise, and if the same cause in all recordings, fitted
+        again, is much worse.  A cause that the earlier recordings merely do not show passes the first and fails the
+        second test.
+Rule 3: the change lies between recordings; `consistency.beginnings` looks within a recording.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _NO_STATE = np.empty((0, STATES))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """Where something changed, and what."""
+    """A change: its place and its causes."""
 
     before: str  # the last recording before it
     after: str  # the first recording after it
@@ -101,11 +101,11 @@ def find_change(
     workers: int = 2,
     say: Callable[[str], None] = lambda line: None,
 ) -> Change | None:
-    """The change between two recordings that leaves nothing but noise; None where there is none.
+    """Find the change between two recordings that leaves only noise; None if there is none.
 
     Args:
         criterion: of the recordings for fitting.
-        found: what the search without a change ended with.
+        found: result of the search without a change.
         floor: what sensor noise alone leaves.
         candidates: the causes to try.
         few: candidates that are fitted in a round.

@@ -1,8 +1,8 @@
-"""How sure is a name?  A figure that grows with the lead over other candidates; not calibrated yet.
+"""The confidence of a name: a figure that grows with its lead over other candidates.  It is not calibrated yet.
 
-The lead of a cause is the log-likelihood by which it beats the best candidate outside its class.  How often a name is
-right at each figure is what `board51 bench diagnosis` measures; the map below was not fitted to it, but for names that
-stand beside `unknown-cause`.
+The lead of a cause is the difference of log-likelihood to the best candidate outside its class.  `board51 bench
+diagnosis` measures how often a name is right at each figure.  The map below was not fitted to that, except for names
+beside `unknown-cause`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def confidence_of(found: Selection, cause: str, verdict: Verdict, quick: bool) -
     Args:
         found: the selection.
         cause: one of its causes.
-        verdict: of the answer; where more than noise is left, a name may stand in for what nobody knows.
+        verdict: of the answer; while more than noise is left, a name may imitate an unknown cause.
         quick: without classes, not calibrated.
     """
     lead = found.runner_up.get(cause, found.gains.get(cause, 0.0))

@@ -1,10 +1,10 @@
-"""Do the recordings agree?  Which one contradicts the others, and does an effect begin in the middle of the campaign?
+"""Consistency of the recordings: contradictions between them, and effects that begin within one.
 
-At the final model each stretch of data says by how much it would move one number, the others staying: score over
-information.  Stretches that agree scatter about 0 by their own standard errors.
+At the final model, score over information estimates by how much each stretch of data would move one parameter with the
+others fixed.  Stretches that agree scatter about 0 with their own standard errors.
 
-Rule 1: a contradiction needs both: many standard errors, and a size that matters.
-Rule 2: a beginning is a split in time before which the cause is as good as absent.
+Rule 1: a contradiction is many standard errors large and of a size that matters.
+Rule 2: a beginning is a point in time before which the cause is practically absent.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ BLOCK_S = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stretch:
-    """What one stretch of data asks of one coordinate."""
+    """The move of one coordinate that one stretch of data supports."""
 
     recording: int
     t_s: float  # its beginning, on the recording's clock
@@ -39,7 +39,7 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beginning:
-    """An effect that is not there from the start."""
+    """An effect that begins within a recording."""
 
     cause: str
     recording: str
@@ -49,7 +49,7 @@ class Beginning:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contradiction:
-    """A recording that asks for another value of a parameter than the rest."""
+    """A recording that supports another value of a parameter than the rest."""
 
     recording: str
     parameter: str
@@ -57,7 +57,7 @@ class Contradiction:
 
 
 def stretches(criterion: Criterion, fit: Fit, names: Sequence[str]) -> dict[str, list[Stretch]]:
-    """Each coordinate's wishes, by blocks of about a second within recordings."""
+    """The moves of each coordinate, by blocks of about a second within recordings."""
     base, change = criterion.derivatives(fit.theta, names)
     series = criterion.evidence.series
     t = criterion.evidence.t
@@ -81,7 +81,7 @@ def stretches(criterion: Criterion, fit: Fit, names: Sequence[str]) -> dict[str,
 
 
 def contradictions(criterion: Criterion, fit: Fit) -> list[Contradiction]:
-    """Each recording that asks for another K_A or K_c than the rest."""
+    """Recordings that support another K_A or K_c than the rest."""
     names = tuple(settings.DRIFT)
     asked = stretches(criterion, fit, names)
     found = []

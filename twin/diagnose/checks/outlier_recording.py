@@ -1,11 +1,11 @@
-"""The odd one out: a recording of another rig, or of another day, among recordings that agree.
+"""An outlying recording: one of another rig, or of another day, among recordings that agree.
 
-Asked only where no cause, and no change between recordings, leaves noise.
+It is looked for only if neither a cause nor a change between recordings leaves just noise.
 
-Rule 1: it is the odd one if the paper's law with other numbers, x_max among them, explains it alone down to its noise,
-        and these numbers differ by more than drift makes of a rig.  A recording that alone shows an unknown effect is
-        not: no numbers explain that.
-Rule 2: the others must then be explained without it; who calls decides that by diagnosing them alone.
+Rule 1: a recording is an outlier if the paper's model with other parameters, x_max included, explains it down to its
+        noise, and if these differ by more than a drift.  A recording with an unknown effect is not an outlier: no
+        parameters explain it.
+Rule 2: the other recordings must be explained without it; the caller checks that with a diagnosis of them alone.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from twin.model.causes.cause import Cause
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outlier:
-    """The recording and what it asks for."""
+    """The outlying recording and its parameters."""
 
     recording: int
     name: str
@@ -43,7 +43,7 @@ class Outlier:
 
 
 def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | None:
-    """The recording that contradicts all others; None where none does.
+    """Find the recording that contradicts all others; None if none does.
 
     Args:
         criterion: of the recordings for fitting.

@@ -1,8 +1,8 @@
-"""Is what is left noise?
+"""Adequacy: does the model leave nothing but sensor noise?
 
-Rule 1: a model is adequate if its innovations are as large as the sensor noise makes them, and white.
-Rule 2: small departures are nobody's physics: converters round, the filter linearises.  What counts is stated
-        here once.
+Rule 1: a model is adequate if its innovations are white and as large as the sensor noise makes them.
+Rule 2: small departures have no physical cause: converters round and the filter linearises.  The limits are in
+        `settings.py`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from twin.estimation.whiteness import whiteness
 
 
 def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
-    """(whether the model is adequate, the sentence that says why it is not); `floor`: under this model."""
+    """Return whether the model is adequate, and if not, a sentence with the reason; `floor` is that of this model."""
     _, white = criterion.white(fit.theta)
     colour = whiteness(criterion.evidence.series, white)
     if floor.measured and floor.above_noise(fit.loglik):
@@ -43,7 +43,7 @@ def _misplaced(floor: Floor) -> str:
 
 
 def where_left(criterion: Criterion, fit: Fit, floor: Floor) -> str:
-    """Where the innovations are largest: recording, height, direction, channel; or at a stop, if only that is wrong."""
+    """A sentence on where the innovations are largest: recording, channel, height; or a stop if only that is wrong."""
     if floor.misplaced_m > settings.MISPLACED_STOP_M and not (floor.measured and floor.above_noise(fit.loglik)):
         return f"at rest: the model needs {_misplaced(floor)}"
     series = criterion.evidence.series

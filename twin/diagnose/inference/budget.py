@@ -1,10 +1,10 @@
-"""How much a diagnosis may compute: filter steps, never seconds, so that a busy machine gives the same answer.
+"""The computing budget of a diagnosis, in filter steps, so that the answer does not depend on the speed of the machine.
 
-`Criterion` takes the steps of a run before it begins; nobody else counts.
+`Criterion` takes the steps of each run of the filter from the budget before the run begins.
 
-Rule 1: a run that is not affordable is not begun: `Spent` is raised, and nothing more is affordable afterwards.
-Rule 2: work side by side gets equal shares before it begins: the answer does not depend on who is first.
-Rule 3: a question is answered whole or not at all.  Those that were not are `unanswered`, in words.
+Rule 1: a run that exceeds the budget is not begun: `Spent` is raised, and every later run raises it, too.
+Rule 2: parallel work gets equal shares in advance, so that the answer does not depend on the order of execution.
+Rule 3: a question is answered completely or not at all.  Open questions are listed in `unanswered`, in words.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ def millions(steps: float) -> str:
 
 
 class Spent(Exception):  # noqa: N818  an outcome, not a fault
-    """The next run is not affordable."""
+    """The next run exceeds the budget."""
 
 
 class Budget:
-    """What is left to compute.
+    """The remaining budget.
 
     Args:
         limit: filter steps.
@@ -45,10 +45,10 @@ class Budget:
         self._open, self.closed = self.limit, False
 
     def take(self, steps: float) -> None:
-        """Pay for a run.
+        """Take the steps of a run.
 
         Raises:
-            Spent: it is not affordable, or one before it was not.
+            Spent: this run, or one before it, exceeds the budget.
         """
         self.closed = self.closed or self.spent + steps > self._open
         if self.closed:
@@ -56,17 +56,17 @@ class Budget:
         self.spent += steps
 
     def shares(self, count: int) -> list[Budget]:
-        """What is left in equal parts; `settle` takes them back."""
+        """Divide what is left into equal parts; `settle` returns them."""
         return [Budget(0.0 if self.closed else (self._open - self.spent) / count) for _ in range(count)]
 
     def settle(self, shares: Sequence[Budget]) -> None:
-        """Take back shares, with what was not spent of them."""
+        """Return shares, with their unspent steps."""
         self.spent += sum(share.spent for share in shares)
         self.closed = self.closed or any(share.closed for share in shares)
 
     @contextmanager
     def question(self, words: str) -> Iterator[None]:
-        """What `Spent` ends in here leaves the whole question unanswered, with whatever was asked on the way."""
+        """Mark a question as unanswered if `Spent` is raised within the block."""
         before = len(self.unanswered)
         try:
             yield

@@ -30,7 +30,7 @@ class Fit:
     ahead: float = 0.0  # log-likelihood that the slope here still promises, were it a parabola
 
     def std(self, name: str, plant: Plant) -> float:
-        """Standard error in the number's own unit; inf where it was not free."""
+        """Standard error in the unit of the parameter; inf if it was not free."""
         if name not in self.free:
             return math.inf
         place = self.free.index(name)
@@ -43,7 +43,7 @@ class Fit:
 
 
 def spreads(criterion: Criterion, fit: Fit) -> dict[str, float]:
-    """Standard errors of all free numbers, in their own units, at fresh derivatives."""
+    """Standard errors of all free parameters in their own units, from new derivatives."""
     _, score, fisher = criterion.gradient(fit.theta, fit.free)
     active = active_of(_Surface(criterion), fit.theta, fit.free, score)
     at = replace(fit, covariance=covariance_of(fisher, active))
@@ -66,7 +66,7 @@ def climb(
 
 
 class _Surface:
-    """The criterion as the climb sees it: slopes far from the maximum are those that cost less."""
+    """The criterion as an optimiser's surface; far from the maximum it uses slopes that cost less."""
 
     def __init__(self, criterion: Criterion) -> None:
         self._criterion = criterion

@@ -1,4 +1,4 @@
-"""Where the fit of the paper's model begins: no guess is asked of anybody."""
+"""Starting values of the fit of the paper's model, from the recordings alone."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from twin.identify.starting.regression import AmplifierStart, amplifier_start, b
 
 
 def start_theta(records: Sequence[Record], plant: Plant) -> Theta:
-    """Where the fit of the paper's model begins; no guess is needed.
+    """Starting values of the fit of the paper's model; the user gives none.
 
     Raises:
         DataError: no recording has u_c and i_c that move.
@@ -54,7 +54,7 @@ def _start(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:
 
 
 def no_better(theta: Theta, evidence: Evidence) -> Theta:
-    """With sensors that are at best somewhat better than at rest."""
+    """Bound the sensor noise from below by a share of the noise at rest."""
     sigma_i, sigma_x = sensor_noise(evidence)
     least_i = settings.LEAST_NOISE * sigma_i if sigma_i else theta.least_i_c_a
     least_x = settings.LEAST_NOISE * sigma_x if sigma_x else theta.least_x_m

@@ -1,8 +1,8 @@
 """Log-likelihood of the innovations of the extended model: one parameter set for the whole campaign.
 
-Rule 1: sums over samples do not depend on the number of workers: each worker computes whole derivatives.
-Rule 2: what is no series speaks too: priors of the stops, lift-off points, equilibria.
-Rule 3: a run is paid from the budget before it begins, by who asks for it.
+Rule 1: sums over samples do not depend on the number of workers, as each worker computes whole derivatives.
+Rule 2: data that are no time series count, too: priors of the stops, lift-off points, equilibria.
+Rule 3: the caller's budget pays for a run before it begins.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ R = TypeVar("R")
 
 
 class Criterion:
-    """The likelihood of one evidence.
+    """The likelihood of a set of recordings.
 
     Args:
         evidence: of `gather`.
@@ -66,12 +66,12 @@ class Criterion:
 
     @property
     def budget(self) -> Budget:
-        """What this thread pays from: inside `each` a share."""
+        """The budget of this thread; inside `each` a share of it."""
         return getattr(self._own, "budget", self.whole)
 
     @contextmanager
     def free(self) -> Iterator[None]:
-        """Runs here cost nothing: a fixed number of passes, whatever the recordings hold."""
+        """Runs inside the block are free; for work with a fixed number of passes."""
         before, self.whole = self.whole, Budget()
         try:
             yield
@@ -88,7 +88,7 @@ class Criterion:
         self.budget.take(sum(self.pace.steps(theta.vector(), ask) for theta, ask in each))
 
     def close(self) -> None:
-        """End the workers."""
+        """Stop the worker threads."""
         if self._climbers is not None:
             self._climbers.shutdown()  # first: a climb asks the others
         self._pool.shutdown()
@@ -143,7 +143,7 @@ class Criterion:
         results: Results,
         known: Steps = NO_STEPS,
     ) -> None:
-        """Whole recordings into their place of the results."""
+        """Run whole recordings and write to their part of the results."""
         samples = self.evidence.samples
         samples = samples._replace(t=theta.shifted(samples.t, self.evidence.series.recording))
         fill(theta.system(self.plant, self.tick_s), samples.part(part), known.part(part), results.part(part))

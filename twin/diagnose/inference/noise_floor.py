@@ -1,11 +1,10 @@
-"""What a right model would leave: sensor noise, and nothing else.
+"""The noise floor: the log-likelihood of a model whose innovations are sensor noise alone.
 
-The excess of a model is the log-likelihood that it lacks against a model whose innovations were white with the
-covariance that the sensor noise alone gives that same model.  The noise is taken from the ball at rest, where no
-model is involved.
+The excess of a model is the log-likelihood that it lacks compared with white innovations of the covariance that
+sensor noise alone gives the same model.  The noise is measured on the ball at rest, where no model is involved.
 
-A model that has to put a stop where nobody has it is no right model either, though that costs it little among so many
-readings: two wrong causes can be written as two others and a stop half a millimetre off.
+A model that needs a stop at a wrong place is not adequate either, although a stop costs little likelihood among so
+many readings: two causes can be imitated by two others and a stop that is half a millimetre off.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from twin.estimation.record import FloatArray
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Floor:
-    """Sensor noise and what it leaves."""
+    """The sensor noise and the log-likelihood that it allows."""
 
     sigma_i_c_a: float
     sigma_x_m: float
@@ -35,11 +34,11 @@ class Floor:
     misplaced_m: float = 0.0  # how far from its place the model has that stop which is farther off
 
     def excess(self, loglik: float) -> float:
-        """Log-likelihood that a model lacks."""
+        """Log-likelihood that a model lacks compared with the floor."""
         return self.loglik - loglik
 
     def quiet(self, theta: Theta) -> Theta:
-        """The model with sensor noise alone."""
+        """The model with sensor noise and no process noise."""
         return replace(
             theta,
             sigma_i_c_a=self.sigma_i_c_a,
@@ -49,22 +48,22 @@ class Floor:
         )
 
     def under(self, criterion: Criterion, theta: Theta) -> Floor:
-        """The floor of another model: how far a right one's innovations spread depends on its slope of the force."""
+        """The floor of another model: the spread of the innovations depends on its slope of the force."""
         loglik, readings = expected(criterion.outputs(self.quiet(theta)))
         misplaced_m = max(abs(theta.stop_low_m), abs(theta.stop_high_m))
         return replace(self, loglik=loglik, readings=readings, misplaced_m=misplaced_m)
 
     def material(self, loglik: float) -> bool:
-        """Whether that is more than the noise level's own error, or a stop is where it cannot be."""
+        """Whether the excess is more than the uncertainty of the noise level, or a stop is misplaced."""
         return self.misplaced_m > settings.MISPLACED_STOP_M or self.above_noise(loglik)
 
     def above_noise(self, loglik: float) -> bool:
-        """Whether that is more than the noise level's own error."""
+        """Whether the excess is more than the uncertainty of the noise level."""
         return self.excess(loglik) > max(settings.NOISE_TOLERANCE, settings.NOISE_ERRORS * self.error) * self.readings
 
 
 def floor_of(criterion: Criterion, theta: Theta) -> Floor:
-    """The floor, at the covariances of the filter of `theta`."""
+    """The floor with the covariances that the filter has at `theta`."""
     sigma_i, sigma_x = sensor_noise(criterion.evidence)
     asks_x = bool((criterion.evidence.series.flags & USE_X).any())
     measured = sigma_i is not None and (sigma_x is not None or not asks_x)

@@ -1,4 +1,4 @@
-"""The numbers of the extended model and the coordinates in which a search moves them.
+"""The parameters of the extended model, and the coordinates in which a search moves them.
 
 Rule 1: a coordinate moves in units in which 1 is a moderate change: logarithms, b / m in 1/s, stops in 10 um, causes in
         units of their first probe.
@@ -32,7 +32,7 @@ _RESTART_M_S2 = 0.3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Theta:
-    """All numbers of the extended model, in SI units; causes by `name.parameter`."""
+    """All parameters of the extended model in SI units; those of causes are named `cause.parameter`."""
 
     K_A: float
     T_A: float
@@ -51,13 +51,13 @@ class Theta:
     least_x_m: float = 1e-8
 
     def value(self, name: str) -> float:
-        """One number; a cause's that is not in `causes` is neutral."""
+        """The value of one parameter; that of an absent cause is its neutral value."""
         if "." not in name:
             return float(getattr(self, name))
         return dict(self.causes).get(name, parameter_of(name).neutral)
 
     def having(self, name: str, value: float) -> Theta:
-        """With one number changed."""
+        """A copy with one parameter changed."""
         if "." not in name:
             return self._with(name, value)
         causes = dict(self.causes)
@@ -69,18 +69,18 @@ class Theta:
         return replace(self, **number)
 
     def without(self, cause: str) -> Theta:
-        """The same without one cause."""
+        """A copy without one cause."""
         return replace(self, causes=tuple(pair for pair in self.causes if not pair[0].startswith(cause + ".")))
 
     def vector(self) -> NDArray[np.float64]:
-        """c, as the kernels take it."""
+        """The vector c of the causes' parameters for the kernels."""
         c = neutral()
         for name, value in self.causes:
             c[parameter_of(name).place] = value
         return c
 
     def base(self, plant: Plant) -> Base:
-        """The paper's parameters, as the kernels take them."""
+        """The paper's parameters for the kernels."""
         return Base(
             K_A=self.K_A,
             T_A=self.T_A,
@@ -107,7 +107,7 @@ class Theta:
 
 
 def parameter_of(name: str) -> CauseParameter:
-    """The parameter behind `cause.parameter`."""
+    """The definition of the parameter named `cause.parameter`."""
     cause, _, parameter = name.partition(".")
     return next(entry for entry in BY_NAME[cause].parameters if entry.name == parameter)
 
@@ -142,7 +142,7 @@ def _floor(theta: Theta, name: str) -> float:
 
 
 def reinitialised(theta: Theta) -> Theta:
-    """With process noise to climb from: at its floor the likelihood is flat, a model made worse would stay there."""
+    """Raise process noise above its lower bound, where the likelihood is flat and a climb would not leave it."""
     return replace(
         theta,
         process_i_c_a=max(theta.process_i_c_a, 0.3 * theta.sigma_i_c_a),
@@ -151,7 +151,7 @@ def reinitialised(theta: Theta) -> Theta:
 
 
 def most_drag(plant: Plant) -> float:
-    """B that equals the unstable pole in the middle of the travel, N s/m: no ball in air has it."""
+    """Upper bound of b, N s/m: the drag that equals the unstable pole in the middle of the travel."""
     return plant.mass_kg * math.sqrt(2.0 * plant.gravity_m_s2 / (plant.x_max_m - 0.5 * plant.travel_m))
 
 

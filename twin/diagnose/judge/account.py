@@ -1,4 +1,4 @@
-"""What the paper's model lacks, and who takes how much of it: one account behind shares, rest, verdict and sentences.
+"""What the paper's model lacks and how much each cause explains: the one source of shares, rest, verdict and sentences.
 
 The quantity is the log-likelihood of the recordings for fitting, against a model that leaves sensor noise alone:
 
@@ -7,15 +7,15 @@ The quantity is the log-likelihood of the recordings for fitting, against a mode
 
 Rule 1: the floor is that of the final model, for what the paper's model lacks and for what is left: under two floors
         the parts would not add up.
-Rule 2: a cause takes what is lost without it, everything else fitted again; that is no more than all of them gain, as
-        the model without it holds the paper's (a fit that is worse has not got to its end).  Where two hide each
-        other, each takes nearly all of it; they then share in proportion what both gain.
-Rule 3: what is no larger than the error of the noise level, and white, is not left: nothing measurable is.
-Rule 4: on the judge recordings the quantity is another, the error of x 20 ms ahead against its noise floor.  It says
-        whether the answer holds there; no share is made of it.
-Rule 5: names hold in part where what is left on the judges is less than noise makes there, and half of what was above
-        it is gone; else they may only stand in for what nobody knows: those of a wire's spring left 2.4 times the
-        noise, and 9 % of what was above it.
+Rule 2: a cause explains what is lost without it, with everything else fitted again.  That is at most the gain of all
+        causes together.  If two causes mask each other, each explains nearly all of it; then they share the common
+        gain in proportion.
+Rule 3: a rest that is white and no larger than the uncertainty of the noise level counts as nothing.
+Rule 4: on the judge recordings the quantity is the error of x 20 ms ahead compared with its noise floor.  It decides
+        whether the answer holds there; it is not part of the shares.
+Rule 5: names hold in part if the rest on the judge recordings is smaller than the noise there and half of what was
+        above the noise is gone.  Otherwise they may imitate an unknown cause: those for the spring of a wire left 2.4
+        times the noise and removed 9 % of what was above it.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ class Account:
 
 
 def account_of(found: Selection, lacks: float, fine: bool) -> Account:
-    """The account of a search.
+    """Account for the result of a search.
 
     Args:
-        found: what it ended with.
+        found: its result.
         lacks: log-likelihood that its model lacks under its own floor.
         fine: whether that is noise.
     """
@@ -81,7 +81,7 @@ def account_of(found: Selection, lacks: float, fine: bool) -> Account:
 
 
 def beyond_floor(gain: Gain | None) -> bool:
-    """Whether the judge recordings show surely more than noise: their error lies above the floor and its tolerance."""
+    """Whether the error on the judge recordings lies significantly above the noise floor and its tolerance."""
     return gain is not None and gain.ci95_floor[0] > TOLERANCE
 
 

@@ -1,8 +1,8 @@
-"""What the extended model gains, on recordings that were never used for fitting or choosing.
+"""The gain of the extended model on recordings that were used neither for fitting nor for selection.
 
 Rule 1: the same samples for both models: a prediction counts where both have one.
-Rule 2: the noise floor is what a right model would show at that horizon, on the same samples, under the sensor noise
-        alone (`twin/estimation/prediction_floor.py`).
+Rule 2: the noise floor is the error of a right model at that horizon, on the same samples, under sensor noise alone
+        (`twin/estimation/prediction_floor.py`).
 Rule 3: intervals by block bootstrap: errors 20 ms ahead overlap, blocks of half a second hardly do.
 """
 
@@ -45,7 +45,7 @@ class Gain:
 
     @property
     def removed(self) -> float:
-        """Share of the mean square error above the floor that is gone, at most 1; NaN where there was none."""
+        """Removed share of the mean square error above the floor, at most 1; NaN if there was none."""
         excess = self.baseline_rmse_m**2 - self.floor_m**2
         gone = self.baseline_rmse_m**2 - self.extended_rmse_m**2
         return min(gone / excess, 1.0) if excess > 0.0 else math.nan
@@ -61,7 +61,7 @@ def predictions(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float, s
 def gain(
     evidence: Evidence, before: Theta, after: Theta, floor: Floor, plant: Plant, tick_s: float, samples: int, seed: int
 ) -> Gain | None:
-    """The gain on this evidence; None where nothing can be predicted."""
+    """The gain on these recordings; None if nothing can be predicted."""
     x = evidence.series.x
     errors = [predictions(evidence, theta, plant, tick_s, samples) - x for theta in (before, after)]
     both = np.isfinite(errors[0]) & np.isfinite(errors[1])

@@ -1,7 +1,7 @@
-"""A model file that the user gives: the simulation to be judged, as it is.
+"""A reference model: the model file that the user gives, judged as it is.
 
 Rule 1: it must be a model of the campaign's plant: what [plant] knows is not estimated, so another mass is another rig.
-Rule 2: its numbers are the baseline of the gain; whether its form is right is asked of the paper's model refitted.
+Rule 2: its parameters are the baseline of the gain; the search itself starts from the paper's model, fitted again.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _OFF = 0.01  # of a parameter: worth a word
 
 
 def check_plant(model: Model, plant: Plant) -> None:
-    """Whether the model is one of this plant.
+    """Check that the model is one of this plant.
 
     Raises:
         DataError: names the first field that differs, with both values.
@@ -59,7 +59,7 @@ def theta_of(model: Model, fitted: Theta) -> Theta:
 
 
 def off_sentence(model: Model, fitted: Theta, gain: Gain | None, refitted: Gain | None) -> str:
-    """How the given numbers differ from the fitted ones, where it costs something; empty where it does not.
+    """A sentence on how the given parameters differ from the fitted ones if that costs accuracy; empty otherwise.
 
     Args:
         model: the given one.

@@ -1,6 +1,7 @@
-"""Candidates, fitted one beside the other: all a little, the leading ones to the end.
+"""Fit candidates by successive halving: all of them a little, the leading ones to the end.
 
-Rule 1: a candidate far behind may only have a worse starting value: none is dropped before its slope says so.
+Rule 1: a candidate that is far behind may only have a worse starting value: it is dropped only if its slope, too,
+        shows that it cannot catch up.
 """
 
 from __future__ import annotations
@@ -39,15 +40,15 @@ def fitted(
     pays: float = 1.0,
     beaten: float = -math.inf,
 ) -> list[Trial]:
-    """Each candidate fitted, the leading ones to the end; best first.
+    """Fit the candidates, the leading ones to the end; best first.
 
     Args:
         criterion: of the recordings for fitting.
         at: the model without them.
         scores: the candidates.
-        wanted: the gain below which none will be taken, unless it pays in prediction.
-        pays: share of the mean square error of a prediction that it must remove then.
-        beaten: the gain below which a candidate need not be known any better.
+        wanted: the gain below which none will be selected, unless it improves the prediction.
+        pays: share of the mean square prediction error that it must remove in that case.
+        beaten: the gain below which a candidate is not fitted further.
     """
     names = [score.cause for score in scores]
     copies = {same: one for same, one in _SAME.items() if one in names and same in names}
@@ -93,12 +94,12 @@ def _further(criterion: Criterion, going: set[str], passes: int, trial: Trial) -
 
 
 def same_as(cause: str) -> set[str]:
-    """The causes that do exactly the same to the samples."""
+    """The causes whose effect on the samples is identical."""
     return {two if cause == one else one for two, one in _SAME.items() if cause in (one, two)}
 
 
 def renamed(trial: Trial, cause: str) -> Trial:
-    """The trial of a cause that does exactly the same to the samples."""
+    """The same trial under the name of a cause with an identical effect on the samples."""
 
     def name(old: str) -> str:
         return old.replace(f"{trial.cause}.", f"{cause}.", 1) if old.startswith(f"{trial.cause}.") else old
@@ -112,28 +113,28 @@ def renamed(trial: Trial, cause: str) -> Trial:
 
 
 def climbed(criterion: Criterion, trial: Trial, passes: int = settings.PASSES) -> Trial:
-    """The same after more passes."""
+    """Fit a trial further."""
     fit = climb(criterion, trial.fit.theta, trial.fit.free, passes=passes)
     return replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
 
 
 def worth_the_whole(trial: Trial, best: Trial) -> bool:
-    """Whether it is near enough to the best to be fitted to the end."""
+    """Whether a trial is near enough to the best to be fitted to the end."""
     return trial.gain >= settings.HALVING[-1][1] * best.gain
 
 
 def _expected(trial: Trial) -> float:
-    """Its gain, were the likelihood a parabola: one that began at a bad place still has most of it ahead."""
+    """Gain expected at the maximum if the likelihood is a parabola."""
     return trial.gain if trial.fit.converged else trial.gain + trial.fit.ahead
 
 
 def _promise(trial: Trial) -> float:
-    """What a candidate may still reach."""
+    """Upper bound of the gain that a trial may still reach."""
     return trial.gain if trial.fit.converged else trial.gain + rises(trial.cause) * trial.fit.ahead
 
 
 def rises(cause: str) -> float:
-    """How far the likelihood may rise above what its slope promises."""
+    """Factor by which the likelihood may rise above the parabola of its slope."""
     return settings.STEEPNESS_DELAY if BY_NAME[cause].family == "timing" else settings.STEEPNESS
 
 

@@ -1,6 +1,6 @@
-"""Which other causes explain the same as one that was found?  Those are its class.
+"""Equivalence classes: which other causes explain the data as well as a selected one.
 
-    each cause: out with it, every other in its place -> what explains more takes it; what explains as much is its class
+    for each selected cause: try every other candidate in its place -> a better one replaces it; equals are its class
 
 Rule: causes whose best fits differ by less than EQUIVALENT_GAIN of log-likelihood are one class.
 """
@@ -36,10 +36,10 @@ def find_classes(
     quick: bool = False,
     say: Say = lambda line: None,
 ) -> None:
-    """The class of each cause that was found, and who comes next; the arguments are those of `select`.
+    """Find the class of each selected cause and the best candidate outside it; the arguments are those of `select`.
 
-    With `floor`, where several causes leave more than noise, one of them may be false: the last is asked first, and
-    confounders are fitted however little the score test gives them.  Beside a friction that is not yet right a true
+    With `floor`, if several causes leave more than noise, one of them may be false: the last is examined first, and
+    all candidates are fitted, whatever their score.  Beside a friction that is not yet right a true
     cause had a fifteenth of its gain there.
     """
 
@@ -60,9 +60,9 @@ def find_classes(
 
 
 def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Trial, say: Say) -> bool:
-    """Whether `trial`, which may stand in for `cause`, explains as much as that and another together; then it does.
+    """Let `trial` replace `cause` and a second cause if it explains as much as both together; True if it does.
 
-    Two that stand in for a third are never superfluous one by one.
+    Two causes that imitate a third are never found superfluous one by one.
     """
     least = found.fit.loglik - settings.EQUIVALENT_GAIN
     others = sorted(set(found.causes) - {cause, trial.cause}, key=lambda name: found.gains[name])
@@ -95,12 +95,11 @@ def _class_of(
     everyone: bool,
     say: Say,
 ) -> bool:
-    """What explains the same as `cause`, the others staying; a confounder that explains more takes its place.
+    """Find the class of `cause` with the other causes fixed; a candidate that explains more takes its place.
 
-    With `everyone`, none is spared for what the screen gives it.
+    With `everyone`, candidates are fitted whatever their score.
 
-    True where one took the place of `cause` and another, or where it turns out superfluous: all others are to be asked
-    again.
+    Returns True if two causes were replaced by one or if `cause` is superfluous; then all classes are found again.
     """
     stood = cause
     if len(found.causes) == 1:
@@ -162,12 +161,12 @@ def _class_of(
 
 
 def _rephase(criterion: Criterion, own: Trial, trials: list[Trial], alike: set[str], shaken: float) -> None:
-    """Those `alike` that are behind `own` by what phases can make, fitted with phases of their own, in place.
+    """Fit similar candidates that phases may hold back with phases of their own, in place.
 
-    `shaken` is what the periodic force gains.
+    `alike` are the names of similar candidates, `shaken` is the gain of the periodic force.
 
-    A lag of the sensor turns what shakes the ball as it is read, one of the field does not: with the other's phases the
-    right cause of two simulated flights was 990 behind the wrong one, with its own 110 before.
+    A lag of the sensor shifts the phase of a periodic force as it is read, a lag of the field does not.  On two
+    simulated flights the right cause was 990 behind the wrong one with the other's phases, and 110 ahead with its own.
     """
     least, most = own.gain - settings.PHASE_SHARE * shaken, own.gain + settings.EQUIVALENT_GAIN
     behind = [n for n, trial in enumerate(trials) if trial.cause in alike and least < trial.gain < most]
@@ -178,7 +177,7 @@ def _rephase(criterion: Criterion, own: Trial, trials: list[Trial], alike: set[s
 
 
 def _again(criterion: Criterion, own: Trial, confounder: Trial) -> Trial:
-    """A candidate that is behind, fitted from the numbers that came out beside `own`."""
+    """Fit a candidate that is behind once more, from the parameters found with `own`."""
     if own.gain - confounder.gain < settings.EQUIVALENT_GAIN:
         return confounder
     start = beside(criterion, own.fit.theta, BY_NAME[own.cause], BY_NAME[confounder.cause])

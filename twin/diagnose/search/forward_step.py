@@ -1,7 +1,4 @@
-"""One step forward: which cause earns its place now?
-
-screen all -> fit the best few -> the best, if it earns it
-"""
+"""One forward step: score all candidates, fit the best few, and select the best if it meets the criteria."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ from twin.diagnose.search.score_test import Score, probed, screen
 from twin.model.causes.catalogue import BY_NAME, with_trait
 from twin.model.causes.cause import Cause
 
-# A ball that is held is predicted well wherever it hovers, by whatever the model lacks: no evidence of what holds it.
+# A ball held by friction is predicted well whatever the model lacks, so prediction is no evidence for friction.
 HOLDS = with_trait("sticks")
 Say = Callable[[str], None]
 Refusal = Literal["", "chance", "outside its range", "minor", "minor beside noise", "small share"]
@@ -29,7 +26,7 @@ Refusal = Literal["", "chance", "outside its range", "minor", "minor beside nois
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Round:
-    """One step forward."""
+    """The result of a forward step."""
 
     scores: tuple[Score, ...]
     trials: tuple[Trial, ...]  # best first
@@ -50,16 +47,16 @@ def forward(
     least: float,
     say: Say,
 ) -> Round:
-    """The best of the candidates, and whether it is taken.
+    """Find the best candidate and decide whether to select it.
 
     Args:
         criterion: of the recordings for fitting.
         at: the model so far, at its best.
-        floor: what sensor noise alone leaves.
+        floor: noise floor of the log-likelihood.
         candidates: the causes to try.
-        few: candidates that are fitted.
-        gained: what the causes so far gain together.
-        least: share of what is left that a cause must explain.
+        few: number of candidates to fit.
+        gained: gain of log-likelihood of the causes selected so far.
+        least: share of the unexplained rest that a cause must explain.
         say: takes lines of progress.
     """
     with criterion.budget.question("what else of the catalogue explains what is left"):
@@ -69,7 +66,7 @@ def forward(
         scores = _with_dead_time(criterion, at, scores)
         floor = floor.under(criterion, at.theta)
     excess, material = floor.excess(at.loglik), floor.material(at.loglik)
-    # What cannot become a fair share is not fitted.
+    # Candidates that cannot reach the required share are not fitted.
     wanted = (min(settings.MINOR_SHARE, least) if material else settings.MINOR_SHARE_AT_NOISE) * gained
     if least > settings.LEAST_SHARE and material:
         wanted = max(wanted, least * excess)
@@ -86,7 +83,7 @@ def forward(
     with criterion.budget.question(f"the fit of {len(worth)} candidates ({names})"):
         trials = fitted(criterion, at, worth, least * excess if material else 0.0, _pays(least))
         if trials and any(name == periodic.AMPLITUDE for name, _ in at.theta.causes):
-            # What shifts the response shifts the phase of what shakes the ball: with the old one it gains too little.
+            # A cause that delays the response also shifts the phase of the periodic force: fit the phase again.
             fit = periodic.rephased(criterion, trials[0].fit, settings.PASSES)
             trials[0] = replace(trials[0], fit=fit, gain=trials[0].gain + fit.loglik - trials[0].fit.loglik)
         step = decided(criterion, at, floor, scores, trials, gained, least)
@@ -102,7 +99,7 @@ def decided(
     gained: float,
     least: float,
 ) -> Round:
-    """Whether the best of the trials earns its place; `floor`: under the model without them."""
+    """Decide whether the best trial is selected; `floor` is that of the model without it."""
     if not trials:
         return Round(scores=tuple(scores), trials=(), taken="")
     excess, pays = floor.excess(at.loglik), _pays(least)
@@ -137,12 +134,12 @@ def _pays_off(criterion: Criterion, at: Fit, best: Trial, pays: float) -> bool:
 
 
 def _pays(least: float) -> float:
-    """Who asks for more of the whole is not content with a part of x."""
+    """Prediction benefit that replaces the required share; 1 (never) where more than LEAST_SHARE is required."""
     return settings.LEAST_BENEFIT if least <= settings.LEAST_SHARE else 1.0
 
 
 def _with_dead_time(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score]:
-    """The scores with what a delay gains at once where the step responses ask for it, if that is more."""
+    """Raise the scores of delays to the gain at the delay that the step responses show, where that is larger."""
     asked = [score for score in scores if "delays" in BY_NAME[score.cause].traits and score.testable]
     found = criterion.late if asked else None
     if found is None:
@@ -160,7 +157,7 @@ def _with_dead_time(criterion: Criterion, at: Fit, scores: list[Score]) -> list[
 
 
 def _with_line(criterion: Criterion, at: Fit, scores: list[Score]) -> list[Score]:
-    """The scores with that of the strongest line among them."""
+    """Add the score of the strongest spectral line."""
     if any(name == periodic.AMPLITUDE for name, _ in at.theta.causes):
         return scores
     line = periodic.find_line(criterion, at.theta)

@@ -1,4 +1,4 @@
-"""What has been selected so far, and everything that was tried on the way."""
+"""The state of the search: the causes selected so far and everything that was tried."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Selection:
     smaller: dict[frozenset[str], Fit] = field(default_factory=dict)  # models of fewer causes, by what is free in them
 
     def become(self, other: Selection) -> None:
-        """What `other` is, from here on."""
+        """Take over everything from `other`."""
         for one in fields(self):
             setattr(self, one.name, getattr(other, one.name))
 
@@ -40,7 +40,7 @@ class Selection:
         self.smaller[frozenset(fit.free)] = fit
 
     def recall(self, free: Sequence[str]) -> Fit | None:
-        """The fit of these numbers, where one is known and its phases are those of today."""
+        """The fit with these free parameters if one is known and has the present phases; None otherwise."""
         fit = self.smaller.get(frozenset(free))
         stale = fit and periodic.AMPLITUDE in free and fit.theta.phases_s != self.fit.theta.phases_s
         return None if stale else fit
@@ -48,7 +48,7 @@ class Selection:
 
 @contextmanager
 def whole(found: Selection) -> Iterator[None]:
-    """A step of the search, undone where the budget does not pay it to its end."""
+    """Make a step of the search, or undo it completely if it exceeds the budget."""
     before = replace(found, causes=[*found.causes], gains={**found.gains})
     before.rounds = [*found.rounds]
     try:
@@ -64,7 +64,7 @@ def material(criterion: Criterion, found: Selection, floor: Floor) -> bool:
 
 
 def superfluous(criterion: Criterion, found: Selection, floor: Floor, smaller: Fit) -> bool:
-    """Whether `smaller`, the model less one of its causes, does as well: what would not be taken now is not kept."""
+    """Whether `smaller`, the model without one of its causes, does as well by the criteria of a forward step."""
     loss = found.fit.loglik - smaller.loglik
     minor_effect = loss < settings.MINOR_SHARE_AT_NOISE * (found.fit.loglik - found.base.loglik)
     return loss < settings.LEAST_GAIN or (
@@ -73,7 +73,7 @@ def superfluous(criterion: Criterion, found: Selection, floor: Floor, smaller: F
 
 
 def without(criterion: Criterion, found: Selection, cause: str, passes: int = settings.PASSES) -> Fit:
-    """The model that was found less one cause; known where the search came that way, or was asked before."""
+    """Fit the model without one of its causes, or return the fit if it is known already."""
     free = tuple(name for name in found.fit.free if not name.startswith(cause + "."))
     known = found.recall(free)
     if known is not None and (known.converged or known.ahead < settings.EQUIVALENT_GAIN):

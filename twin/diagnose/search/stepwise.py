@@ -1,13 +1,13 @@
-"""Which causes belong into the model: forward by the likelihood of all recordings, backward, and classes.
+"""Stepwise selection: which causes the model needs, by the likelihood of all recordings for fitting.
 
-    forward: the best cause, if it earns it -> out with those that it makes superfluous -> again, until nothing earns it
-    then for each cause that was taken: what else explains as much?  (equivalence.py)
+    forward: add the best candidate, if it meets rule 1 -> backward: remove causes that are no longer needed -> repeat
+    at the end, for each selected cause: find the causes that explain the data equally well (equivalence.py)
 
-Rule 1: a cause earns its place by log-likelihood over LEAST_GAIN, by a strength inside its physical range, and where
-        the model lacks more than noise, by a fair share of what it lacks.  A significant but minor effect beside a
-        large unexplained rest is how a false name looks.
-Rule 2: the judge recordings are never looked at here.
-Rule 3: a step is made whole or not at all: the first that the budget does not pay to its end is undone, and ends it.
+Rule 1: a cause is selected if it raises the log-likelihood by more than LEAST_GAIN, if its strength is inside its
+        physical range, and, while more than noise is unexplained, if it explains a fair share of that.  A significant
+        but minor effect beside a large unexplained rest is typical of a false name.
+Rule 2: the judge recordings are not used here.
+Rule 3: a step that exceeds the budget is undone completely, and the search ends with it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def select(
     classes: bool = True,
     say: Say = lambda line: None,
 ) -> Selection:
-    """Forward, backward, classes.
+    """Select causes: forward steps, backward steps, equivalence classes.
 
     Args:
         criterion: of the recordings for fitting.
@@ -49,9 +49,10 @@ def select(
         floor: what sensor noise alone leaves, under any model.
         candidates: the causes to try.
         few: candidates that are fitted in a round.
-        quick: leaves out causes that only count together, and confounders for one of several.
-        share: least part of what is left that a cause must explain; below LEAST_SHARE more causes are taken, too.
-        classes: whether confounders are looked for; else `find_classes` may be asked later.
+        quick: skip combinations of causes that explain too little alone, and classes where several causes were found.
+        share: smallest part of the unexplained rest that a cause must explain; below LEAST_SHARE more causes are
+            selected, too.
+        classes: whether to find the equivalence classes; otherwise `find_classes` can do so later.
         say: takes lines of progress.
     """
     found = Selection(base=base, fit=base)
@@ -87,7 +88,7 @@ def _search(
             criterion, found, floor, candidates, few, share, say, settings.PASSES_QUICK if quick else settings.PASSES
         ):
             pass
-        # With the most causes there is no refused round, whose trials `_together` takes up.
+        # `_together` continues from a refused step; with MOST_CAUSES there is none.
         if thorough and len(found.causes) < most and material(criterion, found, floor):
             found.become(_together(criterion, found, floor, candidates, few, say))
         if not classes:
@@ -98,13 +99,13 @@ def _search(
             doubt = floor if thorough else None
             find_classes(criterion, found, doubt, candidates=candidates, few=few, quick=quick, say=say)
         _settle(criterion, found, thorough)
-        # What was refused beside a false name may be what is missing beside the right one.
+        # A cause that was refused beside a false name may be needed beside the right one.
         if set(found.causes) == before or not material(criterion, found, floor):
             break
 
 
 def _settle(criterion: Criterion, found: Selection, thorough: bool) -> None:
-    """The phases of a periodic force as they are beside all others."""
+    """Fit the phases of a periodic force together with all other causes."""
     if thorough and periodic.CAUSE.name in found.causes:
         with whole(found), criterion.budget.question("how the periodic force stands beside the others"):
             found.fit = periodic.settled(criterion, found.fit, settings.PASSES)
@@ -120,7 +121,7 @@ def _add(
     say: Say,
     passes: int = settings.PASSES,
 ) -> bool:
-    """One step forward, and out with what it makes superfluous (`passes` tell); False where nothing earns its place."""
+    """Make a forward step, then remove causes that are no longer needed; False if no cause is selected."""
     gained = found.fit.loglik - found.base.loglik
     with whole(found):
         step = forward(criterion, found.fit, floor, candidates, few, gained, least, say)
@@ -128,7 +129,7 @@ def _add(
 
 
 def _taken(criterion: Criterion, found: Selection, floor: Floor, step: Round, say: Say, passes: int) -> bool:
-    """`_add` after a round."""
+    """Apply the result of a forward step; False if it selected nothing."""
     found.rounds.append(step)
     if not step.taken:
         say("none taken" + (f": {step.best.cause}, +{step.best.gain:.1f}, {step.refusal}" if step.best else ""))
@@ -150,9 +151,9 @@ def _taken(criterion: Criterion, found: Selection, floor: Floor, step: Round, sa
 def _together(
     criterion: Criterion, found: Selection, floor: Floor, candidates: Sequence[Cause], few: int, say: Say
 ) -> Selection:
-    """`found` with causes that alone explain too little and together leave nothing but noise; else `found` as it is.
+    """Add causes that explain too little alone but leave only noise together; otherwise return `found` unchanged.
 
-    Two causes of one size hide each other: without the second, the first explains a tenth.
+    Two causes of similar size mask each other: without the second, the first may explain only a tenth.
     """
     refused = found.rounds[-1]
     excess = floor.under(criterion, found.fit.theta).excess(found.fit.loglik)
@@ -177,7 +178,7 @@ def _together(
 
 
 def _firsts(again: Round) -> list[Round]:
-    """The round, and the same with another cause taken that gains nearly as much: a false one may lead by little."""
+    """The step, and variants of it with another candidate of nearly the same gain, as a false one may lead narrowly."""
     if not again.taken:
         return []
     firsts = [again]
@@ -190,7 +191,7 @@ def _firsts(again: Round) -> list[Round]:
 
 
 def _asked_again(criterion: Criterion, found: Selection, floor: Floor, refused: Round) -> Round:
-    """The round that took nothing, with a smaller share to ask for; what was not worth the whole climb has it now."""
+    """The refused step with a smaller required share, its candidates fitted to the end."""
     least = (
         settings.LEAST_SHARE_TOGETHER if len(found.causes) < settings.MOST_TOGETHER - 1 else settings.LEAST_SHARE_LAST
     )
@@ -207,7 +208,7 @@ def _asked_again(criterion: Criterion, found: Selection, floor: Floor, refused: 
 
 
 def backward(criterion: Criterion, found: Selection, floor: Floor, say: Say, passes: int) -> None:
-    """Out with whatever the later ones have made superfluous: what would not be taken now is not kept."""
+    """Remove each cause that would no longer be selected beside the later ones."""
     criterion.each(lambda cause: without(criterion, found, cause, passes), found.causes[:-1])
     for cause in found.causes[:-1]:
         smaller = without(criterion, found, cause, passes)
