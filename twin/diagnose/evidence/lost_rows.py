@@ -1,13 +1,13 @@
-"""A row for every single lost sample, so that what was read before it is not forgotten behind it.
+"""A row for every single lost sample, so that the filter keeps what it knew before it.
 
-A filter that begins anew behind a gap takes u_c for a number that nothing is known about.  But the board computed it
-from readings that are lost, and from those before: it tells about the noise of the first reading behind the gap.  With
-one sample in ten lost that made a constant force of six standard errors out of nothing.
+A filter that starts again after a gap treats u_c as a number without history.  But the board computed u_c from earlier
+readings, so it carries the noise of the first reading after the gap.  With one sample in ten lost, this produced a
+constant force of six standard errors from nothing.
 
-Rule 1: one missing sample between two of a flight; more of them in a row stay a gap, as behind them nobody can tell
+Rule 1: only single lost samples within a flight get a row.  Several in a row remain a gap, as the data do not tell
         which of the unknown inputs moved the ball.
-Rule 2: the row holds no reading.  Its u_c is unknown: `ekf.py` asks the current of the next sample for it, or of
-        the one behind that under a delay longer than an interval; where that one is lost, too, a guess remains.
+Rule 2: the row holds no reading.  The filter (`twin/estimation/ekf`) finds its u_c from the current of the next sample,
+        or of the one after that under a delay longer than an interval; if that is lost, too, a guess remains.
 """
 
 from __future__ import annotations
