@@ -1,8 +1,8 @@
-"""The free-running twin: the model under its own copy of the board's law, fed with nothing but x_ref.
+"""The free-running twin: the model under its own copy of the board's law, driven by x_ref alone.
 
 Rule 1: in closed loop no measurement enters after the start: the twin does what the model says the loop does.
 Rule 2: the state held is the one at the tick of the next sample: look at it, then run the tick.
-Rule 3: the law gets what the model's sensors show, and that is what is compared with the rig: readings with readings.
+Rule 3: the law uses the readings of the model's sensors, and these are compared with the readings of the rig.
 """
 
 from __future__ import annotations

@@ -1,19 +1,20 @@
-"""State and Parameters of one board in; twin state, divergence and alarms out.  Pure: no clock, no I/O, no threads.
+"""From State and Parameters of one board to twin state, divergence and alarms.  Pure: no clock, no I/O, no threads.
 
-`Mirror.handle` is the only entry, live, from a log and in tests: the same messages in the same order, the same bits.
+`Mirror.handle` is the only entry, for a live board, a log and tests: the same messages in the same order give the same
+bits.
 
-Rule 1: the board's tick is the only time.  What happened between two known ticks is either simulated, and said so
-        (`bridged_ticks`), or not compared at all.
-Rule 2: bridged are at most `bridge_ticks_max` lost samples, where x_ref, mode and parameters are equal on both sides
-        (and u_c, where that drives the twin).  Everything else puts the twin out of step: it starts again from the
-        measurement, its windows empty, and settles.
+Rule 1: the board's tick is the only time.  What happened between two known ticks is either simulated and counted
+        (`bridged_ticks`) or not compared at all.
+Rule 2: at most `bridge_ticks_max` lost samples are bridged, and only if x_ref, mode and parameters are equal on both
+        sides (and u_c, where that drives the twin).  Otherwise the twin is out of step: it starts again from the
+        measurement with empty windows and settles.
 Rule 3: a change of mode between two consecutive samples is no loss: the twin starts as the board does (rule 6 of
         protocol/README.md) and settles, without an alarm.
 Rule 4: without the board's parameters there is no law, hence no free twin; the observer runs all the same.
-Rule 5: another model is another twin: it starts from the next sample and settles, the alarms of the one before end.
-Rule 6: an alarm on the comparison is about one flight.  A new session and a silence of more than SILENT_S end it at
-        once, a change of mode ends those on errors; what else interrupts the evidence, ends it after a while (rule 4 of
-        twin/mirror/monitor/divergence.py).  Fresh evidence raises it again.
+Rule 5: a new model is a new twin: it starts with the next sample and settles, and the alarms of the old one end.
+Rule 6: an alarm on the comparison concerns one flight.  A new session or a silence of more than SILENT_S ends it at
+        once, and a change of mode ends those on errors.  Other interruptions of the evidence end it after a while
+        (rule 4 of twin/mirror/monitor/divergence.py).  New evidence raises it again.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ class Mirror:
         self._alarm_active = False  # out-of-step
 
     def parameters(self, parameters: pb.Parameters) -> None:
-        """Take what the board says about itself; repetitions change nothing."""
+        """Take the parameters of the board; repetitions have no effect."""
         new = self._known.add(parameters)
         last = self._last
         if new and last is not None and last.session == parameters.session and parameters.from_tick <= last.tick:
@@ -87,7 +88,7 @@ class Mirror:
                 self.counters["samples_under_old_parameters"] += last.tick - parameters.from_tick + 1
 
     def handle(self, state: pb.State) -> Output | None:
-        """Take one sample; None for one that repeats the tick before it."""
+        """Compare one sample; None if it repeats the previous tick."""
         self.counters["samples"] += 1
         now, last = read(state, self.counters), self._last
         same = last is not None and last.session == now.session
@@ -136,9 +137,9 @@ class Mirror:
         return Output(now, sync, bridged, flying, answer, tuple(alarms), nis_on)
 
     def use(self, model: Model) -> list[pb.Alarm]:
-        """Believe `model` from the next sample on; returns the alarms that end with the model before.
+        """Use `model` from the next sample on; returns the alarms that end with the previous model.
 
-        Whatever fails, fails before anything has changed.
+        An error leaves the mirror unchanged.
 
         Raises:
             ValueError, ArithmeticError, numpy.linalg.LinAlgError: no twin can be made of these numbers.
@@ -158,7 +159,7 @@ class Mirror:
         return alarms
 
     def silence(self, text: str) -> list[pb.Alarm]:
-        """The caller, who has a clock, misses the board.  Alarms only: the twin's numbers know no clock."""
+        """Report that no samples arrive, as seen by the caller's clock; this affects alarms only."""
         self.counters["silences"] += 1
         alarms = self.comparison.drop_alarms(text)
         if not self._alarm_active:
@@ -174,7 +175,7 @@ class Mirror:
     def _out_of_the_ordinary(
         self, now: Sample, last: Sample | None, loss: str, alarms: list[pb.Alarm]
     ) -> tuple[str, int]:
-        """Whatever is not one more sample of the same flight; returns why the twin loses step or '', ticks bridged."""
+        """Handle a sample that does not continue the flight; returns (why the twin loses step or '', ticks bridged)."""
         bridged = 0
         if not loss and last is not None:
             loss = self._interruption(now, last)
@@ -195,7 +196,7 @@ class Mirror:
         return loss, bridged
 
     def _enter_regime(self, now: Sample, last: Sample | None) -> str:
-        """Have the numbers for this sample's T_s and parameters ready; returns why the twin loses step by it, or ''."""
+        """Prepare the regime for this sample's T_s and parameters; returns why the twin loses step by that, or ''."""
         parameters = self._known.at(now.session, now.tick)
         regime = self._regime
         if regime is not None and parameters is regime.parameters and parameters is not None:
@@ -224,7 +225,7 @@ class Mirror:
         return "parameters-changed" if same else ""
 
     def _hold(self, regime: Regime) -> Packed:
-        """Empty everything and have at hand what stays as long as the regime."""
+        """Clear all windows and pack what stays constant during the regime."""
         observer = observer_of(regime.plant, self.model.noise, i_lsb_a=regime.i_lsb_a, x_lsb_m=regime.x_lsb_m)
         windows = self.comparison
         windows.start(regime.window, regime.hold)
@@ -282,7 +283,7 @@ class Mirror:
         return missing
 
     def _start(self, now: Sample, before: Sample | None) -> None:
-        """Begin from the measurement, if it suffices; `before` is the sample one tick earlier, where there is one."""
+        """Start from the measurement if it is complete; `before` is the sample one tick earlier, if there is one."""
         regime = self._regime
         if regime is None or regime.law is None or not math.isfinite(now.i + now.x):
             return

@@ -29,7 +29,7 @@ CONTACT_SHARE = 0.01  # of the travel: nearer to a stop than this counts as cont
 
 
 class Observer(NamedTuple):
-    """The filter and what surrounds it; made by `observer_of`."""
+    """The filter with its settings and memory; made by `observer_of`."""
 
     f: Memory
     inputs: Floats  # V, newest last, as many as a delay asks for; the last NaN: nothing to predict from
@@ -74,7 +74,7 @@ def observer_of(plant: PlantNumbers, noise: Noise, *, i_lsb_a: float = 0.0, x_ls
 
 @inlined
 def _begin(o: Observer, i: float, x: float, u: float, first: bool) -> None:
-    """Take the measurement for the estimate, the speed unknown; `first`: nothing is known of the warmth either."""
+    """Start the estimate from the measurement with unknown speed; `first`: the warmth is unknown, too."""
     f, current = o.f, current_of_reading(o.f.c[:], i)
     if first:
         forget(f)

@@ -1,9 +1,9 @@
-"""A twin over a log: every board its own mirror, the outcome counted, and written where that is wanted.
+"""Run the twin over a log: one mirror per board, a summary, and optionally a new log with the twin's topics.
 
-The summary's numbers are of samples in step only; where a figure needs a full window it is the last one's.
+The figures of the summary are of samples in step; a figure that needs a full window is that of the last one.
 
-Rule: one model from end to end, the one that was asked for.  What a live twin ran on when the log was made is told, not
-      followed: a rerun answers "what would this model have said".
+Rule: the given model is used from end to end.  The models that a live twin used when the log was made are listed but
+      not used.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SIGNALS = ("x_m", "i_c_a", "u_c_v")
 
 @dataclass(slots=True, kw_only=True)
 class BoardRun:
-    """What the twin of one board saw."""
+    """The result for one board."""
 
     site: str
     board: str
@@ -45,7 +45,7 @@ class BoardRun:
     models_logged: list[pb.TwinModel] = field(default_factory=list)  # what a live twin ran on, one entry per change
 
     def heard_model(self, message: pb.TwinModel) -> None:
-        """A live twin's statement; repetitions change nothing."""
+        """Take a live twin's message about its model; repetitions have no effect."""
         if not self.models_logged or self.models_logged[-1] != message:
             self.models_logged.append(message)
 

@@ -1,4 +1,4 @@
-"""What one sample gives, as numbers; the messages of it are made when somebody asks for them, and once."""
+"""The result of one sample as numbers; its messages are built on first use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stays the same as long as T_s and the board's parameters do: kernels' numbers, expectations, thresholds."""
+"""A regime: kernel parameters, expected errors and thresholds for one T_s and one set of board parameters."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class KnownParameters:
         self._history: dict[int, list[tuple[int, pb.Parameters]]] = {}
 
     def add(self, parameters: pb.Parameters) -> bool:
-        """Remember; False where they say nothing new."""
+        """Store the parameters; False if they contain nothing new."""
         relevant = pb.Parameters()
         relevant.CopyFrom(parameters)
         for name in _IRRELEVANT:
@@ -134,7 +134,7 @@ class Regime:
         return (*expected.std, *expected.on, *expected.off, self.nis_on, self.nis_off)
 
     def settle_ticks(self, *, closed_loop: bool, x_ref: float) -> int:
-        """How long the start shows."""
+        """Ticks until the effect of the start has decayed."""
         seconds = SETTLE_DRIVEN_S
         if closed_loop:
             ticks = self._expected.settle_ticks(x_ref, share=SETTLED_SHARE) if self._expected else None

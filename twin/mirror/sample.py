@@ -29,7 +29,7 @@ class Sample(NamedTuple):
 
     @property
     def drive(self) -> float:
-        """What the free twin lives on: x_ref in closed loop, else u."""
+        """The input of the free-running twin: x_ref in closed loop, otherwise u."""
         return self.x_ref if self.closed_loop else self.u
 
 

@@ -1,4 +1,4 @@
-"""The other end of a hand-over: a model to the twins that run, and what each of them said."""
+"""The client side of a hand-over: send a model to the running twins and collect their answers."""
 
 from __future__ import annotations
 

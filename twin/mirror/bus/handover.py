@@ -1,4 +1,4 @@
-"""A model on its way into a running twin: what a twin command says, and what became of it.  Pure.
+"""Handing a model over to a running twin: the command and its reply.  Pure.
 
 Rule 1: nothing that comes over the bus raises: bytes that are no command, text that is no model, a model that is not
         physical are refusals with a stable reason and a sentence.  Reasons: malformed, oversize, bad-id, bad-who,
@@ -28,7 +28,7 @@ SHORT = 12  # digits of a hash for people
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Belief:
-    """A model that a twin runs on, and where it has it from."""
+    """A model that a twin uses, and its origin."""
 
     model: Model
     text: str  # JSON
@@ -74,7 +74,7 @@ def believe(model: Model, *, who: str = "", command_id: str = "") -> Belief:
 
 
 def refusal(reason: str, text: str, *, command_id: str = "") -> pb.CommandReply:
-    """A reply that says no."""
+    """A reply that refuses a command."""
     return pb.CommandReply(id=command_id, refused_by="twin", reason=reason, text=text)
 
 
@@ -96,7 +96,7 @@ def read_command(payload: bytes) -> pb.TwinCommand | pb.CommandReply:
     if command.WhichOneof("what") is None:
         return refusal(
             "empty-command",
-            "The command says not what to do, or something this twin does not know.",
+            "The command has no action that this twin can perform; give it use_model.",
             command_id=command.id,
         )
     return command

@@ -1,4 +1,4 @@
-"""When a model has been wrong for so long that somebody should look: the alarm `diagnosis-wanted`.  Pure.
+"""The alarm `diagnosis-wanted`: a model has been wrong for so long that a diagnosis is due.  Pure.
 
 An episode begins with the first alarm on divergence or innovation and lasts while any of them is active.
 
