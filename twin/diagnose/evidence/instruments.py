@@ -10,8 +10,8 @@ Rule 2: flights are compared with flights, what rests or is captured with its li
         noise of x, and crosstalk shows the current; a tenth and more of the noise may be that, alike in all flights.
 Rule 3: sources share a level unless they differ surely (one campaign in a thousand by chance, over all pairs) and by
         more than the floor's tolerance: where one level is enough, none of its precision is lost.
-Rule 4: noise follows the height where it does so within flights, as surely and as much; then the ball at rest is one
-        more height.
+Rule 4: noise follows the height where it does so within flights, as surely and as much, and where the ball at rest,
+        as one more height, fits the shape that the flights have.
 Rule 5: the level itself is that of the ball at rest (`sensor_noise.py`), else the fit's; the flights nearest to it are
         taken to have the same.  From here come ratios to it.
 """
@@ -226,8 +226,24 @@ def _curve(windows: _Windows) -> Channel:
     groups = _groups(flown)
     alike = windows.where(windows.rests | (windows.flies & np.isin(windows.source, groups[0].sources)))
     curve = _fitted(alike, np.zeros(len(alike.log), np.int64))
+    if alike.rests.any() and not _follows(alike.where(alike.flies), curve):
+        return Channel()
     at = alike.height_m[alike.rests] if alike.rests.any() else alike.height_m
     return replace(curve, reference=float(np.mean(curve.log_at(at))))
+
+
+def _follows(flown: _Windows, curve: Channel) -> bool:
+    """Whether flights have the shape of a curve through the ball at rest: no parabola of their own is surely better.
+
+    Crosstalk raises the apparent noise of all flights, and a curve from there to the ball at rest would be steep.
+    """
+    left = flown.log - curve.log_at(flown.height_m)
+    height = flown.height_m - float(np.mean(flown.height_m))
+    powers = np.column_stack([height**n for n in range(_BENDS + 1)])
+    after = left - powers @ np.linalg.lstsq(powers, left, rcond=None)[0]
+    left = left - float(np.mean(left))
+    gained = float(left @ left - after @ after) / float(np.var(after, ddof=_BENDS + 1))
+    return bool(chi2.sf(gained, _BENDS) > settings.INSTRUMENT_CHANCE)
 
 
 def _fitted(windows: _Windows, group: IntArray) -> Channel:
