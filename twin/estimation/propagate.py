@@ -33,6 +33,12 @@ def delay_s(c: NDArray[np.float64]) -> float:
     return float(c[actuation_delay.DELAY] + c[sampling_delay.DELAY])
 
 
+@inlined
+def jitter_s(c: NDArray[np.float64]) -> float:
+    """Standard deviation of the delay from tick to tick, s."""
+    return float(c[actuation_delay.JITTER] + c[sampling_delay.JITTER])
+
+
 @kernel
 def propagate(
     base: Packed,
@@ -50,7 +56,7 @@ def propagate(
     Args:
         base: tuple(Base).
         c: the causes' parameters, shape (PLACES,).
-        y: the state at n - 1, shape (6,), updated in place.
+        y: the state at n - 1, shape (7,), updated in place.
         u: u_c of each sample, V, shape (n_samples,).
         n: the sample that is reached.
         first: no earlier input is known than that of this sample.
@@ -100,7 +106,7 @@ def find_input(
 ) -> None:
     """Put into u[lost] what brings i_c from the state `here` at n - 1 to its reading at n.
 
-    The arguments are those of `propagate`; `moved`, shape (6,), is room.
+    The arguments are those of `propagate`; `moved`, shape (7,), is room.
     """
     held = u[lost]
     for _ in range(3):

@@ -53,7 +53,7 @@ def roll_out(
     settle_s: float = SETTLE_S,
     stops: bool = False,
 ) -> NDArray[np.float64]:
-    """`predict_ahead` from corrected states that are known, shape (n, 6); `stops`: whether they hold the ball."""
+    """`predict_ahead` from corrected states that are known, shape (n, 7); `stops`: whether they hold the ball."""
     settle = max(round(settle_s / system.noise.tick_s), 2)
     x_hat = np.empty(len(samples.u))
     _roll(memory_for(system), samples, state, ahead, settle, stops, x_hat)
@@ -68,7 +68,7 @@ def window(
     Args:
         system: the model and its noise.
         samples: of the series.
-        state: corrected, shape (n, 6).
+        state: corrected, shape (n, 7).
         begin: the sample whose estimate it is.
         length: samples, that one included.
 

@@ -75,8 +75,8 @@ class Steps(NamedTuple):
     """The steps of a run in flight, linearised, for runs of models nearby; m active states."""
 
     slopes: NDArray[np.float64]  # d state / d state at the sample before, shape (n, m, m)
-    before: NDArray[np.float64]  # the correction: states, shape (n, 6)
-    after: NDArray[np.float64]  # shape (n, 6)
+    before: NDArray[np.float64]  # the correction: states, shape (n, 7)
+    after: NDArray[np.float64]  # shape (n, 7)
 
     def part(self, piece: slice) -> Steps:
         """Those of some samples, as views."""
@@ -92,7 +92,7 @@ class Results(NamedTuple):
     """What a run of the filter fills in."""
 
     innovations: NDArray[np.float64]  # nu_i, nu_x, S_ii, S_ix, S_xx, shape (n, 5), NaN where nothing was predicted
-    state: NDArray[np.float64]  # after the correction, shape (n, 6), NaN where the ball does not fly
+    state: NDArray[np.float64]  # after the correction, shape (n, 7), NaN where the ball does not fly
     spread: NDArray[np.float64]  # covariance of the active states after the correction, shape (n, m, m)
     steps: Steps
 

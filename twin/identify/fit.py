@@ -188,7 +188,7 @@ class Likelihood:
         return Slopes(score=score, fisher=fisher)
 
     def states(self, point: Point) -> FloatArray:
-        """Corrected states of `extended.py` at each sample, shape (n, 6), NaN where the ball does not fly."""
+        """Corrected states of `extended.py` at each sample, shape (n, 7), NaN where the ball does not fly."""
         parts = [self._run(point, block, state=True).state for block in self._blocks]
         return np.concatenate(parts) if parts else np.empty((0, STATES))
 

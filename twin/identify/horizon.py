@@ -69,7 +69,7 @@ def errors(system: System, series: Series, state: FloatArray, ahead: int) -> tup
     Args:
         system: the model and its noise.
         series: what was recorded.
-        state: corrected states along it, shape (n, 6).
+        state: corrected states along it, shape (n, 7).
         ahead: samples, 1 or more.
     """
     error = series.x - roll_out(system, series.samples, state, ahead, stops=True)

@@ -79,7 +79,7 @@ def holding_input(p: Base, c: Vector, i_a: float, warmth_a2: float | None = None
 
 
 def at_rest(p: Base, c: Vector, x_m: float, *, shown: bool = False) -> tuple[NDArray[np.float64], float]:
-    """(state of `extended.py`, shape (6,); u_c in V) of a ball that floats at x.
+    """(state of `extended.py`, shape (7,); u_c in V) of a ball that floats at x.
 
     The input is NaN where nothing holds the ball there, and the state then one without current.
     """

@@ -3,7 +3,8 @@
     u_c --delay, dead zone--> target --limits, T_A(x), emf--> i --lag, remanence, saturation--> force --> x', x
     i, x --gain, offset, bow, crosstalk, lag--> what the sensors show
 
-State y, shape (6,): i_c (A), x (m), x' (m/s), field current f (A), position sensor s (m), warmth w (A^2).
+State y, shape (7,): i_c (A), x (m), x' (m/s), field current f (A), position sensor s (m), warmth w (A^2), the
+rate of the sensor s' (m/s).
 
 Rule 1: at `catalogue.neutral()` it is (1) and (6), and f = i_c, s = x.
 Rule 2: the amplifier is integrated exactly within a substep (any T_A, any limit of rate), the ball by Runge-Kutta with
@@ -51,8 +52,8 @@ from twin.model.causes import (
 )
 from twin.model.causes.cause import Vector
 
-I_C, X, V, FIELD, SENSOR, WARMTH = range(6)
-STATES = 6
+I_C, X, V, FIELD, SENSOR, WARMTH, RATE = range(7)
+STATES = 7
 PARTS = (0.0625, 0.1875, 0.25, 0.5)  # of an interval: its substeps
 SHORT_S = 1e-4  # an interval as in a 25 kHz capture is one substep
 LONGEST_STEP_S = 2e-3  # of one `advance`, whose substeps were checked at that
@@ -77,7 +78,7 @@ class Base(NamedTuple):
 def drive(p: Base, c: Vector, u: float, w: float) -> float:
     """The current that the amplifier aims at under u_c = u, A: K_A u of (1), with what changes it."""
     target = p.K_A * amplifier_gain_drift.gain(c, w) * amplifier_dead_zone.effective_input(c, u)
-    return current_limit.limited(c, max(amplifier_offset.shifted(c, target), 0.0))
+    return current_limit.aimed_at(c, max(amplifier_offset.shifted(c, target), 0.0))
 
 
 @kernel
@@ -108,6 +109,12 @@ def position_reading(p: Base, c: Vector, x: float, i: float) -> float:
 def sensor_lag_s(c: Vector) -> float:
     """The time constant of the position sensor, s; 0 where it shows what is there."""
     return c[position_sensor_lag.TAU]
+
+
+@kernel
+def lagging_reading(c: Vector, s: float, rate: float, settled: float, h: float) -> tuple[float, float]:
+    """(the sensor's output in m, its rate in m/s) h s after s and rate, where the ball stays: it would show `settled`."""
+    return position_sensor_lag.lagged(c, s, rate, settled, settled, h)
 
 
 @kernel
@@ -152,7 +159,7 @@ def _driven(
 
 @kernel
 def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float, duration: float, stops: bool) -> None:
-    """`duration` s with u_c = u in force; y, shape (6,), is updated in place.
+    """`duration` s with u_c = u in force; y, shape (7,), is updated in place.
 
     Args:
         base: tuple(Base).
@@ -196,13 +203,16 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         else:
             half_decay = math.exp(-0.5 * h / p.T_A)
             i_half = target + (i - target) * half_decay
-        f_half = eddy_current_lag.lagged(c, f, i, i_half, 0.5 * h)
+        w = eddy_current_lag.weight(c, plane - x, gap_mid)
+        w_half = eddy_current_lag.weight(c, plane - x - 0.5 * h * v, gap_mid)
+        f_half = eddy_current_lag.lagged(c, f, i, i_half, w, w_half, 0.5 * h)
         a2 = 0.0 if held else acceleration(p, c, f_half, x + 0.5 * h * v, v2, t + 0.5 * h) - brake
         if shaped:
             i_next = _driven(c, i_half, target, T_A, v, 0.0 if pressed else a2, gap, gap_mid, 0.5 * h, 0.5 * h)
         else:
             i_next = target + (i_half - target) * half_decay
-        f_next = eddy_current_lag.lagged(c, f_half, i_half, i_next, 0.5 * h)
+        w_next = eddy_current_lag.weight(c, plane - x - h * v2, gap_mid)
+        f_next = eddy_current_lag.lagged(c, f_half, i_half, i_next, w_half, w_next, 0.5 * h)
         v3 = v + 0.5 * h * a2
         a3 = acceleration(p, c, f_half, x + 0.5 * h * v2, v3, t + 0.5 * h) - brake
         v4 = v + h * a3
@@ -211,7 +221,7 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         v_next = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
         if held:
             after = acceleration(p, c, f_next, x, 0.0, t + h)
-            v_next, path = coulomb_friction.let_go(c[coulomb_friction.FORCE] / p.mass_kg, free, after, h)
+            v_next, path = coulomb_friction.let_go(coulomb_friction.most_at_rest(c, p.mass_kg), free, after, h)
             x_next = x + path
         elif brake * v_next < 0.0:
             after = acceleration(p, c, f_next, x, 0.0, t + h)
@@ -221,8 +231,8 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
             x_next, v_next = 0.0, max(v_next, 0.0)
         elif stops and x_next >= p.travel_m:
             x_next, v_next = p.travel_m, min(v_next, 0.0)
-        y[SENSOR] = position_sensor_lag.lagged(
-            c, s, position_reading(p, c, x, i), position_reading(p, c, x_next, i_next), h
+        y[SENSOR], y[RATE] = position_sensor_lag.lagged(
+            c, s, y[RATE], position_reading(p, c, x, i), position_reading(p, c, x_next, i_next), h
         )
         y[WARMTH] += h * amplifier_gain_drift.warmth_rate(c, i, y[WARMTH])
         y[I_C], y[X], y[V], y[FIELD] = i_next, x_next, v_next, f_next

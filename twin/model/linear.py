@@ -5,7 +5,8 @@ Everything in what the sensors show, because that is what a board measures, feed
 Rule 1: the physics is `extended.advance`: (14) is the logarithm of its differences over a short time, not a second set
         of equations.
 Rule 2: the first three states are the readings of i_c and x and the speed in the position sensor's scale; behind them
-        what the causes add (field current of `eddy-current-lag`, settled reading of `position-sensor-lag`).
+        what the causes add (field current of `eddy-current-lag`, settled reading of `position-sensor-lag` and its
+        rate).
 Rule 3: warmth is held at that of the equilibrium: it moves in minutes.  Dry friction is left out: linearised at rest it
         is a ball that sticks.  So is a periodic force.
 """
@@ -33,6 +34,7 @@ from twin.model.equilibrium import at_rest
 from twin.model.extended import (
     FIELD,
     I_C,
+    RATE,
     SENSOR,
     Base,
     V,
@@ -45,7 +47,7 @@ from twin.model.extension import base, vector
 from twin.model.parameters import Model
 
 LONGEST_S = 1e-4  # over which differences are taken; shorter than every time constant, so that the logarithm is exact
-_DELTA = np.array([1e-5, 1e-7, 1e-5, 1e-5, 1e-7])  # A, m, m/s, A, m
+_DELTA = np.array([1e-5, 1e-7, 1e-5, 1e-5, 1e-7, np.nan, 1e-5])  # A, m, m/s, A, m; warmth is held; m/s
 _DELTA_U = 1e-4  # V
 
 
@@ -72,6 +74,8 @@ def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.
     eddy, lag = float(c[eddy_current_lag.TAU]), float(c[position_sensor_lag.TAU])
     y0, u0 = at_rest(p, c, x_m, shown=True)
     places = [I_C, X, V, *([FIELD] if eddy > 0.0 else []), *([SENSOR] if lag > 0.0 else [])]
+    if lag > 0.0 and c[position_sensor_lag.SECOND] > 0.0:
+        places.append(RATE)
     n = len(places)
     if not math.isfinite(u0):
         return np.full((n, n), np.nan), np.full((n, 1), np.nan)
@@ -133,7 +137,8 @@ def _to_readings(p: Base, c: Vector, y0: NDArray[np.float64], places: list[int])
     settled[0], settled[1] = by_i, by_x
     shown[2, 2] = by_x
     if SENSOR in places:
-        shown[1], shown[-1] = np.eye(len(places))[-1], settled
+        place = places.index(SENSOR)
+        shown[1], shown[place] = np.eye(len(places))[place], settled
     else:
         shown[1] = settled
     return shown

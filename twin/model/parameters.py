@@ -4,7 +4,7 @@ Rule 1: strict.  A missing key, another unit, a number that is not finite or not
         that runs on a guessed parameter accuses the rig of its own mistake.
 Rule 2: units are the ones below, always; there is no conversion.
 Rule 3: `causes` are of the catalogue, each with all its parameters, in its unit and within its physical
-        range: a half-known cause is none; [] is the paper's model.
+        range: a half-known cause is none; a shape that is left out is that of the usual form; [] is the paper's model.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.resources import files
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator
@@ -84,9 +85,18 @@ def _fits(name: str, supplied: Parameter, unit: str, low: float, high: float) ->
 
 
 def _all_fit(
-    supplied: Mapping[str, Parameter], known: Mapping[str, tuple[str, float, float]]
+    supplied: Mapping[str, Parameter],
+    known: Mapping[str, tuple[str, float, float]],
+    usual: Mapping[str, Parameter] = MappingProxyType({}),
 ) -> Mapping[str, Parameter]:
-    """The parameters in the order of those that are known, each in its unit and within its physical range."""
+    """The parameters in the order of those that are known, each in its unit and within its physical range.
+
+    Args:
+        supplied: by the file.
+        known: unit, lowest and highest value of each.
+        usual: of those that a file may leave out.
+    """
+    supplied = {**usual, **supplied}
     for name in (*known, *supplied):
         if name not in supplied or name not in known:
             problem = " is missing" if name in known else " is not a parameter"
@@ -117,9 +127,20 @@ def _in_catalogue(cause: ModelCause) -> ModelCause:
         raise RuleError(" is not in the catalogue", remedy=f"Use one of {', '.join(BY_NAME)}")
     known = {one.name: (one.unit, one.low, one.high) for one in BY_NAME[cause.name].parameters}
     try:
-        return ModelCause(name=cause.name, parameters=_all_fit(cause.parameters, known))
+        return ModelCause(name=cause.name, parameters=_all_fit(cause.parameters, known, _usual(cause.name)))
     except RuleError as error:
         raise RuleError(f".parameters{error.problem}", remedy=error.remedy) from None
+
+
+def _usual(cause: str) -> Mapping[str, Parameter]:
+    """The shapes of a cause in its usual form: a file without them is of before they were known."""
+    from twin.model.causes.catalogue import BY_NAME
+
+    known = BY_NAME[cause]
+    return {
+        one.name: Parameter(value=one.neutral, unit=one.unit, method="usual form", equation=known.equation)
+        for one in known.shapes
+    }
 
 
 def _each_once(causes: tuple[ModelCause, ...]) -> tuple[ModelCause, ...]:

@@ -7,7 +7,7 @@ Rule 3: `actuation-delay` holds back u_c, `sampling-delay` what the sensors show
 Rule 4: the phase of a periodic force is unknown to a simulation, so it runs without that force (`left_out` says so);
         lost samples are the line's, not the rig's.
 
-Memory of a simulated rig, shape (`places`,): the state of `extended.py` (0..5), the readings shown at this tick
+Memory of a simulated rig, shape (`places`,): the state of `extended.py` (0..6), the readings shown at this tick
 (I_READ, X_READ), two places of the law that closes the loop (INTEGRAL, X_BEFORE), the inputs that still have to act,
 newest first, then pairs of readings that still have to show.
 """
@@ -26,6 +26,7 @@ from twin.model.causes.catalogue import BY_NAME
 from twin.model.extended import (
     FIELD,
     I_C,
+    RATE,
     SENSOR,
     STATES,
     WARMTH,
@@ -112,7 +113,7 @@ def rig_at(
     current = current_of_reading(c, i)
     position = min(max(position_of_reading(p, c, x, current), 0.0), p.travel_m)
     memory[I_C], memory[X], memory[V], memory[FIELD] = current, position, v, current
-    memory[SENSOR] = position_reading(p, c, position, current)
+    memory[SENSOR], memory[RATE] = position_reading(p, c, position, current), v
     memory[WARMTH] = current * current if warmth is None else warmth
     memory[I_READ], memory[X_READ] = current_reading(c, current), memory[SENSOR]
     late = LINES + plant.act_whole + 2

@@ -41,7 +41,7 @@ def system_of(model: Model, record: Record) -> System:
 
 
 def as_shown(state: FloatArray, model: Model) -> FloatArray:
-    """i_c and x as the sensors show them, and x', of states of shape (n, 6); shape (n, 3)."""
+    """i_c and x as the sensors show them, and x', of states of shape (n, 7); shape (n, 3)."""
     c = plant_numbers(model, 1e-3).c
     shown = np.empty((len(state), 3))
     shown[:, 0] = [current_reading(c, i) for i in state[:, I_C].tolist()]

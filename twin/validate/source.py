@@ -65,7 +65,7 @@ class Filtered:
     series: Series
     white: FloatArray  # whitened innovations (i_c, x), shape (n, 2)
     system: System
-    state: FloatArray  # corrected states of `extended.py`, shape (n, 6)
+    state: FloatArray  # corrected states of `extended.py`, shape (n, 7)
     shown: FloatArray  # i_c and x of them as the sensors show them, and x', shape (n, 3)
     wild: int  # readings left out
 

@@ -17,7 +17,7 @@ from tests.harness.twin.true_model import true_model
 from twin.mirror.mirror import Mirror
 from twin.mirror.output import Output
 from twin.model.parameters import Model
-from twin.model.simulate import hold, left_out, plant_numbers, rig_at
+from twin.model.simulate import I_READ, X_READ, hold, left_out, plant_numbers, rig_at
 
 GAINS = (0.49, 1700.0, 17.7, -17600.0)
 MIDDLE_M = 2.85e-3
@@ -136,7 +136,7 @@ def test_a_delay_of_whole_and_part_ticks_shifts_what_acts_and_what_shows() -> No
     for rig, plant, inputs, which in ((rigs[0], plain, u, 0), (rigs[1], late, u, 1)):
         for value in inputs:
             hold(tuple(plant), rig, value)
-            shown[which].append((float(rig[6]), float(rig[7])))
+            shown[which].append((float(rig[I_READ]), float(rig[X_READ])))
 
     # i_c alone has no memory of where the ball was meanwhile.
     settled = [i for i, _ in shown[0]]

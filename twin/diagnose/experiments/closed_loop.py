@@ -22,7 +22,18 @@ from twin.diagnose.inference.theta import Theta
 from twin.estimation.propagate import propagate
 from twin.estimation.record import FloatArray, Record
 from twin.model.equilibrium import holding_current
-from twin.model.extended import I_C, SENSOR, Base, V, X, current_reading, position_reading, sensor_lag_s
+from twin.model.extended import (
+    I_C,
+    RATE,
+    SENSOR,
+    Base,
+    V,
+    X,
+    current_reading,
+    lagging_reading,
+    position_reading,
+    sensor_lag_s,
+)
 
 _NO_LAW: Packed = tuple(LawNumbers(*[0.0] * len(LawNumbers._fields)))
 
@@ -63,7 +74,7 @@ def run(
         steps: of the converters.
         t: s, shape (n,).
         command: x_ref in m under a law, else u_c in V, shape (n,).
-        y: the state at the first sample, shape (6,), used up.
+        y: the state at the first sample, shape (7,), used up.
         s: the integral of the law there, m s.
         speed: of the reading there, m/s.
         tick_s: that process noise refers to, s.
@@ -132,7 +143,7 @@ def play(
         command: of each sample, in force until the next, shape (n,).
         noise: what is added to the readings of i_c and x, to i_c (all per sample), and an acceleration during the
             interval before it; A, m, A, m/s^2, shape (4, n).
-        y: the state at the first sample, shape (6,), used up.
+        y: the state at the first sample, shape (7,), used up.
         s: the integral of the law there, m s.
         speed: of the reading there, m/s.
         out: receives the result.
@@ -144,7 +155,7 @@ def play(
     x_prev = 0.0
     for n in range(len(t)):
         if n > 0:
-            held_x, shown = y[X], y[SENSOR]
+            held_x, shown, rate = y[X], y[SENSOR], y[RATE]
             propagate(base, c, y, u, n, 0, t[n - 1], step[n], True)
             if clamped:
                 y[X], y[V] = held_x, 0.0
@@ -161,7 +172,7 @@ def play(
                     y[V] += a * T_s
                 if touches and lag_s > 0.0:
                     settled = position_reading(p, c, y[X], y[I_C])
-                    y[SENSOR] = settled + (shown - settled) * math.exp(-T_s / lag_s)
+                    y[SENSOR], y[RATE] = lagging_reading(c, shown, rate, settled, T_s)
             y[I_C] += noise[2, n]
         if lag_s <= 0.0:
             y[SENSOR] = position_reading(p, c, y[X], y[I_C])

@@ -29,6 +29,7 @@ from twin.model.equilibrium import at_rest, holding_current, settled_current
 from twin.model.extended import (
     FIELD,
     I_C,
+    RATE,
     SENSOR,
     STATES,
     WARMTH,
@@ -247,7 +248,7 @@ def _start(
         if not clamped and not 0.0 < y[X] < plant.travel_m:
             y[X], speed = min(max(y[X], theta.stop_low_m), plant.travel_m + theta.stop_high_m), 0.0
         y[V] = speed
-    y[SENSOR] = position_reading(p, c, float(y[X]), float(y[I_C]))
+    y[SENSOR], y[RATE] = position_reading(p, c, float(y[X]), float(y[I_C])), y[V]
     squares = record.i_c[piece] ** 2
     y[WARMTH] = float(np.nanmean(squares)) if np.isfinite(squares).any() else 0.0
     return y, speed

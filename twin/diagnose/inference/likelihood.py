@@ -1,7 +1,8 @@
 """Log-likelihood of the innovations of the extended model: one parameter set for the whole campaign.
 
 Rule 1: sums over samples do not depend on the number of workers, as each worker computes whole derivatives.
-Rule 2: data that are no time series count, too: priors of the stops, lift-off points, equilibria.
+Rule 2: what is no time series counts, too: priors of the stops and of the causes' shapes, lift-off points,
+        equilibria.
 Rule 3: the caller's budget pays for a run before it begins.
 """
 
@@ -22,7 +23,15 @@ from twin.diagnose import settings
 from twin.diagnose.evidence.dead_time import dead_time
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.inference.budget import Budget, Spent
-from twin.diagnose.inference.theta import NOISES, STOP_UNIT_M, STOPS, Theta, derivative_step, moved
+from twin.diagnose.inference.theta import (
+    NOISES,
+    STOP_UNIT_M,
+    STOPS,
+    Theta,
+    derivative_step,
+    moved,
+    shape_residuals,
+)
 from twin.estimation.ekf.filter import fill
 from twin.estimation.ekf.memory import states_in
 from twin.estimation.innovations import FLIES, RESTS_HIGH, RESTS_LOW, information, whiten
@@ -212,7 +221,7 @@ class Criterion:
         return loglik, white
 
     def outside(self, theta: Theta) -> float:
-        """What is not in the series: priors of the stops, lift-off points, equilibria."""
+        """What is not in the series: priors of the stops and of the causes' shapes, lift-off points, equilibria."""
         residuals = self._residuals(theta)
         return -0.5 * float(residuals @ residuals)
 
@@ -225,9 +234,10 @@ class Criterion:
         return -change @ here, change @ change.T
 
     def _residuals(self, theta: Theta) -> FloatArray:
-        """Of the stops, then of the static points, in standard errors."""
+        """Of the stops, the static points and the causes' shapes, in standard errors."""
         stops = [theta.stop_low_m / settings.STOP_STD_M, theta.stop_high_m / settings.STOP_STD_M]
-        return np.array(stops + [self._static(theta, point) for point in self.evidence.statics])
+        statics = [self._static(theta, point) for point in self.evidence.statics]
+        return np.concatenate([stops, statics, shape_residuals(theta)])
 
     def _static(self, theta: Theta, point: LiftOff) -> float:
         p, c = theta.base(self.plant), theta.vector()

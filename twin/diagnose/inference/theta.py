@@ -18,7 +18,7 @@ from protocol.campaign import Plant
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import NOISES as NOISES
 from twin.estimation.structures import NoiseLevels, Stops, System
-from twin.model.causes.catalogue import BY_NAME, neutral
+from twin.model.causes.catalogue import BY_NAME, CATALOGUE, neutral
 from twin.model.causes.cause import CauseParameter
 from twin.model.extended import Base
 
@@ -115,6 +115,20 @@ def parameter_of(name: str) -> CauseParameter:
 def coordinates_of(cause: str) -> tuple[str, ...]:
     """The coordinates of a cause: all its parameters."""
     return tuple(f"{cause}.{entry.name}" for entry in BY_NAME[cause].parameters)
+
+
+_SHAPES = tuple(one for cause in CATALOGUE for one in cause.shapes)
+_PLACES = np.array([one.place for one in _SHAPES], np.intp)
+_NEUTRAL = np.array([one.neutral for one in _SHAPES])
+_SPREAD = np.array([one.spread for one in _SHAPES])
+
+
+def shape_residuals(theta: Theta) -> FloatArray:
+    """How far the shape of each cause of the catalogue is from its usual form, in standard deviations of its prior.
+
+    The data often leave a shape open; without a prior a fit would then have no maximum.
+    """
+    return np.asarray((theta.vector()[_PLACES] - _NEUTRAL) / _SPREAD)
 
 
 def unit_of(parameter: CauseParameter) -> float:

@@ -66,7 +66,7 @@ class Curve:
 class Filtered:
     """One model along a series."""
 
-    state: FloatArray  # shape (n, 6), NaN where the ball is not in the air
+    state: FloatArray  # shape (n, 7), NaN where the ball is not in the air
     unforeseen_i_a: FloatArray  # i_c - predicted, one sample ahead, shape (n,)
     force_n: FloatArray  # residual, shape (n,)
     slope_m_s: FloatArray  # of the parabola: the filter's speed shares its noise with the residual, this one does not

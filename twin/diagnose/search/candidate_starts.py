@@ -42,10 +42,11 @@ def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
         quick = quickest(criterion.evidence.records)
         if quick is not None:
             times.add(min(quick, theta.T_A))
+        own = [(name, value) for name, value in score.others if name.startswith(f"{cause.name}.")]
         for K_A in sorted(gains):
             for T_A in sorted(times):
                 for probe in probes_of(cause, criterion.evidence.series):
-                    starts.append(probed(replace(theta, K_A=K_A, T_A=T_A), cause, probe))
+                    starts.append(probed(replace(theta, K_A=K_A, T_A=T_A), cause, probe, own))
     starts = _with_stops(criterion.plant, theta, starts, cause)
     return starts[int(np.argmax(criterion.values(starts)))]
 
@@ -161,7 +162,4 @@ def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause, part
         if name in names:
             most = most_step(name)  # what nothing in the data holds would run away
             theta = moved(theta, name, min(max(by * reach, -most), most), criterion.plant)
-    theta = probed(theta, cause, strength.value(strength.coordinate(score.probe) * reach))
-    for name, value in score.others:
-        theta = theta.having(name, value)
-    return theta
+    return probed(theta, cause, strength.value(strength.coordinate(score.probe) * reach), score.others)

@@ -64,19 +64,20 @@ def screen(
     """The candidates' scores at a maximum, best first; those already in the model are left out."""
     present = {name.partition(".")[0] for name, _ in theta.causes}
     trials = [
-        (cause, probe)
+        (cause, probe, shape)
         for cause in candidates
         if cause.name not in present and not cause.not_testable and cause.found_by == "score-test"
         for probe in probes_of(cause, criterion.evidence.series)
+        for shape in _shapes(cause)
     ]
     run = criterion.run(theta)
     base, by_free = criterion.derivatives(theta, free, run, rough=True)
     k, count = len(free), len(free) + len(trials)
     change = np.empty((count, *base.shape))
     change[:k] = by_free
-    beside = [probed(theta, cause, probe) for cause, probe in trials]
+    beside = [probed(theta, cause, probe, shape) for cause, probe, shape in trials]
     # The slopes of a ball that may stick are not those of one that cannot.
-    reuse = [Reuse.NOTHING if "sticks" in cause.traits else Reuse.SLOPES for cause, _ in trials]
+    reuse = [Reuse.NOTHING if "sticks" in cause.traits else Reuse.SLOPES for cause, *_ in trials]
     outs = criterion.beside(beside, run, reuse)
     for place, out in enumerate(outs, k):
         np.subtract(out, base, out=change[place])
@@ -89,7 +90,7 @@ def screen(
     score, fisher = each.sum(axis=0) + score, fisher + curvature
     inner = inverse(fisher[:k, :k])
     best: dict[str, Score] = {}
-    for place, (cause, probe) in enumerate(trials, k):
+    for place, (cause, probe, shape) in enumerate(trials, k):
         cross = fisher[:k, place]
         own = float(fisher[place, place])
         left = own - float(cross @ inner @ cross)
@@ -111,18 +112,26 @@ def screen(
             detectable=math.sqrt(left),
             visible=left / own,
             beside=tuple(zip(free, (-(inner @ cross)).tolist(), strict=True)),
+            others=shape,
         )
         if cause.name not in best or found.gain > best[cause.name].gain:
             best[cause.name] = found
     return sorted(best.values(), key=lambda found: -found.gain)
 
 
-def probed(theta: Theta, cause: Cause, value: float) -> Theta:
-    """With that strength of a cause, its other parameters at their usual values."""
-    strength, *others = coordinates_of(cause.name)
-    for name, parameter in zip(others, cause.parameters[1:], strict=True):
-        theta = theta.having(name, parameter.neutral)
-    return theta.having(strength, value)
+def _shapes(cause: Cause) -> list[tuple[tuple[str, float], ...]]:
+    """The coordinates of the forms that are looked at; () for the usual one."""
+    forms = [form for form in cause.forms if form.probed]
+    return [(), *(tuple((f"{cause.name}.{name}", value) for name, value in form.values.items()) for form in forms)]
+
+
+def probed(theta: Theta, cause: Cause, value: float, others: Sequence[tuple[str, float]] = ()) -> Theta:
+    """With that strength of a cause, its other parameters at their usual values, and then `others`."""
+    strength, *rest = coordinates_of(cause.name)
+    usual = [(name, parameter.neutral) for name, parameter in zip(rest, cause.parameters[1:], strict=True)]
+    for name, known in (*usual, (strength, value), *others):
+        theta = theta.having(name, known)
+    return theta
 
 
 def _two_sided(cause: Cause) -> bool:

@@ -9,6 +9,7 @@ from twin.model.causes import position_sensor_lag
 from twin.model.extended import (
     FIELD,
     I_C,
+    RATE,
     SENSOR,
     WARMTH,
     Base,
@@ -72,7 +73,7 @@ def start_flight(f: Memory, reading: float) -> None:
         if k != 0 and k != f.warmth:
             _forget(f, k)
     y[X], y[V] = position_of_reading(p, c, reading, y[I_C]), 0.0
-    y[SENSOR] = reading
+    y[SENSOR], y[RATE] = reading, 0.0
     f.in_flight, f.speed_seen = True, False
     # A reading that shows the current, too, places the ball as well as the current is known.
     shown = (position_reading(p, c, y[X], y[I_C] + 1e-3) - position_reading(p, c, y[X], y[I_C])) / 1e-3
@@ -94,6 +95,12 @@ def start_flight(f: Memory, reading: float) -> None:
         P[1, 2] = tau * SPEED_STD_M_S**2
         P[2, 1] = P[1, 2]
         P[f.sensor, f.sensor] = f.r_x
+    if f.rate >= 0:
+        # The sensor's output moves as the ball does.
+        for k in range(f.m):
+            P[k, f.rate] = P[k, 2]
+            P[f.rate, k] = P[k, 2]
+        P[f.rate, f.rate] = P[2, 2]
 
 
 @inlined

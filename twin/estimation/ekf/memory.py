@@ -16,7 +16,7 @@ from twin.compiled import Packed, inlined
 from twin.estimation.structures import System
 from twin.model.causes import amplifier_gain_drift, current_sensor_gain, eddy_current_lag, position_sensor_lag
 from twin.model.causes.catalogue import neutral
-from twin.model.extended import FIELD, I_C, SENSOR, STATES, WARMTH, Base, V, X
+from twin.model.extended import FIELD, I_C, RATE, SENSOR, STATES, WARMTH, Base, V, X
 
 Floats = NDArray[np.float64]
 
@@ -40,17 +40,18 @@ class Memory(Protocol):
     field: int  # place in the covariance; -1: not in it
     sensor: int
     warmth: int
+    rate: int
     first: int  # sample of this chain
     in_flight: bool
     speed_seen: bool  # in this flight
-    y: Floats  # the state, shape (6,)
+    y: Floats  # the state, shape (7,)
     here: Floats  # at the sample before
     moved: Floats  # room, like the next four
     back: Floats
     K: Floats
     h_i: Floats  # slopes of the reading of i_c
     h_x: Floats  # of x
-    P: Floats  # covariance, shape (6, 6)
+    P: Floats  # covariance, shape (7, 7)
     F: Floats  # d state / d state before
     G: Floats  # room
 
@@ -66,6 +67,7 @@ def active_states(c: Floats) -> list[int]:
         (FIELD, c[eddy_current_lag.TAU] > 0.0),
         (SENSOR, c[position_sensor_lag.TAU] > 0.0),
         (WARMTH, c[amplifier_gain_drift.LOSS] != 0.0),
+        (RATE, c[position_sensor_lag.TAU] > 0.0 and c[position_sensor_lag.SECOND] > 0.0),
     )
     return [I_C, X, V, *(state for state, lives in own if lives)]
 
@@ -74,7 +76,7 @@ def active_states(c: Floats) -> list[int]:
 def _fields() -> np.dtype[np.void]:
     one, square = (STATES,), (STATES, STATES)
     numbers = ("moments_s", "r_i", "r_x", "q_i", "q_a", "low_m", "high_m")
-    counts = ("m", "field", "sensor", "warmth", "first")
+    counts = ("m", "field", "sensor", "warmth", "rate", "first")
     vectors = ("y", "here", "moved", "back", "K", "h_i", "h_x")
     fields: list[Any] = [("base", float, (len(Base._fields),)), ("c", float, (len(neutral()),))]
     fields += [(name, float) for name in numbers] + [(name, np.int64) for name in counts]
@@ -98,7 +100,7 @@ def memory_for(system: System) -> Memory:
     record["low_m"], record["high_m"] = system.stops.low_m, record["base"][-1] + system.stops.high_m
     record["m"] = len(places)
     record["places"][: len(places)] = places
-    for name, state in (("field", FIELD), ("sensor", SENSOR), ("warmth", WARMTH)):
+    for name, state in (("field", FIELD), ("sensor", SENSOR), ("warmth", WARMTH), ("rate", RATE)):
         record[name] = places.index(state) if state in places else -1
     record["h_i"][0] = c[current_sensor_gain.GAIN]
     return cast(Memory, records.view(np.recarray)[0])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from twin.compiled import inlined, kernel
 from twin.estimation.ekf.memory import Floats, Memory, base_of
 from twin.estimation.ekf.transition import moments, transit
-from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, current_held, propagate
+from twin.estimation.propagate import INPUT_DELTA_V, copy, current_held, delay_s, jitter_s, propagate
 from twin.model.causes import (
     amplifier_gain_drift,
     coulomb_friction,
@@ -18,9 +18,9 @@ from twin.model.causes import (
     position_dependent_inductance,
     slew_rate_limit,
 )
-from twin.model.extended import FIELD, I_C, SENSOR, WARMTH, Base, V, X
+from twin.model.extended import FIELD, I_C, RATE, SENSOR, WARMTH, Base, V, X
 
-_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4])  # of the states, for differences
+_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5])  # of the states, for differences
 
 
 @inlined
@@ -36,7 +36,7 @@ def advance(f: Memory, y: Floats, inputs: Floats, n: int, t: float, T_s: float, 
     i, x, v = transit(p, f.moments[:], T_s, y[I_C], y[X], y[V], inputs[n - 1])
     if stops and not 0.0 <= x <= p.travel_m:
         x, v = min(max(x, 0.0), p.travel_m), 0.0
-    y[I_C], y[X], y[V], y[FIELD], y[SENSOR] = i, x, v, i, x
+    y[I_C], y[X], y[V], y[FIELD], y[SENSOR], y[RATE] = i, x, v, i, x, v
 
 
 @inlined
@@ -46,8 +46,8 @@ def step_along(f: Memory, slopes: Floats, before: Floats, after: Floats) -> None
     Args:
         f: with the state at n - 1 in `here`.
         slopes: of that step, shape (m, m).
-        before: where it led to, shape (6,).
-        after: where it began, shape (6,).
+        before: where it led to, shape (7,).
+        after: where it began, shape (7,).
     """
     for row in range(f.m):
         total = before[f.places[row]]
@@ -117,18 +117,47 @@ def add_process_noise(f: Memory, T_s: float) -> None:
 
 
 @kernel
-def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: float) -> None:
-    """What not knowing u_c of the sample `lost` adds to the covariance; the others as `propagate` takes them."""
-    moved, K = f.moved[:], f.K
-    inputs[lost] += INPUT_DELTA_V
+def doubt_input(f: Memory, inputs: Floats, place: int, std_v: float, n: int, t: float, T_s: float) -> None:
+    """What an error of u_c of the sample `place` adds to the covariance; the others as `propagate` takes them.
+
+    Args:
+        f: the filter.
+        inputs: u_c of the samples, V.
+        place: the sample.
+        std_v: standard deviation of the error, V.
+        n: the sample that is reached.
+        t: of n - 1, s.
+        T_s: from n - 1 to n, s.
+    """
+    moved, back, K = f.moved[:], f.back[:], f.K
+    held = inputs[place]
+    inputs[place] = held + INPUT_DELTA_V
     copy(moved, f.here[:])
     propagate(base_of(f), f.c[:], moved, inputs, n, f.first, t, T_s, False)
-    inputs[lost] -= INPUT_DELTA_V
+    inputs[place] = held - INPUT_DELTA_V
+    copy(back, f.here[:])
+    propagate(base_of(f), f.c[:], back, inputs, n, f.first, t, T_s, False)
+    inputs[place] = held
     for row in range(f.m):
-        K[row] = UNKNOWN_INPUT_V * (moved[f.places[row]] - f.y[f.places[row]]) / INPUT_DELTA_V
+        K[row] = 0.5 * std_v * (moved[f.places[row]] - back[f.places[row]]) / INPUT_DELTA_V
     for row in range(f.m):
         for column in range(f.m):
             f.P[row, column] += K[row] * K[column]
+
+
+@inlined
+def newest(f: Memory, n: int, T_s: float) -> int:
+    """The sample whose u_c comes into force on the way to n, by the delay of the model."""
+    return n - 1 - int(delay_s(f.c[:]) / T_s)
+
+
+@kernel
+def input_error(f: Memory, inputs: Floats, n: int, T_s: float) -> float:
+    """What a delay that varies makes of the change of u_c on the way to n: an error of its mean over T_s, V."""
+    place, jitter = newest(f, n, T_s), jitter_s(f.c[:])
+    if jitter <= 0.0 or place <= f.first:
+        return 0.0
+    return float(min(jitter / T_s, 1.0) * abs(inputs[place] - inputs[place - 1]))
 
 
 @kernel
@@ -163,7 +192,8 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
         P[warm, 0] = P[0, warm]
     else:
         P[0, 0] = f_ii * f_ii * P[0, 0]
-    P[0, 0] += f.q_i * T_s
+    late_v = p.K_A * (1.0 - f_ii) * input_error(f, inputs, n, T_s)
+    P[0, 0] += f.q_i * T_s + late_v * late_v
 
 
 @kernel

@@ -5,11 +5,13 @@ K_A max(u_c - u_0, 0)
 
 from __future__ import annotations
 
+import math
+
 from twin.compiled import kernel
-from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 from twin.model.causes.instruments import CLAMP_METER
 
-WIDTH = 4
+WIDTH, ROUNDING = 4, 33
 
 CAUSE = Cause(
     name="amplifier-dead-zone",
@@ -17,11 +19,22 @@ CAUSE = Cause(
     title="the amplifier does nothing below a certain input",
     sentence="the amplifier does nothing below an input of {width_v}",
     acts_on="input of (1)",
-    equation="K_A max(u_c - u_0, 0)",
+    equation="K_A max(u_c - u_0, 0), its corner rounded over r u_0",
     source="threshold of the output stage; the duty table of an INTECO rig shows one of 5 %",
     parameters=(
         CauseParameter(
             name="width_v", symbol="u_0", unit="V", place=WIDTH, neutral=0.0, low=0.0, high=2.0, probes=(0.05, 0.2)
+        ),
+        CauseParameter(
+            name="rounding",
+            symbol="r",
+            unit="",
+            place=ROUNDING,
+            neutral=0.0,
+            low=0.0,
+            high=1.5,
+            probes=(0.1,),
+            spread=0.5,
         ),
     ),
     signature="i_c is 0 up to some u_c and a straight line from there, which misses the origin",
@@ -34,10 +47,23 @@ CAUSE = Cause(
     },
     at_rest="amplifier",
     added_a=lambda width_v, K_A: -K_A * width_v,
+    usual="sharp corner",
+    forms=(
+        Form(
+            name="rounded corner",
+            values={"rounding": 0.4},
+            source="P. R. Gray, R. G. Meyer, Analysis and Design of Analog Integrated Circuits: class B stages",
+        ),
+    ),
 )
 
 
 @kernel
 def effective_input(c: Vector, u: float) -> float:
     """The input behind the dead zone, V."""
-    return max(u - c[WIDTH], 0.0)
+    width = c[WIDTH]
+    if c[ROUNDING] == 0.0 or width <= 0.0 or u <= 0.0:
+        return max(u - width, 0.0)
+    corner = c[ROUNDING] * width
+    at_zero = math.sqrt(width * width + corner * corner) - width  # no current without input
+    return 0.5 * (u - width + math.sqrt((u - width) * (u - width) + corner * corner) - at_zero)

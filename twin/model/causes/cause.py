@@ -22,7 +22,7 @@ Trait = Literal[
 ]
 FoundBy = Literal["score-test", "spectral-line", "gaps"]  # in innovations, in their spectrum, in the times of samples
 AtRest = Literal["", "balance", "amplifier"]
-PLACES = 31
+PLACES = 45
 
 
 class Vector(Protocol):
@@ -43,6 +43,8 @@ class CauseParameter:
     low: float  # of the physical range
     high: float
     probes: tuple[float, ...]  # where the screen looks: small, no rounding error; larger where the signature bends
+    # Of a shape, which the data often leave open: the standard deviation of its prior about neutral; inf: none.
+    spread: float = math.inf
 
     def coordinate(self, value: float) -> float:
         """The number that the estimator moves."""
@@ -53,6 +55,16 @@ class CauseParameter:
         if math.isinf(self.neutral):
             return math.inf if coordinate <= 0.0 else min(max(1.0 / coordinate, self.low), self.high)
         return min(max(self.neutral + coordinate, self.low), self.high)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Form:
+    """An equation of the literature for the same effect: values of the shape parameters, those not named neutral."""
+
+    name: str
+    values: Mapping[str, float]
+    source: str
+    probed: bool = False  # whether the screen looks at it, too: its signature is unlike that of the usual form
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,6 +99,8 @@ class Cause:
     # With sizes: {parameter} is its magnitude with unit, {parameter:%} its distance from neutral in percent.
     sentence: str = ""
     opposite: str = ""  # the same where the strength is below neutral, for those that have a sign
+    usual: str = ""  # the form in which all shapes are neutral
+    forms: tuple[Form, ...] = ()  # the others
     traits: frozenset[Trait] = frozenset()
     found_by: FoundBy = "score-test"
     measured_probes: MeasuredProbes | None = None  # instead of the strength's own for a limit, else beside them
@@ -101,3 +115,8 @@ class Cause:
     def strength(self) -> CauseParameter:
         """The parameter that is neutral when the cause is absent."""
         return self.parameters[0]
+
+    @property
+    def shapes(self) -> tuple[CauseParameter, ...]:
+        """The parameters that tell one form of the effect from another."""
+        return tuple(one for one in self.parameters if math.isfinite(one.spread))

@@ -1,6 +1,6 @@
 """core-saturation: the iron saturates: the force grows less than with i^2.
 
-i -> i / sqrt(1 + (i / i_s)^2)
+i -> i / (1 + a (i / i_s)^n)^(1/n), a = 2^(n/2) - 1: at i_s the force is half of what i^2 says, whatever n
 """
 
 from __future__ import annotations
@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 
 from twin.compiled import kernel
-from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 from twin.model.causes.instruments import SCALE
 
-I_S = 11
+I_S, KNEE = 11, 31
 
 CAUSE = Cause(
     name="core-saturation",
@@ -19,11 +19,14 @@ CAUSE = Cause(
     title="the iron saturates: the force grows less than with i^2",
     sentence="the iron saturates: at {i_s_a} it pulls half as hard as i^2 says",
     acts_on="magnetic force (3)",
-    equation="i -> i / sqrt(1 + (i / i_s)^2)",
+    equation="i -> i / (1 + a (i / i_s)^n)^(1/n), a = 2^(n/2) - 1",
     source="from about 1.5 T on iron takes up less and less field",
     parameters=(
         CauseParameter(
             name="i_s_a", symbol="i_s", unit="A", place=I_S, neutral=math.inf, low=0.2, high=100.0, probes=(6.0, 3.0)
+        ),
+        CauseParameter(
+            name="knee", symbol="n", unit="", place=KNEE, neutral=2.0, low=0.7, high=8.0, probes=(2.3,), spread=1.0
         ),
     ),
     signature="low positions need more current than (3) says; large pulls upwards are weaker than small ones promise",
@@ -35,6 +38,12 @@ CAUSE = Cause(
         "air-gap-offset": SCALE,
     },
     at_rest="balance",
+    usual="root of a sum of squares",
+    forms=(
+        Form(name="Froehlich", values={"knee": 1.0}, source="O. Froehlich, Elektrotechnische Zeitschrift 2, 1881"),
+        Form(name="hyperbolic tangent", values={"knee": 2.5}, source="tanh, a usual fit of a magnetisation curve"),
+        Form(name="sharp knee", values={"knee": 6.0}, source="two straight lines with a knee"),
+    ),
 )
 
 
@@ -44,4 +53,7 @@ def field(c: Vector, i: float) -> float:
     if math.isinf(c[I_S]):
         return i
     share = i / c[I_S]
-    return i / math.sqrt(1.0 + share * share)
+    if c[KNEE] == 2.0:
+        return i / math.sqrt(1.0 + share * share)
+    n = c[KNEE]
+    return float(i / (1.0 + (2.0 ** (0.5 * n) - 1.0) * max(share, 0.0) ** n) ** (1.0 / n))

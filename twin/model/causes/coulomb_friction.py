@@ -1,6 +1,6 @@
 """coulomb-friction: dry friction holds and brakes the ball.
 
-F_f sign(x'), and up to F_f at rest
+F_f (1 + e exp(-(x' / v_s)^2)) sign(x'), and up to F_f (1 + e) at rest
 """
 
 from __future__ import annotations
@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 
 from twin.compiled import kernel
-from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
-FORCE = 15
+FORCE, SLOW, EXTRA = 15, 40, 41
 
 CAUSE = Cause(
     name="coulomb-friction",
@@ -18,11 +18,25 @@ CAUSE = Cause(
     title="dry friction holds and brakes the ball",
     sentence="dry friction of {force_n} holds and brakes the ball",
     acts_on="net force of (6)",
-    equation="F_f sign(x'), and up to F_f at rest",
+    equation="F_f (1 + e exp(-(x' / v_s)^2)) sign(x'), and up to F_f (1 + e) at rest",
     source="a ball that touches its guide",
     parameters=(
         CauseParameter(
             name="force_n", symbol="F_f", unit="N", place=FORCE, neutral=0.0, low=0.0, high=0.05, probes=(0.0005, 0.004)
+        ),
+        CauseParameter(
+            name="extra", symbol="e", unit="", place=EXTRA, neutral=0.0, low=0.0, high=2.0, probes=(0.1,), spread=0.5
+        ),
+        CauseParameter(
+            name="slow_m_s",
+            symbol="v_s",
+            unit="m/s",
+            place=SLOW,
+            neutral=0.01,
+            low=0.001,
+            high=0.1,
+            probes=(0.013,),
+            spread=0.02,
         ),
     ),
     signature="the ball sticks and slips under a slow reference; i_c at one height differs between rising and sinking",
@@ -30,7 +44,21 @@ CAUSE = Cause(
     confirm="move the reference slowly up and down and compare i_c at the same height",
     cure="free the ball from its guide, level the rig",
     traits=frozenset({"sticks"}),
+    usual="Coulomb's: the same at every speed",
+    forms=(
+        Form(
+            name="Stribeck's: more at low speed",
+            values={"extra": 0.5},
+            source="R. Stribeck 1902, in B. Armstrong-Helouvry, Control of Machines with Friction, 1991",
+        ),
+    ),
 )
+
+
+@kernel
+def most_at_rest(c: Vector, mass_kg: float) -> float:
+    """The acceleration up to which friction holds the ball, m/s^2."""
+    return c[FORCE] * (1.0 + c[EXTRA]) / mass_kg
 
 
 @kernel
@@ -43,12 +71,13 @@ def brakes(c: Vector, mass_kg: float, v: float, free: float) -> float:
         v: its speed, m/s.
         free: its acceleration without dry friction, m/s^2.
     """
-    most = c[FORCE] / mass_kg
-    if v > 0.0 or (v == 0.0 and free > most):
-        return most
-    if v < 0.0 or (v == 0.0 and free < -most):
-        return -most
-    return 0.0
+    most = most_at_rest(c, mass_kg)
+    if v == 0.0 and abs(free) <= most:
+        return 0.0
+    if c[EXTRA] != 0.0:
+        ratio = v / c[SLOW]
+        most = c[FORCE] * (1.0 + c[EXTRA] * math.exp(-ratio * ratio)) / mass_kg
+    return math.copysign(most, v if v != 0.0 else free)
 
 
 @kernel

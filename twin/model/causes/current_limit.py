@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 
 from twin.compiled import kernel
-from twin.model.causes.cause import Cause, CauseParameter, MeasuredProbes, Vector
+from twin.model.causes.cause import Cause, CauseParameter, Form, MeasuredProbes, Vector
 from twin.model.causes.instruments import CLAMP_METER
 
-LIMIT = 2
+LIMIT, SOFTNESS = 2, 32
+LEAST_SOFTNESS = 0.005  # below that the knee is as hard as rounding leaves it
 
 CAUSE = Cause(
     name="current-limit",
@@ -19,7 +20,7 @@ CAUSE = Cause(
     title="the amplifier gives no more than a certain current",
     sentence="the amplifier gives no more than {limit_a}",
     acts_on="target current of (1)",
-    equation="i_c <= i_limit",
+    equation="i_c <= i_limit; with a knee target / (1 + (target / i_limit)^(1/s))^s",
     source="a power supply, or a protection, smaller than the rig asks for",
     parameters=(
         CauseParameter(
@@ -32,6 +33,17 @@ CAUSE = Cause(
             high=20.0,
             probes=(2.0, 1.5, 1.2, 1.05, 0.9),
         ),
+        CauseParameter(
+            name="softness",
+            symbol="s",
+            unit="",
+            place=SOFTNESS,
+            neutral=0.0,
+            low=0.0,
+            high=0.5,
+            probes=(0.05,),
+            spread=0.2,
+        ),
     ),
     signature="i_c stays flat at one value while u_c still rises",
     shows_in=("lift-off", "amplifier-steps"),
@@ -42,6 +54,15 @@ CAUSE = Cause(
         "current-sensor-gain": CLAMP_METER,
     },
     measured_probes=MeasuredProbes(of="largest-current", times=(1.02, 1.0, 0.98, 0.93)),
+    usual="hard limit",
+    forms=(
+        Form(
+            name="soft knee",
+            values={"softness": 0.1},
+            source="C. Rapp, Effects of HPA-nonlinearity on a 4-DPSK/OFDM-signal, 1991",
+            probed=True,
+        ),
+    ),
 )
 
 
@@ -49,3 +70,11 @@ CAUSE = Cause(
 def limited(c: Vector, i: float) -> float:
     """The current that the supply allows, A."""
     return min(i, c[LIMIT])
+
+
+@kernel
+def aimed_at(c: Vector, target: float) -> float:
+    """The current that the amplifier aims at below its limit, A; `target`: without one, not negative."""
+    if c[SOFTNESS] < LEAST_SOFTNESS or math.isinf(c[LIMIT]):
+        return min(target, c[LIMIT])
+    return float(target / (1.0 + (target / c[LIMIT]) ** (1.0 / c[SOFTNESS])) ** c[SOFTNESS])

@@ -1,6 +1,7 @@
 """eddy-current-lag: the force follows the current late.
 
-tau f' + f = i_c, F_m = K_c f^2 / gap^2
+tau z' + z = (i_c / gap^p)^a, F_m = K_c (z^(1/a) gap^p)^2 / gap^2: what lags is the current (p = 0, a = 1), the flux
+(p = 1, a = 1) or the force (p = 1, a = 2)
 """
 
 from __future__ import annotations
@@ -8,10 +9,11 @@ from __future__ import annotations
 import math
 
 from twin.compiled import kernel
-from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 from twin.model.causes.instruments import OSCILLOSCOPE
 
-TAU = 13
+TAU, FLUX, ORDER = 13, 34, 37
+LEAST_SHARE = 0.02  # of the middle gap: nearer to the coil the weight stays
 
 CAUSE = Cause(
     name="eddy-current-lag",
@@ -19,11 +21,17 @@ CAUSE = Cause(
     title="the force follows the current late",
     sentence="the force follows the current {tau_s} late",
     acts_on="magnetic force (3)",
-    equation="tau f' + f = i_c, F_m = K_c f^2 / gap^2",
+    equation="tau z' + z = (i_c / gap^p)^a, F_m = K_c z^(2/a) gap^(2p - 2)",
     source="eddy currents in a solid core hold the field back",
     parameters=(
         CauseParameter(
             name="tau_s", symbol="tau", unit="s", place=TAU, neutral=0.0, low=0.0, high=0.02, probes=(0.0002, 0.002)
+        ),
+        CauseParameter(
+            name="flux", symbol="p", unit="", place=FLUX, neutral=0.0, low=0.0, high=1.5, probes=(0.3,), spread=0.7
+        ),
+        CauseParameter(
+            name="order", symbol="a", unit="", place=ORDER, neutral=1.0, low=0.5, high=2.5, probes=(1.3,), spread=0.7
         ),
     ),
     signature="the acceleration lags the measured current, the more the faster the current changes",
@@ -34,13 +42,38 @@ CAUSE = Cause(
         "actuation-delay": OSCILLOSCOPE,
     },
     traits=frozenset({"hidden-state"}),
+    usual="lag of the current",
+    forms=(
+        Form(
+            name="lag of the flux",
+            values={"flux": 1.0},
+            source="R. L. Stoll, The Analysis of Eddy Currents, 1974: the flux through the core is held back",
+            probed=True,
+        ),
+        Form(
+            name="lag of the force",
+            values={"flux": 1.0, "order": 2.0},
+            source="the force follows its static value with one time constant, as servo models have it",
+            probed=True,
+        ),
+    ),
 )
 
 
 @kernel
-def lagged(c: Vector, f: float, i: float, i_next: float, h: float) -> float:
-    """The field current after h s while the current goes from i to i_next, A."""
+def weight(c: Vector, gap: float, gap_mid: float) -> float:
+    """What lags per current at this gap; 1 in the middle of the travel."""
+    return 1.0 if c[FLUX] == 0.0 or c[TAU] <= 0.0 else (gap_mid / max(gap, LEAST_SHARE * gap_mid)) ** c[FLUX]
+
+
+@kernel
+def lagged(c: Vector, f: float, i: float, i_next: float, w: float, w_next: float, h: float) -> float:
+    """The field current after h s while the current goes from i to i_next, and its weight from w to w_next, A."""
     if c[TAU] <= 0.0:
         return i_next
-    slope = (i_next - i) / h
-    return i_next - slope * c[TAU] + (f - i + slope * c[TAU]) * math.exp(-h / c[TAU])
+    before, begin, end, a = f * w, i * w, i_next * w_next, c[ORDER]
+    if a != 1.0:
+        before, begin, end = max(before, 0.0) ** a, max(begin, 0.0) ** a, max(end, 0.0) ** a
+    slope = (end - begin) / h
+    after = end - slope * c[TAU] + (before - begin + slope * c[TAU]) * math.exp(-h / c[TAU])
+    return (after if a == 1.0 else max(after, 0.0) ** (1.0 / a)) / w_next

@@ -1,6 +1,7 @@
 """force-exponent: the force falls with another power of the gap than 2.
 
-F_m = K_c i_c^2 gap_mid^(n-2) / gap^n
+F_m = K_c i_c^2 / gap_mid^2 r^(q - n) exp(q (1 - r)), r = gap / gap_mid: n is the power in the middle of the travel,
+n + q (r - 1) that elsewhere; q = 0 is a pure power, q = n an exponential
 """
 
 from __future__ import annotations
@@ -8,22 +9,25 @@ from __future__ import annotations
 import math
 
 from twin.compiled import kernel
-from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 from twin.model.causes.instruments import SCALE, SHIM
 
-N = 10
+N, BEND = 10, 35
 
 CAUSE = Cause(
     name="force-exponent",
     family="force",
     title="the force falls with another power of the gap than 2",
-    sentence="the force falls with the gap to the power of {n}, not of 2",
-    opposite="the force falls with the gap to the power of {n}, not of 2",
+    sentence="the force falls with the gap to the power of {n} in the middle, not of 2",
+    opposite="the force falls with the gap to the power of {n} in the middle, not of 2",
     acts_on="magnetic force (3)",
-    equation="F_m = K_c i_c^2 gap_mid^(n-2) / gap^n",
+    equation="F_m = K_c i_c^2 / gap_mid^2 r^(q - n) exp(q (1 - r)), r = gap / gap_mid: the power is n + q (r - 1)",
     source="(3) is of a thin gap between flat poles; a ball below a round core is neither",
     parameters=(
-        CauseParameter(name="n", symbol="n", unit="", place=N, neutral=2.0, low=1.0, high=4.0, probes=(2.05,)),
+        CauseParameter(name="n", symbol="n", unit="", place=N, neutral=2.0, low=0.0, high=8.0, probes=(2.05,)),
+        CauseParameter(
+            name="bend", symbol="q", unit="", place=BEND, neutral=0.0, low=-8.0, high=8.0, probes=(0.1,), spread=2.0
+        ),
     ),
     signature="the current that holds the ball is curved in x, where (3) has a straight line",
     shows_in=("holds", "slow-ramp", "wide-steps"),
@@ -36,12 +40,26 @@ CAUSE = Cause(
         "constant-force": SCALE,
     },
     at_rest="balance",
+    usual="power of the gap",
+    forms=(
+        Form(
+            name="exponential of the gap",
+            values={"bend": 3.0},
+            source="INTECO, Magnetic Levitation System user's manual: exp(-gap / l), so that q = n = gap_mid / l",
+        ),
+        Form(
+            name="pole farther away",
+            values={"bend": 1.0},
+            source="W. Barie, J. Chiasson, International Journal of Systems Science 27(11), 1996: 1 / (a + gap)^2",
+        ),
+    ),
 )
 
 
 @kernel
 def factor(c: Vector, gap: float, gap_mid: float) -> float:
     """Factor on the force of (3); 1 in the middle of the travel."""
-    if c[N] == 2.0:
+    if c[N] == 2.0 and c[BEND] == 0.0:
         return 1.0
-    return math.exp((c[N] - 2.0) * math.log(gap_mid / gap))
+    r = gap / gap_mid
+    return math.exp((2.0 - c[N] + c[BEND]) * math.log(r) + c[BEND] * (1.0 - r))

@@ -6,9 +6,9 @@ T_A i_c' + i_c = K_A u_c - coupling i_c x' (gap_mid / gap)^2
 from __future__ import annotations
 
 from twin.compiled import kernel
-from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
-COUPLING = 7
+COUPLING, REACH = 7, 39
 LEAST_LEAD = 0.05  # a falling ball does not turn the coil into a generator that drives itself
 MOST_CHANGE = 0.25  # of the lead in the time that the current takes: beyond, the series is none
 
@@ -20,7 +20,7 @@ CAUSE = Cause(
     "in the middle",
     opposite="the moving ball pushes the current the wrong way: {coupling_s_m:%} of it per m/s of fall, in the middle",
     acts_on="rate of the current in (1)",
-    equation="T_A i_c' + i_c = K_A u_c - coupling i_c x' (gap_mid / gap)^2",
+    equation="T_A i_c' + i_c = K_A u_c - coupling i_c x' (g_mid / g)^2, g = gap + a gap_mid",
     source="i x' dL/dx over the resistance, with dL/dx = 2 K_c / gap^2; about 0.04 s/m at 10 ohm",
     parameters=(
         CauseParameter(
@@ -33,24 +33,37 @@ CAUSE = Cause(
             high=10.0,
             probes=(0.05,),
         ),
+        CauseParameter(
+            name="reach", symbol="a", unit="", place=REACH, neutral=0.0, low=0.0, high=5.0, probes=(0.3,), spread=1.0
+        ),
     ),
     signature="at constant u_c, i_c dips while the ball rises and swells while it falls",
     shows_in=("prbs-open-loop", "wide-steps"),
     confirm="move the ball quickly by hand at constant u_c and watch i_c",
     cure="a current loop in the amplifier",
+    usual="of an inductance 2 K_c / gap",
+    forms=(
+        Form(
+            name="of an inductance L_inf + L_1 / (1 + gap / a)",
+            values={"reach": 1.0},
+            source="H. H. Woodson, J. R. Melcher, Electromechanical Dynamics I, 1968",
+        ),
+    ),
 )
 
 
 @kernel
 def lead(c: Vector, v: float, gap: float, gap_mid: float) -> float:
-    """By how much faster, and lower, the current settles in a ball that rises: 1 + coupling x' (gap_mid / gap)^2.
+    """By how much faster, and lower, the current settles in a ball that rises: 1 + coupling x' (g_mid / g)^2.
 
     The voltage is proportional to i_c itself, so that the equation is solved for it: with the current of a step's
     beginning a jump of u_c would meet the voltage of the old current.
     """
     if c[COUPLING] == 0.0:
         return 1.0
-    return max(1.0 + c[COUPLING] * v * (gap_mid / gap) * (gap_mid / gap), LEAST_LEAD)
+    a = c[REACH] * gap_mid
+    ratio = (gap_mid + a) / (gap + a)
+    return max(1.0 + c[COUPLING] * v * ratio * ratio, LEAST_LEAD)
 
 
 @kernel

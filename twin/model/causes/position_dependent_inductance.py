@@ -6,9 +6,9 @@ T_A (1 + growth (1/gap - 1/gap_bottom) / (1/gap_mid - 1/gap_bottom))
 from __future__ import annotations
 
 from twin.compiled import kernel
-from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
-GROWTH = 6
+GROWTH, REACH = 6, 38
 
 CAUSE = Cause(
     name="position-dependent-inductance",
@@ -17,17 +17,28 @@ CAUSE = Cause(
     sentence="the current follows more slowly the nearer the ball is: T_A is {growth:%} longer with the ball in "
     "the middle than at the bottom",
     acts_on="time constant of (1)",
-    equation="T_A (1 + growth (1/gap - 1/gap_bottom) / (1/gap_mid - 1/gap_bottom))",
+    equation="T_A (1 + growth (1/g - 1/g_bottom) / (1/g_mid - 1/g_bottom)), g = gap + a gap_mid",
     source="L = L_0 + 2 K_c / gap follows from (3) by energy; the paper neglects it on purpose",
     parameters=(
         CauseParameter(
             name="growth", symbol="growth", unit="", place=GROWTH, neutral=0.0, low=0.0, high=10.0, probes=(0.3, 1.5)
+        ),
+        CauseParameter(
+            name="reach", symbol="a", unit="", place=REACH, neutral=0.0, low=0.0, high=5.0, probes=(0.3,), spread=1.0
         ),
     ),
     signature="i_c settles more slowly with the ball high than with the ball low, at the same step of u_c",
     shows_in=("blocked-ball", "wide-steps"),
     confirm="the same u_c step at 25 kHz with the ball at the bottom and with the ball blocked at the top",
     cure="a current loop in the amplifier, or T_A scheduled with x",
+    usual="2 K_c / gap, as (3) asks for",
+    forms=(
+        Form(
+            name="L_inf + L_1 / (1 + gap / a)",
+            values={"reach": 1.0},
+            source="H. H. Woodson, J. R. Melcher, Electromechanical Dynamics I, 1968",
+        ),
+    ),
 )
 
 
@@ -36,4 +47,6 @@ def time_constant(c: Vector, T_A: float, gap: float, gap_bottom: float, gap_mid:
     """T_A at this gap, s."""
     if c[GROWTH] == 0.0:
         return T_A
-    return T_A * (1.0 + c[GROWTH] * (1.0 / gap - 1.0 / gap_bottom) / (1.0 / gap_mid - 1.0 / gap_bottom))
+    a = c[REACH] * gap_mid
+    bottom = 1.0 / (gap_bottom + a)
+    return T_A * (1.0 + c[GROWTH] * (1.0 / (gap + a) - bottom) / (1.0 / (gap_mid + a) - bottom))

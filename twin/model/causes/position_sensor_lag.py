@@ -1,6 +1,6 @@
 """position-sensor-lag: x is read through a slow sensor.
 
-tau s' + s = x
+r tau^2 s'' + tau s' + s = x: a first order with r = 0, two equal filters with r = 1/4, Butterworth's with r = 1/2
 """
 
 from __future__ import annotations
@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 
 from twin.compiled import kernel
-from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
-TAU = 22
+TAU, SECOND = 22, 44
 
 CAUSE = Cause(
     name="position-sensor-lag",
@@ -18,11 +18,22 @@ CAUSE = Cause(
     title="x is read through a slow sensor",
     sentence="x is read through a sensor that lags by {tau_s}",
     acts_on="position sensor",
-    equation="tau s' + s = x",
+    equation="r tau^2 s'' + tau s' + s = x",
     source="demodulator and anti-alias filter",
     parameters=(
         CauseParameter(
             name="tau_s", symbol="tau", unit="s", place=TAU, neutral=0.0, low=0.0, high=0.02, probes=(0.0002, 0.002)
+        ),
+        CauseParameter(
+            name="second",
+            symbol="r",
+            unit="",
+            place=SECOND,
+            neutral=0.0,
+            low=0.0,
+            high=1.0,
+            probes=(0.1,),
+            spread=0.4,
         ),
     ),
     signature="x lags what the forces say while i_c does not; impacts at the stops are rounded",
@@ -30,13 +41,49 @@ CAUSE = Cause(
     confirm="tap the ball against its stop and compare x with a microphone",
     cure="a faster filter, or its pole in the observer and in the design",
     traits=frozenset({"hidden-state"}),
+    usual="first order",
+    forms=(
+        Form(
+            name="second order",
+            values={"second": 0.5},
+            source="U. Tietze, Ch. Schenk, Electronic Circuits, 2008: a filter of two poles",
+            probed=True,
+        ),
+    ),
 )
 
 
 @kernel
-def lagged(c: Vector, s: float, reading: float, reading_next: float, h: float) -> float:
-    """The sensor's output after h s while what it sees goes from one reading to the next, m."""
-    if c[TAU] <= 0.0:
-        return reading_next
+def lagged(c: Vector, s: float, rate: float, reading: float, reading_next: float, h: float) -> tuple[float, float]:
+    """(the sensor's output in m, its rate in m/s) after h s while what it sees goes from one reading to the next.
+
+    Args:
+        c: the causes' parameters.
+        s: output, m.
+        rate: of the output, m/s; of a first order not looked at.
+        reading: what the output would tend to at the beginning, m.
+        reading_next: at the end.
+        h: s.
+    """
+    tau, r = c[TAU], c[SECOND]
+    if tau <= 0.0:
+        return reading_next, 0.0
     slope = (reading_next - reading) / h
-    return reading_next - slope * c[TAU] + (s - reading + slope * c[TAU]) * math.exp(-h / c[TAU])
+    behind = s - reading + slope * tau  # the line that the output tends to
+    if r <= 0.0:
+        return reading_next - slope * tau + behind * math.exp(-h / tau), 0.0
+    drift, mean = rate - slope, -0.5 / (r * tau)
+    square = mean * mean - 1.0 / (r * tau * tau)
+    root = math.sqrt(abs(square))
+    if root * h < 1e-6:
+        even = math.exp(mean * h)
+        uneven = h * even
+    elif square > 0.0:
+        slow, fast = math.exp((mean + root) * h), math.exp((mean - root) * h)
+        even, uneven = 0.5 * (slow + fast), 0.5 * (slow - fast) / root
+    else:
+        decay = math.exp(mean * h)
+        even, uneven = decay * math.cos(root * h), decay * math.sin(root * h) / root
+    after = even * behind + uneven * (drift - mean * behind)
+    turned = even * drift + uneven * (mean * drift - behind / (r * tau * tau))
+    return reading_next - slope * tau + after, slope + turned
