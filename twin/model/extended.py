@@ -113,7 +113,7 @@ def sensor_lag_s(c: Vector) -> float:
 
 @kernel
 def lagging_reading(c: Vector, s: float, rate: float, settled: float, h: float) -> tuple[float, float]:
-    """(the sensor's output in m, its rate in m/s) h s after s and rate, where the ball stays: it would show `settled`."""
+    """(the sensor's output in m, its rate in m/s) h s after s and rate; it would settle at `settled`, m."""
     return position_sensor_lag.lagged(c, s, rate, settled, settled, h)
 
 

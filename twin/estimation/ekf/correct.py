@@ -96,11 +96,11 @@ def start_flight(f: Memory, reading: float) -> None:
         P[2, 1] = P[1, 2]
         P[f.sensor, f.sensor] = f.r_x
     if f.rate >= 0:
-        # The sensor's output moves as the ball does.
+        # The sensor's output moves as the ball did a time constant ago.
         for k in range(f.m):
             P[k, f.rate] = P[k, 2]
             P[f.rate, k] = P[k, 2]
-        P[f.rate, f.rate] = P[2, 2]
+        P[f.rate, f.rate] = P[2, 2] + (c[position_sensor_lag.TAU] * _ACCELERATION_M_S2) ** 2
 
 
 @inlined
