@@ -39,14 +39,18 @@ from tests.harness.diagnose.second_plant import (
 # In the order of `FORMS`.
 FROEHLICH, ARCTAN, GAP_EXPONENTIAL, GAP_RATIONAL, EDDY_FORCE, EDDY_FLUX, EDDY_TWO, STRIBECK, LUGRE = range(9)
 HEATS, SOFT_ZONE, SOFT_LIMIT, INDUCTANCE, CUBIC, SECOND_ORDER, DRAG, JITTER = range(9, 17)
-assert len(FORMS) == 17
+TANH, LANGEVIN, GAP_POLYNOMIAL, TWO_SIDED, FOLDBACK, SQUARE_ZONE, INDUCTANCE_EXP, SINE, THIRD_ORDER, CUBE = range(
+    17, 27
+)
+assert len(FORMS) == 27
 KINDS = {name: kind for kind, name in enumerate(FORMS)}
 HEATING_S = 28.0
+FOLDS_BACK = 0.3
+REACH_OF_EXP = 0.6  # of the middle gap
 STRIBECK_M_S, BRISTLE_M = 5e-3, 5e-6
 SENSOR_DAMPING = 0.7
-COIL, SLOW, FAST, X, V, W, S, SV, Z = range(
-    9
-)  # i_c, what is held back (two), x, v, warmth, sensor and its rate, bristle
+# i_c, what is held back (two), x, v, warmth, sensor and its rate, bristle, filters before the sensor (two)
+COIL, SLOW, FAST, X, V, W, S, SV, Z, S1, S2 = range(11)
 
 
 class Constants(NamedTuple):
@@ -75,12 +79,16 @@ def goal_of(u: float, w: float, c: Constants) -> float:
         over = (u - c.size) / s
         goal = c.K_A * s * (over if over > 30.0 else math.log1p(math.exp(over)))
         goal -= c.K_A * s * math.log1p(math.exp(-c.size / s))  # no current without input
+    elif c.kind == SQUARE_ZONE:
+        goal = c.K_A * (u * u / (4.0 * c.size) if u < 2.0 * c.size else u - c.size)
     else:
         goal = c.K_A * u
     if c.kind == HEATS:
         goal /= 1.0 + c.size * w
     elif c.kind == SOFT_LIMIT and goal > 0.0:
         goal /= (1.0 + (goal / c.size) ** 10) ** 0.1
+    elif c.kind == FOLDBACK and goal > c.size:
+        goal = c.size - FOLDS_BACK * (goal - c.size)
     return min(max(goal, 0.0), c.i_most)
 
 
@@ -91,6 +99,9 @@ def law_of_gap(gap: float, c: Constants) -> float:
         return c.K_c / c.mid**2 * math.exp(-(gap - c.mid) / c.size)
     if c.kind == GAP_RATIONAL:
         return c.K_c / (gap * gap * (1.0 + (gap - c.mid) / c.size))
+    if c.kind == GAP_POLYNOMIAL:
+        way = gap - c.mid
+        return c.K_c / (gap * gap + c.size * gap * way + c.size * way * way)
     return c.K_c / (gap * gap)
 
 
@@ -102,6 +113,10 @@ def magnet(y: FloatArray, x: float, c: Constants) -> float:
         i /= 1.0 + i / c.size
     elif c.kind == ARCTAN:
         i = 2.0 * c.size / math.pi * math.atan(0.5 * math.pi * i / c.size)
+    elif c.kind == TANH:
+        i = c.size * math.tanh(i / c.size)
+    elif c.kind == LANGEVIN and i > 1e-3 * c.size:
+        i = 3.0 * c.size * (1.0 / math.tanh(i / c.size) - c.size / i)
     if c.kind == EDDY_FORCE:
         y[SLOW] += (law_of_gap(gap, c) * i * i - y[SLOW]) * (1.0 - math.exp(-h / c.size))
         return float(y[SLOW])
@@ -130,6 +145,8 @@ def rest_of(y: FloatArray, c: Constants) -> None:
 @njit
 def shown(x: float, c: Constants) -> float:
     """What the position sensor tends to, m."""
+    if c.kind == SINE:
+        return x + c.size * math.sin(2.0 * math.pi * min(max(x / c.travel, 0.0), 1.0))
     if c.kind != CUBIC:
         return x
     place = 2.0 * min(max(x / c.travel, 0.0), 1.0) - 1.0
@@ -157,6 +174,12 @@ def pass_time(
             here = 1.0 / (1.0 + gap / a)
             lag *= 1.0 + c.size * (here - bottom) / (top - bottom)
             goal -= c.T_A * c.size / (top - bottom) * here * here / a * i * v  # i v dL/dx over R
+        elif c.kind == INDUCTANCE_EXP:
+            a = REACH_OF_EXP * c.mid
+            bottom, top = math.exp(-c.plane / a), math.exp(-(c.plane - c.travel) / a)
+            here = math.exp(-gap / a)
+            lag *= 1.0 + c.size * (here - bottom) / (top - bottom)
+            goal -= c.T_A * c.size / (top - bottom) * here / a * i * v  # i v dL/dx over R
         y[COIL] = max(i + (goal - i) * (1.0 - math.exp(-h / lag)), 0.0)
         y[W] += h / HEATING_S * (y[COIL] ** 2 - y[W])
 
@@ -164,6 +187,8 @@ def pass_time(
         drag = c.b
         if c.kind == DRAG:
             drag += c.size * math.sqrt(abs(v))
+        elif c.kind == CUBE:
+            drag += c.size * v * v
         if c.kind == LUGRE:
             stiff = c.size / BRISTLE_M
             bends = v - abs(v) * y[Z] / BRISTLE_M
@@ -172,6 +197,9 @@ def pass_time(
         v_new = (v + h * force / c.m) / (1.0 + h * drag / c.m)
         if c.kind == STRIBECK:
             grip = h * c.size * (1.0 + 0.5 * math.exp(-((v / STRIBECK_M_S) ** 2))) / c.m
+            v_new = 0.0 if abs(v_new) <= grip else v_new - math.copysign(grip, v_new)
+        if c.kind == TWO_SIDED:
+            grip = h * c.size / c.m * (1.0 if v_new > 0.0 else 2.0)
             v_new = 0.0 if abs(v_new) <= grip else v_new - math.copysign(grip, v_new)
         x_new = x + 0.5 * h * (v + v_new)
         if x_new < 0.0 or x_new > c.travel:
@@ -186,6 +214,11 @@ def pass_time(
             omega = 2.0 * SENSOR_DAMPING / c.size
             y[SV] += h * (omega * omega * (x_new - y[S]) - 2.0 * SENSOR_DAMPING * omega * y[SV])
             y[S] += h * y[SV]
+        elif c.kind == THIRD_ORDER:
+            share = 1.0 - math.exp(-3.0 * h / c.size)
+            y[S1] += share * (x_new - y[S1])
+            y[S2] += share * (y[S1] - y[S2])
+            y[S] += share * (y[S2] - y[S])
         else:
             y[S] = shown(x_new, c)
         k += 1
@@ -236,7 +269,7 @@ class TextbookBench:
         self._rig, self._believed = rig, believed
         self.change(forms)
         self._k, self._u = 0, 0.0
-        self._y = np.zeros(9)
+        self._y = np.zeros(11)
         self._rings = (np.zeros(RING), np.zeros(RING), np.zeros(RING))
         i_0, u_0 = believed.equilibrium_current_a(MIDDLE_M), believed.equilibrium_input_v(MIDDLE_M)
         self._law = np.array([*designed_gains(believed), i_0, MIDDLE_M, u_0])
@@ -251,7 +284,8 @@ class TextbookBench:
     def fly(self, x_m: float) -> None:
         y = self._y
         y[COIL], y[X], y[V] = self._believed.equilibrium_current_a(x_m), x_m, 0.0
-        y[S], y[SV], y[Z] = shown(x_m, self._c), 0.0, 0.0
+        y[S] = y[S1] = y[S2] = shown(x_m, self._c)
+        y[SV] = y[Z] = 0.0
         rest_of(y, self._c)
         self._u = self._believed.equilibrium_input_v(x_m)
         self._rings[0][:] = self._u
