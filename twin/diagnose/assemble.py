@@ -35,6 +35,7 @@ from twin.diagnose.report.sentences import (
     beyond_sentence,
     contradiction_sentence,
     finding_sentence,
+    form_of,
 )
 from twin.diagnose.result import (
     Diagnosis,
@@ -128,7 +129,13 @@ def told(
         at_20_ms = worth.at_20_ms
         warnings += [worth.off] if worth.off else []
     lost = lost_samples([*records, *judges])
-    verdict = verdict_of(named=bool(found.causes) or lost is not None, fine=done.fine, finished=finished, gain=at_20_ms)
+    verdict = verdict_of(
+        named=bool(found.causes) or lost is not None,
+        fine=done.fine,
+        finished=finished,
+        gain=at_20_ms,
+        leading=any(account.leads(name) for name in found.causes),
+    )
     findings = _findings(found, account, spread, proposals, verdict, asked.quick, lost)
     if done.change is not None:
         findings = [_late(one, done.change) for one in findings]
@@ -245,8 +252,9 @@ def _findings(
             Finding(
                 name=cause,
                 sentence=finding_sentence(cause, parameters),
+                form=form_of(BY_NAME[cause], parameters),
                 parameters=parameters,
-                confidence=confidence_of(found, cause, verdict, quick),
+                confidence=confidence_of(found, cause, verdict if account.leads(cause) else "unknown-cause", quick),
                 indistinguishable_from=tuple(_member(trial) for trial in near),
                 share_of_excess_explained=account.by_cause[cause],
                 loglik_gain=account.gains[cause],

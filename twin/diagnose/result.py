@@ -57,6 +57,7 @@ class Finding:
     next_experiment: Proposal | None = None
     begins_in: str = ""  # the recording with which it begins, where it is not there from the first
     ends_after: str = ""  # the last recording that has it
+    form: str = ""  # of the literature that is nearest to its shape; "": the usual one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,7 +116,9 @@ class Diagnosis:
 
     def holds(self, cause: Finding) -> bool:
         """Whether a name is a cause, not a candidate: beside a rest that nobody knows, only what was counted is."""
-        return self.verdict in ("causes-found", "partly-explained") or cause.confidence > MOST[self.verdict]
+        if self.verdict == "partly-explained" and self.account.leads(cause.name):
+            return True
+        return self.verdict == "causes-found" or cause.confidence > MOST[self.verdict]
 
 
 def to_json(found: Diagnosis) -> dict[str, Any]:
@@ -162,6 +165,7 @@ def _finding(cause: Finding) -> dict[str, Any]:
         "name": cause.name,
         "sentence": cause.sentence,
         "parameters": _parameters(cause.parameters),
+        "form": cause.form or None,
         "confidence": round(cause.confidence, 3),
         "indistinguishable_from": [member.name for member in cause.indistinguishable_from],
         "alternatives": [

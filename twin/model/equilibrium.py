@@ -38,8 +38,10 @@ from twin.model.extended import (
 from twin.model.extension import base, vector
 from twin.model.parameters import Model
 
-_LEAST_A, _MOST_A, _MOST_V = 1e-3, 1e3, 1e5  # beyond any amplifier: what is not reached by then is not reached
+# Beyond any amplifier: what is not reached by then is not reached.
+_LEAST_A, _MOST_A, _LEAST_V, _MOST_V = 1e-3, 1e3, 1e-2, 1e5
 _XTOL, _RTOL = 1e-18, 4.0 * float(np.finfo(float).eps)  # the finest relative tolerance that brentq takes
+_INPUTS = 300  # tried between these two, 5 % apart
 _SETTLING, _SETTLING_STEP_S = 2000, 5e-3
 
 
@@ -73,9 +75,15 @@ def holding_input(p: Base, c: Vector, i_a: float, warmth_a2: float | None = None
         warmth_a2: mean square of the current that warms the amplifier; None: that of `i_a`.
     """
     packed, w = tuple(p), i_a * i_a if warmth_a2 is None else warmth_a2
-    if not _surplus(0.0, packed, c, i_a, w) <= 0.0 < _surplus(_MOST_V, packed, c, i_a, w):
+    if _surplus(0.0, packed, c, i_a, w) > 0.0:
         return math.nan
-    return _root(_surplus, 0.0, _MOST_V, packed, c, i_a, w)
+    high = _MOST_V
+    if not _surplus(high, packed, c, i_a, w) > 0.0:  # an amplifier that folds back gives less again far above
+        inputs = np.geomspace(_LEAST_V, _MOST_V, _INPUTS).tolist()
+        high = next((u for u in inputs if _surplus(u, packed, c, i_a, w) > 0.0), math.nan)
+        if math.isnan(high):
+            return math.nan
+    return _root(_surplus, 0.0, high, packed, c, i_a, w)
 
 
 def at_rest(p: Base, c: Vector, x_m: float, *, shown: bool = False) -> tuple[NDArray[np.float64], float]:

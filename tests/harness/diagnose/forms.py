@@ -117,7 +117,7 @@ FORMS: Mapping[str, Form] = MappingProxyType({
         "B. Armstrong-Helouvry, Control of Machines with Friction, 1991: direction dependence", held_out=True),
     "limit-foldback": _form(
         "current-limit", (1.05, 0.98), "A", "above the limit 0.3 A less for each further ampere asked for",
-        "P. Horowitz, W. Hill, The Art of Electronics, 2015: foldback current limiting", held_out=True),
+        "P. Horowitz, W. Hill, The Art of Electronics, 2015: foldback current limiting"),
     "dead-zone-quadratic": _form(
         "amplifier-dead-zone", (0.15, 0.4), "V", "K_A u^2 / (4 w) below 2 w, K_A (u - w) above",
         "square law of a field-effect stage at its threshold", held_out=True),

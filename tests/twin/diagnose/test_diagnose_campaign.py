@@ -144,8 +144,10 @@ def test_diagnosis_json_keeps_the_contract(hide: Hide) -> None:
     assert cause["name"] == "quadratic-drag"
     assert 0.0 < cause["confidence"] <= 1.0
     assert isinstance(cause["indistinguishable_from"], list)
+    assert cause["form"] is None  # the usual one
     assert 0.0 < cause["share_of_excess_explained"] <= 1.0
-    (parameter,) = cause["parameters"].values()
+    assert list(cause["parameters"]) == ["c_n_s2_m2", "power"]
+    parameter = cause["parameters"]["c_n_s2_m2"]
     assert parameter["ci95"][0] < parameter["value"] < parameter["ci95"][1]
     assert {"name", "why"} == set(data["not_testable"][0])
     assert {"share_of_excess", "where"} <= set(data["unexplained"])

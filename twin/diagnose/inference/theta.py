@@ -131,6 +131,14 @@ def shape_residuals(theta: Theta) -> FloatArray:
     return np.asarray((theta.vector()[_PLACES] - _NEUTRAL) / _SPREAD)
 
 
+def prior_spread(name: str) -> float:
+    """Standard deviation of the prior of a coordinate, in its unit; inf where there is none."""
+    if "." not in name:
+        return math.inf
+    parameter = parameter_of(name)
+    return parameter.spread / unit_of(parameter)
+
+
 def unit_of(parameter: CauseParameter) -> float:
     """The change of a cause's coordinate that counts as 1."""
     scale = abs(parameter.coordinate(parameter.probes[0]))

@@ -16,6 +16,8 @@ Rule 4: on the judge recordings the quantity is the error of x 20 ms ahead compa
 Rule 5: names hold in part if the rest on the judge recordings is smaller than the noise there and half of what was
         above the noise is gone.  Otherwise they may imitate an unknown cause: those for the spring of a wire left 2.4
         times the noise and removed 9 % of what was above it.
+Rule 6: beside a rest that is more than noise a name holds that explains more than the rest is; one that explains less
+        may only correct the form of another, and is a candidate.
 """
 
 from __future__ import annotations
@@ -45,6 +47,10 @@ class Account:
     by_cause: Mapping[str, float]
     jointly: float
     unexplained: float
+
+    def leads(self, cause: str) -> bool:
+        """Whether a cause explains at least as much as is left."""
+        return self.by_cause.get(cause, 0.0) >= self.unexplained
 
 
 def account_of(found: Selection, lacks: float, fine: bool) -> Account:
@@ -85,7 +91,7 @@ def beyond_floor(gain: Gain | None) -> bool:
     return gain is not None and gain.ci95_floor[0] > TOLERANCE
 
 
-def verdict_of(*, named: bool, fine: bool, gain: Gain | None, finished: bool = True) -> Verdict:
+def verdict_of(*, named: bool, fine: bool, gain: Gain | None, finished: bool = True, leading: bool = False) -> Verdict:
     """The verdict.
 
     Args:
@@ -93,13 +99,13 @@ def verdict_of(*, named: bool, fine: bool, gain: Gain | None, finished: bool = T
         fine: whether what is left of the recordings for fitting is noise.
         gain: on the judge recordings, 20 ms ahead.
         finished: whether the search examined all that it was asked for.
+        leading: whether a cause explains more than what is left.
     """
     if not finished:
         return "unfinished"
     if fine and not beyond_floor(gain):
         return "causes-found" if named else "model-adequate"
-    # Names that leave more than noise where they were chosen may only stand in for what nobody knows, too.
-    return "partly-explained" if named and fine and _holds(gain) else "unknown-cause"
+    return "partly-explained" if named and (fine or leading) and _holds(gain) else "unknown-cause"
 
 
 def _holds(gain: Gain | None) -> bool:

@@ -86,9 +86,38 @@ def finding_sentence(cause: str, parameters: Mapping[str, Parameter]) -> str:
     template = known.opposite if known.opposite and strength.value < known.strength.neutral else known.sentence
     if not template:
         return f"{known.title}: {sizes(cause, parameters)}"
-    text = template.format(**{entry.name: _Size(entry, parameters[entry.name]) for entry in known.parameters})
+    text = template.format(
+        **{one.name: _Size(one, parameters[one.name]) for one in known.parameters if one.name in parameters}
+    )
     _, interval = measured(strength.value, strength.ci95, known.strength.unit)
-    return f"{text} ({known.strength.symbol} = {interval}, 95 %)" if interval else text
+    form = form_of(known, parameters)
+    nearest = f"; the nearest form in the literature: {form}" if form else ""
+    return (f"{text} ({known.strength.symbol} = {interval}, 95 %)" if interval else text) + nearest
+
+
+def form_of(cause: Cause, parameters: Mapping[str, Parameter]) -> str:
+    """The form of the literature that is nearest to the shape of a cause; "" for the usual one.
+
+    A shape that the data do not tell from neutral, by two standard errors, is that of the usual form.
+    """
+    shapes = [one for one in cause.shapes if one.name in parameters]
+
+    def told(one: CauseParameter) -> bool:
+        found = parameters[one.name]
+        return abs(found.value - one.neutral) > 2.0 * (found.std or 0.0)
+
+    def away(values: Mapping[str, float | str]) -> float:
+        total = 0.0
+        for one in shapes:
+            value = values.get(one.name, one.neutral)
+            at = parameters[value].value if isinstance(value, str) else value
+            total += ((parameters[one.name].value - at) / one.spread) ** 2
+        return total
+
+    if not any(told(one) for one in shapes):
+        return ""
+    forms: dict[str, Mapping[str, float | str]] = {"": {}, **{form.name: form.values for form in cause.forms}}
+    return min(forms, key=lambda name: away(forms[name]))
 
 
 def sizes(cause: str, parameters: Mapping[str, Parameter]) -> str:
@@ -152,8 +181,23 @@ def summary_sentence(found: Diagnosis) -> str:
     if found.verdict == "causes-found":
         return _named(found.causes, whole=True) + _apart(found.causes) + worth
     if found.verdict == "partly-explained":
-        rest = f" But not all is explained {found.unexplained_where}."
-        return _named(found.causes, whole=True) + _apart(found.causes) + worth + rest
+        sure = [one for one in found.causes if found.holds(one)]
+        others = [one for one in found.causes if not found.holds(one)]
+        where = found.unexplained_where
+        if where.startswith(WHERE_JUDGED):
+            rest = f" But not all is explained {where}."
+        else:
+            largest = f", most {where.removeprefix('most ')}" if where else ""
+            rest = f" But not all is explained: {percent(found.account.unexplained)} of {LACKED} is left{largest}."
+        small = " Smaller than what is left, and perhaps only a matter of form: " if others else ""
+        return (
+            _named(sure, whole=not others)
+            + _apart(sure)
+            + worth
+            + rest
+            + small
+            + (_named(others, whole=False) if others else "")
+        )
     where = found.unexplained_where.removeprefix("most ")
     rest = f" What is left is largest {where}." if where else ""
     if not found.causes:

@@ -122,7 +122,13 @@ def screen(
 def _shapes(cause: Cause) -> list[tuple[tuple[str, float], ...]]:
     """The coordinates of the forms that are looked at; () for the usual one."""
     forms = [form for form in cause.forms if form.probed]
-    return [(), *(tuple((f"{cause.name}.{name}", value) for name, value in form.values.items()) for form in forms)]
+    return [
+        (),
+        *(
+            tuple((f"{cause.name}.{name}", value) for name, value in form.values.items() if not isinstance(value, str))
+            for form in forms
+        ),
+    ]
 
 
 def probed(theta: Theta, cause: Cause, value: float, others: Sequence[tuple[str, float]] = ()) -> Theta:

@@ -22,7 +22,7 @@ Trait = Literal[
 ]
 FoundBy = Literal["score-test", "spectral-line", "gaps"]  # in innovations, in their spectrum, in the times of samples
 AtRest = Literal["", "balance", "amplifier"]
-PLACES = 45
+PLACES = 47
 
 
 class Vector(Protocol):
@@ -59,10 +59,14 @@ class CauseParameter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Form:
-    """An equation of the literature for the same effect: values of the shape parameters, those not named neutral."""
+    """An equation of the literature for the same effect.
+
+    `values` are those of the shape parameters, or the name of a parameter that has the same value; a shape that is not
+    named is neutral.
+    """
 
     name: str
-    values: Mapping[str, float]
+    values: Mapping[str, float | str]
     source: str
     probed: bool = False  # whether the screen looks at it, too: its signature is unlike that of the usual form
 

@@ -11,7 +11,7 @@ from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Form, MeasuredProbes, Vector
 from twin.model.causes.instruments import CLAMP_METER
 
-LIMIT, SOFTNESS = 2, 32
+LIMIT, SOFTNESS, FOLD = 2, 32, 46
 LEAST_SOFTNESS = 0.005  # below that the knee is as hard as rounding leaves it
 
 CAUSE = Cause(
@@ -20,7 +20,7 @@ CAUSE = Cause(
     title="the amplifier gives no more than a certain current",
     sentence="the amplifier gives no more than {limit_a}",
     acts_on="target current of (1)",
-    equation="i_c <= i_limit; with a knee target / (1 + (target / i_limit)^(1/s))^s",
+    equation="i_c tends to g - f (K_A u_c - g), g = K_A u_c / (1 + (K_A u_c / i_limit)^(1/s))^s; s = f = 0: <= i_limit",
     source="a power supply, or a protection, smaller than the rig asks for",
     parameters=(
         CauseParameter(
@@ -44,6 +44,9 @@ CAUSE = Cause(
             probes=(0.05,),
             spread=0.2,
         ),
+        CauseParameter(
+            name="fold", symbol="f", unit="", place=FOLD, neutral=0.0, low=0.0, high=1.0, probes=(0.1,), spread=0.3
+        ),
     ),
     signature="i_c stays flat at one value while u_c still rises",
     shows_in=("lift-off", "amplifier-steps"),
@@ -62,6 +65,11 @@ CAUSE = Cause(
             source="C. Rapp, Effects of HPA-nonlinearity on a 4-DPSK/OFDM-signal, 1991",
             probed=True,
         ),
+        Form(
+            name="foldback",
+            values={"fold": 0.3},
+            source="P. Horowitz, W. Hill, The Art of Electronics, 2015: less current the more is asked for",
+        ),
     ),
 )
 
@@ -75,6 +83,10 @@ def limited(c: Vector, i: float) -> float:
 @kernel
 def aimed_at(c: Vector, target: float) -> float:
     """The current that the amplifier aims at below its limit, A; `target`: without one, not negative."""
-    if c[SOFTNESS] < LEAST_SOFTNESS or math.isinf(c[LIMIT]):
-        return min(target, c[LIMIT])
-    return float(target / (1.0 + (target / c[LIMIT]) ** (1.0 / c[SOFTNESS])) ** c[SOFTNESS])
+    if math.isinf(c[LIMIT]):
+        return target
+    if c[SOFTNESS] < LEAST_SOFTNESS:
+        given = min(target, c[LIMIT])
+    else:
+        given = target / (1.0 + (target / c[LIMIT]) ** (1.0 / c[SOFTNESS])) ** c[SOFTNESS]
+    return float(max(given - c[FOLD] * (target - given), 0.0))

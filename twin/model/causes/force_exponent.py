@@ -1,7 +1,7 @@
 """force-exponent: the force falls with another power of the gap than 2.
 
-F_m = K_c i_c^2 / gap_mid^2 r^(q - n) exp(q (1 - r)), r = gap / gap_mid: n is the power in the middle of the travel,
-n + q (r - 1) that elsewhere; q = 0 is a pure power, q = n an exponential
+d ln F_m / d ln gap = -(n + q (r - 1) + p (r - 1)^2), r = gap / gap_mid, and F_m = K_c i_c^2 / gap^2 in the middle of
+the travel, where the power is n; q = p = 0 is a pure power, q = n, p = 0 an exponential
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 from twin.model.causes.instruments import SCALE, SHIM
 
-N, BEND = 10, 35
+N, BEND, CURL = 10, 35, 45
 
 CAUSE = Cause(
     name="force-exponent",
@@ -21,12 +21,15 @@ CAUSE = Cause(
     sentence="the force falls with the gap to the power of {n} in the middle, not of 2",
     opposite="the force falls with the gap to the power of {n} in the middle, not of 2",
     acts_on="magnetic force (3)",
-    equation="F_m = K_c i_c^2 / gap_mid^2 r^(q - n) exp(q (1 - r)), r = gap / gap_mid: the power is n + q (r - 1)",
+    equation="d ln F_m / d ln gap = -(n + q (r - 1) + p (r - 1)^2), r = gap / gap_mid; (3) holds at r = 1",
     source="(3) is of a thin gap between flat poles; a ball below a round core is neither",
     parameters=(
         CauseParameter(name="n", symbol="n", unit="", place=N, neutral=2.0, low=0.0, high=8.0, probes=(2.05,)),
         CauseParameter(
             name="bend", symbol="q", unit="", place=BEND, neutral=0.0, low=-8.0, high=8.0, probes=(0.1,), spread=2.0
+        ),
+        CauseParameter(
+            name="curl", symbol="p", unit="", place=CURL, neutral=0.0, low=-8.0, high=8.0, probes=(0.2,), spread=2.0
         ),
     ),
     signature="the current that holds the ball is curved in x, where (3) has a straight line",
@@ -44,7 +47,7 @@ CAUSE = Cause(
     forms=(
         Form(
             name="exponential of the gap",
-            values={"bend": 3.0},
+            values={"bend": "n"},
             source="INTECO, Magnetic Levitation System user's manual: exp(-gap / l), so that q = n = gap_mid / l",
         ),
         Form(
@@ -59,7 +62,8 @@ CAUSE = Cause(
 @kernel
 def factor(c: Vector, gap: float, gap_mid: float) -> float:
     """Factor on the force of (3); 1 in the middle of the travel."""
-    if c[N] == 2.0 and c[BEND] == 0.0:
+    n, q, p = c[N], c[BEND], c[CURL]
+    if n == 2.0 and q == 0.0 and p == 0.0:
         return 1.0
     r = gap / gap_mid
-    return math.exp((2.0 - c[N] + c[BEND]) * math.log(r) + c[BEND] * (1.0 - r))
+    return math.exp((2.0 - n + q - p) * math.log(r) + (2.0 * p - q) * (r - 1.0) - 0.5 * p * (r * r - 1.0))

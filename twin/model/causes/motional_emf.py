@@ -9,6 +9,7 @@ from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
 COUPLING, REACH = 7, 39
+LEAST_SHARE = 0.02  # of the middle gap: nearer to the coil the inductance stays
 LEAST_LEAD = 0.05  # a falling ball does not turn the coil into a generator that drives itself
 MOST_CHANGE = 0.25  # of the lead in the time that the current takes: beyond, the series is none
 
@@ -34,7 +35,7 @@ CAUSE = Cause(
             probes=(0.05,),
         ),
         CauseParameter(
-            name="reach", symbol="a", unit="", place=REACH, neutral=0.0, low=0.0, high=5.0, probes=(0.3,), spread=1.0
+            name="reach", symbol="a", unit="", place=REACH, neutral=0.0, low=-0.5, high=5.0, probes=(0.3,), spread=1.0
         ),
     ),
     signature="at constant u_c, i_c dips while the ball rises and swells while it falls",
@@ -62,7 +63,7 @@ def lead(c: Vector, v: float, gap: float, gap_mid: float) -> float:
     if c[COUPLING] == 0.0:
         return 1.0
     a = c[REACH] * gap_mid
-    ratio = (gap_mid + a) / (gap + a)
+    ratio = (gap_mid + a) / max(gap + a, LEAST_SHARE * gap_mid)
     return max(1.0 + c[COUPLING] * v * ratio * ratio, LEAST_LEAD)
 
 

@@ -9,6 +9,7 @@ from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
 GROWTH, REACH = 6, 38
+LEAST_SHARE = 0.02  # of the middle gap: nearer to the coil the inductance stays
 
 CAUSE = Cause(
     name="position-dependent-inductance",
@@ -24,7 +25,7 @@ CAUSE = Cause(
             name="growth", symbol="growth", unit="", place=GROWTH, neutral=0.0, low=0.0, high=10.0, probes=(0.3, 1.5)
         ),
         CauseParameter(
-            name="reach", symbol="a", unit="", place=REACH, neutral=0.0, low=0.0, high=5.0, probes=(0.3,), spread=1.0
+            name="reach", symbol="a", unit="", place=REACH, neutral=0.0, low=-0.5, high=5.0, probes=(0.3,), spread=1.0
         ),
     ),
     signature="i_c settles more slowly with the ball high than with the ball low, at the same step of u_c",
@@ -49,4 +50,5 @@ def time_constant(c: Vector, T_A: float, gap: float, gap_bottom: float, gap_mid:
         return T_A
     a = c[REACH] * gap_mid
     bottom = 1.0 / (gap_bottom + a)
-    return T_A * (1.0 + c[GROWTH] * (1.0 / (gap + a) - bottom) / (1.0 / (gap_mid + a) - bottom))
+    here = 1.0 / max(gap + a, LEAST_SHARE * gap_mid)
+    return T_A * (1.0 + c[GROWTH] * (here - bottom) / (1.0 / (gap_mid + a) - bottom))

@@ -1,7 +1,7 @@
 """position-sensor-nonlinearity: x is right at the stops and wrong between them.
 
-x_measured = x + bow (1 - w^2) ((1 - skew^2) (1 + fullness w^2) + 2.6 skew w), w = 2 x / l - 1, l the travel: any
-polynomial of fourth degree that is right at both stops.  Skew 0 is an arc, skew 1 an S that is right in the middle.
+x_measured = x + bow (1 - w^2) (1 + fullness w^2) (1 - skew^2 + 2.6 skew w), w = 2 x / l - 1, l the travel.  Skew 0 is
+an arc, skew 1 an S that is right in the middle.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ CAUSE = Cause(
     sentence="x reads up to {bow_m} too high between the stops and right at both",
     opposite="x reads up to {bow_m} too low between the stops and right at both",
     acts_on="position sensor",
-    equation="x_measured = x + bow (1 - w^2) ((1 - skew^2) (1 + fullness w^2) + 2.6 skew w), w = 2 x / l - 1",
+    equation="x_measured = x + bow (1 - w^2) (1 + fullness w^2) (1 - skew^2 + 2.6 skew w), w = 2 x / l - 1",
     source="inductive sensors are bent, and are calibrated at two points",
     parameters=(
         CauseParameter(
@@ -58,15 +58,15 @@ CAUSE = Cause(
 def bent(c: Vector, x: float, travel: float) -> float:
     """The reading of a sensor that is calibrated at both stops, m."""
     w = 2.0 * x / travel - 1.0
-    arc = 1.0 - c[SKEW] * c[SKEW]
-    return x + c[BOW] * (1.0 - w * w) * (arc * (1.0 + c[FULLNESS] * w * w) + S_SHAPE * c[SKEW] * w)
+    side = 1.0 - c[SKEW] * c[SKEW] + S_SHAPE * c[SKEW] * w
+    return x + c[BOW] * (1.0 - w * w) * (1.0 + c[FULLNESS] * w * w) * side
 
 
 @kernel
 def slope(c: Vector, x: float, travel: float) -> float:
     """Derivative of `bent` by x."""
     w = 2.0 * x / travel - 1.0
-    arc = 1.0 - c[SKEW] * c[SKEW]
-    shape = arc * (1.0 + c[FULLNESS] * w * w) + S_SHAPE * c[SKEW] * w
-    bend = 2.0 * arc * c[FULLNESS] * w + S_SHAPE * c[SKEW]
-    return 1.0 + 2.0 * c[BOW] / travel * ((1.0 - w * w) * bend - 2.0 * w * shape)
+    side = 1.0 - c[SKEW] * c[SKEW] + S_SHAPE * c[SKEW] * w
+    arc = (1.0 - w * w) * (1.0 + c[FULLNESS] * w * w)
+    by_w = 2.0 * w * (c[FULLNESS] - 1.0 - 2.0 * c[FULLNESS] * w * w)
+    return 1.0 + 2.0 * c[BOW] / travel * (by_w * side + arc * S_SHAPE * c[SKEW])

@@ -85,7 +85,10 @@ def test_every_part_of_the_argument_is_there() -> None:
 
 def test_what_is_too_small_to_be_named_is_listed_with_its_size_and_where_it_shows() -> None:
     found = found_gap()
-    parameters = {"c_n_s2_m2": Parameter(value=0.2, unit="N s^2/m^2", ci95=(0.15, 0.25))}
+    parameters = {
+        "c_n_s2_m2": Parameter(value=0.2, unit="N s^2/m^2", ci95=(0.15, 0.25)),
+        "power": Parameter(value=2.0, unit=""),
+    }
     small = MinorEffect(name="quadratic-drag", parameters=parameters, loglik_gain=31.4)
 
     text = text_of(page(replace(found, minor_effects=(small,))))

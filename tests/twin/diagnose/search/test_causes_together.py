@@ -174,5 +174,6 @@ def test_dry_friction_is_climbed_to_from_a_wrong_model() -> None:
     finally:
         criterion.close()
 
-    assert found.theta.value("coulomb-friction.force_n") == pytest.approx(4e-3, rel=0.02)
+    at_rest = found.theta.value("coulomb-friction.force_n") * (1.0 + found.theta.value("coulomb-friction.extra"))
+    assert at_rest == pytest.approx(4e-3, rel=0.02)  # so narrow a motion leaves open how it changes with the speed
     assert found.theta.process_a_m_s2 < 0.1 * base.theta.process_a_m_s2
