@@ -14,7 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.compiled import Packed, inlined, kernel
-from twin.estimation.ekf.correct import forget, measure_current, start_flight, start_recording, take_readings
+from twin.estimation.ekf.correct import (
+    TELLING_READINGS,
+    forget,
+    measure_current,
+    start_flight,
+    start_recording,
+    take_readings,
+)
 from twin.estimation.ekf.memory import Floats, Memory, base_of, memory_for
 from twin.estimation.ekf.predict import add_process_noise, advance, carry, differences
 from twin.estimation.propagate import copy
@@ -85,7 +92,7 @@ def _begin(o: Observer, i: float, x: float, u: float, first: bool) -> None:
         f.y[FIELD] = f.y[I_C]
         f.y[WARMTH] += o.sample_time_s * amplifier_gain_drift.warmth_rate(f.c[:], current, f.y[WARMTH])
     start_flight(f, x)
-    f.speed_seen = True  # who watches wants every innovation; until it has settled none is valid
+    f.readings = TELLING_READINGS  # who watches wants every innovation; until it has settled none is valid
     o.ticks[0] = 0.0
 
 

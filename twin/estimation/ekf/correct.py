@@ -21,6 +21,7 @@ from twin.model.extended import (
     position_reading,
 )
 
+TELLING_READINGS = 5  # behind the first of a flight; with a lag of 2 ms the next ones depend on the start no more
 _ACCELERATION_M_S2 = 15.0  # of a flight's beginning
 _WARMTH = (0.25, 0.3)  # A^2: of a recording's start, mean and standard deviation
 _CURRENT_VARIANCE = 1e2  # A^2, of a start without a reading
@@ -74,7 +75,7 @@ def start_flight(f: Memory, reading: float) -> None:
             _forget(f, k)
     y[X], y[V] = position_of_reading(p, c, reading, y[I_C]), 0.0
     y[SENSOR], y[RATE] = reading, 0.0
-    f.in_flight, f.speed_seen = True, False
+    f.in_flight, f.readings = True, 0
     # A reading that shows the current, too, places the ball as well as the current is known.
     shown = (position_reading(p, c, y[X], y[I_C] + 1e-3) - position_reading(p, c, y[X], y[I_C])) / 1e-3
     P[1, 1], P[2, 2] = f.r_x + shown * shown * P[0, 0], SPEED_STD_M_S**2
@@ -119,16 +120,16 @@ def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x
     n_i, n_x = i - current_reading(f.c[:], f.y[I_C]), 0.0
     if use_x:
         n_x = x - position_slopes(base_of(f), f.c[:], f.y[:], f.sensor, f.h_x[:])
-        # The reading that tells how fast the ball was: nobody predicted it, and a model with friction would predict it
-        # better only because friction narrows any guess.
-        if f.speed_seen:
+        # The readings that tell how fast the ball was, and how far the sensor was behind: nobody predicted them, and a
+        # model that narrows the guess (friction, a field that is taken for settled) would seem to do so better.
+        if f.readings >= TELLING_READINGS:
             out[1], out[4] = n_x, variance(f, f.h_x[:], f.r_x)
             if use_i:
                 s_ix = 0.0
                 for a in range(m):
                     s_ix += f.h_i[0] * P[0, a] * f.h_x[a]
                 out[3] = s_ix
-        f.speed_seen = True
+        f.readings += 1
     if use_i:
         out[0], out[2] = n_i, correct(f, f.h_i[:], f.r_i, n_i)
         if use_x:

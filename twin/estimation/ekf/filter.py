@@ -9,7 +9,7 @@ Rule 1: the flags are those of `../innovations.py`, and RESTS_LOW, RESTS_HIGH: t
         a lost sample (`twin/diagnose/evidence/lost_rows.py`) nothing was read, and u_c from it on is unknown.
 Rule 2: only the states that the causes at hand give a life of their own are in the covariance: with the paper's model
         three, so that a candidate costs what it needs.
-Rule 3: the first reading that tells the speed of a flight corrects the state and is not counted as predicted.
+Rule 3: the first readings of a flight, which tell its start, correct the state and are not counted as predicted.
 Rule 4: warmth at the start of a recording is unknown, and the filter finds it.
 Rule 5: the two readings of i_c behind a lost sample correct the state and are not counted as predicted, whatever delay
         the model has: the first of them told its u_c (`../propagate.py`).

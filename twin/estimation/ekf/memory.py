@@ -43,7 +43,7 @@ class Memory(Protocol):
     rate: int
     first: int  # sample of this chain
     in_flight: bool
-    speed_seen: bool  # in this flight
+    readings: int  # of x in this flight, behind the first
     y: Floats  # the state, shape (7,)
     here: Floats  # at the sample before
     moved: Floats  # room, like the next four
@@ -76,12 +76,12 @@ def active_states(c: Floats) -> list[int]:
 def _fields() -> np.dtype[np.void]:
     one, square = (STATES,), (STATES, STATES)
     numbers = ("moments_s", "r_i", "r_x", "q_i", "q_a", "low_m", "high_m")
-    counts = ("m", "field", "sensor", "warmth", "rate", "first")
+    counts = ("m", "field", "sensor", "warmth", "rate", "first", "readings")
     vectors = ("y", "here", "moved", "back", "K", "h_i", "h_x")
     fields: list[Any] = [("base", float, (len(Base._fields),)), ("c", float, (len(neutral()),))]
     fields += [(name, float) for name in numbers] + [(name, np.int64) for name in counts]
     fields += [("places", np.int64, one), ("moments", float, (9,))]
-    fields += [(name, np.bool_) for name in ("closed_form", "in_flight", "speed_seen")]
+    fields += [(name, np.bool_) for name in ("closed_form", "in_flight")]
     fields += [(name, float, one) for name in vectors] + [(name, float, square) for name in ("P", "F", "G")]
     return np.dtype(fields, align=True)
 
