@@ -81,7 +81,7 @@ def test_who_gains_nearly_as_much_as_the_leader_is_tried_as_the_first_of_several
 
 @pytest.mark.slow
 def test_one_cause_takes_the_place_of_two_that_are_confounded_with_it(tmp_path: Path) -> None:
-    three = ("position-sensor-nonlinearity", "force-exponent", "quadratic-drag")
+    three = ("position-sensor-nonlinearity", "residual-magnetism", "quadratic-drag")
     make_campaign(tmp_path / "both", effects=HIDDEN, seed=310, plant="independent", quick=True)
     campaign = load(tmp_path / "both")
     criterion = Criterion(gather(read_campaign(campaign), campaign.plant), campaign.plant, 2e-3, workers=1)
@@ -92,8 +92,8 @@ def test_one_cause_takes_the_place_of_two_that_are_confounded_with_it(tmp_path: 
         gains = dict(zip(three, (1.0, 2.0, 3.0), strict=True))
         found = Selection(base=base, fit=fit, causes=[*three], gains={**gains})
         unmoved = replace(found, causes=[*three], gains={**gains})
-        find_classes(criterion, unmoved, candidates=(BY_NAME["constant-force"],), few=3)
-        find_classes(criterion, found, candidates=(*TRIED, BY_NAME["force-exponent"]), few=3)
+        find_classes(criterion, unmoved, candidates=(BY_NAME["motional-emf"],), few=3)
+        find_classes(criterion, found, candidates=(*TRIED, BY_NAME["residual-magnetism"]), few=3)
     finally:
         criterion.close()
 
