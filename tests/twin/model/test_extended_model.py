@@ -35,6 +35,20 @@ def test_every_cause_survives_the_round_trip(tmp_path: Path) -> None:
         assert c[one.strength.place] == effects[one.name]
 
 
+def test_a_shape_that_a_file_leaves_out_is_that_of_the_usual_form() -> None:
+    data = model_to_dict(true_model(effects={"core-saturation": 3.0, "coulomb-friction": 1e-3}))
+    for entry, shapes in zip(data["causes"], (["knee"], ["extra", "slow_m_s"]), strict=True):
+        for name in shapes:
+            del entry["parameters"][name]
+
+    model = model_from_dict(data, where="model.json")
+
+    assert np.array_equal(
+        vector(model.causes), vector(true_model(effects={"core-saturation": 3.0, "coulomb-friction": 1e-3}).causes)
+    )
+    assert model.causes[0].parameters["knee"].verdict == "assumed"
+
+
 def test_without_causes_the_vector_is_neutral() -> None:
     assert np.array_equal(vector(true_model().causes), neutral())
 

@@ -37,14 +37,13 @@ from twin.estimation.ekf.predict import (
     advance,
     carry,
     differences,
+    doubt_delay,
     doubt_input,
-    input_error,
-    newest,
     predict_held,
     step_along,
 )
 from twin.estimation.innovations import FLIES, FOLLOWS, LOST, RESTS_HIGH, RESTS_LOW, USE_I, USE_X
-from twin.estimation.propagate import UNKNOWN_INPUT_V, copy, find_input
+from twin.estimation.propagate import copy, delay_s, find_input, jitter_s
 from twin.estimation.structures import NO_STEPS, Results, Samples, Steps, System, room_for
 from twin.model.extended import I_C, SHORT_S, V, X, current_reading
 
@@ -98,7 +97,7 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
         if f.in_flight:
             T_s = step[n]
             copy(f.here[:], f.y[:])
-            lost = newest(f, n, T_s)
+            lost = n - 1 - int(delay_s(f.c[:]) / T_s)  # its input comes into force on the way here
             unknown = lost >= f.first and flags[lost] & LOST != 0
             if unknown and use_i:
                 find_input(base_of(f), f.c[:], f.here[:], inputs, lost, n, f.first, t[n - 1], T_s, y_i[n], f.moved[:])
@@ -115,10 +114,9 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
                 copy(found.before[n], f.y[:])
             carry(f.F, f.P, f.G, f.m)
             if unknown:
-                doubt_input(f, inputs, lost, UNKNOWN_INPUT_V, n, t[n - 1], T_s)
-            error = input_error(f, inputs, n, T_s)
-            if error > 0.0:
-                doubt_input(f, inputs, lost, error, n, t[n - 1], T_s)
+                doubt_input(f, inputs, lost, n, t[n - 1], T_s)
+            if jitter_s(f.c[:]) > 0.0:
+                doubt_delay(f, inputs, n, t[n - 1], T_s)
             add_process_noise(f, T_s)
         elif follows:
             predict_held(f, inputs, n, t[n - 1], step[n], y_x[n - 1])

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from twin.compiled import inlined, kernel
 from twin.estimation.ekf.memory import Floats, Memory, base_of
 from twin.estimation.ekf.transition import moments, transit
-from twin.estimation.propagate import INPUT_DELTA_V, copy, current_held, delay_s, jitter_s, propagate
+from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, current_held, delay_s, jitter_s, propagate
 from twin.model.causes import (
+    actuation_delay,
     amplifier_gain_drift,
     coulomb_friction,
     freewheel_diode,
@@ -20,6 +21,7 @@ from twin.model.causes import (
 )
 from twin.model.extended import FIELD, I_C, RATE, SENSOR, WARMTH, Base, V, X
 
+_DELAY_DELTA_S = 1e-5
 _DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5])  # of the states, for differences
 
 
@@ -117,47 +119,54 @@ def add_process_noise(f: Memory, T_s: float) -> None:
 
 
 @kernel
-def doubt_input(f: Memory, inputs: Floats, place: int, std_v: float, n: int, t: float, T_s: float) -> None:
-    """What an error of u_c of the sample `place` adds to the covariance; the others as `propagate` takes them.
-
-    Args:
-        f: the filter.
-        inputs: u_c of the samples, V.
-        place: the sample.
-        std_v: standard deviation of the error, V.
-        n: the sample that is reached.
-        t: of n - 1, s.
-        T_s: from n - 1 to n, s.
-    """
-    moved, back, K = f.moved[:], f.back[:], f.K
-    held = inputs[place]
-    inputs[place] = held + INPUT_DELTA_V
+def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: float) -> None:
+    """What not knowing u_c of the sample `lost` adds to the covariance; the others as `propagate` takes them."""
+    moved, K = f.moved[:], f.K
+    inputs[lost] += INPUT_DELTA_V
     copy(moved, f.here[:])
     propagate(base_of(f), f.c[:], moved, inputs, n, f.first, t, T_s, False)
-    inputs[place] = held - INPUT_DELTA_V
-    copy(back, f.here[:])
-    propagate(base_of(f), f.c[:], back, inputs, n, f.first, t, T_s, False)
-    inputs[place] = held
+    inputs[lost] -= INPUT_DELTA_V
     for row in range(f.m):
-        K[row] = 0.5 * std_v * (moved[f.places[row]] - back[f.places[row]]) / INPUT_DELTA_V
-    for row in range(f.m):
-        for column in range(f.m):
-            f.P[row, column] += K[row] * K[column]
-
-
-@inlined
-def newest(f: Memory, n: int, T_s: float) -> int:
-    """The sample whose u_c comes into force on the way to n, by the delay of the model."""
-    return n - 1 - int(delay_s(f.c[:]) / T_s)
+        K[row] = UNKNOWN_INPUT_V * (moved[f.places[row]] - f.y[f.places[row]]) / INPUT_DELTA_V
+    _add_square(f)
 
 
 @kernel
-def input_error(f: Memory, inputs: Floats, n: int, T_s: float) -> float:
-    """What a delay that varies makes of the change of u_c on the way to n: an error of its mean over T_s, V."""
-    place, jitter = newest(f, n, T_s), jitter_s(f.c[:])
-    if jitter <= 0.0 or place <= f.first:
+def doubt_delay(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None:
+    """What a delay that varies from tick to tick adds to the covariance; the others as `propagate` takes them."""
+    c, moved, back, K = f.c[:], f.moved[:], f.back[:], f.K
+    delay = c[actuation_delay.DELAY]
+    less = min(_DELAY_DELTA_S, delay)
+    copy(moved, f.here[:])
+    c[actuation_delay.DELAY] = delay + _DELAY_DELTA_S
+    propagate(base_of(f), c, moved, inputs, n, f.first, t, T_s, False)
+    copy(back, f.here[:])
+    c[actuation_delay.DELAY] = delay - less
+    propagate(base_of(f), c, back, inputs, n, f.first, t, T_s, False)
+    c[actuation_delay.DELAY] = delay
+    for row in range(f.m):
+        K[row] = jitter_s(c) * (moved[f.places[row]] - back[f.places[row]]) / (_DELAY_DELTA_S + less)
+    _add_square(f)
+
+
+@inlined
+def _add_square(f: Memory) -> None:
+    for row in range(f.m):
+        for column in range(f.m):
+            f.P[row, column] += f.K[row] * f.K[column]
+
+
+@kernel
+def late_current(f: Memory, inputs: Floats, n: int, T_s: float) -> float:
+    """Standard deviation of i_c at n that a delay that varies makes, of a held ball, by (1) alone, A."""
+    delay = delay_s(f.c[:])
+    whole = int(delay / T_s)
+    place = n - 1 - whole
+    if place <= f.first:
         return 0.0
-    return float(min(jitter / T_s, 1.0) * abs(inputs[place] - inputs[place - 1]))
+    T_A = f.base[1]
+    slope = f.base[0] / T_A * math.exp(-((1 + whole) * T_s - delay) / T_A)
+    return float(jitter_s(f.c[:]) * slope * abs(inputs[place] - inputs[place - 1]))
 
 
 @kernel
@@ -192,8 +201,9 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
         P[warm, 0] = P[0, warm]
     else:
         P[0, 0] = f_ii * f_ii * P[0, 0]
-    late_v = p.K_A * (1.0 - f_ii) * input_error(f, inputs, n, T_s)
-    P[0, 0] += f.q_i * T_s + late_v * late_v
+    P[0, 0] += f.q_i * T_s
+    if jitter_s(c) > 0.0:
+        P[0, 0] += late_current(f, inputs, n, T_s) ** 2
 
 
 @kernel

@@ -102,6 +102,15 @@ def test_the_verdict_is_what_both_kinds_of_recordings_say(named: bool, fine: boo
     assert verdict_of(named=named, fine=fine, gain=None) in ("causes-found", "model-adequate", "unknown-cause")
 
 
+def test_beside_a_rest_a_name_holds_that_explains_more_than_the_rest() -> None:
+    near = judged(1.15, 1.25)
+    assert verdict_of(named=True, fine=False, leading=True, gain=near) == "partly-explained"
+    assert verdict_of(named=True, fine=False, leading=True, gain=judged(2.2, 2.3)) == "unknown-cause"
+    assert verdict_of(named=True, fine=False, leading=True, gain=None) == "unknown-cause"
+    account = account_of(searched(900.0, a=700.0, b=100.0), 200.0, False)
+    assert [account.leads(name) for name in ("a", "b", "c")] == [True, False, False]
+
+
 def test_names_that_take_less_than_half_on_the_judge_recordings_may_only_be_confounders() -> None:
     assert verdict_of(named=True, fine=True, gain=judged(1.15, 1.25, baseline_m=1.6e-5)) == "partly-explained"
     assert verdict_of(named=True, fine=True, gain=judged(1.15, 1.25, baseline_m=1.3e-5)) == "unknown-cause"
