@@ -99,8 +99,8 @@ def test_the_textbook_rig_without_a_form_does_the_same(without: dict[str, FloatA
         assert distance(without[record], other[record]) < TOLERANCE[record], record
 
 
-# What heats or drifts by chance shows in longer records only.
-@pytest.mark.parametrize("name", sorted(set(FORMS) - {"resistance-heats"}))
+# What heats or drifts by chance shows in longer records only, a drag of the cube in faster flights.
+@pytest.mark.parametrize("name", sorted(set(FORMS) - {"resistance-heats", "drag-cubic"}))
 def test_every_form_is_really_there(name: str, without: dict[str, FloatArray]) -> None:
     form = FORMS[name]
     assert form.effect in EFFECTS
