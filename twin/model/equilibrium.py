@@ -79,7 +79,7 @@ def holding_input(p: Base, c: Vector, i_a: float, warmth_a2: float | None = None
     high = _MOST_V
     if (
         not _surplus(high, packed, c, i_a, w) > 0.0
-    ):  # the current of an amplifier with foldback falls again at large inputs
+    ):  # with foldback the current falls again far above
         inputs = np.geomspace(_LEAST_V, _MOST_V, _INPUTS).tolist()
         high = next((u for u in inputs if _surplus(u, packed, c, i_a, w) > 0.0), math.nan)
         if math.isnan(high):
