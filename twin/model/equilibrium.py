@@ -77,9 +77,7 @@ def holding_input(p: Base, c: Vector, i_a: float, warmth_a2: float | None = None
     if _surplus(0.0, packed, c, i_a, w) > 0.0:
         return math.nan
     high = _MOST_V
-    if (
-        not _surplus(high, packed, c, i_a, w) > 0.0
-    ):  # with foldback the current falls again far above
+    if not _surplus(high, packed, c, i_a, w) > 0.0:  # with foldback the current falls again far above
         inputs = np.geomspace(_LEAST_V, _MOST_V, _INPUTS).tolist()
         high = next((u for u in inputs if _surplus(u, packed, c, i_a, w) > 0.0), math.nan)
         if math.isnan(high):

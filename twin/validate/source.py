@@ -81,7 +81,9 @@ def sources_of(campaign: Campaign, model: Model, *, data: Path | None = None) ->
     told: list[list[pb.Parameters]] = []
     judged = {r.kind in FLYING for r in campaign.recordings if r.use == "judge"}
     for recording in campaign.recordings:
-        spare = recording.use == "fit" and (recording.kind in FLYING) in judged  # there are judge recordings of its sort
+        spare = (
+            recording.use == "fit" and (recording.kind in FLYING) in judged
+        )  # there are judge recordings of its sort
         if recording.kind in ("equilibria", "sawtooth") or spare:
             continue
         path = campaign.path_of(recording, data=data)

@@ -232,7 +232,7 @@ def _steady(theta: Theta, plant: Plant, record: Record, rng: np.random.Generator
 def _start(
     theta: Theta, plant: Plant, record: Record, piece: slice, clamped: bool
 ) -> tuple[NDArray[np.float64], float]:
-    """(state from the first samples of a piece, shape (6,); speed of the reading there, m/s)."""
+    """(state from the first samples of a piece, shape (7,); speed of the reading there, m/s)."""
     p, c = theta.base(plant), theta.vector()
     head = slice(piece.start, min(piece.start + _HEAD, piece.stop))
     y, speed = np.zeros(STATES), 0.0
