@@ -45,7 +45,7 @@ class Sample:
     """One sample.  A quantity that was not measured is NaN."""
 
     tick: int  # control periods since the board's reset: the time base; strictly increasing within a session
-    session: int  # a new number after each reset or reconnection, across which ticks and time are not continuous
+    session: int  # a new number after each reset or reconnection: nothing is continuous across it
     t_s: float  # time on the board's clock, s
     i_c_a: float  # coil current, A
     x_m: float  # position of the ball, m, up from the sensor
@@ -77,7 +77,7 @@ class Samples:
     """Samples: one array for each quantity, all of shape (n,).  A quantity that was not measured is NaN."""
 
     tick: IntArray  # control periods since the board's reset, shape (n,)
-    session: IntArray  # ticks and time are not continuous where it changes, shape (n,)
+    session: IntArray  # a new number after a reset or reconnection: nothing is continuous there, shape (n,)
     t_s: FloatArray  # time on the board's clock, s, shape (n,)
     i_c_a: FloatArray  # coil current, A, shape (n,)
     x_m: FloatArray  # position of the ball, m, up from the sensor, shape (n,)
