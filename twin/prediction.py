@@ -1,9 +1,8 @@
-"""A model's predictions of one recording, N samples ahead, and how far off they are.  Pure.
+"""Predictions of one recording by a model, N samples ahead, and their error.  Pure.
 
-Rule 1: of the model and the recording nothing else is known: noise levels are the model's, with the converters' steps
-        of this recording added.
-Rule 2: u_c is moved to where it acts only for a model whose identification did so.
-Rule 3: what was not predicted is counted by reason; nothing is left out because it would look bad.
+Rule 1: the noise levels are those of the model plus the quantisation of this recording.
+Rule 2: u_c is delayed only for a model whose identification found that delay.
+Rule 3: samples without a prediction are counted by reason; none is left out because of its error.
 """
 
 from __future__ import annotations
@@ -32,30 +31,30 @@ NEEDED = ("u_c", "i_c", "x")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prediction:
-    """Readings and their predictions, and what was left out; arrays of shape (count,)."""
+    """Readings and their predictions, arrays of shape (count,), and the samples left out."""
 
-    ahead: int  # samples
+    ahead: int  # horizon N in samples
     interval_s: float
     t: FloatArray  # s, of the samples predicted
     x: FloatArray  # m, measured
-    x_hat: FloatArray  # m
+    x_hat: FloatArray  # m, predicted
     samples: int  # of the recording
-    left_out: tuple[tuple[str, int], ...]  # (why, samples)
+    left_out: tuple[tuple[str, int], ...]  # (reason, samples)
     notes: tuple[str, ...]
 
     @property
     def rmse_m(self) -> float | None:
-        """Root mean square of x - x_hat, m; None where nothing was predicted."""
+        """Root mean square of x - x_hat, m; None without a prediction."""
         return float(np.sqrt(np.mean((self.x - self.x_hat) ** 2))) if len(self.x) else None
 
 
 def predict(model: Model, record: Record, ahead: int) -> Prediction:
-    """Every reading of x that can be predicted from `ahead` samples before it.
+    """Predict every reading of x for which a prediction `ahead` samples earlier is possible.
 
     Args:
         model: with or without causes.
         record: with t, u_c, i_c and x.
-        ahead: samples, 1 or more.
+        ahead: horizon N in samples, 1 or more.
 
     Raises:
         DataError: a channel is missing, or the recording is shorter than the horizon.
@@ -81,7 +80,7 @@ def predict(model: Model, record: Record, ahead: int) -> Prediction:
     evidence = gather([told], model.plant, stops)
     s = evidence.series
     tick_s = record.interval_s
-    system = system_of(model, record)._replace(c=c, closed_form=False)  # lost samples need the other step
+    system = system_of(model, record)._replace(c=c, closed_form=False)  # the closed form has no lost samples
     x_hat = within_reach(predict_readings(system, evidence.samples, ahead), p, c, AT_THE_ENDS)
     sampled = s.flags & LOST == 0  # the series has a row for a lost sample, the recording has none
     flags, x_hat = s.flags[sampled], x_hat[sampled]
@@ -111,7 +110,7 @@ def _left_out(
     record: Record,
     tick_s: float,
 ) -> tuple[tuple[str, int], ...]:
-    """Each sample without a prediction, under the first reason that holds."""
+    """Number of samples without a prediction, by the first reason that applies."""
     flies, reads = flags & FLIES != 0, flags & USE_X != 0
     contact = ~flies
     unread = flies & ~reads & ~there

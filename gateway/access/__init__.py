@@ -1,4 +1,4 @@
-"""Who may do what: roles, users, certificates, and which listeners may be open.
+"""Access control: roles, users, certificates, and which listeners may be open.
 
-Read `roles.py` first (the one table), then `users.py` (who has which role).
+Read `roles.py` first (the table of rights), then `users.py` (the users and their roles).
 """

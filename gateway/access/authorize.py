@@ -1,13 +1,13 @@
-"""Who sends a command, and whether it may come in: before the limits of the board.  No I/O.
+"""Authorisation of commands, before the limits of the board are checked.  No I/O.
 
-On a guarded bus the router has checked the sender, and the key says who it is (`topics.command_key`).  This decides the
-rest: does the role suffice, is the command fresh, does one sender drown the others.  On a bus that is not guarded
-nobody has a role, and a command may be undated; one that is dated is judged in the same way.
+On a guarded bus the router has authenticated the sender, whose role and name are in the key (`topics.command_key`).
+This module checks the role, the age of the command and the sender's rate.  On a bus that is not guarded there are no
+roles and a command may have no date; a date is checked in the same way.
 
-Rule 1: STOP needs a role that may act, and nothing more: no clock, no rate.  A wrong clock must not keep the coil on.
-Rule 2: a command is fresh for MAX_AGE_S after it was issued, or for as long as its sender waits where that is less.
-        The command handler remembers ids for longer than that, so that the same bytes are executed once; and what may
-        have been issued before this gateway's start is refused, because it may have been executed by the one before.
+Rule 1: STOP needs a role only.  Neither its date nor the rate is checked: a wrong clock must not keep the coil on.
+Rule 2: a command is valid for MAX_AGE_S after it was issued, or for `valid_s` if that is less.  The command handler
+        stores ids for longer than that, so that a repeated command is executed once.  A command that may have been
+        issued before this gateway's start is refused, because the previous gateway may have executed it.
 Rule 3: the clocks of sender and gateway may differ by MAX_AHEAD_S.
 """
 
@@ -29,13 +29,13 @@ MAX_AGE_S = 10.0
 MAX_AHEAD_S = 1.0
 COMMANDS_PER_S = 100.0  # of one sender to all boards; the boards' own limits are lower
 BURST = 200.0
-MAX_SENDERS = 256  # names that the views' account may invent
+MAX_SENDERS = 256  # names in memory; the views' account may send under any name
 _REPORT_S = 1.0  # between two events about a flood of one sender
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sender:
-    """Whose command this is.  On a guarded bus the key said so and the router has checked it; else nobody knows."""
+    """The sender of a command: on a guarded bus authenticated by the router, otherwise unknown."""
 
     name: str
     role: Role | None  # None: the bus is not guarded
@@ -43,27 +43,27 @@ class Sender:
     started_ns: int  # of this gateway
 
     def sign(self, command: pb.Command) -> None:
-        """Write who and role over whatever the sender wrote there; who that is, where nobody knows better."""
+        """Overwrite `who` and `role` of the command; on a bus that is not guarded, `who` stays and `role` is empty."""
         command.role = ""
         if self.role is not None:
             command.who, command.role = self.name, self.role.word
 
     def right(self, command: pb.Command) -> Refusal | None:
-        """None if the role suffices."""
+        """Check the role; None if it suffices."""
         act = command.WhichOneof("what") or ""
         if self.role is None or may(self.role, act):
             return None
         return Refusal("not-allowed", refusal_text(self.name, self.role, act))
 
     def left_s(self, command: pb.Command) -> float:
-        """For how long the command may still begin to act; infinite where it is undated."""
+        """Remaining time in which the command may begin to act, s; infinite without a date."""
         if not command.issued_ns:
             return math.inf
         valid_s = min(command.valid_s or MAX_AGE_S, MAX_AGE_S)
         return valid_s - (self.arrived_ns - command.issued_ns) * 1e-9
 
     def fresh(self, command: pb.Command) -> Refusal | None:
-        """None if the command was issued just now, and its sender still waits."""
+        """Check the date of the command; None if it is still valid."""
         if command.WhichOneof("what") == "stop":
             return None
         if not command.issued_ns:
@@ -87,12 +87,12 @@ class Sender:
 
 
 class Authorizer:
-    """Of one gateway; any thread.
+    """Authorisation of one gateway; thread-safe.
 
     Args:
-        started_ns: Unix time of the gateway's start.
-        tell: called with sender and number of commands thrown away, at most once a second for each sender.
-        guarded: whether the keys of commands say who sends.
+        started_ns: Unix time of the gateway's start, ns.
+        tell: is called with sender and number of refused commands, at most once a second for each sender.
+        guarded: whether the bus is guarded, so that the keys of commands contain the sender.
     """
 
     def __init__(self, started_ns: int, tell: Callable[[str, int], None], *, guarded: bool = True) -> None:
@@ -102,11 +102,11 @@ class Authorizer:
         self._floods: OrderedDict[str, _Flood] = OrderedDict()
 
     def clock_stepped(self, step_ns: int) -> None:
-        """The host's clock was set: this is when the gateway started by the clock of now."""
+        """Correct the time of the gateway's start after a step of the host's clock."""
         self._started_ns += step_ns
 
     def sender(self, key: str, arrived_ns: int) -> Sender | Refusal:
-        """Who sends under `key`."""
+        """The sender of a command with this key, or a refusal."""
         if not self.guarded:
             return Sender(name="", role=None, arrived_ns=arrived_ns, started_ns=self._started_ns)
         found = topics.sender(key)
@@ -117,7 +117,7 @@ class Authorizer:
         return Sender(name=name, role=Role[role.upper()], arrived_ns=arrived_ns, started_ns=self._started_ns)
 
     def flooded(self, sender: Sender, now_s: float) -> bool:
-        """Use up one command of the sender's share; True if nothing is left of it.  Not to be asked for STOP."""
+        """Count a command of the sender; True if its rate is exceeded.  Not for STOP."""
         assert self.guarded
         with self._lock:
             flood = self._floods.get(sender.name)

@@ -1,12 +1,12 @@
-"""The router's access control as zenoh wants it: what each of us may put, ask and answer.  Pure.
+"""The router's access control in zenoh's format: what each account may publish, query and answer.  Pure.
 
-Rule 1: what is not allowed here is denied, for everybody.
-Rule 2: everybody who is let in at all may read; only the gateway puts states, only the twin puts twin/*.
-Rule 3: a person's command goes under `command/as/<role>/<name>`, and under no other role or name.  Whether the role
-        suffices is the gateway's decision (roles.py): it says why, and logs the attempt.  The router says nothing.
-Rule 4: the views' account may send as anybody: OPC UA and the web page have checked the password themselves.
-Rule 5: over TLS and QUIC a password counts only together with the certificate of the same name.  The other protocols
-        know no certificates; `listeners.py` keeps them on this machine.
+Rule 1: what is not allowed here is denied to all accounts.
+Rule 2: all accounts may read; only the gateway publishes states, and only the twin publishes twin/*.
+Rule 3: a user's command has the key `command/as/<role>/<name>` with the user's own role and name.  The gateway decides
+        whether the role suffices (roles.py), because it can give a reason and log the attempt, which the router cannot.
+Rule 4: the views' account may send under any name: OPC UA and the web page have checked the password themselves.
+Rule 5: over TLS and QUIC a password is valid only together with the certificate of the same name.  The other protocols
+        have no certificates; `listeners.py` restricts them to this machine.
 """
 
 from __future__ import annotations
@@ -17,19 +17,24 @@ from typing import Any
 from gateway.access.roles import Role
 from protocol.bus import topics
 
-SERVICES = ("gateway", "twin", "views")  # names that are nobody's login
-LARGEST_COMMAND = 65_536  # bytes that pass the router; the gateway says "oversize" from 4 KiB on
-LARGEST_MODEL = 4_000_000
-LARGEST_MESSAGE = 16_000_000  # bytes that the router puts together from fragments
+SERVICES = ("gateway", "twin", "views")  # reserved names; users cannot have them
+LARGEST_COMMAND = 65_536  # bytes that pass the router; the gateway refuses commands over 4 KiB as "oversize"
+LARGEST_MODEL = 4_000_000  # bytes
+LARGEST_MESSAGE = 16_000_000  # bytes of a fragmented message
 
-_WITHOUT_CERTIFICATES = ("tcp", "udp", "ws", "serial", "unixsock-stream", "unixpipe", "vsock")  # zenoh's words
+_WITHOUT_CERTIFICATES = ("tcp", "udp", "ws", "serial", "unixsock-stream", "unixpipe", "vsock")  # zenoh's names
 _READ = ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query")
 _TOLD = ("put", "delete", "reply", "liveliness_token")
-_SERVED = ("query", "declare_subscriber", "declare_queryable")  # what a publisher or queryable must hear of others
+_SERVED = ("query", "declare_subscriber", "declare_queryable")  # messages that a publisher or queryable must receive
 
 
 def access_control(site: str, people: Mapping[str, Role]) -> dict[str, Any]:
-    """The `access_control` of a router for one site."""
+    """The `access_control` section of a router's configuration for one site.
+
+    Args:
+        site: first chunk of the keys.
+        people: role of each user, by name.
+    """
     published = {
         who: [topics.key(site, "*", t.name) for t in topics.TOPICS if t.bus and t.by == who]
         for who in ("gateway", "twin")
@@ -65,7 +70,7 @@ def access_control(site: str, people: Mapping[str, Role]) -> dict[str, Any]:
 
 
 def size_limits(site: str) -> list[dict[str, Any]]:
-    """The `low_pass_filter` of a router: what is larger is dropped before it costs anybody else anything."""
+    """The `low_pass_filter` section of a router's configuration: it drops larger messages."""
     sizes = (("command", LARGEST_COMMAND), ("twin/command", LARGEST_MODEL))
     return [
         {
@@ -80,7 +85,7 @@ def size_limits(site: str) -> list[dict[str, Any]]:
 
 
 def _subjects(name: str) -> list[dict[str, Any]]:
-    """Whom zenoh takes for `name`: within a subject the lists must all match, and one entry of each list is enough."""
+    """Zenoh's subjects of an account; in a subject all lists must match, each by one of its entries."""
     certified, plain = _subject_ids(name)
     return [
         {"id": certified, "usernames": [name], "cert_common_names": [name]},

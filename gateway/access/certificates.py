@@ -1,9 +1,9 @@
-"""Certificates of one plant: a small authority of its own, what it issues, and whether a certificate is still good.
+"""Certificates of one plant: a private authority, the certificates that it issues, and their validity.
 
-RSA with 2048 bits throughout: OPC UA's Basic256Sha256 takes nothing else, and one kind serves zenoh, OPC UA and HTTPS.
-The authority is private to the plant: nothing it signs is trusted by a browser or by anybody else until told so.
+All keys are RSA with 2048 bits, which OPC UA's Basic256Sha256 requires, and which zenoh and HTTPS accept, too.
+Browsers and other programs do not trust the authority until it is installed there.
 
-Rule: a certificate is valid from a day before it was made: two hosts' clocks differ.
+Rule: a certificate is valid from a day before it was made, because the clocks of hosts differ.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from protocol.errors import ConfigError
 from protocol.files import open_regular
 
 CA_DAYS = 3650
-DAYS = 825  # of everything that it signs
+DAYS = 825  # validity of the certificates that it issues
 WARN_DAYS = 30
 _KEY_BITS = 2048
 _BACKDATED = timedelta(days=1)
@@ -39,14 +39,14 @@ class Issued:
 
 
 class Authority:
-    """Signs."""
+    """A certificate authority."""
 
     def __init__(self, certificate: x509.Certificate, key: rsa.RSAPrivateKey) -> None:
         self._certificate, self._key = certificate, key
 
     @classmethod
     def create(cls, name: str, *, now: datetime, days: float = CA_DAYS) -> tuple[Authority, Issued]:
-        """A new one, and what must be kept of it."""
+        """Create an authority; returns it with its certificate and key, which must be stored."""
         key = rsa.generate_private_key(public_exponent=65537, key_size=_KEY_BITS)
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
         certificate = (
@@ -59,7 +59,7 @@ class Authority:
 
     @classmethod
     def load(cls, certificate: bytes, key: bytes) -> Authority:
-        """From the PEM texts that `create` gave.  Raises ValueError where they are not such."""
+        """Load an authority from the PEM data of `create`.  Raises ValueError if they are not valid."""
         loaded = serialization.load_pem_private_key(key, password=None)
         if not isinstance(loaded, rsa.RSAPrivateKey):
             raise ValueError("not an RSA key")
@@ -68,14 +68,14 @@ class Authority:
     def issue(
         self, name: str, *, now: datetime, hosts: Sequence[str] = (), uris: Sequence[str] = (), days: float = DAYS
     ) -> Issued:
-        """A certificate for a server (with its hosts), a client (without), or both: OPC UA asks both of each.
+        """Issue a client certificate, which is also a server certificate if hosts are given.
 
         Args:
-            name: its common name.
-            now: when.
-            hosts: names and IP addresses under which it is reached.
+            name: common name.
+            now: time of issue.
+            hosts: names and IP addresses of the server.
             uris: application URIs of OPC UA.
-            days: for how long; negative ones are in the past.
+            days: validity; negative: already expired.
         """
         key = rsa.generate_private_key(public_exponent=65537, key_size=_KEY_BITS)
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
@@ -95,10 +95,15 @@ class Authority:
 
 
 def check_certificate(path: Path, *, what: str, now: datetime | None = None) -> float:
-    """For how many days it is still good.
+    """Days for which a certificate is still valid.
+
+    Args:
+        path: PEM file.
+        what: its description, for errors.
+        now: time of the check; None: now.
 
     Raises:
-        ConfigError: absent, not a certificate, expired or not yet valid.
+        ConfigError: the file is missing or not a certificate, or the certificate is expired or not yet valid.
     """
     now = datetime.now(UTC) if now is None else now
     try:

@@ -1,16 +1,16 @@
-"""The folder that `board51 security init` makes: everything secret of one plant, and what is where in it.
+"""The folder that `board51 security init` makes, with the keys, passwords and users of one plant.
 
     security.toml              site and host names
-    ca.pem, ca-key.pem         the authority; take ca-key.pem away and keep it safe, it is needed for new people only
+    ca.pem, ca-key.pem         the authority; keep ca-key.pem elsewhere, it is needed for new users and renewals only
     users.toml                 logins of OPC UA and the web page
-    bus/router.pem, -key.pem   the router's (or the gateway's, where it is the router)
+    bus/router.pem, -key.pem   of the router (or of the gateway, if that is the router)
     bus/passwords.txt          zenoh's dictionary
     bus/router.json5           for `board51 router --config` or a stock zenohd
     opcua/server.pem, -key.pem
     hmi/server.pem, -key.pem
-    identities/NAME/           see protocol/bus/identity.py; one for each person and for gateway, twin and views
+    identities/NAME/           see protocol/bus/identity.py; one for each user and for gateway, twin and views
 
-Rule: everything secret has mode 0600, and what has not is refused.
+Rule: secret files have mode 0600; a file open to others is refused.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _SERVERS = {"bus/router": (), "opcua/server": (OPCUA_URI,), "hmi/server": ()}
 
 @dataclass(frozen=True, slots=True)
 class SecurityFolder:
-    """Paths, and what is in them."""
+    """The security folder: paths, creation, changes and checks."""
 
     path: Path
 
@@ -56,12 +56,12 @@ class SecurityFolder:
 
     @property
     def passwords(self) -> Path:
-        """Names and passwords of the bus, as zenoh reads them."""
+        """Names and passwords of the bus, in zenoh's format."""
         return self.path / "bus" / "passwords.txt"
 
     @property
     def router_config(self) -> Path:
-        """For a router of its own."""
+        """Configuration of a separate router."""
         return self.path / "bus" / "router.json5"
 
     def server(self, which: str) -> tuple[Path, Path]:
@@ -70,11 +70,11 @@ class SecurityFolder:
         return self.path / f"{stem}.pem", self.path / f"{stem}-key.pem"
 
     def identity_path(self, name: str) -> Path:
-        """Where the identity of a person or service is."""
+        """Folder of the identity of a user or service."""
         return self.path / "identities" / name
 
     def identity(self, name: str) -> Identity:
-        """Raises ConfigError where it is not usable."""
+        """The identity of a user or service.  Raises ConfigError if it is not valid."""
         return load_identity(self.identity_path(name))
 
     # -- making
@@ -82,9 +82,14 @@ class SecurityFolder:
     def init(self, *, site: str = DEFAULT_SITE, hosts: Sequence[str] = (), now: datetime | None = None) -> None:
         """Make the authority, the servers' certificates and the services' identities.
 
+        Args:
+            site: first chunk of the keys.
+            hosts: further names and addresses of the servers.
+            now: time of issue; None: now.
+
         Raises:
-            UsageError: there is something already.
-            ConfigError: the site is no name.
+            UsageError: the folder is not empty or cannot be written.
+            ConfigError: the site is not a valid name.
         """
         check_name(site, what="--site")
         now = datetime.now(UTC) if now is None else now
@@ -104,7 +109,7 @@ class SecurityFolder:
         self.renew(now=now)
 
     def renew(self, *, now: datetime | None = None, days: float = DAYS) -> None:
-        """New certificates for all servers, services and people; names, roles and passwords stay."""
+        """Issue new certificates for all servers, services and users; names, roles and passwords stay the same."""
         now = datetime.now(UTC) if now is None else now
         authority, (_, hosts) = self._authority(), self._settings()
         for stem, uris in _SERVERS.items():
@@ -117,10 +122,10 @@ class SecurityFolder:
         self._write_bus()
 
     def add_user(self, user: User, password: str, *, now: datetime | None = None) -> Path:
-        """Login and identity of a person, new or with a new role; the folder of the identity.
+        """Add a user, or change role and password; returns the folder of the identity.
 
         Raises:
-            UsageError: a reserved name, or an unusable password.
+            UsageError: the name is reserved, or the password is too short or too long.
         """
         if user.name in SERVICES:
             raise UsageError(
@@ -134,7 +139,7 @@ class SecurityFolder:
         return self.identity_path(user.name)
 
     def remove_user(self, name: str) -> None:
-        """Take login and bus away.  Raises UsageError where there is none of that name."""
+        """Remove a user's login and identity.  Raises UsageError if there is no such user."""
         if not remove_user(self.users, name):
             raise UsageError(f"{name} is not a user", remedy=f"There are {', '.join(self.people()) or 'none'}")
         for file in self.identity_path(name).glob("*"):
@@ -146,19 +151,19 @@ class SecurityFolder:
     # -- reading
 
     def people(self) -> Mapping[str, Role]:
-        """Everybody who may log in."""
+        """The role of each user, by name."""
         return Users.load(self.users).names()
 
     @property
     def site(self) -> str:
-        """First chunk of the keys that this folder guards."""
+        """First chunk of the keys."""
         return self._settings()[0]
 
     def check(self, *, now: datetime | None = None) -> dict[str, float]:
-        """Days that each certificate is still good for, and that nothing secret is open to others.
+        """Check the folder; returns the days for which each certificate is still valid.
 
         Raises:
-            ConfigError: the first thing that is wrong.
+            ConfigError: the first problem: a missing or invalid file, a file open to others, an expired certificate.
         """
         now = datetime.now(UTC) if now is None else now
         self._settings()
@@ -183,12 +188,12 @@ class SecurityFolder:
     def router(
         self, listen: Sequence[str], connect: Sequence[str] = (), *, name: str = "gateway", wait_for_router: bool = True
     ) -> str:
-        """JSON5 text for `zenoh.Config.from_json5`: a router that lets in only whom this folder knows.
+        """Configuration of a router that admits only the accounts of this folder, for `zenoh.Config.from_json5`.
 
         Args:
-            listen: endpoints.
-            connect: of another router that it joins.
-            name: the identity with which it joins that one.
+            listen: endpoints to listen on.
+            connect: endpoints of another router to join.
+            name: identity for that router.
             wait_for_router: see `zenoh_config`.
         """
         site, _ = self._settings()

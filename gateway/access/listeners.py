@@ -1,6 +1,6 @@
-"""Which listeners may be opened: loopback always, anything else only protected, or by an explicit `--insecure`.
+"""Which listeners may be opened: loopback always, others only if protected or with an explicit `--insecure`.
 
-The gateway, the router, OPC UA and the web page all ask here.
+The gateway, the router, OPC UA and the web page use these checks.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _logger = logging.getLogger("gateway.access")
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches `host`; a name other than localhost does not count."""
+    """Whether `host` is a loopback address or localhost; other names are not resolved."""
     bare = host.strip("[]").partition("%")[0]
     try:
         address = ipaddress.ip_address(bare)
@@ -27,17 +27,17 @@ def is_loopback(host: str) -> bool:
 
 
 def check_listener(host: str, *, protected: bool, insecure: bool, what: str, remedy: str) -> None:
-    """Refuse to open a listener that others reach and nobody guards.
+    """Check that a listener may be opened.
 
     Args:
         host: to listen on, a name or an address.
-        protected: it encrypts and asks who comes.
-        insecure: the user has said `--insecure`.
-        what: listens, for the error: "The web page at 0.0.0.0:8051".
-        remedy: how to protect it; " or listen on 127.0.0.1; --insecure opens it all the same" is added.
+        protected: whether it encrypts and authenticates.
+        insecure: whether the user gave `--insecure`.
+        what: description of the listener, for errors: "The web page at 0.0.0.0:8051".
+        remedy: how to protect it; ", or listen on 127.0.0.1; --insecure opens it all the same" is added.
 
     Raises:
-        ConfigError: as said.
+        ConfigError: the listener is open to the network without protection.
     """
     if protected or is_loopback(host):
         return
@@ -50,10 +50,10 @@ def check_listener(host: str, *, protected: bool, insecure: bool, what: str, rem
 
 
 def check_bus_listeners(endpoints: Sequence[str], *, guarded: bool, insecure: bool) -> None:
-    """The same for zenoh endpoints.  On a guarded bus, too, what leaves this machine must be encrypted.
+    """`check_listener` for zenoh endpoints; on a guarded bus, listeners beyond this machine must be encrypted.
 
     Raises:
-        ConfigError: as said.
+        ConfigError: a listener is open to the network without protection.
     """
     for endpoint in endpoints:
         protocol, host = endpoint_host(endpoint)
@@ -80,13 +80,13 @@ def endpoint_host(endpoint: str) -> tuple[str, str]:
 
 
 def nearest(endpoints: Sequence[str]) -> str:
-    """Which of several listeners a process of this machine takes: one that others cannot reach, where there is one."""
+    """The listener for a process of this machine: one on loopback if there is any, otherwise the first."""
     local = [endpoint for endpoint in endpoints if is_loopback(endpoint_host(endpoint)[1])]
     return to_reach((local or list(endpoints))[0])
 
 
 def to_reach(endpoint: str) -> str:
-    """What a process of this machine connects to where `endpoint` is listened on: 0.0.0.0 is no destination."""
+    """The endpoint for a process of this machine to connect to: 0.0.0.0 and [::] are replaced by loopback."""
     for anywhere, here in (("/0.0.0.0:", "/127.0.0.1:"), ("/[::]:", "/[::1]:")):
         endpoint = endpoint.replace(anywhere, here)
     return endpoint

@@ -1,6 +1,6 @@
-"""Name and password in, the user out: `users.py` behind the pace of `tries.py`.  One event loop.
+"""Logins: authentication by `users.py` with the rate limit of `tries.py`.  For one event loop.
 
-Rule: a login takes no thread but AT_ONCE of its own.  STOP and everything else that runs beside it has others.
+Rule: logins use AT_ONCE threads of their own, so that they delay neither STOP nor anything else.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from gateway.access.tries import Tries
 from gateway.access.users import User, Users
 
 AT_ONCE = 2
-PATIENCE_S = 10.0  # a person at a form waits for so long
+PATIENCE_S = 10.0  # longest wait of a user at a form
 
 
 @dataclass(frozen=True, slots=True)
 class TooMany:
-    """The password was not looked at."""
+    """The attempt was refused by the rate limit; the password was not checked."""
 
-    wait_s: float  # before it is worth coming again
+    wait_s: float  # time until another attempt is possible
 
 
 class Logins:
-    """Of one server.
+    """The logins of one server.
 
     Args:
-        users: who there is.
-        clock: monotonic seconds.
-        sleep: as asyncio's.
+        users: the users.
+        clock: monotonic time, s.
+        sleep: as `asyncio.sleep`.
     """
 
     def __init__(
@@ -46,13 +46,13 @@ class Logins:
         self._pool = ThreadPoolExecutor(AT_ONCE, "login")
 
     async def login(self, name: str, password: str, host: str, *, browser: str = "") -> User | TooMany | None:
-        """The user; None for a wrong name and a wrong password alike.
+        """Check a login; returns None for a wrong name or password.
 
         Args:
-            name: as typed.
-            password: as typed.
-            host: address that it comes from.
-            browser: token of a session that this browser has or had under this name.
+            name: user name.
+            password: password.
+            host: address of the client.
+            browser: token of a present or past session of this browser under this name; empty: none.
         """
         turn = self._tries.turn(name, host, self._clock(), patience_s=PATIENCE_S, browser=browser)
         if not turn.granted:
@@ -65,7 +65,7 @@ class Logins:
         return user
 
     def at_once(self, name: str, password: str, host: str) -> User | TooMany | None:
-        """The same for a caller that cannot wait."""
+        """`login` for a caller that cannot wait."""
         turn = self._tries.turn(name, host, self._clock(), patience_s=0.0)
         if not turn.granted:
             return TooMany(turn.wait_s)

@@ -1,7 +1,7 @@
-"""A password as a line of text that does not give it away: scrypt with a salt.
+"""Password hashes: scrypt with a salt (RFC 7914).
 
-`scrypt$<n>$<r>$<p>$<salt>$<key>`, salt and key in hexadecimal.  The costs are in the line, so that they can be raised
-for new passwords without losing the old ones.
+A hash is the line `scrypt$<n>$<r>$<p>$<salt>$<key>` with salt and key in hexadecimal.  It contains the costs, so that
+they can be raised for new passwords while the old ones remain valid.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ import secrets
 
 from protocol.errors import UsageError
 
-_N, _R, _P = 2**14, 8, 1  # 16 MiB and about 50 ms: one try costs an attacker what it costs us
+_N, _R, _P = 2**14, 8, 1  # 16 MiB and about 50 ms for each attempt
 _MAX_MEMORY = 64 * 2**20
 SHORTEST = 8
-LONGEST = 256  # characters; a megabyte of password is an attack
-NOBODY = f"scrypt${_N}${_R}${_P}${'00' * 16}${'00' * 32}"  # matches no password; costs what a real one does
+LONGEST = 256  # characters; a much longer password is an attack
+NOBODY = f"scrypt${_N}${_R}${_P}${'00' * 16}${'00' * 32}"  # matches no password, but takes as long as a real one
 
 
 def hash_password(password: str) -> str:
-    """The line for `password`.
+    """The hash of a new password.
 
     Raises:
-        UsageError: too short or too long.
+        UsageError: it is too short or too long.
     """
     if not SHORTEST <= len(password) <= LONGEST:
         raise UsageError(
@@ -34,7 +34,7 @@ def hash_password(password: str) -> str:
 
 
 def matches(password: str, line: str) -> bool:
-    """Whether `password` is the one of `line`; takes as long for a wrong one."""
+    """Whether `password` has the hash `line`; a wrong one takes as long."""
     n, r, p, salt, key = _parts(line)
     if len(password) > LONGEST:
         return False
@@ -42,7 +42,7 @@ def matches(password: str, line: str) -> bool:
 
 
 def is_line(text: str) -> bool:
-    """Whether `text` has the form of a line."""
+    """Whether `text` is a valid hash."""
     try:
         n, r, p, salt, key = _parts(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Files that only their owner may read: keys, passwords.  One rule for writing them and one for refusing others."""
+"""Private files (keys, passwords): write them with mode 0600, and refuse files that are open to others."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _REMEDY = "Give the folder that `board51 security init` made, as its owner"
 
 
 def write_private(path: Path, data: bytes) -> None:
-    """Write `data` with mode 0600, all of it or nothing; never for a moment readable by others.
+    """Write `data` atomically with mode 0600; it is never readable by others.
 
     Raises:
-        UsageError: it cannot be written there.
+        UsageError: the file cannot be written.
     """
     fresh = path.with_name(f".{path.name}.new")
     with writing(path):
@@ -29,14 +29,14 @@ def write_private(path: Path, data: bytes) -> None:
 
 
 def read_private(path: Path, *, what: str) -> bytes:
-    """What is in a file that nobody else may read.
+    """Read a private file.
 
     Args:
         path: of the file.
-        what: it is, for the error.
+        what: its description, for errors.
 
     Raises:
-        ConfigError: it is absent, or others may read or change it.
+        ConfigError: the file is missing or open to others.
     """
     check_private(path, what=what)
     with open_regular(path, remedy=_REMEDY, what=f"{what} ", error=ConfigError) as file:
@@ -44,10 +44,10 @@ def read_private(path: Path, *, what: str) -> bytes:
 
 
 def check_private(path: Path, *, what: str) -> None:
-    """Refuse a file that is absent or open to others.
+    """Check that a file exists and is private.
 
     Raises:
-        ConfigError: see above.
+        ConfigError: the file is missing or open to others.
     """
     try:
         mode = stat.S_IMODE(path.stat().st_mode)
@@ -58,9 +58,9 @@ def check_private(path: Path, *, what: str) -> None:
 
 
 def open_output() -> str:
-    """The mode of standard output where it is a file that others may read (`> FILE` makes such a one), else ""."""
+    """The mode of standard output if it is a file that others may read (as with `> FILE`), otherwise ""."""
     try:
         mode = os.fstat(sys.stdout.fileno()).st_mode
-    except (OSError, ValueError):  # there is no standard output, or it is no file of the system
+    except (OSError, ValueError):  # there is no standard output, or it has no file descriptor
         return ""
     return f"{stat.S_IMODE(mode):04o}" if stat.S_ISREG(mode) and mode & 0o077 else ""

@@ -1,9 +1,9 @@
-"""THE table of rights: which role each act needs at least.  Pure.
+"""The table of rights: the least role for each action.  Pure.
 
-Rule 1: whoever decides about rights (gateway, OPC UA, web page, the router's access control) asks this table.
-Rule 2: an act that is not in the table is not allowed to anybody.
-Rule 3: STOP is everybody's who is let in: who sees that something goes wrong must not have to look for somebody else.
-        A viewer can drop a ball that way; the log says who did.
+Rule 1: all decisions about rights (gateway, OPC UA, web page, the router's access control) use this table.
+Rule 2: an action that is not in the table is not allowed.
+Rule 3: every user may send STOP, so that anyone who sees a danger can act at once.  A viewer can drop the ball this
+        way; the log has the name.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from protocol.errors import ConfigError
 
 
 class Role(enum.IntEnum):
-    """Ordered: each role may do what the one below may."""
+    """The roles in rising order; each has the rights of those below."""
 
     VIEWER = 1
     OPERATOR = 2
@@ -22,15 +22,15 @@ class Role(enum.IntEnum):
 
     @property
     def word(self) -> str:
-        """As in files, keys and the log: `operator`."""
+        """The role's name in files, keys and the log, such as `operator`."""
         return self.name.lower()
 
 
 ROLE_WORDS = tuple(role.word for role in Role)
 
-# Kinds of pb.Command and pb.TwinCommand by the name of their field, then acts of views that are no command.
+# Commands by the name of their field in pb.Command and pb.TwinCommand, then actions of views that are not commands.
 LEAST_ROLE: dict[str, Role] = {
-    "read": Role.VIEWER,  # everything published, logs, reports
+    "read": Role.VIEWER,  # published data, logs, reports
     "ping": Role.VIEWER,
     "stop": Role.VIEWER,
     "set_mode": Role.OPERATOR,
@@ -45,7 +45,7 @@ LEAST_ROLE: dict[str, Role] = {
     "set_host_loss": Role.ENGINEER,
     "use_model": Role.ENGINEER,  # of the twin
     "campaign": Role.ENGINEER,  # sets the stream divider among other things
-    "disable_alarm": Role.ENGINEER,  # of OPC UA: its clients are not told of it until it is enabled
+    "disable_alarm": Role.ENGINEER,  # of OPC UA: its clients do not receive the alarm until it is enabled again
 }
 
 
@@ -53,7 +53,7 @@ def parse_role(word: str, *, where: str) -> Role:
     """The role of that name.
 
     Raises:
-        ConfigError: names `where`, the word and the allowed ones.
+        ConfigError: it is not a role; the message gives `where`, the word and the roles.
     """
     if word not in ROLE_WORDS:
         raise ConfigError(f"{where}: {word!r} is not a role", remedy=f"Write one of {', '.join(ROLE_WORDS)}")
@@ -61,7 +61,7 @@ def parse_role(word: str, *, where: str) -> Role:
 
 
 def may(role: Role, act: str) -> bool:
-    """Whether `role` may do `act`, a key of LEAST_ROLE."""
+    """Whether `role` may perform `act`, a key of LEAST_ROLE."""
     least = LEAST_ROLE.get(act)
     return least is not None and role >= least
 

@@ -1,17 +1,17 @@
-"""How often passwords may be tried: by where they come from, never by whose name is tried.  Pure: time comes in.
+"""Rate limit of password attempts, by source and not by user name.  Pure: the caller gives the time.
 
-A lock on a name would let anybody lock out the operator.  Here every source of logins has a lane of its own: BURST
-tries at once, then one in PACE_S, in the order in which they came.
+A lock on a name would let any client lock out the operator.  Here each source has a lane of its own: BURST attempts at
+once, then one in PACE_S, in the order of arrival.
 
-Rule 1: a lane is an address (of IPv6 its /64 network).  Who came in with the right password has further lanes, which
-        others' tries do not fill: one for that name from that address, and one for the browser that still shows the
-        cookie of its last session.
-Rule 2: the lanes of strangers, taken together, move on at TOGETHER_PACE_S: a flood from many addresses must not take
-        the processor.  It does not hold up those who came in before.
-Rule 3: a try that would have to wait for longer than the caller's patience is refused at once, with the time, and
-        leaves no trace.  So at most patience / PACE_S tries wait in a lane.
-Rule 4: a right password costs RIGHT_COST of a wrong one: a plant's clients may all come back at once.
-Rule 5: memory is bounded: the lane that was idle longest makes room.
+Rule 1: a source is an address (for IPv6 its /64 network).  After a successful login, further lanes are separate from
+        the attempts of others: one for that name from that address, and one for the browser with the cookie of its last
+        session.
+Rule 2: all sources without a successful login together are limited to one attempt in TOGETHER_PACE_S, so that a flood
+        from many addresses does not use up the processor.  Others are not delayed by it.
+Rule 3: an attempt that would wait longer than the caller's patience is refused at once with the waiting time, and does
+        not count.  So at most patience / PACE_S attempts wait in a lane.
+Rule 4: a right password counts only RIGHT_COST of an attempt, because all clients of a plant may reconnect at once.
+Rule 5: memory is bounded: the lane that was idle for the longest time is dropped.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dataclasses import dataclass
 BURST = 5
 PACE_S = 1.0
 TOGETHER_BURST = 20
-TOGETHER_PACE_S = 0.2  # of two cores a quarter of one: a try costs 50 ms
+TOGETHER_PACE_S = 0.2  # a quarter of one core, as an attempt takes 50 ms
 RIGHT_COST = 0.25
 MAX_TRACKED = 1000
 _logger = logging.getLogger("gateway.access")
@@ -33,30 +33,30 @@ _logger = logging.getLogger("gateway.access")
 
 @dataclass(slots=True)
 class Lane:
-    """A queue without a queue: it knows only when the next try would be due if there were no burst."""
+    """A rate limiter with burst; `due_s` is when the next attempt would be due without a burst."""
 
     burst: int = BURST
     pace_s: float = PACE_S
     due_s: float = float("-inf")
 
     def wait_s(self, now_s: float) -> float:
-        """For how long a try that comes now has to wait."""
+        """Waiting time of an attempt at `now_s`, s."""
         return max(0.0, self.due_s - now_s - (self.burst - 1) * self.pace_s)
 
     def take(self, now_s: float) -> None:
-        """A try is under way, or waits."""
+        """Count an attempt."""
         self.due_s = max(self.due_s, now_s) + self.pace_s
 
     def give_back(self) -> None:
-        """It was the right one."""
+        """Reduce the cost of an attempt whose password was right."""
         self.due_s -= (1.0 - RIGHT_COST) * self.pace_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turn:
-    """When a try may be made."""
+    """The permission for an attempt."""
 
-    granted: bool  # else not at all: come again when `wait_s` is over
+    granted: bool  # False: refused; another attempt is possible after `wait_s`
     wait_s: float
     lanes: tuple[Lane, ...]
 
@@ -70,14 +70,14 @@ class Tries:
         self._known: OrderedDict[Hashable, None] = OrderedDict()
 
     def turn(self, name: str, host: str, now_s: float, *, patience_s: float, browser: str = "") -> Turn:
-        """The turn of a try that comes now.
+        """Request an attempt.
 
         Args:
-            name: that is tried.
-            host: address that it comes from.
-            now_s: monotonic.
-            patience_s: for how long the caller would wait.
-            browser: token of a session that this browser has or had under this name; empty: none.
+            name: user name.
+            host: address of the source.
+            now_s: monotonic time, s.
+            patience_s: longest time that the caller waits, s.
+            browser: token of a present or past session of this browser under this name; empty: none.
         """
         source, stranger = network(host), False
         if browser:
@@ -94,12 +94,12 @@ class Tries:
             free = lane.wait_s(now_s) == 0.0
             for one in lanes:
                 one.take(now_s)
-            if free and lane.wait_s(now_s) > 0.0:  # told once for each flood
+            if free and lane.wait_s(now_s) > 0.0:  # once for each flood
                 _logger.warning("many passwords are tried from %s: from now on one in %g s", source, lane.pace_s)
         return Turn(granted=granted, wait_s=wait_s, lanes=lanes)
 
     def right(self, turn: Turn, name: str, host: str) -> None:
-        """The try of this turn had the right password."""
+        """Record that the password of this attempt was right."""
         for lane in turn.lanes:
             lane.give_back()
         self._known[name, network(host)] = None
@@ -114,7 +114,7 @@ class Tries:
 
 
 def network(host: str) -> str:
-    """What one machine has of addresses: one of IPv4, a /64 of IPv6."""
+    """The addresses that count as one machine: an IPv4 address, or the /64 network of an IPv6 address."""
     try:
         address = ipaddress.ip_address(host.partition("%")[0])
     except ValueError:

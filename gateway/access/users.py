@@ -1,14 +1,14 @@
-"""Who may log in at OPC UA and the web page: names, roles and hashed passwords in users.toml.
+"""The users of OPC UA and the web page: names, roles and hashed passwords in users.toml.
 
     [users.ana]
     role = "operator"
     password = "scrypt$16384$8$1$...$..."
 
-Rule 1: the file is its owner's alone (mode 0600); a file open to others is refused.
-Rule 2: a wrong name costs as much time as a wrong password and gets the same answer.
-Rule 3: a changed file is taken over at the next look; a broken one is reported and changes nothing.
+Rule 1: only the owner may read the file (mode 0600); a file open to others is refused.
+Rule 2: a wrong name takes as long as a wrong password and gets the same answer.
+Rule 3: a changed file is read at the next use; an invalid one is reported and has no effect.
 
-How often passwords may be tried is the matter of tries.py.
+tries.py limits the rate of password attempts.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _logger = logging.getLogger("gateway.access")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class User:
-    """Somebody who gave the right password, or whose identity the bus has checked."""
+    """An authenticated user: by password, or by an identity that the bus has checked."""
 
     name: str
     role: Role
@@ -45,7 +45,7 @@ class _Entry:
 
 
 class Users:
-    """The users of one file.  Any thread."""
+    """The users of one file.  Thread-safe."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -58,12 +58,12 @@ class Users:
         """Read the file.
 
         Raises:
-            ConfigError: absent, open to others, not TOML, a typo; names the line and what is allowed.
+            ConfigError: the file is missing, open to others or not valid; the message names the line.
         """
         return cls(path)
 
     def check(self, name: str, password: str) -> User | None:
-        """The user, or None for a wrong name and a wrong password alike; slow on purpose."""
+        """The user, or None for a wrong name or password; slow on purpose."""
         with self._lock:
             self._refresh()
             entry = self._entries.get(name)
@@ -71,14 +71,14 @@ class Users:
         return User(name=name, role=entry.role) if right and entry is not None else None
 
     def find(self, name: str) -> User | None:
-        """The user of that name as the file has it now: for sessions that outlive a change of role."""
+        """The user of that name in the current file, or None; sessions use it to notice a change of role."""
         with self._lock:
             self._refresh()
             entry = self._entries.get(name)
         return None if entry is None else User(name=name, role=entry.role)
 
     def names(self) -> Mapping[str, Role]:
-        """Everybody and their role."""
+        """The role of each user, by name."""
         with self._lock:
             self._refresh()
             return {name: entry.role for name, entry in self._entries.items()}
@@ -104,11 +104,11 @@ class Users:
 
 
 def set_user(path: Path, user: User, password: str) -> None:
-    """Add a user, or give an old one a new role and password.
+    """Add a user, or give an existing one a new role and password.
 
     Raises:
         UsageError: the password is too short or too long.
-        ConfigError: the file or the name is not usable.
+        ConfigError: the file or the name is not valid.
     """
     check_name(user.name, what="user")
     entries = _read(path) if path.exists() else {}
@@ -117,7 +117,7 @@ def set_user(path: Path, user: User, password: str) -> None:
 
 
 def remove_user(path: Path, name: str) -> bool:
-    """Whether there was one."""
+    """Remove a user; returns whether there was one.  Raises ConfigError if the file is not valid."""
     entries = _read(path)
     if entries.pop(name, None) is None:
         return False
@@ -176,7 +176,7 @@ def _entry(path: Path, text: str, name: str, fields: object) -> _Entry:
 
 
 def _line(text: str, name: str, key: str = "") -> int:
-    """The line of `[users.name]`, or of a key in it; TOML's reader does not say."""
+    """The line number of `[users.name]`, or of a key in it, which the TOML parser does not give."""
     lines = text.splitlines()
     header = re.compile(rf"""\[\s*(users\s*\.\s*)?["']?{re.escape(name)}["']?\s*\]|{re.escape(name)}\s*=""")
     start = next((n for n, line in enumerate(lines) if header.match(line.strip())), 0)

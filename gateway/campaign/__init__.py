@@ -1,6 +1,6 @@
-"""The paper's experiments on a live board, through the bus alone: what `board51 campaign run` does.
+"""The paper's experiments on a live board, through the bus alone: `board51 campaign run`.
 
-Reading order: `menu` (what is done, as a table), `plan` (the table in volts and metres of one rig), `checks` (is a
-recording usable), `subscriber` and `rig` (listening, commanding), `folder` (what is kept), `outcome` and `runner` (the
-order of it all).  `menu`, `plan`, `checks` and `outcome` are pure.
+Reading order: `menu` (table of experiments), `plan` (the table in volts and metres of one rig), `checks` (whether a
+recording is usable), `subscriber` and `rig` (listening, commanding), `folder` (the files), `outcome` and `runner` (the
+sequence).  `menu`, `plan`, `checks` and `outcome` are pure.
 """

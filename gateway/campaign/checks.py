@@ -1,9 +1,9 @@
-"""Is a recording usable?  Samples in, problems out.  Pure.
+"""Checks whether a recording is usable: from samples to problems.  Pure.
 
-Rule 1: a check looks for what spoils a recording, not for what makes a rig interesting: effects that a diagnosis wants
-        to see (a wrong force law, a coloured noise, single lost samples) pass.
-Rule 2: levels are relative to where this ball rests and to the travel, never to zero: a sensor may be off.
-Rule 3: every problem says what was seen, and whether a repetition may go better, and how (`Cure`).
+Rule 1: a check finds faults of the recording.  Effects for the diagnosis (another force law, coloured noise, single
+        lost samples) pass.
+Rule 2: positions are relative to the reading at rest and to the travel, because the sensor may have an offset.
+Rule 3: each problem says what was observed, and whether and how a repetition may help (`Cure`).
 """
 
 from __future__ import annotations
@@ -23,36 +23,36 @@ from protocol.wire.messages import Flag
 FloatArray = NDArray[np.float64]
 Cure = Literal["again", "raise", "lower", "none"]
 
-MOST_LOST_SHARE = 0.15  # of the samples; a rig that loses single ones everywhere can still be identified
-LONGEST_GAP_S = 0.05  # four e-folds of the unstable pole: nothing connects the two sides
+MOST_LOST_SHARE = 0.15  # of the samples; with fewer single losses a rig can be identified
+LONGEST_GAP_S = 0.05  # four time constants of the unstable pole
 CLIPPED_SHARE = 0.01  # of the samples at a converter's end
 SATURATED_SHARE = 0.25  # of the samples with u_c at a limit: the law no longer controls
-LIFTED_SHARE = 0.1  # of the travel: farther from the rest than that, the ball has left it
-STOP_SHARE = 0.03  # of the travel: nearer to a stop than that is at it
-AT_STOP_S = 0.1  # in closed loop: longer at a stop is no flight (an overshoot touches it for some 10 ms)
-OFF_SHARE = 0.06  # of the travel: median distance of x from x_ref, where the loop follows
+LIFTED_SHARE = 0.1  # of the travel: a ball farther from its rest has left it
+STOP_SHARE = 0.03  # of the travel: a ball nearer to a stop is at it
+AT_STOP_S = 0.1  # longest time at a stop in closed loop; an overshoot touches it for some 10 ms
+OFF_SHARE = 0.06  # of the travel: largest median distance of x from x_ref
 FOLLOWED_SHARE = 0.2  # of the reference's range: a ball that moves less does not follow it
-STILL_SHARE = 0.02  # of the travel: less is no movement
+STILL_SHARE = 0.02  # of the travel: largest motion of a clamped ball
 AT_LIMIT_SHARE = 0.98
 FEWEST_CROSSINGS_PER_S = 1.0  # of the middle of the travel, in open-loop flight
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
-    """Why a recording is not usable."""
+    """A reason why a recording is not usable."""
 
-    code: str  # kebab-case, stable
+    code: str  # stable name in kebab-case
     text: str
     cure: Cure = "again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckedRig:
-    """What the checks know of the rig."""
+    """Data of the rig for the checks."""
 
     limits: CommandLimits
     travel_m: float
-    rest_m: float  # what x reads at the ball's rest
+    rest_m: float  # reading of x with the ball at rest
     sample_time_s: float
     lift_off_v: float | None = None
 
@@ -75,7 +75,7 @@ class Samples:
 
 
 def samples_of(states: Sequence[pb.State]) -> Samples:
-    """As arrays."""
+    """The states as arrays."""
 
     def channel(name: str) -> FloatArray:
         return np.array([getattr(s, name) if s.HasField(name) else np.nan for s in states], dtype=float)
@@ -99,7 +99,7 @@ def check(
     events: Iterable[pb.Event],
     rig: CheckedRig,
 ) -> tuple[Problem, ...]:
-    """Everything that makes the recording unusable; empty: it is good."""
+    """The problems of a recording; empty if it is usable."""
     broken = _continuity(samples, events, rig)
     if broken:
         return broken
@@ -119,15 +119,15 @@ def check(
 
 
 def rest_level_m(x_m: Sequence[float]) -> float:
-    """What x reads at rest: the median of samples taken there; NaN without any."""
+    """Reading of x at rest, m: the median of samples taken there; NaN without samples."""
     return float(np.median(x_m)) if len(x_m) else float("nan")
 
 
 def departures_v(samples: Samples, rig: CheckedRig) -> list[float]:
-    """The inputs at which the ball left its rest, one for each time it did.
+    """The inputs at which the ball left its rest, V, one for each lift-off.
 
-    Read where x has visibly moved, some 10 ms after the departure: on a ramp of 1 V/s that is 0.01 V too much, which
-    does not matter for choosing amplitudes (identification goes back to the instant itself).
+    They are read when x has visibly moved, some 10 ms after the lift-off.  On a ramp of 1 V/s this is 0.01 V too much,
+    which is accurate enough to choose amplitudes; identification finds the instant itself.
     """
     away = samples.x_m - rig.rest_m > STOP_SHARE * rig.travel_m
     settled = round(0.1 / rig.sample_time_s)
@@ -139,7 +139,7 @@ def departures_v(samples: Samples, rig: CheckedRig) -> list[float]:
 
 
 def lift_off_v(samples: Samples, rig: CheckedRig) -> float | None:
-    """The lift-off input: median of the departures; None without one."""
+    """The lift-off input, V: the median over all lift-offs; None without any."""
     found = departures_v(samples, rig)
     return float(np.median(found)) if found else None
 
@@ -179,7 +179,9 @@ def _converters(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Pr
             )
         )
     position = float(np.mean((s.flags & Flag.POSITION_RANGE) != 0))
-    if position > CLIPPED_SHARE and experiment.expects == "flies":  # at a stop, an offset sensor may well be at its end
+    if (
+        position > CLIPPED_SHARE and experiment.expects == "flies"
+    ):  # at a stop, a sensor with an offset may be at its end
         problems.append(
             Problem(code="clipped-x", cure="none", text=f"x is at its converter's end in {100 * position:.0f} % of it")
         )
@@ -217,7 +219,7 @@ def _captures(experiment: Experiment, captures: Sequence[pb.CaptureRecord]) -> t
         before, after = i[: capture.step_index], i[-len(i) // 4 :]
         noise = max(float(np.std(before)), float(np.std(after)), 1e-9)
         clear += abs(float(np.mean(after) - np.mean(before))) > 3.0 * noise
-    if 2 * clear < wanted:  # a dead zone swallows a small step: that is the rig, not the recording
+    if 2 * clear < wanted:  # small steps may lie within a dead zone of the rig
         return (
             Problem(code="no-response", cure="none", text=f"i_c answers {clear} of {wanted} captured steps of u_c"),
         )
@@ -298,7 +300,7 @@ def _flies(experiment: Experiment, s: Samples, rig: CheckedRig) -> tuple[Problem
         return (
             Problem(code="clipped-u_c", cure="lower", text=f"u_c is at a limit in {100 * share:.0f} % of the samples"),
         )
-    # A fast reference is not followed point by point, so only the mean is looked at.
+    # The loop cannot follow a fast reference point by point, so only the mean is compared.
     fast = any(isinstance(step, Wave) and step.shape in ("prbs", "multisine", "chirp") for step in experiment.steps)
     error = s.x_m - s.x_ref_m
     off = abs(float(np.nanmean(error) if fast else np.nanmedian(np.abs(error)))) / rig.travel_m

@@ -1,8 +1,8 @@
-"""The folder of a campaign: one MCAP per experiment, `campaign.toml` for the tools, `run.json` to go on where it ended.
+"""The folder of a campaign: an MCAP file per experiment, `campaign.toml` for the tools, `run.json` to continue a run.
 
-Rule 1: each file is whole or absent.  Recordings and both lists are written beside their place, synced, and renamed.
-Rule 2: a recording is listed after it is there.  What is not in `campaign.toml` is not part of the campaign.
-Rule 3: one folder, one rig, one plan.  Another board, plant, law or plan is refused, and said which.
+Rule 1: each file is complete or absent: recordings and both lists are written to a temporary file, synced and renamed.
+Rule 2: a recording is listed after it was written.  Files that are not in `campaign.toml` are not part of the campaign.
+Rule 3: a folder is for one rig and one plan.  Another board, plant, law or plan is refused with the difference.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from protocol.files import parse_json, read_small
 RUN_FILE = "run.json"
 _READABLE = "Give a new folder; the recordings here stay readable"
 FORMAT = 1
-# A CE 152 as published; the same numbers as the twin's nominal model, which this package may not import.
+# The published constants of a CE 152, as in the twin's nominal model, which this package may not import.
 CE152 = Plant(name="ce152", mass_kg=8.28e-3, travel_m=5.7e-3, x_max_m=5.7e-3, gravity_m_s2=9.81)
 
 
@@ -38,12 +38,12 @@ class Retained:
     bytes: int
     seconds: float
     attempts: int
-    plan: dict[str, Any]  # what it was made with
-    said: list[str] = field(default_factory=list)  # of the attempts before
+    plan: dict[str, Any]  # of `plan_of`
+    said: list[str] = field(default_factory=list)  # problems of earlier attempts
 
 
 def identity_of(board: str, parameters: pb.Parameters, plant: Plant) -> dict[str, Any]:
-    """What must be the same for all recordings of a folder."""
+    """The data that must be the same for all recordings of a folder."""
     return {
         "board": {"name": board, "board_id": parameters.board_id, "sample_time_s": parameters.sample_time_s},
         "plant": asdict(plant),
@@ -56,13 +56,13 @@ def identity_of(board: str, parameters: pb.Parameters, plant: Plant) -> dict[str
 
 
 def plan_of(experiment: Experiment, limits: CommandLimits, seed: int) -> dict[str, Any]:
-    """What makes two recordings of one name the same experiment."""
+    """The data that must be the same for two recordings to be the same experiment."""
     steps = [{"step": type(step).__name__, **asdict(step)} for step in experiment.steps]
     return {"steps": steps, "seed": seed, "limits": asdict(limits)}
 
 
 def controller_of(parameters: pb.Parameters) -> Controller:
-    """`[controller]` as the board says it."""
+    """The `[controller]` section from the board's parameters."""
     k1, k2, k3, k4 = parameters.gains
     return Controller(
         kind="lqi" if parameters.law == pb.LAW_LQI else "pid",
@@ -75,10 +75,10 @@ class Folder:
     """A campaign's folder, new or to be continued.
 
     Args:
-        path: may be absent; `claim` makes it.
+        path: may be missing; `claim` creates it.
 
     Raises:
-        UsageError: it holds a campaign that was not made here.
+        UsageError: it has a campaign that `campaign run` did not make.
         DataError: its run.json is damaged.
     """
 
@@ -109,10 +109,13 @@ class Folder:
             raise DataError(f"{file} cannot be read ({error})", remedy=_READABLE) from None
 
     def claim(self, identity: Mapping[str, Any]) -> None:
-        """This rig, and no other.
+        """Create the folder for this rig, or check that it is of this rig.
+
+        Args:
+            identity: of `identity_of`.
 
         Raises:
-            UsageError: the folder belongs to another one, or cannot be made.
+            UsageError: the folder is of another rig, or cannot be created.
         """
         if self._identity is not None and self.retained:
             for part, known in self._identity.items():
@@ -132,10 +135,10 @@ class Folder:
             ) from None
 
     def has(self, name: str, plan: Mapping[str, Any]) -> bool:
-        """Whether the recording is there, whole.
+        """Whether the folder has the complete recording.
 
         Raises:
-            UsageError: it is there, but made by another plan.
+            UsageError: it has one that was made by another plan.
         """
         retained = self.retained.get(name)
         file = self.file_of(name)
@@ -150,7 +153,7 @@ class Folder:
         return True
 
     def file_of(self, name: str) -> Path:
-        """Where a recording lies."""
+        """Path of a recording."""
         return self.path / f"{name}.mcap"
 
     def keep(
@@ -159,7 +162,7 @@ class Folder:
         """Write a recording and list it.
 
         Raises:
-            ServiceError: the disk refuses.
+            ServiceError: the file cannot be written.
         """
         file, beside = self.file_of(experiment.name), self.path / f".{experiment.name}.part"
         beside.unlink(missing_ok=True)
@@ -179,11 +182,11 @@ class Folder:
         self.save(controller)
 
     def drop(self, name: str) -> None:
-        """A recording that is to be made anew, or is not usable after all."""
+        """Remove a recording from the list, to be made again."""
         self.retained.pop(name, None)
 
     def save(self, controller: Controller | None) -> None:
-        """Bring both lists up to date."""
+        """Write both lists.  Raises ServiceError if that is not possible."""
         assert self._identity is not None
         table = {
             "format": FORMAT,

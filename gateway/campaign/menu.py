@@ -1,8 +1,8 @@
-"""The menu of experiments: a table of data.  What is played, for how long, and what it is for.
+"""The menu of experiments, as a table: signals, durations and purpose.
 
-Rule 1: no volts and no metres.  Inputs are shares of the lift-off input (the u_c that just lifts the ball from its
-        rest), positions shares of the travel above the rest: so one table serves every rig.
-Rule 2: what judges is another experiment than what is fitted: another seed, another amplitude, another file.
+Rule 1: inputs are shares of the lift-off input (the u_c that just lifts the ball from its rest), positions are shares
+        of the travel above the rest, so one table serves every rig.
+Rule 2: recordings for judging are separate experiments with another seed or amplitude than those for fitting.
 Rule 3: durations are those of the default run; `shortened` gives those of `--quick`.
 """
 
@@ -26,7 +26,7 @@ class CoilOff:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Constant:
-    """Open loop, one input."""
+    """Open loop with a constant input."""
 
     u: float  # share of the lift-off input
     duration_s: float
@@ -38,7 +38,7 @@ class Burst:
 
     u_from: float  # shares of the lift-off input
     u_to: float
-    lead_s: float = 0.15  # u_from is held so long before it: a slow coil must be steady when the step comes
+    lead_s: float = 0.15  # time at u_from before the capture, for the current to settle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +48,7 @@ class Wave:
     shape: Shape
     low: float  # share of the lift-off input, or of the travel
     high: float
-    period_s: float  # of a prbs: of its clock; of a chirp: at its start
+    period_s: float  # for a prbs: of its clock; for a chirp: at its start
     duration_s: float
     on_reference: bool = False
     salt: int = 0  # added to the campaign's seed
@@ -57,7 +57,7 @@ class Wave:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hover:
-    """Closed loop, one reference."""
+    """Closed loop with a constant reference."""
 
     x: float  # share of the travel
     duration_s: float
@@ -70,28 +70,28 @@ Step = CoilOff | Constant | Burst | Wave | Hover
 class Experiment:
     """One recording of a campaign."""
 
-    name: str  # and of its file
+    name: str  # also of its file
     kind: Kind
     use: Use
-    about: str  # what it is for, one sentence
+    about: str  # its purpose, one sentence
     expects: Expectation
     steps: tuple[Step, ...]
     standard: bool = True  # part of the default run
-    quick: float = 0.35  # share of the durations that `--quick` keeps; 0: not part of it
-    person: str = ""  # what somebody has to do by hand first
+    quick: float = 0.35  # factor on the durations for `--quick`; 0: not part of it
+    person: str = ""  # manual preparation, as an instruction
 
     @property
     def closed_loop(self) -> bool:
-        """Whether the board's law flies the ball."""
+        """Whether the ball flies under the board's law."""
         return self.expects == "flies"
 
     @property
     def duration_s(self) -> float:
-        """Length of the recording, about."""
+        """Approximate length of the recording, s."""
         return sum(BURST_S + step.lead_s if isinstance(step, Burst) else step.duration_s for step in self.steps)
 
 
-BURST_S = 0.58  # until 1000 samples have come over the free third of the line
+BURST_S = 0.58  # transfer time of 1000 samples over the free third of the line
 LIFT_OFF = "lift-off"
 
 
@@ -116,9 +116,9 @@ def _levels(*levels: float, each_s: float) -> tuple[Step, ...]:
 
 
 def _bouncing(duration_s: float, salt: int) -> tuple[Step, ...]:
-    # A ball at the top stop falls only where the input is far below lift-off (a third on a CE 152, nothing on a rig
-    # with its coil at the stop).  It takes 0.03 to 0.06 s from stop to stop: a clock of 0.02 s keeps it in the air
-    # longest.
+    # A ball at the top stop falls only with an input far below lift-off (a third of it on a CE 152, near zero on a rig
+    # with its coil at the stop).  It takes 0.03 to 0.06 s from stop to stop; a clock of 0.02 s gives the longest
+    # flights.
     return (Wave(shape="prbs", low=0.05, high=1.2, period_s=0.02, duration_s=duration_s, salt=salt),)
 
 
@@ -228,7 +228,7 @@ BY_NAME = {experiment.name: experiment for experiment in MENU}
 
 
 def shortened(experiment: Experiment) -> Experiment:
-    """As `--quick` does it: fewer seconds of everything, of amplifier steps every other one."""
+    """The experiment for `--quick`: shorter, or with every other amplifier step."""
     keep = experiment.quick
     if not 0.0 < keep < 1.0:
         return replace(experiment, steps=experiment.steps[::2]) if experiment.name == "amplifier-steps" else experiment
@@ -251,8 +251,8 @@ def chosen(names: tuple[str, ...] = (), *, quick: bool = False) -> tuple[Experim
     """The experiments of a run, in the order of the menu.
 
     Args:
-        names: These and no others; empty: the default run.
-        quick: The shorter form.
+        names: Names of the experiments; empty: the default run.
+        quick: Whether to shorten them.
     """
     listed = [e for e in MENU if (e.name in names if names else e.standard and (e.quick > 0.0 or not quick))]
     return tuple(shortened(e) if quick else e for e in listed)

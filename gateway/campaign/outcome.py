@@ -1,4 +1,4 @@
-"""What a run was asked for, and what became of it.  Pure."""
+"""Options and results of a run.  Pure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Standing = Literal["recorded", "already-there", "given-up", "impossible", "skipp
 
 @dataclass(slots=True, kw_only=True)
 class Outcome:
-    """What became of one experiment."""
+    """The result of one experiment."""
 
     experiment: Experiment
     standing: Standing = "not-reached"
@@ -24,39 +24,39 @@ class Outcome:
 
     @property
     def is_there(self) -> bool:
-        """Whether the folder holds it."""
+        """Whether the recording is in the folder."""
         return self.standing in ("recorded", "already-there")
 
 
 @dataclass(slots=True, kw_only=True)
 class Summary:
-    """The whole run."""
+    """The result of a run."""
 
     outcomes: list[Outcome]
     lift_off_v: float | None = None
     interrupted: bool = False
     failure: str = ""  # the error that ended it
-    parked: str = ""  # "" or why STOP could not be delivered
+    parked: str = ""  # "": the board is stopped; otherwise why STOP could not be delivered
     restored: list[str] = field(default_factory=list)
     rig_s: float = 0.0  # of the board's time, from the first command to the last
 
     @property
     def complete(self) -> bool:
-        """Everything that was asked for is in the folder."""
+        """Whether all requested experiments are in the folder or were skipped, and the run ended normally."""
         settled = all(o.is_there or o.standing == "skipped" for o in self.outcomes)
         return settled and not (self.interrupted or self.failure or self.parked)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
-    """What the user asked for."""
+    """The options of the user."""
 
     experiments: tuple[Experiment, ...]
     plant: Plant
-    lift_off: Experiment = BY_NAME[LIFT_OFF]  # recorded first where its result is needed and not known
+    lift_off: Experiment = BY_NAME[LIFT_OFF]  # recorded first if its result is needed and unknown
     seed: int = 1
     u_max_v: float | None = None
     x_min_m: float | None = None
     x_max_m: float | None = None
-    # Asked before an experiment that needs a person; "" goes ahead, else why not.
+    # Called before an experiment with manual preparation; returns "" to go ahead, otherwise the reason to skip it.
     ask: Callable[[Experiment], str] = lambda experiment: "it needs a person"

@@ -1,10 +1,10 @@
-"""From the menu's shares to the volts, metres and commands of one rig.  Pure.
+"""From the shares of the menu to volts, metres and commands of one rig.  Pure.
 
-Rule 1: nothing leaves the limits.  A signal that reaches beyond them is cut to them; one of which too little is left is
-        an `Impossible`, said before anything moves.
-Rule 2: the limits are the board's own (`Parameters`), tightened by the options; the gateway may be tighter still and
-        refuses then.
-Rule 3: signals on the reference keep to the step and the slew that the board allows its operator.
+Rule 1: all signals are within the limits.  A larger signal is reduced; if too little of it is left, the result is
+        `Impossible`, which is reported before the ball moves.
+Rule 2: the limits are the board's (`Parameters`), tightened by the options.  The gateway may have tighter limits and
+        then refuses commands.
+Rule 3: signals on the reference keep the board's limits of step and slew.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Plant
 from protocol.errors import UsageError
 
-LEFT_SHARE = 0.4  # of a signal's span; with less left inside the limits it no longer does what it is for
+LEFT_SHARE = 0.4  # of a signal's span that must remain within the limits for the signal to be useful
 _SHAPES = {
     "step": pb.SHAPE_STEP, "rectangle": pb.SHAPE_RECTANGLE, "sawtooth": pb.SHAPE_SAWTOOTH, "prbs": pb.SHAPE_PRBS,
     "multisine": pb.SHAPE_MULTISINE, "chirp": pb.SHAPE_CHIRP,
 }  # fmt: skip
 _JUMPS = ("step", "rectangle", "sawtooth", "prbs")
-# Steepest slope over amplitude * 2 pi / period: eight harmonics of equal size with Schroeder phases and peak 1 stay
-# below 6.44 (over all 128 signs of the board's multisine).
+# Steepest slope over amplitude * 2 pi / period: at most 6.44 for eight harmonics of equal size with Schroeder phases
+# and peak 1 (over all 128 signs of the board's multisine).
 _MULTISINE_SLOPE = 6.5
 CAPTURE_S = 0.04
-CAPTURE_PRE_S = 0.004  # whole ticks, so that u_c in the states changes where it changes in the capture
+CAPTURE_PRE_S = 0.004  # whole ticks, so that the step of u_c is at a sample of the stream
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandLimits:
-    """What may be commanded."""
+    """Limits of commands."""
 
     u_min_v: float
     u_max_v: float
@@ -46,19 +46,19 @@ class CommandLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scale:
-    """What the menu's shares are shares of."""
+    """The units of the menu's shares for one rig."""
 
     limits: CommandLimits
     travel_m: float
     lift_off_v: float
     seed: int = 1
-    u_factor: float = 1.0  # a repetition changes these
-    x_factor: float = 1.0
+    u_factor: float = 1.0  # factor on inputs; changed by a repetition
+    x_factor: float = 1.0  # factor on amplitudes of the reference; changed by a repetition
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Send:
-    """Send `command`, then let `hold_s` of the board's time pass."""
+    """Send `command`, then wait for `hold_s` of the board's time."""
 
     command: pb.Command
     hold_s: float
@@ -75,7 +75,7 @@ class Shoot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GoTo:
-    """Move the reference there, as fast as the board allows, and stay for `hold_s`."""
+    """Move the reference to `x_ref_m` as fast as the board allows, then wait for `hold_s`."""
 
     x_ref_m: float
     hold_s: float
@@ -86,7 +86,7 @@ Action = Send | Shoot | GoTo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Impossible:
-    """Why the limits leave nothing useful of an experiment."""
+    """An experiment that is not useful within the limits, with the reason."""
 
     why: str
 
@@ -94,10 +94,16 @@ class Impossible:
 def limits_of(
     parameters: pb.Parameters, *, u_max_v: float | None, x_min_m: float | None, x_max_m: float | None
 ) -> CommandLimits:
-    """The board's limits, tightened by what the user wants.
+    """The board's limits, tightened by the options.
+
+    Args:
+        parameters: of the board.
+        u_max_v: upper limit of u_c, V; None: the board's.
+        x_min_m: lower limit of x_ref, m; None: the board's.
+        x_max_m: upper limit of x_ref, m; None: the board's.
 
     Raises:
-        UsageError: a wish lies outside the board's limits, or leaves no range.
+        UsageError: an option is outside the board's limits, or leaves no range.
     """
     board = parameters
     low, high = sorted((board.x_ref_min_m, board.x_ref_max_m))
@@ -107,7 +113,7 @@ def limits_of(
         ("--x-max", x_max_m, low, high, "mm"),
     ):
         scale = 1e3 if unit == "mm" else 1.0
-        # Half a count of tolerance: who types what the board prints must not be refused for rounding.
+        # Half a count of tolerance, so that values copied from the board's printed limits are accepted.
         slack = 0.5 * abs(board.x_lsb_m if unit == "mm" else board.u_lsb_v) + 1e-9
         if value is not None and not bottom - slack <= value <= top + slack:
             raise UsageError(
@@ -135,10 +141,10 @@ def limits_of(
 
 
 def guessed_lift_off_v(parameters: pb.Parameters, plant: Plant, limits: CommandLimits) -> float:
-    """A first idea of the lift-off input, before it is measured.
+    """Estimate of the lift-off input before it is measured, V.
 
     By (8) the current that carries the ball is proportional to its distance from x_max, and the operating point (13)
-    gives one point of that line.  A board without a sensible one: the upper limit.
+    gives one point of that line.  Without a plausible operating point it is derived from the upper limit.
     """
     u_0, gap = parameters.u_0_v, plant.x_max_m - parameters.x_0_m
     guess = u_0 * plant.x_max_m / gap if u_0 > 0 and gap > 0.05 * plant.x_max_m else math.inf
@@ -146,7 +152,7 @@ def guessed_lift_off_v(parameters: pb.Parameters, plant: Plant, limits: CommandL
 
 
 def actions_of(experiment: Experiment, scale: Scale) -> tuple[Action, ...] | Impossible:
-    """What to send, in order; or why that is not possible inside the limits."""
+    """The actions of an experiment in order, or why it is not possible within the limits."""
     actions: list[Action] = []
     for step in experiment.steps:
         match step:
@@ -171,7 +177,7 @@ def actions_of(experiment: Experiment, scale: Scale) -> tuple[Action, ...] | Imp
 
 
 def raised(scale: Scale, *, attempt: int) -> Scale:
-    """The scale of the next try of a ramp that did not lift the ball: a quarter more, at last the limit itself."""
+    """The scale of the next attempt if the ball was not lifted: a quarter more, finally up to the limit."""
     return replace(scale, u_factor=scale.u_factor * 1.25 if attempt < 2 else math.inf)
 
 
@@ -197,7 +203,7 @@ def _on_input(wave: Wave, scale: Scale) -> Send | Impossible:
 def _on_reference(wave: Wave, scale: Scale) -> Send | Impossible:
     limits = scale.limits
     low, high = _metres(wave.low, scale), _metres(wave.high, scale)
-    if low >= high:  # the whole signal lies outside: use what there is
+    if low >= high:  # the whole signal is outside the limits: use the full range
         low, high = limits.x_min_m, limits.x_max_m
     middle, wanted = (low + high) / 2, (wave.high - wave.low) * scale.travel_m
     half = min((high - low) / 2, wanted / 2) * scale.x_factor
@@ -216,7 +222,7 @@ def _on_reference(wave: Wave, scale: Scale) -> Send | Impossible:
 
 
 def _send(wave: Wave, scale: Scale, low: float, high: float) -> Send:
-    # Offset and amplitude are each rounded to counts: together they may reach one count beyond the limit.
+    # Offset and amplitude are each rounded to counts, so their sum may exceed the limit by one count.
     count = scale.limits.x_lsb_m if wave.on_reference else scale.limits.u_lsb_v
     excite = pb.Excite(
         shape=_SHAPES[wave.shape],
@@ -232,7 +238,7 @@ def _send(wave: Wave, scale: Scale, low: float, high: float) -> Send:
 
 
 def needs_lift_off(experiment: Experiment) -> bool:
-    """Whether its inputs are shares of a lift-off input that has to be measured before."""
+    """Whether the experiment needs a measured lift-off input."""
     return experiment.name != LIFT_OFF and any(
         isinstance(step, Burst | Constant) or (isinstance(step, Wave) and not step.on_reference)
         for step in experiment.steps

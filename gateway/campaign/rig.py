@@ -1,9 +1,9 @@
-"""The board's controls, one call each, on the clock of the board.  Thin: decides only how to wait.
+"""Commands to the board and waits, by the board's clock.
 
-Rule 1: time is ticks.  A hold of 2 s is 1000 ticks of the stream, however late they come.
-Rule 2: every wait ends: at its tick, at `Stopped` (Ctrl-C), at `Cut` (this attempt is spoilt: reset, fault, ball at a
-        stop), or at a ServiceError when nothing comes any more.
-Rule 3: `park` never raises: it is what happens when everything else went wrong.
+Rule 1: time is counted in ticks: 2 s are 1000 ticks of the stream, however late they arrive.
+Rule 2: every wait ends: at its tick, with `Stopped` (Ctrl-C), with `Cut` (the attempt failed: reset, fault, ball at a
+        stop), or with a ServiceError if no more samples arrive.
+Rule 3: `park` never raises, because it is called after every error.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from protocol.bus.identity import Identity
 from protocol.errors import Board51Error, ServiceError
 from protocol.wire.messages import Flag
 
-SILENCE_S = 3.0  # without a state: the gateway reconnects a port and re-reads a board within it
+SILENCE_S = 3.0  # longest time without a state; the gateway reconnects a port and reads a board again within it
 SETTLE_S = 4.0  # longest time from the command to the ball resting at its reference
 STEADY_S = 0.25
 LANDING_S = 0.3  # a fall through the travel takes 0.03 s, its bounces ten times that
@@ -51,8 +51,13 @@ class RigControl:
 
     Args:
         session: of the bus.
-        subscriber: listening to the same board.
-        stop: set when the user wants the end.
+        site: first chunk of the keys.
+        board: second chunk of the keys.
+        subscriber: of the same board.
+        stop: is set when the user ends the run.
+        who: sender of the commands, for the log.
+        travel_m: travel of the ball, m.
+        identity: on a guarded bus.
     """
 
     def __init__(
@@ -74,12 +79,12 @@ class RigControl:
     # --- waiting
 
     def wait(self, ready: Callable[[], bool], *, timeout_s: float | None = None) -> bool:
-        """Until `ready()` (asked after each message, with the subscriber locked) or the time-out.
+        """Wait until `ready()` is true (tested after each message with the subscriber locked); False at the time-out.
 
         Raises:
-            Stopped: the user wants the end.
-            ServiceError: the board, its link or the gateway is gone, or somebody else sent STOP: a campaign that
-                lifted the ball again would be dangerous.
+            Stopped: the user ends the run.
+            ServiceError: board, link or gateway is gone, or another client sent STOP, after which the campaign must not
+                lift the ball again.
         """
         end_s = None if timeout_s is None else time.monotonic() + timeout_s
         with self._subscriber.changed:
@@ -110,10 +115,10 @@ class RigControl:
         )
 
     def await_board(self) -> tuple[pb.State, pb.Parameters]:
-        """The first state and the parameters (they come every 5 s).
+        """Wait for the first state and the parameters, which are sent every 5 s.
 
         Raises:
-            ServiceError: the board is not there.
+            ServiceError: the board does not send them.
         """
         self.wait(lambda: self._subscriber.state is not None)
         if not self.wait(lambda: self._subscriber.parameters is not None, timeout_s=8.0):
@@ -125,10 +130,10 @@ class RigControl:
         return self._subscriber.state, self._subscriber.parameters
 
     def hold(self, duration_s: float, *, from_tick: int | None = None) -> None:
-        """Let that much of the board's time pass.
+        """Wait for `duration_s` of the board's time, from now or from a tick.
 
         Raises:
-            Cut: the board was reset, reports a fault, left the mode, or the ball lies at a stop in closed loop.
+            Cut: the board was reset, reports a fault or a lost host, or the ball is at a stop in closed loop.
         """
         first, period_s = self._newest(), self._sample_time_s()
         start = first.tick if from_tick is None else from_tick
@@ -172,11 +177,12 @@ class RigControl:
     # --- commands
 
     def command(self, command: pb.Command) -> int:
-        """Send; repeat what only came too early; the tick from which it is in force.
+        """Send a command, repeat it after a temporary refusal; returns the tick from which it is in force.
 
         Raises:
-            Cut: refused for good.
-            ServiceError: not delivered, or somebody else sent STOP.
+            Cut: it was refused.
+            Stopped: the user ends the run.
+            ServiceError: it was not delivered, or another client sent STOP.
         """
         end_s = time.monotonic() + _AGAIN_LIMIT_S
         while True:
@@ -206,7 +212,7 @@ class RigControl:
         self.command(pb.Command(set_mode=pb.SetMode(mode=mode)))
 
     def act(self, action: Action) -> None:
-        """Do one step of a plan, recorded."""
+        """Perform one action of a plan."""
         match action:
             case Send():
                 tick = self.command(action.command)
@@ -234,7 +240,7 @@ class RigControl:
             raise Cut(Problem(code="captures-missing", text="the samples of a capture did not come"))
 
     def go_to(self, x_ref_m: float) -> None:
-        """Move the reference, in steps that the board's allowance takes."""
+        """Move the reference in steps within the board's limit."""
         parameters = self._subscriber.parameters
         assert parameters is not None
         step_m, count_m = 0.95 * parameters.x_ref_step_max_m, abs(parameters.x_lsb_m)
@@ -254,7 +260,7 @@ class RigControl:
             self.wait(seen)
 
     def lift(self, x_ref_m: float) -> None:
-        """Close the loop and wait until the ball rests at the reference.
+        """Close the loop and wait until the ball is steady at the reference.
 
         Raises:
             Cut: it does not get there.
@@ -284,19 +290,19 @@ class RigControl:
         self.wait(steady)
 
     def measure_rest(self) -> None:
-        """Learn what x reads at rest; the coil is off."""
+        """Measure the reading of x at rest, with the coil off."""
         with self._subscriber.changed:
             self._subscriber.recent.clear()
         self.wait(lambda: len(self._subscriber.recent) >= 50)
         self.rest_m = rest_level_m([state.x_m for state in self._subscriber.recent if state.HasField("x_m")])
 
     def land(self) -> None:
-        """End an experiment: excitation ended, ball down, coil off, still."""
+        """End an experiment: send STOP and wait until the ball has landed."""
         self.command(pb.Command(stop=pb.Stop()))
         self.hold(LANDING_S)
 
     def park(self) -> str:
-        """STOP, whatever happened before; "" or why it could not be delivered."""
+        """Send STOP; returns "" or why it could not be delivered.  Never raises."""
         why = "no answer"
         for _ in range(3):
             with contextlib.suppress(Board51Error, zenoh.ZError):
@@ -308,9 +314,9 @@ class RigControl:
         return why
 
     def put_back(self, x_ref_m: float, *, stream_divider: int) -> str:
-        """Reference and stream as they were found; "" or why not."""
-        self._stop = threading.Event()  # the wish to end has been heard,
-        self._subscriber.stopped_by = None  # and so has the other's STOP
+        """Restore reference and stream; returns "" or why that was not possible."""
+        self._stop = threading.Event()  # the user's stop and
+        self._subscriber.stopped_by = None  # the STOP of another client have been handled
         try:
             self.go_to(x_ref_m)
             if stream_divider != 1:

@@ -1,10 +1,10 @@
-"""A campaign from its first command to its last: which experiment next, how often, and how it ends.
+"""Run a campaign: sequence of the experiments, repetitions, and the end.
 
 Rule 1: each experiment begins and ends parked: mode idle, coil off, ball at rest.
-Rule 2: whatever ends the run (done, Ctrl-C, a lost board, a full disk) goes through `_leave`: STOP, then reference and
-        stream as they were found.
-Rule 3: a recording that is not usable is repeated at most twice, changed where that helps, then given up: the rest of
-        the campaign does not depend on it, but for the lift-off input.
+Rule 2: every end of the run (done, Ctrl-C, a lost board, a full disk) is through `_leave`: STOP, then restore reference
+        and stream.
+Rule 3: an unusable recording is repeated at most twice, with changes if these help, and then given up.  The other
+        experiments do not depend on it, except on the lift-off input.
 """
 
 from __future__ import annotations
@@ -37,14 +37,19 @@ from protocol.errors import Board51Error, ServiceError
 
 ATTEMPTS = 3
 LOWERED = 0.7  # amplitudes of a repetition after the ball fell or something was clipped
-OVERHEAD_S = {True: 2.0, False: 0.8}  # around a recording, in closed and open loop: lifting, landing, writing
+OVERHEAD_S = {True: 2.0, False: 0.8}  # of a recording in closed and in open loop: lifting, landing, writing
 
 
 class Runner:
     """Runs the experiments of `wishes` on `rig` into `folder`.
 
     Args:
-        say: takes lines of progress.
+        rig: commands to the board.
+        subscriber: of the same board.
+        folder: receives the recordings.
+        board: its name.
+        wishes: options of the user.
+        say: is called with lines of progress.
     """
 
     def __init__(
@@ -63,11 +68,11 @@ class Runner:
         self._x_ref_m: float | None = None
 
     def run(self) -> Summary:
-        """Everything; ends parked.
+        """Perform all experiments; the board is parked at the end.
 
         Raises:
-            UsageError: before anything moved: limits, folder or plan do not allow it.
-            ServiceError: before anything moved: no board, or somebody else uses it.
+            UsageError: limits, folder or plan do not allow the run; the ball has not moved.
+            ServiceError: the board is missing or in use; the ball has not moved.
         """
         state, self._parameters = self._rig.await_board()
         if state.mode != pb.MODE_IDLE:
@@ -103,7 +108,7 @@ class Runner:
     # --- before anything moves
 
     def _with_lift_off(self, experiments: Sequence[Experiment]) -> list[Experiment]:
-        """The lift-off input has to be known before it scales anything."""
+        """The experiments, with lift-off first if its result is needed and unknown."""
         if any(map(needs_lift_off, experiments)) and self._folder.lift_off_v is None:
             if not any(e.name == LIFT_OFF for e in experiments):
                 self._say("the lift-off input is not known yet: lift-off is recorded first")
@@ -111,7 +116,7 @@ class Runner:
         return list(experiments)
 
     def _look_ahead(self, summary: Summary) -> None:
-        """What is there already, and what the limits make impossible."""
+        """Mark the experiments that are already recorded or not possible within the limits."""
         for outcome in summary.outcomes:
             e = outcome.experiment
             if self._folder.has(e.name, plan_of(e, self._limits, self._wishes.seed)):
@@ -144,7 +149,7 @@ class Runner:
     def _begin(self) -> None:
         if self._parameters.stream_divider != 1:
             self._rig.command(pb.Command(set_stream=pb.SetStream(divider=1)))
-        self._folder.save(controller_of(self._parameters))  # what is to be made anew is not listed meanwhile
+        self._folder.save(controller_of(self._parameters))  # without the recordings that will be made again
         self._rig.land()
         self._rig.measure_rest()
 
@@ -177,7 +182,7 @@ class Runner:
         return self._wishes.ask(experiment)
 
     def _repeat(self, outcome: Outcome) -> None:
-        """Up to three attempts."""
+        """Record an experiment with up to ATTEMPTS attempts."""
         e, scale = outcome.experiment, self._scale(outcome.experiment)
         for attempt in range(1, ATTEMPTS + 1):
             outcome.attempts = attempt
@@ -209,7 +214,7 @@ class Runner:
             self._folder.lift_off_v = None
 
     def _attempt(self, e: Experiment, plan: tuple[Action, ...]) -> tuple[tuple[checks.Problem, ...], Recorded]:
-        """Play it once; what is wrong with the recording, and the recording."""
+        """Perform an experiment once; returns (problems of the recording, recording)."""
         cut: tuple[checks.Problem, ...] = ()
         try:
             if e.closed_loop:
@@ -222,8 +227,8 @@ class Runner:
         except Cut as problem:
             cut = (problem.problem,)
         recorded = self._subscriber.end()
-        with contextlib.suppress(Cut):  # a reset while landing: the next experiment meets it again, or it is over
-            self._rig.land()  # also the place where somebody's STOP ends the run
+        with contextlib.suppress(Cut):  # a reset while landing affects the next experiment only
+            self._rig.land()  # raises if another client sent STOP
         if cut:
             return cut, recorded
         if intruder := _intruder(recorded):
@@ -280,7 +285,7 @@ def _about_s(experiment: Experiment) -> float:
 
 
 def _start_m(plan: tuple[Action, ...]) -> float:
-    """Where a closed-loop experiment begins."""
+    """Initial reference of a closed-loop experiment, m."""
     return next(action.x_ref_m for action in plan if isinstance(action, GoTo))
 
 
@@ -289,7 +294,7 @@ def _is_idle(action: Action) -> bool:
 
 
 def _intruder(recorded: Recorded) -> checks.Problem | None:
-    """Somebody else's command in the middle of a recording."""
+    """A problem if another client sent a command during the recording."""
     for record in recorded.commands:
         what = record.command.WhichOneof("what")
         if is_foreign(record) and what != "ping":

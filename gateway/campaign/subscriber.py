@@ -1,7 +1,7 @@
-"""What the bus says of one board: the newest of everything, and the messages of a recording.
+"""Subscription to one board: its newest messages, and the messages of a recording.
 
-zenoh calls back in a thread of its own; everybody else waits on `changed`.  A recording is kept in memory (a minute of
-state is 4 MB) and written when it is known to be good: a file in the folder is always a whole one.
+zenoh calls back in its own thread; other threads wait on `changed`.  A recording stays in memory (4 MB for a minute of
+states) until it is checked, so that only usable recordings are written.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from protocol.bus import topics
 from protocol.bus.encoding import parse
 
 ID_PREFIX = "campaign-"  # of the ids of a campaign's own commands
-RECENT = 100  # states kept for the level at rest
+RECENT = 100  # states for the reading at rest
 _RECORDED = ("state", "parameters", "capture", "event", "command/record", "status")
 
 
 class Logged(NamedTuple):
-    """One message as it goes into the file."""
+    """One message in the form of the log."""
 
     key: str
     data: bytes
@@ -41,19 +41,19 @@ class Recorded(NamedTuple):
 
 
 def is_foreign(record: pb.CommandRecord) -> bool:
-    """Whether somebody else's command was executed."""
+    """Whether the command was accepted and is not one of the campaign."""
     return record.reply.accepted and not record.command.id.startswith(ID_PREFIX)
 
 
 class BoardSubscriber:
-    """Listens to one board until the session closes."""
+    """Receives the messages of one board until the session is closed."""
 
     def __init__(self, session: zenoh.Session, site: str, board: str) -> None:
         self.changed = threading.Condition()  # guards everything below
         self.state: pb.State | None = None
         self.parameters: pb.Parameters | None = None
-        self.captures = 0  # since the start
-        self.stopped_by: str | None = None  # who else sent STOP
+        self.captures = 0  # number since the start
+        self.stopped_by: str | None = None  # another client that sent STOP
         self.recent: deque[pb.State] = deque(maxlen=RECENT)
         self._parameters_message: Logged | None = None
         self._recorded: Recorded | None = None
@@ -61,18 +61,18 @@ class BoardSubscriber:
         self._subscriber = session.declare_subscriber(f"{site}/{board}/**", self._arrived)
 
     def silence_s(self) -> float:
-        """Time since the last state; before the first, since the start."""
+        """Time since the last state, s; before the first state, since the start."""
         return time.monotonic() - self._heard_s
 
     def begin(self) -> None:
-        """A new recording, with the newest parameters at its head."""
+        """Begin a recording; its first message is the newest parameters."""
         with self.changed:
             self._recorded = Recorded([], [], [], [], [])
             if self._parameters_message is not None:
                 self._recorded.messages.append(self._parameters_message)
 
     def end(self) -> Recorded:
-        """What came since `begin`."""
+        """End the recording; returns the messages since `begin`."""
         with self.changed:
             recorded, self._recorded = self._recorded, None
         return recorded or Recorded([], [], [], [], [])

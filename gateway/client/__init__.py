@@ -1,4 +1,4 @@
-"""Talk to a live rig from Python, through its gateway.
+"""Control and read a live rig from Python, through its gateway.
 
     from gateway.client import Rig
 
@@ -9,7 +9,7 @@
         print(flight.x_m.mean())
         rig.stop()
 
-All quantities are in SI units, and the unit is the end of each name.  Names are imported when they are first used.
+All quantities are in SI units, and each name ends with its unit.  Names are imported at their first use.
 """
 
 from __future__ import annotations

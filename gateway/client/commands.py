@@ -1,7 +1,7 @@
-"""Each command of the bus from typed values.  Pure.
+"""The commands of the bus, built from typed values.  Pure.
 
-`board51 send` and `Rig` build their commands here.  What may be commanded is the gateway's decision and the board's;
-here only what cannot be written into a message is an error.
+`board51 send` and `Rig` build their commands here.  The gateway and the board decide whether a command is allowed; here
+only values that do not fit a message are errors (UsageError).
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from protocol.errors import UsageError
 
 
 class Mode(enum.StrEnum):
-    """What decides about the input u_c."""
+    """The source of the input u_c."""
 
-    IDLE = "idle"  # nothing: the coil is off
+    IDLE = "idle"  # none: the coil is off
     OPEN_LOOP = "open-loop"  # the excitation
     CLOSED_LOOP = "closed-loop"  # the control law
 
@@ -45,7 +45,7 @@ class Shape(enum.StrEnum):
 
 
 class HostLoss(enum.StrEnum):
-    """What the board does when it hears nothing from its host."""
+    """The action of the board when it receives nothing from its host."""
 
     KEEP = "keep"
     COIL_OFF = "coil-off"
@@ -54,7 +54,7 @@ class HostLoss(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OperatingPoint:
-    """The point (13) that a control law works around."""
+    """The operating point (13) of a control law."""
 
     i_c_a: float  # coil current, A
     x_m: float  # position, m, up from the sensor
@@ -75,12 +75,12 @@ def set_mode(mode: Mode | str) -> pb.Command:
 
 
 def set_reference(x_ref_m: float) -> pb.Command:
-    """The position to hold, m."""
+    """Set the position reference, m."""
     return pb.Command(set_reference=pb.SetReference(x_ref_m=_finite(x_ref_m, "x_ref_m")))
 
 
 def set_gains(gains: Sequence[float], operating_point: OperatingPoint, *, law: Law | str = Law.LQI) -> pb.Command:
-    """Control law, its four gains (SI, in the order of the law) and operating point, all at one tick."""
+    """Set the control law, its four gains (SI, in the order of the law) and operating point, all at one tick."""
     if len(gains) != 4:
         raise UsageError(f"gains has {len(gains)} values", remedy="Give four: k_i k_x k_v k_int, or k_p k_int k_d 0")
     return pb.Command(
@@ -105,7 +105,7 @@ def excite(
     duration_s: float | None = None,
     seed: int = 1,
 ) -> pb.Command:
-    """A signal on u_c (V, open loop) or on the reference (m, closed loop); duration `math.inf` is endless."""
+    """Play a signal on u_c (V, open loop) or on the reference (m, closed loop); duration `math.inf`: without end."""
     shape = _chosen(Shape, shape, "shape")
     if shape == Shape.NONE:
         if on_reference and offset is not None:
@@ -136,7 +136,7 @@ def excite(
 
 
 def capture(*, u_from_v: float, u_to_v: float, duration_s: float = 0.04, pre_s: float = 0.004) -> pb.Command:
-    """The coil current at 25 kHz around a step of u_c, `pre_s` of it before the step."""
+    """Record the coil current at 25 kHz around a step of u_c, beginning `pre_s` before the step."""
     return pb.Command(
         capture=pb.Capture(
             u_from_v=_finite(u_from_v, "u_from_v"),
@@ -148,35 +148,35 @@ def capture(*, u_from_v: float, u_to_v: float, duration_s: float = 0.04, pre_s: 
 
 
 def set_stream(divider: int) -> pb.Command:
-    """Every how many ticks the board sends a sample; 0: none."""
+    """Make the board send every `divider`-th tick; 0: none."""
     return pb.Command(set_stream=pb.SetStream(divider=_whole(divider, "divider")))
 
 
 def set_host_loss(policy: HostLoss | str, *, timeout_s: float = 1.0) -> pb.Command:
-    """What the board does after `timeout_s` without its host."""
+    """Set the action of the board after `timeout_s` without its host."""
     code = _POLICIES[_chosen(HostLoss, policy, "policy")]
     return pb.Command(set_host_loss=pb.SetHostLoss(policy=code, timeout_s=_finite(timeout_s, "timeout_s")))
 
 
 def mark(text: str) -> pb.Command:
-    """A remark at this moment, into every log."""
+    """Add a remark at this moment to every log."""
     return pb.Command(mark=pb.Mark(text=_printable(text, "text")))
 
 
 def acknowledge(alarm: str, *, comment: str = "") -> pb.Command:
-    """Somebody has seen an alarm."""
+    """Acknowledge an alarm."""
     return pb.Command(
         acknowledge=pb.Acknowledge(alarm=_printable(alarm, "alarm"), comment=_printable(comment, "comment"))
     )
 
 
 def stop() -> pb.Command:
-    """Coil off at once, mode idle."""
+    """Switch the coil off at once; mode idle."""
     return pb.Command(stop=pb.Stop())
 
 
 def ping() -> pb.Command:
-    """A sign of life."""
+    """Ask the board for an answer."""
     return pb.Command(ping=pb.Ping())
 
 
@@ -184,7 +184,7 @@ def use_model(model: Path) -> pb.TwinCommand:
     """Hand a model file to the twin.
 
     Raises:
-        DataError: no such file.
+        DataError: the file is missing or too large.
     """
     from protocol.files import read_small
 

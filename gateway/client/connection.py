@@ -1,7 +1,7 @@
-"""The bus as its clients see it: open a session, send a command.  `rig.py` is what programs use.
+"""The client side of the bus: open a session, send a command.  Programs use `rig.py`.
 
-An empty list of replies means any of: no gateway, no rights, crashed, not answered.  The gateway always answers, so
-empty is "not delivered" and is said as such.
+The gateway always answers a command.  So an empty list of replies means that there is no gateway, that it crashed, or
+that the client has no rights; it is reported as "not delivered".
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from protocol.bus.encoding import parse, zenoh_encoding
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint, refused_by_router, zenoh_config
 from protocol.bus.identity import HELP, Identity
 
-JUST_STARTED_S = 2.0  # longer than a gateway refuses what may be older than itself (access/authorize.py)
+JUST_STARTED_S = 2.0  # longer than a new gateway refuses commands that may be older than itself (access/authorize.py)
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--connect`, `--site` and `--identity`, the same everywhere."""
+    """Add `--connect`, `--site` and `--identity`."""
     parser.add_argument(
         "--connect",
         default=DEFAULT_ENDPOINT,
@@ -41,15 +41,15 @@ def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def open_bus(connect: str, identity: Identity | None = None) -> Iterator[zenoh.Session]:
-    """A client session at `connect`.
+    """Open a client session; a context manager.
 
     Args:
         connect: the router's endpoint.
-        identity: who this is on a guarded bus.
+        identity: of the client on a guarded bus.
 
     Raises:
-        ConfigError: not an endpoint, or an identity that has expired.
-        ServiceError: nobody listens there, or not to this identity.
+        ConfigError: `connect` is not an endpoint, or the identity has expired.
+        ServiceError: there is no router, or it refuses this identity.
     """
     check_endpoint(connect, where="--connect")
     if identity is not None:
@@ -73,21 +73,22 @@ def send(
     role: str = "",
     typed: bool = True,
 ) -> pb.CommandReply:
-    """Send one command and return the gateway's answer; `refused_by` "link" where none came.
+    """Send one command and return the gateway's answer; without an answer `refused_by` is "link".
 
-    An empty `command.id` and a missing `issued_ns` are filled in.  Keep both to repeat a command, at this gateway or
-    the next one: it is not executed twice.  What is filled in here is new, so a gateway that has just started and
-    cannot know that (`not-fresh`) is asked again for a moment.
+    An empty `command.id` and a missing `issued_ns` are filled in.  A command that is sent again with the same id and
+    date, at this or another gateway, is not executed twice.  A gateway that has just started refuses commands that may
+    be older than itself (`not-fresh`); a command that was dated here is then sent again for JUST_STARTED_S.
 
     Args:
         session: of the bus.
         site: first chunk of the key.
-        board: second.
-        command: what.
-        timeout_s: for the answer; the command does not begin to act later.
-        identity: whose command it is, on a guarded bus.
-        role: instead of an identity: of `command.who`, whom the caller has checked; only the views' account may do so.
-        typed: whether the sender gave endpoint and identity, which may be wrong.
+        board: second chunk of the key.
+        command: the command; its head is completed in place.
+        timeout_s: for the answer, s; the command does not begin to act later.
+        identity: of the sender on a guarded bus.
+        role: instead of an identity: the role of `command.who`, whom the caller has authenticated; only the views'
+            account may do so.
+        typed: whether the user gave endpoint and identity; the message for a missing answer then mentions them.
     """
     if not command.id:
         command.id = uuid.uuid4().hex
@@ -111,7 +112,7 @@ def send(
 def ask(
     session: zenoh.Session, key: str, command: pb.Command | pb.TwinCommand, timeout_s: float
 ) -> pb.CommandReply | None:
-    """Put one query as it is; the first answer, or None."""
+    """Send one query unchanged; returns the first answer, or None."""
     replies = session.get(
         key, payload=command.SerializeToString(), encoding=zenoh_encoding(type(command)), timeout=timeout_s
     )
@@ -129,8 +130,8 @@ def _unanswered(command: pb.Command, board: str, *, guarded: bool, typed: bool) 
 
 
 def login_name() -> str:
-    """Of who runs this process."""
+    """Name of the user who runs this process."""
     try:
         return getpass.getuser()
-    except (KeyError, OSError):  # a container's user need not have a name
+    except (KeyError, OSError):  # a user of a container may have no name
         return "unknown"

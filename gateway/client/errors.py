@@ -1,9 +1,9 @@
-"""What a rig may answer instead of "accepted".
+"""Errors of a rig.
 
 ServiceError
-├── CommandRefusedError         gateway, board or twin said no: nothing has changed
-├── CommandNotDeliveredError    nobody knows, unless the text says so: the board may have acted
-└── NoSamplesError              nothing comes any more
+├── CommandRefusedError         gateway, board or twin refused the command: nothing has changed
+├── CommandNotDeliveredError    no answer: it is unknown whether the board has acted, unless the text says so
+└── NoSamplesError              no more samples arrive
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _REMEDIES = {
 class CommandRefusedError(ServiceError):
     """Gateway, board or twin refused a command; nothing has changed.
 
-    `reason` is kebab-case and stable, `refused_by` says who.
+    `reason` is a stable name in kebab-case; `refused_by` is the component that refused.
     """
 
     def __init__(self, command: pb.Command | pb.TwinCommand, reply: pb.CommandReply) -> None:
@@ -38,10 +38,10 @@ class CommandRefusedError(ServiceError):
 
 
 class CommandNotDeliveredError(ServiceError):
-    """No answer of the board came.
+    """A command was not answered.
 
-    `command` has its id and its date: `rig.send(error.command)` repeats it without its being executed twice.
-    `attempts` is 0 where no byte of it went to the board.
+    `command` has its id and date, so `rig.send(error.command)` repeats it without executing it twice.  `attempts` is
+    the number of frames sent to the board; with 0 it has not acted.
     """
 
     def __init__(self, command: pb.Command, reply: pb.CommandReply) -> None:
@@ -58,7 +58,7 @@ class CommandNotDeliveredError(ServiceError):
 
 
 class NoSamplesError(ServiceError):
-    """The stream of a board has ended, or never began."""
+    """The stream of a board has ended or has not begun."""
 
 
 def _what(command: pb.Command | pb.TwinCommand) -> str:
@@ -69,7 +69,7 @@ def accepted(command: pb.Command | pb.TwinCommand, reply: pb.CommandReply) -> Re
     """The reply to a command that was accepted.
 
     Raises:
-        CommandNotDeliveredError: the board did not answer.
+        CommandNotDeliveredError: it was not answered.
         CommandRefusedError: it was refused.
     """
     if reply.accepted:

@@ -1,6 +1,6 @@
-"""What travels on the bus, in the order of arrival, for a loop that takes it at its own pace.
+"""A queue of bus messages in the order of arrival, for a loop that reads at its own pace.
 
-A full queue drops the OLDEST message and counts it: zenoh's thread must not wait for a slow reader.
+A full queue drops the OLDEST message and counts it, because zenoh's thread must not wait for a slow reader.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ CAPACITY = 100_000  # messages: 200 s of one board's samples
 
 
 class Arrival(NamedTuple):
-    """One message; None where the bytes are not one."""
+    """One message."""
 
     key: str
-    message: Message | None
+    message: Message | None  # None: the bytes are no valid message
     size: int  # of the payload, bytes
 
 
 class Feed:
-    """The messages of some topics from now on, until it is closed or forgotten.
+    """The messages of some topics from now on, until it is closed or garbage-collected.
 
     Args:
         session: of the bus.
         site: first chunk of the keys.
-        board: second; "*": every board.
+        board: second chunk of the keys; "*": every board.
         names: of topics.
-        capacity: messages that may wait.
+        capacity: of the queue, messages.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Feed:
     ) -> None:
         self._waiting = _Waiting(capacity)
         subscribers = [session.declare_subscriber(f"{site}/{board}/{name}", self._waiting.put) for name in names]
-        # The callbacks hold the queue, not the feed: a loop that was left with `break` ends its subscription here.
+        # The callbacks refer to the queue and not to the feed, so that a loop left with `break` ends the subscription.
         self._end = weakref.finalize(self, _undeclare, subscribers)
 
     def __enter__(self) -> Self:
@@ -63,15 +63,15 @@ class Feed:
 
     @property
     def dropped(self) -> int:
-        """Messages that were lost because nobody took them."""
+        """Messages dropped because the queue was full."""
         return self._waiting.dropped
 
     def take(self, timeout_s: float | None = None) -> Arrival | None:
-        """The next message, or None where none came within `timeout_s` (None: for ever)."""
+        """The next message; None if none arrives within `timeout_s` (s; None: wait without limit)."""
         return self._waiting.take(timeout_s)
 
     def first(self, kind: type[M], timeout_s: float, wanted: Callable[[M], bool] = lambda message: True) -> M | None:
-        """The next message of that kind that is wanted; None if none comes within `timeout_s`."""
+        """The next message of type `kind` for which `wanted` is true; None if none arrives within `timeout_s`, s."""
         end_s = time.monotonic() + timeout_s
         while (arrival := self.take(max(0.0, end_s - time.monotonic()))) is not None:
             if isinstance(arrival.message, kind) and wanted(arrival.message):
@@ -115,10 +115,10 @@ def _undeclare(subscribers: list[zenoh.Subscriber[None]]) -> None:
 
 
 def check_topic(name: str) -> None:
-    """Refuse a name that is no topic which a client can receive.
+    """Check that a client can receive a topic.
 
     Raises:
-        UsageError: with the topics to choose from.
+        UsageError: it cannot; the message lists the topics.
     """
     if name not in topics.BY_NAME or topics.BY_NAME[name].by == "client" or not topics.BY_NAME[name].bus:
         there = ", ".join(topic.name for topic in topics.TOPICS if topic.bus and topic.by != "client")

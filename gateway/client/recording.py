@@ -1,6 +1,6 @@
-"""The bus into MCAP files, without a gateway's log: `board51 record`, and `Rig.record`.
+"""Record the bus to MCAP files independently of the gateway's log: `board51 record` and `Rig.record`.
 
-The raw bytes of the UART do not travel on the bus: only the gateway's own log has them.
+The raw bytes of the UART are not on the bus; only the gateway's own log has them.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from protocol.files import make_folder
 
 
 class Recording:
-    """Everything logged of one board, or of all, from `start` until `close`.
+    """All logged topics of one board, or of all boards, from `start` until `close`.
 
     Args:
         session: of the bus.
         site: first chunk of the keys.
-        board: second; "*": every board.
-        directory: for the parts; made if absent.
+        board: second chunk of the keys; "*": every board.
+        directory: for the files; created if missing.
         prefix: first part of the file names.
-        rotate_bytes: a larger part is closed.
-        rotate_s: an older part is closed, s.
-        metadata: of every part.
-        on_event: told (name, severity, text) of what becomes of the log.
+        rotate_bytes: size at which a new file is begun, bytes.
+        rotate_s: age at which a new file is begun, s.
+        metadata: of every file.
+        on_event: is called with (name, severity, text) of events of the log.
 
     Raises:
-        UsageError: the directory cannot be made, or the prefix is no name.
+        UsageError: the directory cannot be created, or the prefix is not a valid name.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Recording:
         self._subscriber: zenoh.Subscriber[None] | None = None
 
     def start(self) -> Self:
-        """Open the first part and listen.
+        """Open the first file and subscribe.
 
         Raises:
             LogError: the directory is read-only or full.
@@ -87,8 +87,8 @@ class Recording:
         self.close()
 
     def close(self) -> RecorderStats:
-        """End it and finish the file; may be called again.  What came, in numbers."""
-        # What comes from here on is not part of the recording: a closed recorder would count it as dropped.
+        """End the recording and finish the file; returns its statistics.  May be called again."""
+        # Later messages are not part of the recording; a closed recorder would count them as dropped.
         self._closed.set()
         subscriber, self._subscriber = self._subscriber, None
         try:
@@ -100,19 +100,19 @@ class Recording:
 
     @property
     def stats(self) -> RecorderStats:
-        """Messages written and dropped so far, the part being written."""
+        """Messages written and dropped so far, and the current file."""
         return self._recorder.stats()
 
     @property
     def files(self) -> list[Path]:
-        """The parts so far, in their order."""
+        """The files so far, in their order."""
         return list(self._recorder.files)
 
     def samples(self) -> Samples:
-        """What was recorded of the board, arrays of shape (n,), SI units; after `close`.
+        """The recorded samples as arrays of shape (n,), SI units; call it after `close`.
 
         Raises:
-            DataError: nothing came, or several boards were recorded.
+            DataError: there are no samples, or several boards were recorded.
         """
         return read_log(self.files, board=None if self._board == "*" else self._board)
 
@@ -125,8 +125,8 @@ class Recording:
             return
         _, board, topic = place
         message = parse(topics.BY_NAME[topic].message, data)
-        # Log time is the gateway's, as in its own log.  What bears no time (twin/*) gets that of the board's newest
-        # message: the clock of this host may be another one.
+        # Log time is the gateway's, as in its own log.  Messages without a time (twin/*) get that of the board's newest
+        # message, as the clock of this host may differ.
         own_ns: int | None = getattr(message, "host_time_ns", getattr(message, "received_ns", None))
         if own_ns is not None:
             self._newest_ns[board] = max(own_ns, self._newest_ns.get(board, 0))

@@ -1,9 +1,9 @@
 """One board through its gateway: commands, samples, recordings.
 
-Rule 1: a call returns when its command was accepted, and raises otherwise; nothing is sent twice.
-Rule 2: STOP passes everything: it needs no open rig, waits for no other call, and is sent until it is answered.
-Rule 3: who leaves the `with` block by an exception has lost control.  Where this rig has moved something, it is
-        stopped then.  A block that ends well leaves the board as it is.
+Rule 1: a call returns when its command was accepted, and raises otherwise; no command is executed twice.
+Rule 2: STOP has priority: it needs no open rig, does not wait for other calls, and is sent until it is answered.
+Rule 3: if the `with` block ends with an exception after this rig has sent a command that may move the ball, the board
+        is stopped.  A block that ends normally leaves the board as it is.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.bus.identity import Identity, find_identity
 from protocol.errors import ServiceError, UsageError
 
-SILENCE_S = 3.0  # without a sample: a gateway reconnects a port and reads a board anew within it
-STOP_PATIENCE_S = 10.0  # how long STOP is repeated
+SILENCE_S = 3.0  # longest time without a sample; a gateway reconnects a port and reads a board again within it
+STOP_PATIENCE_S = 10.0  # STOP is repeated for so long
 STOP_WAIT_S = 2.0  # for each answer
-NEWEST_WAIT_S = 8.0  # what is repeated comes every 5 s
+NEWEST_WAIT_S = 8.0  # periodic messages are sent at least every 5 s
 CAPTURE_WAIT_S = 10.0  # reading 2000 samples takes 63 answers of the board
 _AT_REST = frozenset({"stop", "ping", "mark", "acknowledge", "set_stream", "set_host_loss"})  # move nothing
 M = TypeVar("M", bound=Message)
@@ -51,14 +51,16 @@ class Rig:
         board: Its name.
         connect: The router's endpoint, as `--connect`.
         site: First chunk of the keys, as `--site`.
-        identity: Who this is on a guarded bus, as `--identity`: the folder that `board51 security` made, or what it
-            holds; None: that of BOARD51_IDENTITY, if there is one.
-        who: Who sends the commands, for the log; empty: the login name.  A guarded bus takes the identity's.
-        timeout_s: How long a command waits for its answer, s; it does not begin to act later.
-        stop_on_error: Whether STOP is sent when the block ends with an exception after this rig has moved something.
+        identity: Of the client on a guarded bus, as `--identity`: the folder that `board51 security` made, or an
+            `Identity`; None: that of BOARD51_IDENTITY, if it is set.
+        who: Sender of the commands, for the log; empty: the login name.  A guarded bus uses the identity's name.
+        timeout_s: Longest wait for the answer to a command, s; the command does not begin to act later.
+        stop_on_error: Whether to send STOP when the block ends with an exception after a command that may move the
+            ball.
 
     Raises:
-        ConfigError: no endpoint, no name, or an identity that is not usable.
+        ConfigError: endpoint, name or identity is not valid.
+        UsageError: `timeout_s` is not positive and finite.
     """
 
     def __init__(
@@ -85,7 +87,7 @@ class Rig:
         self._open: zenoh.Session | None = None
         self._closing = contextlib.ExitStack()
 
-    # --- its life
+    # --- opening and closing
 
     def __enter__(self) -> Self:
         return self.open()
@@ -100,17 +102,17 @@ class Rig:
             self.close()
 
     def open(self) -> Self:
-        """Join the bus without `with`, as in a notebook.  Then `close` it: who stays in keeps the process from ending.
+        """Join the bus without `with`, as in a notebook.  Call `close` at the end, or the process will not end.
 
         Raises:
-            ServiceError: no router there, or not for this identity.
+            ServiceError: there is no router, or it refuses this identity.
         """
         if self._open is None:
             self._open = self._closing.enter_context(open_bus(self.connect, self.identity))
         return self
 
     def close(self) -> None:
-        """End recordings and leave the bus; sends nothing to the board.  May be called again."""
+        """End recordings and leave the bus without a command to the board.  May be called again."""
         try:
             self._closing.close()
         finally:
@@ -138,22 +140,22 @@ class Rig:
         """Enter a mode: "idle" (coil off), "open-loop" or "closed-loop"; clears a fault.
 
         Raises:
-            CommandRefusedError: see its reason; nothing has changed.  The same holds for every command.
-            CommandNotDeliveredError: no answer came.
+            CommandRefusedError: the command was refused; nothing has changed.  All commands raise these two errors.
+            CommandNotDeliveredError: the command was not answered.
         """
         return self._execute(commands.set_mode(mode))
 
     def set_reference(self, x_ref_m: float) -> Reply:
-        """The position to hold, m, up from the sensor; in force from the reply's tick."""
+        """Set the position reference, m, up from the sensor; in force from the reply's tick."""
         return self._execute(commands.set_reference(x_ref_m))
 
     def set_gains(self, gains: Sequence[float], operating_point: OperatingPoint, *, law: Law | str = Law.LQI) -> Reply:
-        """Load a control law, all of it at one tick (eq. 16-19).
+        """Load a control law with gains and operating point, all at one tick (eq. 16-19).
 
         Args:
             gains: Four, SI: k_i (V/A), k_x (V/m), k_v (V s/m), k_int (V/(m s)) of "lqi"; k_p (V/m), k_int (V/(m s)),
                 k_d (V s/m), 0 of "pid".
-            operating_point: Around which it works.
+            operating_point: Of the law.
             law: "lqi" or "pid".
         """
         return self._execute(commands.set_gains(gains, operating_point, law=law))
@@ -173,15 +175,15 @@ class Rig:
         """Play a signal on u_c (open loop, V) or on the reference (closed loop, m); returns when it begins.
 
         Args:
-            shape: "step", "rectangle", "sawtooth", "prbs", "multisine" or "chirp"; "none" ends what is played, and the
-                signal stays where it is.
-            duration_s: s; `math.inf`: without end, where the gateway allows that.
-            on_reference: The reference instead of u_c.
+            shape: "step", "rectangle", "sawtooth", "prbs", "multisine" or "chirp"; "none" ends the current signal, and
+                u_c or the reference keeps its value.
+            duration_s: Of the signal, s; `math.inf`: without end, if the gateway allows that.
+            on_reference: Whether the signal is added to the reference instead of u_c.
             amplitude: V or m.
-            offset: V or m, absolute; of "none" in open loop: u_c stays there.
-            period_s: s; of "prbs" one chip, of "chirp" the first.
-            period_end_s: s; of "chirp" the last.
-            seed: Of "prbs" and "multisine".
+            offset: V or m, absolute; for "none" in open loop: the value that u_c keeps.
+            period_s: s; for "prbs" the length of a chip, for "chirp" the first period.
+            period_end_s: s; for "chirp" the last period.
+            seed: For "prbs" and "multisine".
         """
         signal = commands.excite(
             shape,
@@ -196,19 +198,19 @@ class Rig:
         return self._execute(signal)
 
     def capture(self, *, u_from_v: float, u_to_v: float, duration_s: float = 0.04, pre_s: float = 0.004) -> Capture:
-        """Record the coil current at 25 kHz around a step of u_c, and wait for it; idle or open loop.
+        """Record the coil current at 25 kHz around a step of u_c, and wait for the result; idle or open loop.
 
         Args:
             u_from_v: Input before the step, V.
-            u_to_v: Input after it, V.
+            u_to_v: Input after the step, V.
             duration_s: Of the recording, s.
-            pre_s: Of it before the step, s.
+            pre_s: Part of it before the step, s.
 
         Returns:
             Current and time, shape (n,).
 
         Raises:
-            ServiceError: accepted, but its samples did not come.
+            ServiceError: the command was accepted, but the samples did not arrive.
         """
         with Feed(self._session, self.site, self.board, ["capture"]) as feed:
             wanted = commands.capture(u_from_v=u_from_v, u_to_v=u_to_v, duration_s=duration_s, pre_s=pre_s)
@@ -222,34 +224,34 @@ class Rig:
         )
 
     def set_stream(self, divider: int) -> Reply:
-        """Have the board send every `divider`-th tick; 0: none."""
+        """Make the board send every `divider`-th tick; 0: none."""
         return self._execute(commands.set_stream(divider))
 
     def set_host_loss(self, policy: HostLoss | str, *, timeout_s: float = 1.0) -> Reply:
-        """What the board does after `timeout_s` without its gateway: "keep", "coil-off" or "hold"."""
+        """Set the action of the board after `timeout_s` without its gateway: "keep", "coil-off" or "hold"."""
         return self._execute(commands.set_host_loss(policy, timeout_s=timeout_s))
 
     def mark(self, text: str) -> Reply:
-        """Put a remark at this moment into every log."""
+        """Add a remark at this moment to every log."""
         return self._execute(commands.mark(text))
 
     def acknowledge(self, alarm: str, *, comment: str = "") -> Reply:
-        """Say that an alarm, such as "divergence-x", was seen; in every view and log."""
+        """Acknowledge an alarm, such as "divergence-x"; views and logs show it."""
         return self._execute(commands.acknowledge(alarm, comment=comment))
 
     def ping(self) -> Reply:
-        """Whether the board answers."""
+        """Check that the board answers; raises if not."""
         return self._execute(commands.ping())
 
     def use_model(self, model: Path | str) -> Reply:
-        """Hand a model file to the twin that runs beside this board; it goes on with it.
+        """Hand a model file over to the running twin of this board, which uses it from then on.
 
         Args:
-            model: The file, as `board51 identify` or `diagnose` writes it.
+            model: A model file of `board51 identify` or `diagnose`.
 
         Raises:
-            DataError: no such file.
-            CommandRefusedError: the twin does not take it, and says why.
+            DataError: the file is missing or too large.
+            CommandRefusedError: the twin refuses the model; the message gives the reason.
             ServiceError: no twin answers.
         """
         command = commands.use_model(Path(model))
@@ -265,7 +267,7 @@ class Rig:
         return accepted(command, reply)
 
     def stop(self) -> Reply:
-        """Coil off at once, mode idle.  Repeated until it is answered; works on a closed rig, too.
+        """Switch the coil off at once; mode idle.  It is repeated until it is answered, and works on a closed rig.
 
         Raises:
             CommandNotDeliveredError: no answer for 10 s: THE COIL MAY BE ON.
@@ -287,16 +289,16 @@ class Rig:
             time.sleep(0.1)
 
     def send(self, command: pb.Command, *, timeout_s: float | None = None) -> pb.CommandReply:
-        """Any command as it is, and the reply as it came: a refusal is no exception here.
+        """Send any command and return its reply; a refusal is not an exception here.
 
-        An `id` and an `issued_ns` that are there are kept: so a command is repeated without being executed twice.
+        An existing `id` and `issued_ns` are kept, so that a command can be repeated without being executed twice.
 
         Args:
-            command: Missing fields of its head are filled in.
+            command: The command; missing fields of its head are filled in.
             timeout_s: For the answer, s; None: that of the rig.
         """
         if command.WhichOneof("what") not in _AT_REST:
-            self._has_moved = True  # before it is sent: what is interrupted may act all the same
+            self._has_moved = True  # before it is sent, as an interrupted command may act
         return self._send(self._session, command, timeout_s or self._timeout_s)
 
     def _send(self, session: zenoh.Session, command: pb.Command, timeout_s: float) -> pb.CommandReply:
@@ -306,39 +308,42 @@ class Rig:
     def _execute(self, command: pb.Command) -> Reply:
         return accepted(command, self.send(command))
 
-    # --- what the board says
+    # --- data from the board
 
     def samples(
         self, duration_s: float = math.inf, *, timeout_s: float = SILENCE_S, capacity: int = CAPACITY
     ) -> SampleStream:
-        """The samples from now on, one after the other: `for sample in rig.samples(2.0):`.
+        """Iterate over the samples from now on: `for sample in rig.samples(2.0):`.
 
         Args:
-            duration_s: Of the board's time, s; the default ends only with the loop.
-            timeout_s: Longest silence, s.
-            capacity: Samples that may wait for the loop; beyond it the oldest is lost, and counted in `.dropped`.
+            duration_s: In the board's time, s; the default has no end.
+            timeout_s: Longest time without a sample, s.
+            capacity: Of the queue, samples; if it is full, the oldest is dropped and counted in `.dropped`.
 
         Raises:
-            NoSamplesError: while it runs, nothing came for `timeout_s`.
+            NoSamplesError: during the iteration, no sample arrived for `timeout_s`.
         """
         feed = Feed(self._session, self.site, self.board, ["state"], capacity=capacity)
         return SampleStream(feed, f"{self.site}/{self.board}", duration_s, timeout_s)
 
     def read(self, duration_s: float, *, timeout_s: float = SILENCE_S) -> Samples:
-        """The samples of the next `duration_s` of the board's time, as arrays of shape (n,), SI units.
+        """Read the samples of the next `duration_s` s of the board's time, as arrays of shape (n,), SI units.
 
         Raises:
-            NoSamplesError: nothing came for `timeout_s`.
+            NoSamplesError: no sample arrived for `timeout_s`.
         """
         with self.samples(duration_s, timeout_s=timeout_s) as stream:
             return Samples.of(stream)
 
     def messages(self, *names: str, timeout_s: float | None = None) -> Iterator[Message]:
-        """The messages of some topics from now on: `for event in rig.messages("event"):`.
+        """Iterate over the messages of some topics from now on: `for event in rig.messages("event"):`.
 
         Args:
             names: Topics of the interface page: "event", "status", "twin/state", ...
-            timeout_s: Ends after this silence, s; None: never.
+            timeout_s: Time without a message after which it ends, s; None: no end.
+
+        Raises:
+            UsageError: a name is not a topic that a client can receive.
         """
         for name in names:
             check_topic(name)
@@ -346,26 +351,26 @@ class Rig:
         return (arrival.message for arrival in iter(lambda: feed.take(timeout_s), None) if arrival.message is not None)
 
     def status(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Status:
-        """The next status of link, bus and log; one comes every second.
+        """Wait for the next status of link, bus and log, which is sent every second.
 
         Raises:
-            ServiceError: none came within `timeout_s`.
+            ServiceError: none arrived within `timeout_s`.
         """
         return self._next("status", pb.Status, timeout_s)
 
     def parameters(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Parameters:
-        """Identity, gains, operating point, limits and scalings of the board; they come every 5 s.
+        """Wait for the board's identity, gains, operating point, limits and scalings, which are sent every 5 s.
 
         Raises:
-            ServiceError: none came within `timeout_s`.
+            ServiceError: none arrived within `timeout_s`.
         """
         return self._next("parameters", pb.Parameters, timeout_s)
 
     def alarms(self, *, timeout_s: float = NEWEST_WAIT_S) -> pb.Alarms:
-        """What the gateway knows to be wrong, and what was acknowledged; they come every 5 s.
+        """Wait for the gateway's list of alarms with their acknowledgements, which is sent every 5 s.
 
         Raises:
-            ServiceError: none came within `timeout_s`.
+            ServiceError: none arrived within `timeout_s`.
         """
         return self._next("alarms", pb.Alarms, timeout_s)
 
@@ -380,18 +385,18 @@ class Rig:
         )
 
     def record(self, directory: Path | str, *, prefix: str = "bus") -> Recording:
-        """Log this board to MCAP from now on, until the recording, or the rig, is closed.
+        """Record this board to MCAP from now on, until the recording or the rig is closed.
 
             with rig.record("logs") as recording:
                 rig.read(10.0)
             flight = recording.samples()
 
         Args:
-            directory: For the files; made if absent.
+            directory: For the files; created if missing.
             prefix: First part of their names.
 
         Raises:
-            UsageError: the directory cannot be made.
+            UsageError: the directory cannot be created.
             LogError: it is read-only or full.
         """
         source = {"record": {"connect": self.connect, "keys": f"{self.site}/{self.board}/**"}}

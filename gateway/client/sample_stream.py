@@ -12,9 +12,9 @@ from protocol.bus import board51_pb2 as pb
 
 
 class SampleStream(Iterator[Sample]):
-    """Samples as they come; `rig.samples()` makes it.
+    """Iterator over samples as they arrive; `rig.samples()` makes it.
 
-    It listens from the moment it is made, so nothing is missed before the loop begins.
+    It subscribes when it is made, so no sample is missed before the loop begins.
     """
 
     def __init__(self, feed: Feed, board: str, duration_s: float, timeout_s: float) -> None:
@@ -34,7 +34,7 @@ class SampleStream(Iterator[Sample]):
 
     @property
     def dropped(self) -> int:
-        """Samples that were lost because the loop did not take them in time."""
+        """Samples dropped because the loop was too slow."""
         return self._feed.dropped
 
     def __next__(self) -> Sample:
@@ -51,7 +51,7 @@ class SampleStream(Iterator[Sample]):
         if last is not None and last.session == sample.session:
             self._left_s -= sample.t_s - last.t_s
         self._last = sample
-        if self._left_s < 1e-6:  # s; less than any tick, more than rounding
+        if self._left_s < 1e-6:  # s; less than a tick, more than rounding errors
             self.close()
             raise StopIteration
         return sample

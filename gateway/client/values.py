@@ -1,6 +1,6 @@
-"""What a rig says, as values: one sample, many samples as arrays, a capture, a reply.  SI units.
+"""Data from a rig: one sample, samples as arrays, a capture, a reply.  SI units.
 
-numpy is imported where arrays are made: commands and single samples do without it (extras of pyproject.toml).
+numpy is imported only for arrays; commands and single samples work without it (extras of pyproject.toml).
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _MODES = {pb.MODE_IDLE: Mode.IDLE, pb.MODE_OPEN_LOOP: Mode.OPEN_LOOP, pb.MODE_CL
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply:
-    """A command that was accepted."""
+    """The reply to an accepted command."""
 
     id: str  # of the command
-    tick: int  # of the board, from which it is in force
-    text: str  # a remark of who accepted it; mostly empty
-    attempts: int  # frames that went to the board
+    tick: int  # of the board, from which the command is in force
+    text: str  # a remark; mostly empty
+    attempts: int  # frames sent to the board
 
     @classmethod
     def of(cls, reply: pb.CommandReply) -> Self:
@@ -42,7 +42,7 @@ class Reply:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sample:
-    """One control tick.  A quantity that was not measured is NaN."""
+    """One sample.  A quantity that was not measured is NaN."""
 
     tick: int  # control periods since the board's reset: the time base; strictly increasing within a session
     session: int  # a new number after each reset or reconnection: nothing is continuous across it
@@ -74,10 +74,10 @@ class Sample:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Samples:
-    """Many samples: one array for each quantity, all of shape (n,).  What was not measured is NaN."""
+    """Samples: one array for each quantity, all of shape (n,).  A quantity that was not measured is NaN."""
 
     tick: IntArray  # control periods since the board's reset, shape (n,)
-    session: IntArray  # nothing is continuous where it changes, shape (n,)
+    session: IntArray  # a new number after a reset or reconnection: nothing is continuous there, shape (n,)
     t_s: FloatArray  # time on the board's clock, s, shape (n,)
     i_c_a: FloatArray  # coil current, A, shape (n,)
     x_m: FloatArray  # position of the ball, m, up from the sensor, shape (n,)
@@ -92,7 +92,7 @@ class Samples:
 
     @classmethod
     def of(cls, samples: Iterable[Sample]) -> Self:
-        """Arrays from samples, in their order."""
+        """Make arrays from samples, in their order."""
         import numpy as np
 
         rows = list(samples)
@@ -113,7 +113,7 @@ class Samples:
         """A pandas DataFrame with one column for each quantity.
 
         Raises:
-            UsageError: pandas is not installed; board51 does not bring it.
+            UsageError: pandas is not installed; it is not a dependency of board51.
         """
         try:
             import pandas  # type: ignore[import-untyped, unused-ignore]  # optional, not among our dependencies
@@ -130,7 +130,7 @@ class Capture:
     """The coil current around a step of the input, at 25 kHz."""
 
     session: int
-    tick: int  # at which the capture began
+    tick: int  # at the beginning of the capture
     sample_time_s: float
     u_from_v: float
     u_to_v: float
@@ -154,17 +154,18 @@ class Capture:
 
 
 def read_log(path: Path | str | Sequence[Path], *, board: str | None = None) -> Samples:
-    """The samples of one board in an MCAP log.
+    """Read the samples of one board from an MCAP log.
 
     Args:
-        path: An MCAP file, or the parts of one log.
-        board: Its name; None where the log has one board only.
+        path: An MCAP file, or the files of one log.
+        board: Its name; None if the log has only one board.
 
     Returns:
         Arrays of shape (n,), SI units.
 
     Raises:
-        DataError: no log of ours, a damaged one, no such board, or several boards and none was named.
+        DataError: the file is not a board51 log, is damaged, does not have this board, or has several boards and
+            `board` is None.
     """
     from protocol.log.reader import read
 

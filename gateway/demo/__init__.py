@@ -1,4 +1,4 @@
-"""What `board51 demo` is made of: processes as a user starts them, a view of the bus, and what the log says.
+"""The parts of `board51 demo`: processes as a user starts them, a view of the bus, and an evaluation of the log.
 
-It imports nothing of the emulator or the twin: whatever it shows went through their commands.
+It does not import the emulator or the twin; it uses their commands only.
 """

@@ -17,10 +17,10 @@ from protocol.errors import ServiceError
 
 
 class BusView:
-    """Of one board.
+    """The bus topics of one board.
 
     Args:
-        session: open.
+        session: of the bus.
         board: its name.
     """
 
@@ -28,7 +28,7 @@ class BusView:
         self._session, self._board = session, board
         self._counts: dict[str, int] = {}
         self._samples: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
-        self.t_s = math.nan  # of the newest sample that was looked at, on the board's clock
+        self.t_s = math.nan  # time of the newest sample read, on the board's clock
         for name in ("state", "twin/state", "twin/divergence"):
             session.declare_subscriber(topics.key(topics.DEFAULT_SITE, board, name), self._arrived)
 
@@ -39,11 +39,11 @@ class BusView:
             self._samples.put((place[2], sample.payload.to_bytes()))
 
     def count(self, topic: str) -> int:
-        """Messages so far."""
+        """Number of messages of a topic so far."""
         return self._counts.get(topic, 0)
 
     def command(self, command: pb.Command) -> None:
-        """Send to the board.  Raises ServiceError where it was refused."""
+        """Send a command to the board.  Raises ServiceError if it was refused."""
         command.who = "demo"
         reply = send(self._session, topics.DEFAULT_SITE, self._board, command)
         if not reply.accepted:
@@ -54,14 +54,14 @@ class BusView:
             )
 
     def catch_up(self) -> float:
-        """Drop what waits; the board's time of the newest sample."""
+        """Read all waiting messages; returns the board's time of the newest sample, s."""
         with contextlib.suppress(queue.Empty):
             while True:
                 self._take(*self._samples.get_nowait())
         return self.t_s
 
     def hold(self, duration_s: float) -> tuple[float, float]:
-        """Watch for a while; the last position, m, and the rms of measured minus twin current, A."""
+        """Read for `duration_s`; returns the last position, m, and the rms of measured minus twin current, A."""
         end = time.monotonic() + duration_s
         x, squares, n = math.nan, 0.0, 0
         while (left := end - time.monotonic()) > 0:

@@ -1,6 +1,6 @@
-"""Flights of one log, each with its own model in the twin: what every model improved, and what is left over.
+"""Compare flights of one log, each with another model in the twin: the improvements, and the remaining error.
 
-Rule: measured is said; naming causes is left to `board51 diagnose`.
+Rule: only measured errors are reported here; `board51 diagnose` names the causes.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from protocol.bus import board51_pb2 as pb
 from protocol.files import parse_json
 from protocol.log.reader import read
 
-REST_SAMPLES = 250  # the last half second at a reference: at rest, so that only the balance of forces is compared
+REST_SAMPLES = 250  # the last half second at a reference, at which only the balance of forces matters
 NOTABLE_A = 5e-3  # the noise of i_c is 2 mA a sample, 0.1 mA in a mean over REST_SAMPLES
 
 
 @dataclass(slots=True)
 class Flight:
-    """One span of the log and the name of the model that the twin had."""
+    """A part of the log with one model in the twin."""
 
     name: str
     from_t_s: float
@@ -30,7 +30,7 @@ class Flight:
     rest: dict[float, list[tuple[float, float]]] = field(default_factory=dict)  # x_ref, mm: i_c of rig and twin, A
     innovations: list[tuple[float, float, float]] = field(default_factory=list)  # of x, i_c; NIS
     alarms: list[str] = field(default_factory=list)
-    allowed_m_s2: float = math.nan  # acceleration that the model in force calls noise; alarms count from there
+    allowed_m_s2: float = math.nan  # process noise of the model in the twin, which raises the thresholds of alarms
 
     def currents(self) -> dict[float, tuple[float, float]]:
         """By reference in mm: i_c of rig and twin at rest, A."""
@@ -41,7 +41,7 @@ class Flight:
         return result
 
     def innovation(self) -> tuple[float, float, float]:
-        """Rms of the one-step innovation of x (m) and of i_c (A), mean NIS; NaN where there is none."""
+        """(rms of the one-step innovation of x in m, of i_c in A, mean NIS); NaN without innovations."""
         n = len(self.innovations)
         if not n:
             return math.nan, math.nan, math.nan
@@ -52,7 +52,7 @@ class Flight:
 
 
 def gather(log: Path, flights: list[Flight]) -> None:
-    """Fill the flights from the log.  Raises DataError where it cannot be read."""
+    """Fill the flights from the log.  Raises DataError if it cannot be read."""
     allowed_m_s2 = math.nan
     states: dict[tuple[int, int], pb.State] = {}
     for record in read(log, topics=["state", "twin/state", "twin/divergence", "twin/alarm", "twin/model"]):
@@ -83,7 +83,7 @@ def gather(log: Path, flights: list[Flight]) -> None:
 
 
 def table(flights: Sequence[Flight]) -> str:
-    """Every twin against the rig, for people."""
+    """A table that compares each twin with the rig."""
     currents = [flight.currents() for flight in flights]
     lines = [
         f"  {'held at':>10}{'rig':>9}" + "".join(f"   {'twin, ' + flight.name:^22}" for flight in flights),
@@ -106,7 +106,7 @@ def table(flights: Sequence[Flight]) -> str:
 
 
 def sentence(flights: Sequence[Flight]) -> str:
-    """What each step after the first flight did to the error, and what is left over after the last."""
+    """A sentence on the change of the error from flight to flight, and on the error that remains."""
     errors = [[rig - twin for rig, twin in flight.currents().values()] for flight in flights]
     if not all(errors):
         return "A flight without a twin in step: nothing can be compared."
@@ -124,13 +124,13 @@ def sentence(flights: Sequence[Flight]) -> str:
     names = ", ".join(dict.fromkeys(last.alarms))
     alarms = f"the {last.name} twin still raises {names}" if names else f"the {last.name} twin raises no alarm"
     if last.allowed_m_s2 > 10.0 * flights[0].allowed_m_s2:
-        # Without this, "no alarm" would read as "right".
+        # With so much process noise, a twin without alarms need not be right.
         alarms += f", counting {last.allowed_m_s2:.2g} m/s^2 of acceleration as noise"
     return f"{said}. {over}; {alarms}."
 
 
 def conclusion(diagnosis: Mapping[str, Any]) -> str:
-    """The causes that a diagnosis.json names, in one sentence; its own sentence where it names none."""
+    """A sentence with the causes of a diagnosis.json; without causes, the sentence of the diagnosis."""
     names = [f"{cause['name']} ({cause['sentence']})" for cause in diagnosis["causes"]]
     if not names:
         return f"Cause: {diagnosis['sentence']}"
@@ -147,7 +147,7 @@ def _verb(was: float, now: float) -> str:
 
 
 def _trend(errors: list[float]) -> str:
-    """How the error goes with the height; `errors` from the lowest reference to the highest."""
+    """A clause on the trend of the error over height; `errors` are in order of rising references."""
     rising = all(b > a for a, b in pairwise(errors))
     falling = all(b < a for a, b in pairwise(errors))
     if len(errors) < 3 or not (rising or falling):

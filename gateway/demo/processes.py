@@ -1,7 +1,7 @@
-"""board51 commands as processes of their own: started, watched, and stopped whatever happens.
+"""Run board51 commands as child processes, and stop them in every case.
 
-Rule: each runs in a session of its own, so Ctrl-C reaches the demo alone, which then stops them in the right order: the
-      campaign parks the ball while gateway and board are still there.
+Rule: each has a process session of its own.  So Ctrl-C reaches only the demo, which then stops them in order: the
+      campaign parks the ball while gateway and board still run.
 """
 
 from __future__ import annotations
@@ -17,13 +17,16 @@ from pathlib import Path
 from gateway.processes.command import end, words_of
 from protocol.errors import ServiceError
 
-START_LIMIT_S = 90.0  # compiling the kernels for the first time takes a while on a slow machine
+START_LIMIT_S = 90.0  # includes the first compilation of the kernels on a slow machine
 STOP_LIMIT_S = 15.0
 
 
 @contextlib.contextmanager
 def running(out: Path, name: str, *words: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A service, or background work, talking into OUT/NAME.log; stopped, after 15 s killed, on the way out."""
+    """Run a command in the background with output to OUT/NAME.log; a context manager.
+
+    At the end of the block the process is stopped, and killed after STOP_LIMIT_S.
+    """
     with (out / f"{name}.log").open("wb") as log:
         process = subprocess.Popen(words_of(name, *words), stdout=log, stderr=log, start_new_session=True)
     try:
@@ -40,13 +43,21 @@ def call(
     tell: Callable[[str], None] = lambda _: None,
     log: str = "",
 ) -> tuple[int, list[str]]:
-    """A command to its end; its lines go to OUT/LOG.log (default NAME), and to `tell` as they come.
+    """Run a command to its end.
+
+    Args:
+        out: folder for its log.
+        name: of the command.
+        words: its arguments.
+        good: exit codes that are not errors.
+        tell: is called with each line of output.
+        log: name of the log without suffix; empty: `name`.
 
     Returns:
-        Exit code and lines.
+        Exit code and lines of output.
 
     Raises:
-        ServiceError: it ended with an exit code that is not `good`; says its last line.
+        ServiceError: the exit code is not in `good`; the message has the last line.
     """
     process = subprocess.Popen(
         words_of(name, *words),
@@ -66,17 +77,17 @@ def call(
                 tell(line)
             code = process.wait()
         finally:
-            end([process], signal.SIGINT, STOP_LIMIT_S)  # as a person would: a campaign parks the ball, and says so
+            end([process], signal.SIGINT, STOP_LIMIT_S)  # as Ctrl-C: a campaign parks the ball and prints its summary
             file.write(process.stdout.read())
     _check(code, good, name, lines, path)
     return code, lines
 
 
 def finish(process: subprocess.Popen[bytes], out: Path, name: str, *, good: tuple[int, ...], limit_s: float) -> int:
-    """Wait for work that `running` began; its exit code.
+    """Wait for a process of `running`; returns its exit code.
 
     Raises:
-        ServiceError: it takes longer than `limit_s`, or ended with an exit code that is not `good`.
+        ServiceError: it takes longer than `limit_s`, or its exit code is not in `good`.
     """
     path = out / f"{name}.log"
     try:
@@ -99,7 +110,7 @@ def _check(code: int, good: tuple[int, ...], name: str, lines: list[str], path: 
 
 
 def wait(ready: Callable[[], bool], process: subprocess.Popen[bytes], what: str) -> None:
-    """Until `ready`.  Raises ServiceError where the process ends first, or does not get there in time."""
+    """Wait until `ready()` is true.  Raises ServiceError if the process ends before or START_LIMIT_S is over."""
     end_s = time.monotonic() + START_LIMIT_S
     while not ready():
         if process.poll() is not None:
@@ -116,13 +127,13 @@ def wait(ready: Callable[[], bool], process: subprocess.Popen[bytes], what: str)
 
 
 def free_port() -> int:
-    """A TCP port that nobody has now."""
+    """A free TCP port on loopback."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def listens(port: int) -> bool:
-    """Whether somebody does."""
+    """Whether a server listens on this port of loopback."""
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) == 0

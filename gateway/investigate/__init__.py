@@ -1,6 +1,6 @@
-"""Campaign and diagnosis in turns on a live board, until one name is left: what `board51 investigate` does.
+"""Alternate experiments and diagnoses on a live board until one cause is left: `board51 investigate`.
 
-Reading order: `answer` (what a diagnosis says), `decide` (the next step, and why: pure), `folder` (what was done, to go
-on after an end), `work` (the commands that do it), `investigator` (the loop).  It imports nothing of the twin: rig and
-diagnosis are reached through `board51 campaign run` and `board51 diagnose`.
+Reading order: `answer` (the result of a diagnosis), `decide` (the next step and its reason; pure), `journal` (the steps
+so far, to continue later), `work` (the commands as processes), `investigator` (the loop).  The package does not import
+the twin: it runs `board51 campaign run` and `board51 diagnose`.
 """

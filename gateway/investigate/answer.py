@@ -1,4 +1,4 @@
-"""What of a diagnosis decides about the next experiment.  Pure."""
+"""The part of a diagnosis that determines the next experiment.  Pure."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ from protocol.errors import DataError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Suspect:
-    """One name of the answer, with those that the recordings cannot tell from it."""
+    """One cause of the answer, with the causes that the recordings cannot distinguish from it."""
 
     name: str
     confidence: float
     confounders: Mapping[str, float]  # by name: separation so far, standard errors
-    experiments: Mapping[str, Mapping[str, float]]  # by name: by confounder, separation with that experiment added
-    outside: tuple[str, ...] = ()  # what to measure beside the board where no experiment separates
+    experiments: Mapping[str, Mapping[str, float]]  # by experiment and confounder: separation with it added
+    outside: tuple[str, ...] = ()  # measurements with other instruments, for those that no experiment separates
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What a diagnosis says."""
+    """The result of a diagnosis."""
 
     verdict: str  # of diagnosis.json
     sentence: str
-    suspects: tuple[Suspect, ...] = ()  # causes; where none holds, candidates
+    suspects: tuple[Suspect, ...] = ()  # the causes; without any, the candidates
 
     @property
     def is_open(self) -> bool:
-        """Whether a name of it may be another's."""
+        """Whether a cause has confounders."""
         return any(suspect.confounders for suspect in self.suspects)
 
 
 def read_answer(data: Mapping[str, Any], *, where: str) -> Answer:
-    """The answer in a diagnosis.json.
+    """Read the answer from a diagnosis.json.
 
     Args:
-        data: what the file holds.
-        where: its path, for the error.
+        data: parsed content of the file.
+        where: its path, for errors.
 
     Raises:
-        DataError: it is no such file.
+        DataError: it is not a diagnosis.json.
     """
     try:
         suspects = tuple(_suspect(one) for one in data["causes"] or data["candidates"])
@@ -68,5 +68,5 @@ def _suspect(data: Mapping[str, Any]) -> Suspect:
 
 
 def _z(value: object) -> float:
-    """0 where nothing is known; what no confounder survives is null in JSON."""
+    """A separation; 0 if it is missing or null."""
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else 0.0

@@ -1,15 +1,16 @@
-"""The next step of an investigation, and why.  Pure: what is known in, one action out.
+"""Decide the next step of an investigation, with its reason.  Pure.
 
-    start, diagnose -> a class? the experiment that splits it best -> nothing or too little named? what was not yet
-    excited -> one name? recordings to judge it -> diagnose thoroughly -> the answer, or once more
+    start, diagnose -> equivalence class: the experiment that splits it best
+                    -> no cause, or low confidence: an experiment that was not made yet
+                    -> one cause: recordings to judge it -> thorough diagnosis -> the answer, or again
 
-Rule 1: an experiment is chosen by what it is expected to tell for its time on the rig.  Two causes that are z standard
-        errors apart have a log-likelihood ratio of z^2/2; beyond SURE_Z more of it changes nothing.
-Rule 2: "the model is adequate" and "unknown cause" are said when every experiment of the default campaign was made:
-        what moves nothing shows nothing.
-Rule 3: what judges is recorded last and used for nothing else.
-Rule 4: an experiment is made once; one that the rig did not give is not tried again.
-Rule 5: time on the rig is counted before it is spent: an experiment that does not fit the budget is not begun.
+Rule 1: an experiment is chosen by its expected information for its time on the rig.  Two causes that are z standard
+        errors apart have a log-likelihood ratio of z^2/2; a z beyond SURE_Z has no further value.
+Rule 2: "model adequate" and "unknown cause" need all experiments of the default campaign, because an effect shows only
+        if it is excited.
+Rule 3: judge recordings are made last and used for judging only.
+Rule 4: an experiment is made once; one that failed on this rig is not tried again.
+Rule 5: an experiment that exceeds the remaining time on the rig is not begun.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from dataclasses import dataclass
 from gateway.investigate.answer import Answer
 
 START = ("lift-off", "rest", "amplifier-steps", "wide-steps")
-COVERAGE = (*START, "prbs-reference", "multisine", "prbs-open-loop", "steps")  # what the default campaign has to fit
+COVERAGE = (*START, "prbs-reference", "multisine", "prbs-open-loop", "steps")  # the default campaign, for fitting
 FLIGHTS = ("wide-steps", "prbs-reference", "multisine", "steps")
 JUDGES = ("wide-steps-judge", "multisine-judge")
-ENOUGH_Z = 3.0  # from here on the diagnosis itself calls two causes no longer one class (9 = 2 * 4.5)
+ENOUGH_Z = 3.0  # from this z on, the diagnosis does not put two causes into one equivalence class (9 = 2 * 4.5)
 SURE_Z = 5.0
 SURE = 0.9  # confidence
 _TO_STAND = "before it stands, the answer is asked of all recordings and every candidate"
@@ -35,26 +36,26 @@ class Offer:
 
     about: str
     seconds: float  # on the rig, with lifting and landing
-    needs: str = ""  # an experiment that is recorded first where it is not there yet
-    by_hand: str = ""  # what somebody has to do first
+    needs: str = ""  # an experiment that must be recorded before
+    by_hand: str = ""  # manual preparation, as an instruction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Known:
-    """Where an investigation stands."""
+    """The state of an investigation."""
 
     there: Set[str]  # recordings in the folder
-    refused: Set[str]  # experiments that the rig or its limits did not give
+    refused: Set[str]  # experiments that failed, were impossible or were skipped
     answer: Answer | None  # the newest diagnosis
-    asked_of: Set[str]  # the recordings that it was of
+    asked_of: Set[str]  # the recordings of that diagnosis
     thorough: bool  # whether it was made without --quick
-    left_s: float  # of the time on the rig
-    quick: bool  # never thorough
+    left_s: float  # remaining time on the rig
+    quick: bool  # whether all diagnoses are made with --quick
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Perform:
-    """Experiments to make."""
+    """Action: make experiments."""
 
     experiments: tuple[str, ...]
     seconds: float
@@ -63,7 +64,7 @@ class Perform:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnose:
-    """All recordings so far."""
+    """Action: diagnose all recordings so far."""
 
     thorough: bool
     why: str
@@ -71,9 +72,9 @@ class Diagnose:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finish:
-    """The end."""
+    """Action: end the investigation."""
 
-    stands: bool  # whether the answer stands
+    stands: bool  # whether the answer is final
     why: str
 
 
@@ -81,13 +82,13 @@ Action = Perform | Diagnose | Finish
 
 
 def next_action(known: Known, menu: Mapping[str, Offer]) -> Action:
-    """What to do next.
+    """The next action.
 
     Args:
-        known: where it stands.
-        menu: what can be made on this rig, by name.
+        known: the state of the investigation.
+        menu: the experiments possible on this rig, by name.
     """
-    if not known.there & set(FLIGHTS):  # a diagnosis needs one; what else is missing need not be asked for
+    if not known.there & set(FLIGHTS):  # a diagnosis needs a flight
         missing = [name for name in START if name not in known.there | known.refused]
         if missing:
             why = "to begin with, what every model needs: input and current of lift-off, noise, amplifier, one flight"
@@ -107,7 +108,7 @@ def next_action(known: Known, menu: Mapping[str, Offer]) -> Action:
 
 
 def _after(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Action:
-    """With an answer to all recordings."""
+    """The next action if the newest diagnosis has all recordings."""
     if answer.verdict == "unfinished":
         return Finish(stands=False, why="the diagnosis ended by its budget of computation")
     if answer.is_open and (split := _splitting(known, answer, menu)) is not None:
@@ -124,7 +125,7 @@ def _after(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Action:
 
 
 def _lacking(answer: Answer, *, thorough: bool) -> str:
-    """Why the answer is not one yet; "" where it is.  The confidence of a quick one is not calibrated."""
+    """Why the answer is not final; "" if it is.  Confidence counts only if it is calibrated (`thorough`)."""
     if answer.verdict == "model-adequate":
         return "what is left is noise, in what was excited"
     if answer.verdict != "causes-found":
@@ -134,7 +135,7 @@ def _lacking(answer: Answer, *, thorough: bool) -> str:
 
 
 def _splitting(known: Known, answer: Answer, menu: Mapping[str, Offer]) -> Action | None:
-    """The experiment that tells most about the classes, for its time; None where none does."""
+    """The experiment with most information on the equivalence classes for its time; None if none has any."""
     tells: dict[str, float] = {}
     best_z: dict[str, float] = {}
     for suspect in answer.suspects:
@@ -173,7 +174,7 @@ def _classes(answer: Answer) -> str:
 
 
 def _seconds(known: Known, menu: Mapping[str, Offer], names: Sequence[str]) -> float:
-    """Time on the rig, with what has to be recorded before."""
+    """Time on the rig, with the experiments that must be recorded before, s."""
     before = {menu[name].needs for name in names} - known.there - {*names, ""}
     return sum(menu[name].seconds for name in (*names, *before))
 

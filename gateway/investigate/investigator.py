@@ -1,4 +1,4 @@
-"""The loop: what is known, the next step, its outcome into the journal; until the answer stands or nothing is left."""
+"""The loop of an investigation: decide, act, write the journal, until the answer is final or no step is left."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _RETAINED = ("verdict", "sentence", "causes", "candidates")  # of diagnosis.json
 
 
 def menu_of(*, quick: bool) -> dict[str, Offer]:
-    """What can be made, by name."""
+    """The experiments of the menu, by name; `quick`: the shorter form."""
     offers = {}
     for experiment in MENU:
         (made,) = chosen((experiment.name,), quick=quick)
@@ -30,10 +30,18 @@ def menu_of(*, quick: bool) -> dict[str, Offer]:
 def investigate(
     work: Work, journal: Journal, menu: Mapping[str, Offer], *, budget_s: float, quick: bool, say: Say
 ) -> None:
-    """Until it ends, which `journal.ended` says; None there where it was interrupted.
+    """Run an investigation; the result is in `journal.ended`, which is None after an interruption.
+
+    Args:
+        work: performs the steps.
+        journal: of the folder; it is written after each step.
+        menu: the experiments possible on this rig.
+        budget_s: largest time on the rig, s.
+        quick: whether all diagnoses are made with --quick.
+        say: is called with lines of progress.
 
     Raises:
-        UsageError, ServiceError: a step failed; what was done before is kept.
+        UsageError, ServiceError: a step failed; the earlier steps are kept.
     """
     journal.ended = None
     try:
@@ -54,7 +62,7 @@ def investigate(
 
 
 def sentence(action: Perform | Diagnose | Finish) -> str:
-    """What is done next, and why."""
+    """The action and its reason, as a line of progress."""
     match action:
         case Perform():
             return f"record {', '.join(action.experiments)} ({action.seconds:.0f} s): {action.why}"
@@ -85,6 +93,6 @@ def _diagnose(work: Work, journal: Journal, action: Diagnose, say: Say) -> None:
     retained = {name: found[name] for name in _RETAINED if name in found}
     step = Diagnosed(why=action.why, thorough=action.thorough, recordings=asked_of, found={"candidates": []} | retained)
     journal.steps.append(step)
-    journal.answer()  # an answer that is none is said before it is kept
+    journal.answer()  # raises for an invalid answer before it is saved
     journal.save()
     say(f"{found['verdict']}: {found['sentence']}")

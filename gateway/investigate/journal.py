@@ -1,7 +1,7 @@
-"""investigation.json in the campaign's folder: each step, why, and what came of it, so that an end is not the end.
+"""investigation.json in the campaign's folder: each step with reason and result, so that a run can be continued.
 
-Rule: it is written after each step, beside its place, synced and renamed; what is in the campaign's own lists is not
-      repeated here.
+Rule: after each step it is written to a temporary file, synced and renamed.  The content of the campaign's own lists is
+      not repeated.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ _REFUSED = ("given-up", "impossible", "skipped")
 
 @dataclass(slots=True, kw_only=True)
 class Performed:
-    """Experiments that were made, or not."""
+    """A step of experiments."""
 
     why: str
-    standings: dict[str, str]  # by experiment, as `campaign run` says it
+    standings: dict[str, str]  # by experiment, of `campaign run`
     rig_s: float  # time on the rig
 
 
 @dataclass(slots=True, kw_only=True)
 class Diagnosed:
-    """A diagnosis of what was there."""
+    """A diagnosis."""
 
     why: str
     thorough: bool
     recordings: list[str]
-    found: dict[str, Any]  # of diagnosis.json, what `read_answer` needs
+    found: dict[str, Any]  # the part of diagnosis.json for `read_answer`
 
 
 @dataclass(slots=True, kw_only=True)
 class Journal:
-    """What was done in a folder."""
+    """The steps in a folder."""
 
     folder: Path
     board: str
@@ -55,24 +55,28 @@ class Journal:
 
     @property
     def rig_s(self) -> float:
-        """Time on the rig so far."""
+        """Time on the rig so far, s."""
         return sum(step.rig_s for step in self.steps if isinstance(step, Performed))
 
     @property
     def diagnosed(self) -> Diagnosed | None:
-        """The newest."""
+        """The newest diagnosis."""
         return next((step for step in reversed(self.steps) if isinstance(step, Diagnosed)), None)
 
     def answer(self) -> Answer | None:
-        """Of the newest diagnosis.  Raises DataError where the file is damaged."""
+        """The answer of the newest diagnosis.  Raises DataError if it is damaged."""
         newest = self.diagnosed
         return None if newest is None else read_answer(newest.found, where=str(self.folder / FILE))
 
     def known(self, *, budget_s: float, quick: bool) -> Known:
-        """Where it stands.
+        """The state of the investigation.
+
+        Args:
+            budget_s: largest time on the rig, s.
+            quick: whether all diagnoses are made with --quick.
 
         Raises:
-            UsageError, DataError: the folder is another's, or damaged.
+            UsageError, DataError: the folder has another campaign, or is damaged.
         """
         newest = self.diagnosed
         refused = {
@@ -93,7 +97,7 @@ class Journal:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """The file."""
+        """Content of the file."""
         return {
             "format": FORMAT,
             "board": self.board,
@@ -103,7 +107,7 @@ class Journal:
         }
 
     def save(self) -> None:
-        """Bring the file up to date.  Raises UsageError where it cannot be written."""
+        """Write the file.  Raises UsageError if that is not possible."""
         make_folder(self.folder)
         beside = self.folder / f".{FILE}.part"
         with writing(self.folder / FILE):
@@ -115,7 +119,7 @@ class Journal:
 
 
 def open_journal(folder: Path, board: str) -> Journal:
-    """That of the folder, or a new one.
+    """Read the journal of a folder, or begin a new one.
 
     Raises:
         UsageError: it is of another board.
@@ -133,7 +137,7 @@ def open_journal(folder: Path, board: str) -> Journal:
         raise DataError(f"{path} cannot be read ({error!r})", remedy=_REMEDY) from None
     if journal.board != board:
         raise UsageError(f"{folder} is an investigation of {journal.board}, not of {board}", remedy="Give a new --out")
-    journal.answer()  # damaged is said before anything moves
+    journal.answer()  # raises for a damaged answer before the ball moves
     return journal
 
 

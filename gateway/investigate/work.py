@@ -1,7 +1,7 @@
-"""`board51 campaign run` and `board51 diagnose` as processes: begun, listened to, ended in good order.
+"""Run `board51 campaign run` and `board51 diagnose` as child processes.
 
-Rule: each runs in a session of its own, so Ctrl-C reaches this process alone, which passes it on and waits: the
-      campaign parks the ball.  It ends with this process also after kill -9 (gateway/processes/child.py).
+Rule: each has a process session of its own.  So Ctrl-C reaches only this process, which forwards it and waits until the
+      campaign has parked the ball.  The child also ends if this process is killed (gateway/processes/child.py).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DIAGNOSIS = "diagnosis"  # folder beside the recordings
 
 
 class Interrupted(Exception):  # noqa: N818  # not an error: somebody wanted it
-    """The user wants the end."""
+    """The user ends the investigation."""
 
 
 class Work:
@@ -32,7 +32,7 @@ class Work:
         folder: of the campaign.
         rig: options of `campaign run`: board, bus, plant, limits.
         workers: threads of a diagnosis.
-        say: takes lines of progress.
+        say: is called with lines of progress.
     """
 
     def __init__(self, folder: Path, rig: Sequence[str], *, workers: int, say: Say) -> None:
@@ -42,25 +42,25 @@ class Work:
         self._ending = signal.SIGTERM
 
     def stop(self) -> None:
-        """End what runs, in good order; nothing more is begun."""
+        """End the running command with a signal; no other command is begun."""
         self._stopped = True
         if self._process is not None and self._process.poll() is None:
             self._process.send_signal(self._ending)
 
     @property
     def stopped(self) -> bool:
-        """Whether the user wants the end."""
+        """Whether `stop` was called."""
         return self._stopped
 
     def perform(self, experiments: Sequence[str]) -> dict[str, Any]:
-        """Make experiments; the summary of `campaign run --json`.
+        """Make experiments; returns the summary of `campaign run --json`.
 
         Raises:
-            Interrupted: before anything moved.
-            UsageError, ServiceError: it began nothing.
+            Interrupted: `stop` was called and there is no summary; the ball has not moved.
+            UsageError, ServiceError: the command failed before the ball moved.
         """
         wanted = [word for name in experiments for word in ("--experiment", name)]
-        self._ending = signal.SIGINT  # as a person would: it parks the ball, and says so
+        self._ending = signal.SIGINT  # as Ctrl-C: the command parks the ball and prints its summary
         code, out, last = self._call("campaign", "run", str(self._folder), *self._rig, *wanted, "--json")
         try:
             summary: dict[str, Any] = json.loads(out)
@@ -69,11 +69,11 @@ class Work:
         return summary
 
     def diagnose(self, *, thorough: bool) -> dict[str, Any]:
-        """Diagnose what is there; what diagnosis.json says.
+        """Diagnose the recordings; returns the content of diagnosis.json.
 
         Raises:
-            Interrupted: before its end.
-            UsageError, ServiceError: there is no answer.
+            Interrupted: `stop` was called.
+            UsageError, ServiceError: the command failed.
         """
         out = self._folder / DIAGNOSIS
         quick = () if thorough else ("--quick", "--next-experiment")
@@ -88,12 +88,12 @@ class Work:
         return found
 
     def _call(self, *words: str) -> tuple[int, str, str]:
-        """(exit code, what it printed, its last line of progress)."""
+        """(exit code, stdout, last line of stderr)."""
         if self._stopped:
             raise Interrupted
         self._process = process = subprocess.Popen(
             words_of(*words, child=True),
-            stdin=subprocess.PIPE,  # its end is the end of the process
+            stdin=subprocess.PIPE,  # the child ends when it is closed
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -105,11 +105,11 @@ class Work:
         assert process.stdout is not None
         assert process.stderr is not None
         with process.stdin, process.stdout as printed, process.stderr as lines:
-            if self._stopped:  # the signal came in between
+            if self._stopped:  # `stop` was called while the process started
                 self.stop()
             for line in lines:
                 last = line.rstrip() or last
-                if not line.startswith("board51 identify"):  # what to do after a campaign; here a diagnosis follows
+                if not line.startswith("board51 identify"):  # the hint after a campaign; here a diagnosis follows
                     self._say(f"    {line.rstrip()}")
             out = printed.read()
             return process.wait(), out, last

@@ -1,4 +1,4 @@
-"""The twin from Python; what is public is listed in `twin.__all__`."""
+"""The public functions of the twin and their results; `twin.__all__` lists them."""
 
 from twin.api.functions import design, diagnose, identify, predict, validate
 from twin.api.results import Designed, Diagnosed, Identified, Predicted, Validated

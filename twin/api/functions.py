@@ -1,6 +1,6 @@
-"""Identify, validate, diagnose, predict, design.  The commands of `board51` are shells over these.
+"""Identify, validate, diagnose, predict, design: the functions behind the commands of `board51`.
 
-Each takes files or what was read from them.  What is computed is in the packages; here is what everybody wants of it.
+Each takes files or objects read from them.  The computations are in the packages of the same names.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from twin.design.board import Converters
 
 Say = Callable[[str], None]
-SHARE = 0.2  # least part of what is left that a cause must explain
+SHARE = 0.2  # smallest part of the deviance above the noise floor that a cause must explain
 SAMPLE_TIME_MIN_S, SAMPLE_TIME_MAX_S = 1e-4, 2e-2
 
 
@@ -29,18 +29,18 @@ def _silent(_: str) -> None:
 
 
 def identify(campaign: Campaign | Path | str, *, data: Path | None = None, say: Say = _silent) -> Identified:
-    """Identify K_A, T_A, K_c and b, and the noise, from the recordings with use = "fit".
+    """Identify K_A, T_A, K_c and b, and the noise levels, from the recordings with use = "fit".
 
     Args:
-        campaign: campaign.toml, the folder that holds it, or what `Campaign.load` read.
-        data: folder of recordings that are not beside the campaign.
-        say: takes lines of progress.
+        campaign: campaign.toml, its folder, or the result of `Campaign.load`.
+        data: folder of the recordings, if it is not that of the campaign.
+        say: is called with lines of progress.
 
     Returns:
-        The model (SI units) and what is to be said about it.
+        The model in SI units, with warnings.
 
     Raises:
-        DataError: a file is absent, unreadable, or not what it says it is.
+        DataError: a file is missing, unreadable or implausible.
         ConfigError: a key of the campaign is wrong.
     """
     from twin.identify import pipeline
@@ -52,19 +52,19 @@ def identify(campaign: Campaign | Path | str, *, data: Path | None = None, say: 
 def validate(
     campaign: Campaign | Path | str, model: Model | Path | str, *, data: Path | None = None, say: Say = _silent
 ) -> Validated:
-    """Judge a model by the recordings with use = "judge".
+    """Validate a model on the recordings with use = "judge".
 
     Args:
-        campaign: campaign.toml, the folder that holds it, or what `Campaign.load` read.
-        model: what `identify` gave, a model file, or the name of a shipped model.
-        data: folder of recordings that are not beside the campaign.
-        say: takes lines of progress.
+        campaign: campaign.toml, its folder, or the result of `Campaign.load`.
+        model: a model, a model file, or the name of a shipped model.
+        data: folder of the recordings, if it is not that of the campaign.
+        say: is called with lines of progress.
 
     Returns:
-        The answer; errors over the horizon as arrays of shape (n,), m.
+        The verdict, and the prediction errors over the horizon as arrays of shape (n,), m.
 
     Raises:
-        DataError: a file is absent, unreadable, or not what it says it is; a model of another rig.
+        DataError: a file is missing, unreadable or implausible, or the model is of another rig.
         ConfigError: a key of the campaign is wrong.
     """
     import numpy as np
@@ -97,28 +97,30 @@ def diagnose(
     budget: float | None = None,
     say: Say = _silent,
 ) -> Diagnosed:
-    """Name the physical cause of what a model gets wrong, and extend the model by it.
+    """Name the physical causes of a model's errors, and extend the model by them.
 
     Args:
-        campaign: campaign.toml, the folder that holds it, or what `Campaign.load` read.
-        model: the simulation to judge: a model, a model file, or the name of a shipped one; default: the paper's,
+        campaign: campaign.toml, its folder, or the result of `Campaign.load`.
+        model: the model to diagnose: a model, a model file, or the name of a shipped one; None: the paper's model,
             fitted to the campaign.
-        data: folder of recordings that are not beside the campaign.
-        quick: fewer candidates, the first seconds of each flight; confidence is not calibrated then.
-        share: least part of what is left that a cause must explain, 0 to 1.
-        experiments: ask which experiment tells the causes of a class apart; default: not where `quick`.
-        seed: of the bootstrap.
+        data: folder of the recordings, if it is not that of the campaign.
+        quick: use fewer candidates and the first seconds of each flight; confidence is then not calibrated.
+        share: smallest part of the deviance above the noise floor that a cause must explain, 0 to 1.
+        experiments: whether to find the experiment that distinguishes the causes of an equivalence class; None: if not
+            `quick`.
+        seed: of the random generator for the bootstrap.
         workers: threads; the result does not depend on it.
-        budget: most that is computed, in millions of filter steps; the answer is the same on any machine.
-        say: takes lines of progress.
+        budget: largest amount of computation, millions of filter steps; the answer is the same on any machine.
+        say: is called with lines of progress.
 
     Returns:
         Verdict, causes, extended model (SI units), and residuals as arrays.
 
     Raises:
-        DataError: a file is absent, unreadable, or not what it says it is; too little data; a model of another plant.
+        DataError: a file is missing, unreadable or implausible, there is too little data, or the model is of another
+            plant.
         ConfigError: a key of the campaign is wrong.
-        UsageError: a share or a budget that is none.
+        UsageError: `share` or `budget` is out of range.
     """
     from twin.diagnose import pipeline
     from twin.diagnose.equilibria.run import diagnose_static, rests_alone
@@ -178,22 +180,22 @@ def predict(
     data: Path | None = None,
     board: str | None = None,
 ) -> Predicted:
-    """Predict each reading of x from what was known so many samples earlier, and u_c in between.
+    """Predict each reading of x from the readings up to N samples earlier and the measured u_c.
 
     Args:
-        model: what `identify` or `diagnose` gave, a model file, or the name of a shipped model.
+        model: a model, a model file, or the name of a shipped model.
         recording: CSV (also .gz), MATLAB or MCAP.
-        horizon_samples: samples ahead, from 1.
-        campaign: whose entry of the recording has its columns and skip_s; None: default columns.
-        data: folder of recordings that are not beside the campaign.
-        board: in a log of several boards, the one that is meant.
+        horizon_samples: horizon N in samples, 1 or more.
+        campaign: campaign with the columns and skip_s of the recording; None: default columns.
+        data: folder of the recordings, if it is not that of the campaign.
+        board: board to use in a log of several boards.
 
     Returns:
-        Readings and predictions, shape (n,), s and m.
+        Times in s, readings and predictions in m, arrays of shape (n,).
 
     Raises:
-        DataError: a file is absent, unreadable, or not what it says it is; not a recording of the campaign.
-        UsageError: a horizon below 1.
+        DataError: a file is missing, unreadable or implausible, or is not a recording of the campaign.
+        UsageError: the horizon is below 1.
     """
     from twin import prediction
     from twin.readers.campaign import read_recording
@@ -208,7 +210,7 @@ def predict(
         entry = replace(entry, board=board)
     record = read_recording(path, entry)
     if campaign is None:
-        record = replace(record, kind="free")  # nobody said whether the loop is closed
+        record = replace(record, kind="free")  # whether the loop was closed is unknown
     found = prediction.predict(known, record, horizon_samples)
     return Predicted(
         recording=entry.file,
@@ -223,7 +225,7 @@ def predict(
 
 
 def _listed(campaign: Campaign, wanted: Path, data: Path | None) -> tuple[Recording, Path]:
-    """The campaign's entry of this file, and where the file is."""
+    """(the campaign's entry of this file, the path of the file).  Raises DataError."""
     exact = [r for r in campaign.recordings if wanted in (Path(r.file), campaign.folder / r.file)]
     found = exact or [r for r in campaign.recordings if Path(r.file).name == wanted.name]
     if len(found) != 1:
@@ -247,27 +249,28 @@ def design(
     with_observer: bool = False,
     seed: int = 1,
 ) -> Designed:
-    """Design LQI (eq. 16-19) or PID gains, and judge the loop that the board will run.
+    """Design LQI (eq. 16-19) or PID gains, and analyse the loop that the board will run.
 
     Args:
-        model: what `identify` gave, a model file, or the name of a shipped model.
-        x_m: operating point, m, up from the bottom stop; default: mid-travel.
-        law: of the board.
+        model: a model, a model file, or the name of a shipped model.
+        x_m: operating point, m, up from the bottom stop; None: mid-travel.
+        law: control law of the board.
         sample_time_s: T_s, s.
-        Q: weights of i_c (1/A^2), x (1/m^2), speed (s^2/m^2), integral (1/(m s)^2); default: Bryson's rule.
-        R: weight of u_c, 1/V^2; default: Bryson's rule.
-        settling_time_s: for Bryson's rule: how long an error may last, s.
-        converters: what one count is worth; default: the paper's board.
-        u_max_v: end of the input's range, V.
-        with_observer: compare with a Kalman filter, which the board cannot run.
-        seed: of the parameters drawn from their intervals.
+        Q: weights of i_c (1/A^2), x (1/m^2), speed (s^2/m^2), integral (1/(m s)^2); None: Bryson's rule.
+        R: weight of u_c, 1/V^2; None: Bryson's rule.
+        settling_time_s: for Bryson's rule: longest duration of an error, s.
+        converters: size of one count of each signal; None: those of the paper's board.
+        u_max_v: upper limit of the input, V.
+        with_observer: whether to compare with a Kalman filter, which the board cannot run.
+        seed: of the random generator that draws parameters from their intervals.
 
     Returns:
         Gains, shape (4,), SI units, with poles, margins and robustness.
 
     Raises:
-        DataError: K_A or K_c of the model is a placeholder; no such file.
-        UsageError: no such operating point, weights without a solution, gains beyond the board's format.
+        DataError: K_A or K_c of the model is a placeholder, or the file is missing.
+        UsageError: an argument is out of range, the operating point is not possible, the Riccati equation has no
+            solution for the weights, or a gain exceeds the board's format.
     """
     import numpy as np
 

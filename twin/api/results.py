@@ -1,4 +1,4 @@
-"""What the functions of `twin` give: typed, with arrays, and the files and figures that the commands make of it."""
+"""Results of the functions of `twin`: data, arrays, and their forms as JSON, HTML, figures and text."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 
 def as_text(data: Mapping[str, Any]) -> str:
-    """JSON as the commands print it."""
+    """JSON text in the format of the commands; raises ValueError for NaN."""
     return json.dumps(data, indent=2, allow_nan=False)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Raises UsageError where that is not possible."""
+    """Write a text file.  Raises UsageError if that is not possible."""
     with writing(path):
         path.write_text(text, encoding="utf-8")
 
@@ -43,12 +43,12 @@ class Identified:
     """The model of a campaign."""
 
     model: Model  # K_A in A/V, T_A in s, K_c in N m^2/A^2, b in N s/m, with intervals and verdicts
-    usable: bool  # whether a twin can run on it: the fit converged, K_A and K_c are known
+    usable: bool  # whether a twin can use the model: the fit converged, K_A and K_c are known
     warnings: tuple[str, ...]
     details: Identification
 
     def to_json(self) -> dict[str, Any]:
-        """The model file."""
+        """Content of the model file."""
         return self.model.to_json()
 
     def table(self) -> str:
@@ -62,13 +62,13 @@ class Identified:
 class Validated:
     """Whether a model explains the recordings with use = "judge"."""
 
-    passed: bool | None  # None: the flight is absent or too short to tell
+    passed: bool | None  # None: the flights are missing or too short for a verdict
     answer: str
     failures: tuple[str, ...]
     notes: tuple[str, ...]
     horizon_s: FloatArray  # of the predictions, s, shape (n,)
     rmse_m: FloatArray  # their error, m, shape (n,)
-    floor_m: FloatArray  # what a perfect model would have, m, shape (n,)
+    floor_m: FloatArray  # error of a perfect model, m, shape (n,)
     details: Validation
 
     def to_json(self) -> dict[str, Any]:
@@ -84,7 +84,7 @@ class Validated:
         return to_html(self.details, title=title or f"Validation on {self.details.model.plant.name}")
 
     def figures(self) -> dict[str, Figure]:
-        """The paper's figures 7, 8, 11 and 12, prediction errors and residuals, as far as the campaign has them."""
+        """The paper's figures 7, 8, 11 and 12, prediction errors and residuals; those without data are left out."""
         from twin.validate import figures as draw
 
         found, travel_m = self.details, self.details.model.plant.travel_m
@@ -116,16 +116,16 @@ class Validated:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnosed:
-    """What a model gets wrong, and why."""
+    """The causes of a model's errors, and the extended model."""
 
     verdict: str  # causes-found | partly-explained | model-adequate | unknown-cause | unfinished
-    sentence: str  # the answer, for people
-    causes: tuple[str, ...]  # names of the catalogue, most important first; candidates where the verdict names none
-    extended: Model  # the model with its causes: usable wherever a model is
+    sentence: str  # the answer in words
+    causes: tuple[str, ...]  # names of the catalogue, most important first; candidates if the verdict names no cause
+    extended: Model  # the model with its causes, for any function that takes a model
     warnings: tuple[str, ...]
-    details: Diagnosis | StaticDiagnosis  # of points of rest alone
-    residuals: Show | None  # what is wrong, before and after, as arrays; None for points of rest alone
-    where: str  # the campaign, for the report
+    details: Diagnosis | StaticDiagnosis  # StaticDiagnosis: the campaign has equilibria only
+    residuals: Show | None  # errors before and after the extension, as arrays; None for equilibria only
+    where: str  # path of the campaign, for the report
 
     def to_json(self) -> dict[str, Any]:
         """diagnosis.json."""
@@ -139,7 +139,7 @@ class Diagnosed:
         return result.to_json(self._flown) | {"show": to_dict(self.residuals)}
 
     def to_html(self, folder: Path | str = ".") -> str:
-        """report.html, self-contained; `folder` is named in the commands that it ends with."""
+        """report.html, self-contained; the commands at its end name `folder`."""
         if self.residuals is None:
             from twin.diagnose.equilibria.page import page
 
@@ -149,7 +149,7 @@ class Diagnosed:
         return to_html(self._flown, self.residuals, campaign=Path(self.where), out=Path(folder))
 
     def figures(self) -> dict[str, Figure]:
-        """What is wrong, before and after: over the horizon, in time, by regime, as force, over frequency."""
+        """The errors before and after the extension: over the horizon, in time, by regime, as force, as spectrum."""
         if self.residuals is None:
             from twin.diagnose.equilibria.page import figure
 
@@ -174,7 +174,7 @@ class Diagnosed:
         return drawn
 
     def summary(self, saved_in: Path | None = None) -> str:
-        """A few lines for people."""
+        """A summary in a few lines; `saved_in`: the folder of the files, which it then names."""
         lines = [self.sentence]
         if self.residuals is not None:
             from twin.diagnose.report.sentences import percent, sizes
@@ -226,19 +226,19 @@ class Diagnosed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Predicted:
-    """The position N samples ahead along a recording; each sample that can be predicted once."""
+    """Predictions of the position N samples ahead, for all samples of a recording that can be predicted."""
 
     recording: str
     horizon_samples: int
     horizon_s: float
     t_s: FloatArray  # time, s, shape (n,)
-    x_m: FloatArray  # what was measured, m, shape (n,)
-    x_hat_m: FloatArray  # what was predicted for it, m, shape (n,)
-    rmse_m: float | None  # m; None where nothing could be predicted
+    x_m: FloatArray  # readings, m, shape (n,)
+    x_hat_m: FloatArray  # their predictions, m, shape (n,)
+    rmse_m: float | None  # m; None without a prediction
     details: Prediction
 
     def to_json(self) -> dict[str, Any]:
-        """The figures that the command prints."""
+        """The summary that the command prints."""
         found = self.details
         return {
             "recording": self.recording,
@@ -268,11 +268,11 @@ class Predicted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Designed:
-    """A controller for the board, and what it is worth."""
+    """A controller for the board, and the analysis of its loop."""
 
-    gains: FloatArray  # in the order of the law, shape (4,): V/A, V/m, V s/m, V/(m s) of LQI
-    poles: npt.NDArray[np.complex128]  # of the loop as the board runs it, in z, largest first, shape (n,)
-    stable: bool  # that loop, on the model itself
+    gains: FloatArray  # in the order of the law, shape (4,); for LQI in V/A, V/m, V s/m, V/(m s)
+    poles: npt.NDArray[np.complex128]  # of the board's loop, in z, largest first, shape (n,)
+    stable: bool  # whether the board's loop is stable on the model
     warnings: tuple[str, ...]
     details: Design
 
@@ -283,7 +283,7 @@ class Designed:
         return controller(self.details)
 
     def report(self) -> dict[str, Any]:
-        """The controller and all that is known about it, as the command prints it."""
+        """The controller with its full analysis, in the form that the command prints."""
         from twin.design.report import everything
 
         return everything(self.details)

@@ -1,1 +1,1 @@
-"""The sub-commands of `board51` that belong to the twin; each has `configure` and `run`."""
+"""The sub-commands of `board51` of the twin; each has `configure` and `run`."""

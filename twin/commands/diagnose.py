@@ -1,9 +1,9 @@
-"""What the simulation gets wrong, which physical cause explains it, and what the extended model gains.
+"""Find the physical causes of a model's errors, and extend the model by them.
 
-Takes campaign.toml or its folder, tries every cause of the catalogue on all recordings together, and writes
-diagnosis.json, report.html and extended_model.json.  It says so when the model is adequate, when no known cause
-explains the data, and which causes these data cannot tell apart.  With --live it makes the campaign itself from what
-a board has just done: the flights, their last quarter to judge.
+Takes campaign.toml or its folder, tests every cause of the catalogue on all recordings together, and writes
+diagnosis.json, report.html and extended_model.json.  The result says if the model is adequate, if no known cause
+explains the data, and which causes these data cannot distinguish.  With --live it records the campaign from a running
+board; the last quarter of the flights is used to judge.
 """
 
 from __future__ import annotations

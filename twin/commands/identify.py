@@ -1,4 +1,4 @@
-"""A model from the recordings of a campaign: K_A, T_A, K_c, b with intervals and verdicts, and the noise.
+"""Identify a model from the recordings of a campaign: K_A, T_A, K_c, b with intervals and verdicts, and the noise.
 
 Takes campaign.toml or its folder; recordings may be CSV (also .gz), MATLAB or MCAP.  No initial guess is needed.
 """
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     from twin.api.results import as_text
 
     if args.out is not None and (args.out.is_dir() or not os.access(args.out.parent, os.W_OK)):
-        # Before the work: a minute later is too late to hear of it.
+        # Before the work, which can take a minute.
         raise DataError(f"{args.out} cannot be written", remedy="Give a file in a writable folder")
     began = time.monotonic()
 

@@ -1,6 +1,6 @@
-"""Measured against twin, from a log, as a picture (PNG, SVG or PDF by the file's suffix).
+"""Plot measurement and twin from a log (PNG, SVG or PDF by the file's suffix).
 
-The twin's topics are taken from the log where it holds them; else, or with --model, the twin is run over it.
+The twin's topics are taken from the log if it contains them; otherwise, or with --model, the twin is run over the log.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def _draw_spans(args: argparse.Namespace, board: str, trace: Traces, title: str,
 
 
 def _model_at(path: Path, board: str, t_s: float) -> str:
-    """What the log says the twin ran on at the end of a span; empty where it does not say."""
+    """Name of the twin's model at the end of a span, by the log; empty if the log does not contain it."""
     from protocol.log.reader import LogReader
     from twin.readers.log import entries, parse
 
@@ -144,7 +144,7 @@ def _model_at(path: Path, board: str, t_s: float) -> str:
 
 
 def _thresholds(path: Path, board: str, trace: Traces, model: Model, settings: Settings) -> tuple[float, float]:
-    """(mean NIS, mean squared normalised error of x around the median reference); the latter NaN without parameters."""
+    """Alarm thresholds: (of the mean NIS, of the mean squared error of x at the median reference; NaN if unknown)."""
     from protocol.log.reader import LogReader
     from twin.mirror.regime import Regime
     from twin.readers.log import entries, parse
@@ -180,7 +180,7 @@ def _from_run(path: Path, board: str | None, model: Model, settings: Settings) -
 
 
 def _from_topics(path: Path, board: str | None) -> dict[str, Traces]:
-    """Match samples and answers by (session, tick); empty where a log has no twin topics."""
+    """Match samples and twin topics by (session, tick); empty if the log has no twin topics."""
     from protocol.log.reader import LogReader
     from twin.mirror.plots.traces import Traces
     from twin.readers.log import entries, parse

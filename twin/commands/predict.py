@@ -1,7 +1,7 @@
-"""Predict the position N samples ahead along a recording, so that anyone can compute the error.
+"""Predict the position N samples ahead along a recording, and compute the error.
 
-x_hat of a row is what the model says that the position sensor will show, knowing the readings up to N samples earlier
-and the u_c measured in between.  Takes CSV (also .gz), MATLAB or MCAP, and models with or without causes.
+x_hat of a row is the reading of the position sensor predicted from the readings up to N samples earlier and the
+measured u_c.  Takes CSV (also .gz), MATLAB or MCAP, and models with or without causes.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _same_plant(campaign: Campaign, model: Model) -> None:
-    """Say where the model is of a rig with other constants."""
+    """Warn if the model is of a rig with other constants."""
     for key in ("mass_kg", "travel_m", "x_max_m", "gravity_m_s2"):
         ours, theirs = getattr(model.plant, key), getattr(campaign.plant, key)
         if abs(ours - theirs) > 1e-6 * abs(theirs):

@@ -1,8 +1,8 @@
-"""The model in step with a live rig, or over a log: twin state, divergence and alarms.
+"""Run the twin with a live rig or over a log: twin state, divergence and alarms.
 
 Live, it joins the bus, follows every board of the site and publishes <site>/<board>/twin/state, twin/divergence,
-twin/alarm and twin/model until SIGINT or SIGTERM.  With --hand-over it gives a model to the twins that run already,
-which go on with it from the next sample.  With --log it runs over a log instead and prints what it saw.
+twin/alarm and twin/model until SIGINT or SIGTERM.  With --hand-over it sends a model to the running twins, which use it
+from the next sample on.  With --log it runs over a log instead and prints a summary.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def add_model_options(parser: argparse.ArgumentParser) -> None:
-    """Options that every command with a twin has."""
+    """Add the options of every command with a twin."""
     parser.add_argument(
         "--model",
         default=SHIPPED[0],
@@ -104,7 +104,7 @@ def _model(name: str) -> Model:
 
 
 def chosen_settings(args: argparse.Namespace) -> Settings:
-    """Window and rate, checked."""
+    """The settings of the options.  Raises UsageError for a value out of range."""
     if not (math.isfinite(args.window) and 0.05 <= args.window <= 60.0):
         raise UsageError(f"--window {args.window:g} is outside 0.05 .. 60 s", remedy="Use 1 s unless you know better")
     rate = args.false_alarms_per_day
@@ -117,7 +117,7 @@ def chosen_settings(args: argparse.Namespace) -> Settings:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Live, or over a log, or a model to those who run."""
+    """Run live or over a log, or hand a model over."""
     if args.board:
         check_name(args.board, what="--board")
     check_name(args.site, what="--site")
@@ -179,7 +179,7 @@ def _hand_over(args: argparse.Namespace, endpoints: tuple[str, ...]) -> int:
 def _login() -> str:
     try:
         return getpass.getuser()
-    except (KeyError, OSError):  # a container's user need not have a name
+    except (KeyError, OSError):  # a user of a container may have no name
         return "unknown"
 
 

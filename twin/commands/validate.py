@@ -1,8 +1,8 @@
-"""Does a model explain the recordings?  The paper's figures with numbers under each, as one HTML page and JSON.
+"""Validate a model on recordings: the paper's figures with their numbers, as one HTML page and JSON.
 
-Judges by the recordings with use = "judge": amplifier and ball in open loop, prediction errors against the noise
-floor, residual tests, closed loop simulated against measured, step by step.  What a campaign cannot test is said, not
-an error.
+Uses the recordings with use = "judge": amplifier and ball in open loop, prediction errors against the noise floor,
+residual tests, step responses in closed loop simulated and measured.  Tests for which the campaign has no data are
+reported as such and are not an error.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from twin.api.results import as_text
 
     campaign, model = Campaign.load(args.campaign), Model.load(args.model)
-    make_folder(args.out)  # before the work: a minute later is too late to hear of a wrong folder
+    make_folder(args.out)  # before the work, which takes a minute
     result = validate(campaign, model, data=args.data)
     result.save(args.out, title=f"Validation of {args.model.name} on {campaign.plant.name}")
     print(as_text(result.to_json()) if args.json else f"{result.answer}\n{args.out / 'report.html'}")

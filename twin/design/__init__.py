@@ -1,4 +1,4 @@
-"""A controller for the board from a model file: gains, what they are worth, and how sure that is."""
+"""Controller design from a model: gains, analysis of the loop, robustness."""
 
 import sys
 

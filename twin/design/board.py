@@ -1,6 +1,6 @@
-"""What the board makes of gains and signals: 16-bit mantissas, 12-bit converters (protocol/README.md, rules 9, 14).
+"""The board's number formats: gains as 16-bit mantissas, 12-bit converters (protocol/README.md, rules 9, 14).
 
-Written from that page: the gateway and the board do the same arithmetic in their own code.
+The gateway and the board have their own code for the same arithmetic.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Converters:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QuantisedGain:
-    """mantissa * 2^-shift counts of u per count, and what that is in the unit of the gain."""
+    """A gain as mantissa * 2^-shift counts of u per count, and its value in the unit of the gain."""
 
     mantissa: int
     shift: int
@@ -40,7 +40,7 @@ class QuantisedGain:
 
 
 def to_mantissa(gain: float) -> tuple[int, int]:
-    """(mantissa, shift) with mantissa * 2^-shift nearest to `gain`.  OverflowError above 32767."""
+    """(mantissa, shift) with mantissa * 2^-shift nearest to `gain`.  Raises OverflowError for |gain| > 32767."""
     if abs(gain) > MANTISSA_MAX:
         raise OverflowError(gain)
     if gain == 0.0:
@@ -54,10 +54,16 @@ def to_mantissa(gain: float) -> tuple[int, int]:
 def quantise(
     gains: tuple[float, float, float, float], law: Law, converters: Converters, sample_time_s: float
 ) -> tuple[QuantisedGain, ...]:
-    """The four gains in the order of `law`, as the board holds them.
+    """The four gains as the board stores them.
+
+    Args:
+        gains: in the order of `law`, SI units.
+        law: of the board.
+        converters: size of one count of each signal.
+        sample_time_s: T_s, s.
 
     Raises:
-        UsageError: a gain is above the largest that the format holds.
+        UsageError: a gain is above the largest of the format.
     """
     c = converters
     proportional = c.x_lsb_m / c.u_lsb_v
@@ -79,7 +85,7 @@ def quantise(
 
 
 def from_order_of(law: Law, gains: tuple[float, ...]) -> tuple[float, float, float, float]:
-    """[k_i, k_x, k_v, k_int] behind the four numbers of SET_GAINS; the inverse of `gains.in_order_of`."""
+    """[k_i, k_x, k_v, k_int] from the four numbers of SET_GAINS; the inverse of `gains.in_order_of`."""
     if law == "pid":
         return 0.0, gains[0], gains[2], -gains[1]
     return gains[0], gains[1], gains[2], gains[3]

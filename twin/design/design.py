@@ -1,6 +1,6 @@
-"""From a model and weights to a controller that is judged: the whole of `board51 design` without its text.
+"""Design of a controller from a model and weights, and analysis of its loop.
 
-Rule: what is judged is what the board will hold, the gains after rounding to its format.
+Rule: the analysis is of the gains after rounding to the board's format.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from twin.model.simulate import left_out
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judged:
-    """One controller on the model."""
+    """Analysis of one controller on the model."""
 
     name: str
     poles: NDArray[np.complex128]  # of z, largest first
     margins: Margins | None  # None: unstable
-    x_rms_m: float  # under sensor, process and converter noise
+    x_rms_m: float  # under sensor, process and quantisation noise
     u_rms_v: float
-    x_rms_analog_m: float  # the same with converters that do not round
+    x_rms_analog_m: float  # the same without quantisation
     u_rms_analog_v: float
 
     @property
@@ -57,7 +57,7 @@ class Judged:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Design:
-    """A controller and what is known about it."""
+    """A controller with its analysis."""
 
     law: Law
     sample_time_s: float
@@ -66,17 +66,17 @@ class Design:
     gains: tuple[float, float, float, float]  # as designed, in the order of the law (rule 9)
     quantised: tuple[QuantisedGain, ...]
     converters: Converters
-    loops: tuple[Judged, ...]  # ideal, as designed on the board, rounded on the board, observer where asked for
+    loops: tuple[Judged, ...]  # ideal, the board's law, the board's law with rounded gains, observer if requested
     observer_gain: NDArray[np.float64] | None  # L, shape (3, 2)
     robustness: Robustness  # of the board's loop
     observer_robustness: Robustness | None
     stable_range_m: tuple[float, float]
     warnings: tuple[str, ...]
-    causes: tuple[str, ...] = ()  # those of the model, and what they change
+    causes: tuple[str, ...] = ()  # sentences on the model's causes and their effect on the design
 
     @property
     def board(self) -> Judged:
-        """The loop as the board runs it."""
+        """The loop that the board runs."""
         return self.loops[2]
 
 
@@ -93,11 +93,11 @@ def design(
     with_observer: bool = False,
     seed: int = 1,
 ) -> Design:
-    """Design and judge; see `twin/design/README.md` for what each number is.
+    """Design a controller and analyse its loop; arguments as in `twin.design`, results as in `twin/design/README.md`.
 
     Raises:
         DataError: K_A or K_c of the model is a placeholder.
-        UsageError: no such operating point, weights without a solution, gains beyond the board's format.
+        UsageError: the operating point is not possible, the weights have no solution, or a gain exceeds the format.
     """
     require_known(model)
     converters = Converters() if converters is None else converters
@@ -145,7 +145,7 @@ def design(
 def _changes(
     model: Model, point: OperatingPoint, weights: Weights, K: Gains, sample_time_s: float, law: Law
 ) -> tuple[str, ...]:
-    """What the causes of the model are, and what the design would have been without them."""
+    """Sentences on the causes of the model, and on the design without them."""
     if not model.causes:
         return ()
     plain = dataclasses.replace(model, causes=())
@@ -168,10 +168,10 @@ def _changes(
 
 
 def require_known(model: Model) -> None:
-    """Refuse a model whose gain or force constant is a placeholder.
+    """Check that K_A and K_c of a model are not placeholders.
 
     Raises:
-        DataError: names the parameter and why it is not known.
+        DataError: one is; the message names the parameter and why it is not known.
     """
     for name in ("K_A", "K_c"):
         parameter = model.parameters[name]

@@ -2,7 +2,7 @@
 
 Rule 1: signs and order are the board's (protocol/README.md, rules 9 and 14): delta u = -K [i - i_0, x - x_0, x', s]
         with s = integral of (x_ref - x) dt, so the gain of s is negative.
-Rule 2: s advances after u was computed, as on the board; the augmented model says so, the gains need no correction.
+Rule 2: as on the board, s is advanced after u is computed; the augmented model includes this.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from twin.model.parameters import Model
 Law = Literal["lqi", "pid"]
 LARGEST_X_SHARE = 0.1  # of the travel
 LARGEST_U_SHARE = 0.5  # of u_c0
-TIME_CONSTANTS = 4.0  # of the unstable pole: how long an error of position may last
+TIME_CONSTANTS = 4.0  # of the unstable pole: longest duration of a position error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OperatingPoint:
-    """At rest at `x_m`, (13)."""
+    """The equilibrium (13) at `x_m`; i_a and x_m are readings."""
 
     i_a: float
     x_m: float
@@ -57,10 +57,10 @@ class Weights:
 
 
 def operating_point(model: Model, x_m: float | None, *, u_max_v: float) -> OperatingPoint:
-    """(13) at `x_m`; None: the middle of the travel.
+    """The equilibrium (13) at `x_m`; None: mid-travel.
 
     Raises:
-        UsageError: x is not between the stops, or the input to stay there is beyond `u_max_v`.
+        UsageError: x is not between the stops, has no equilibrium, or needs an input of `u_max_v` or more.
     """
     travel = model.plant.travel_m
     x = 0.5 * travel if x_m is None else x_m
@@ -84,16 +84,18 @@ def operating_point(model: Model, x_m: float | None, *, u_max_v: float) -> Opera
 
 
 def bryson(model: Model, point: OperatingPoint, *, settling_time_s: float | None = None) -> Weights:
-    """Weights for someone without wishes: each is 1 / (largest excursion one would accept)^2 (Bryson's rule).
+    """Default weights by Bryson's rule: each is 1 / (largest acceptable deviation)^2.
 
-    Accepted: a tenth of the travel in x; half of u_c0 in u_c; in i_c what that u_c gives; in speed and integral x over
-    and times the time T an error may last, four time constants 1/p of the ball falling away,
-    p the unstable pole of (14).
+    The deviations are a tenth of the travel in x, half of u_c0 in u_c, and in i_c the change due to that u_c.  With T
+    the longest acceptable duration of an error, they are x / T in speed and x T in the integral.
 
     Args:
         model: the plant.
-        point: where it works.
-        settling_time_s: T instead of the default, s.
+        point: operating point.
+        settling_time_s: T, s; None: 4 / p with p the unstable pole of (14).
+
+    Raises:
+        UsageError: the settling time is not positive and finite.
     """
     if settling_time_s is not None and not (math.isfinite(settling_time_s) and settling_time_s > 0.0):
         raise UsageError(f"settling time {settling_time_s:g} s", remedy="Give a positive number of seconds")
@@ -109,7 +111,7 @@ def bryson(model: Model, point: OperatingPoint, *, settling_time_s: float | None
 def augmented(
     phi: NDArray[np.float64], gamma: NDArray[np.float64], sample_time_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(16): s(k+1) = s(k) - T_s x(k) below a model of n states whose last but one is x; shapes (n+1, n+1), (n+1, 1)."""
+    """(16): a model of n states, x last but one, with s(k+1) = s(k) - T_s x(k); shapes (n+1, n+1), (n+1, 1)."""
     n = len(phi)
     A = np.zeros((n + 1, n + 1))
     A[:n, :n] = phi
@@ -122,16 +124,17 @@ def design_gains(
 ) -> tuple[float, float, float, float]:
     """K of (18) as [k_i, k_x, k_v, k_int]: V/A, V/m, V s/m, V/(m s).
 
-    A PID measures no current.  Its gains are those of the same cost for a ball whose current follows u_c within a tick,
-    i.e. (15) without the row and column of i_c; k_i is 0.  Right for T_A well below T_s; the loop is judged with the
-    whole model anyway.
+    A PID does not use the current: k_i is 0, and the gains are those of (15) without the row and column of i_c, which
+    assumes that the current follows u_c within a tick.  This holds for T_A well below T_s.  The loop is analysed with
+    the complete model.
 
-    A model with delays or lags has states that the board does not measure: (18) without them, then `refined`.
+    Delays and lags add states that the board does not measure.  Then (18) is solved without them, and `refined`
+    improves the result.
 
     Raises:
         UsageError: the Riccati equation has no solution in floating point; the weights are too far apart.
     """
-    import control  # here: 2 s that --help need not wait for
+    import control  # here because the import takes 2 s
 
     prompt = without_lags(model)
     phi, gamma = c2d(*linearise(prompt, point.x_m), sample_time_s)
@@ -156,7 +159,7 @@ def design_gains(
 
 
 def without_lags(model: Model) -> Model:
-    """The model without the causes that add states and delays; itself where it has none.  Equilibria are the same."""
+    """The model without the causes that add states or delays; equilibria are the same."""
     prompt = tuple(cause for cause in model.causes if cause.name not in with_trait("hidden-state"))
     return model if len(prompt) == len(model.causes) else replace(model, causes=prompt)
 
@@ -164,10 +167,10 @@ def without_lags(model: Model) -> Model:
 def refined(
     model: Model, point: OperatingPoint, weights: Weights, K: Gains, sample_time_s: float
 ) -> tuple[float, float, float, float]:
-    """The four gains that cost least by (17) on the whole model, backward difference included, starting from `K`.
+    """The four gains with the lowest cost (17) on the complete model with the backward difference, starting from `K`.
 
-    (18) is optimal for a state that is known; with states that nobody measures the best four gains are found by search.
-    The cost is that of a tenth of the travel in x and of that in speed, one after the other.
+    (18) is optimal only if all states are measured; otherwise the gains are found by numerical search (Nelder-Mead).
+    The cost is the sum over two initial states: a deviation in x of a tenth of the travel, and one in speed.
     """
     from scipy.optimize import minimize
 
@@ -191,7 +194,7 @@ def refined(
         for place, weight in zip((0, 1, 2, n + 1), weights.Q, strict=True):
             spent[place, place] = weight
         P = discrete_lyapunov(F.T, spent + weights.R * to_u.T @ to_u)
-        # x_prev, which stands behind the states, is moved with x: the ball is elsewhere, not suddenly there.
+        # x_prev, the state after those of the plant, gets the same deviation as x, so the initial speed is 0.
         moved = np.zeros((n + 2, 2))
         moved[[1, n], 0], moved[2, 1] = x, speed
         return float(np.trace(moved.T @ P @ moved))
@@ -203,6 +206,6 @@ def refined(
 
 
 def in_order_of(law: Law, K: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    """`K` as SET_GAINS takes it: LQI [k_i, k_x, k_v, k_int], PID [k_p, k_int, k_d, 0] (rule 9)."""
+    """`K` in the order of SET_GAINS: LQI [k_i, k_x, k_v, k_int], PID [k_p, k_int, k_d, 0] (rule 9)."""
     k_i, k_x, k_v, k_int = K
     return (k_x, -k_int, k_v, 0.0) if law == "pid" else (k_i, k_x, k_v, k_int)

@@ -1,10 +1,10 @@
-"""Controllers and the loops they close, linear, around the operating point, in steps of T_s.
+"""Controllers and their closed loops: linear, about the operating point, discrete with T_s.
 
     plant       p(k+1) = Phi p(k) + Gamma (u(k) + n_u) + w,   p = [i_c, x, x']
     controller  z(k+1) = A z(k) + B y(k),  u(k) = C z(k) + D y(k),   y = p + [n_i, n_x, 0]
 
-Three controllers with the same K: `ideal` is told the true speed (what (17) optimises, and nobody has), `backward`
-takes (x - x_prev)/T_s (what the board runs), `observer` a stationary Kalman filter of i_c and x.
+Three controllers with the same K: `ideal` has the true speed (the assumption of (17)), `backward` uses (x - x_prev)/T_s
+(the board's law), `observer` uses a stationary Kalman filter of i_c and x.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ Gains = tuple[float, float, float, float]  # [k_i, k_x, k_v, k_int] of the law u
 
 
 class Plant(NamedTuple):
-    """(15)."""
+    """The discrete plant (15)."""
 
-    phi: NDArray[np.float64]  # (3, 3); with causes and delays more, the first three as they read
+    phi: NDArray[np.float64]  # (3, 3); more states with causes and delays, the first three as readings
     gamma: NDArray[np.float64]  # (3, 1)
 
 
 class Controller(NamedTuple):
-    """Linear law with the memory z; shapes (n, n), (n, 3), (1, n), (1, 3)."""
+    """Linear law with the state z; shapes (n, n), (n, 3), (1, n), (1, 3)."""
 
     A: NDArray[np.float64]
     B: NDArray[np.float64]
@@ -55,7 +55,7 @@ def ideal(K: Gains, sample_time_s: float) -> Controller:
 
 
 def backward(K: Gains, sample_time_s: float) -> Controller:
-    """The board's: speed = (x - x_prev)/T_s, u before s is advanced; z = [x_prev, s]."""
+    """The board's law: speed = (x - x_prev)/T_s, u computed before s is advanced; z = [x_prev, s]."""
     k_i, k_x, k_v, k_int = K
     k_d = k_v / sample_time_s
     return Controller(
@@ -69,7 +69,7 @@ def backward(K: Gains, sample_time_s: float) -> Controller:
 def kalman_gain(plant: Plant, noise: Noise) -> NDArray[np.float64]:
     """Stationary gain L of p(k|k) = p(k|k-1) + L (y - p(k|k-1)), shape (n, 2) for n states, from i_c and x.
 
-    Solved in units of the noise: squares of amperes and of micrometres side by side cost the solver its digits.
+    The Riccati equation is solved in units of the noise, because A^2 and um^2 differ too much for the solver.
     """
     phi, gamma = plant
     n = len(phi)
@@ -106,7 +106,7 @@ def observer(K: Gains, plant: Plant, filter_gain: NDArray[np.float64], sample_ti
 
 
 def seeing(plant: Plant, controller: Controller) -> Controller:
-    """The controller on a plant of more states (causes, delays) than it was written for: none sees more than three."""
+    """The controller on a plant of more states (causes, delays); a law of three inputs uses the first three states."""
     n = len(plant.phi)
     if n == controller.B.shape[1]:
         return controller
@@ -123,14 +123,14 @@ def closed_loop(plant: Plant, controller: Controller) -> NDArray[np.float64]:
 
 
 def radius(plant: Plant, controller: Controller) -> float:
-    """Largest |pole|; stable below 1; infinite where the plant has no equilibrium to linearise at."""
+    """Largest |pole|; stable below 1; infinite if the plant has no equilibrium."""
     if not np.isfinite(plant.phi).all():
         return np.inf
     return float(np.max(np.abs(np.linalg.eigvals(closed_loop(plant, controller)))))
 
 
 def noise_rms(plant: Plant, controller: Controller, noise: Noise) -> tuple[float, float]:
-    """Stationary rms of x (true) and u_c, m and V: P = F P F' + G Q G'; infinite where the loop is unstable."""
+    """Stationary rms of the true x in m and of u_c in V: P = F P F' + G Q G'; infinite if the loop is unstable."""
     if radius(plant, controller) >= 1.0:
         return np.inf, np.inf
     gamma = plant.gamma

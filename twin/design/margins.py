@@ -1,7 +1,7 @@
-"""How much the loop at the plant's input may change before it is unstable.
+"""Stability margins of the loop, broken at the plant's input.
 
-Gain and delay margin are found as what they mean: the nearest factor, or delay, at which a pole leaves the unit circle.
-So they hold for loops that are stable only between two gains, as every loop around an unstable plant is.
+Gain and delay margin are the nearest factor or delay at which a pole leaves the unit circle.  So they are also right
+for loops that are stable only between two gains, as every loop around an unstable plant is.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ FREQUENCIES = 2000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Margins:
-    """Of a stable loop."""
+    """Margins of a stable loop."""
 
     gain_low: float  # factor below 1 at which it becomes unstable; 0: none down to 1/GAIN_MAX
-    gain_high: float  # factor above 1; inf: none up to GAIN_MAX
+    gain_high: float  # factor above 1 at which it becomes unstable; inf: none up to GAIN_MAX
     phase_deg: float
-    delay_s: float  # beyond what is in the model; inf: none up to DELAY_MAX_TICKS
+    delay_s: float  # in addition to the model's delay; inf: none up to DELAY_MAX_TICKS
 
 
 def margins(
@@ -39,14 +39,14 @@ def margins(
     *,
     own_delay_s: float = 0.0,
 ) -> Margins | None:
-    """Margins of `controller` on the continuous plant (14) `A`, `B`; None where the loop is unstable as it is.
+    """Margins of `controller` on the continuous plant (14) `A`, `B`; None if the loop is unstable.
 
     Args:
         A: shape (n, n).
         B: shape (n, 1).
         controller: on the first three states.
-        sample_time_s: T_s.
-        own_delay_s: of the model; the delay margin is what may come on top.
+        sample_time_s: T_s, s.
+        own_delay_s: delay of the model, s; the delay margin is in addition to it.
     """
     plant = delayed_plant(A, B, own_delay_s, sample_time_s)
     if radius(plant, controller) >= 1.0:
@@ -71,15 +71,15 @@ def margins(
 
 
 def delayed_plant(A: NDArray[np.float64], B: NDArray[np.float64], delay_s: float, sample_time_s: float) -> Plant:
-    """(15) with u_c acting `delay_s` late, exactly: a part of a tick by splitting the hold, whole ticks as states.
+    """(15) with u_c delayed by `delay_s`, exactly; see `twin.model.linear.late`.
 
-    States [i_c, x, x', u(k-1), u(k-2), ..]; the first three are what the controller measures.
+    The states are [i_c, x, x', .., u(k-1), u(k-2), ..]; the controller uses the first three.
     """
     return Plant(*late(A, B, delay_s, sample_time_s))
 
 
 def _first_loss(holds: Callable[[float], bool], start: float, values: Iterable[float]) -> float:
-    """Where `holds`, true at `start`, ends on the way through `values`; inf: at none of them."""
+    """Value at which `holds`, true at `start`, becomes false along the rising `values`; inf: at none of them."""
     inside = start
     for value in values:
         if holds(value):

@@ -1,4 +1,4 @@
-"""A design as text for people and as a dictionary for programs."""
+"""A design as text and as a dictionary."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NAMES = {"lqi": ("k_i", "k_x", "k_v", "k_int"), "pid": ("k_p", "k_int", "k_d", "
 
 
 def controller(design: Design) -> dict[str, Any]:
-    """What a board is to be loaded with (SET_GAINS, SI), and where it came from."""
+    """The controller file: the content of SET_GAINS in SI units, and the weights."""
     return {
         "law": design.law,
         "gains": list(design.gains),
@@ -31,7 +31,7 @@ def controller(design: Design) -> dict[str, Any]:
 
 
 def everything(design: Design) -> dict[str, Any]:
-    """The controller and all that is known about it; infinite numbers are null."""
+    """The controller with its full analysis; infinite numbers are null."""
     c = design.converters
     return controller(design) | {
         "on_board": [{"mantissa": q.mantissa, "shift": q.shift, "value": q.value} for q in design.quantised],
@@ -47,7 +47,7 @@ def everything(design: Design) -> dict[str, Any]:
 
 
 def table(design: Design) -> str:
-    """The answer first, then what it rests on."""
+    """The gains, then the analysis, as lines of text."""
     point = design.point
     lines = [
         f"{design.law.upper()} at x = {point.x_m * 1e3:.3f} mm, i_c = {point.i_a:.4f} A, u_c = {point.u_v:.4f} V, "

@@ -1,9 +1,9 @@
-"""Does the loop stay stable where the model is wrong: parameters over their 95 % intervals, positions over the travel.
+"""Robust stability: parameters over their 95 % intervals, positions over the travel.
 
 Rule 1: the parameters are drawn independently and uniformly from the box of their intervals, and its corners are added.
-        A fit's errors are correlated, so the box holds more than the data allow: a pessimistic check on purpose.
-Rule 2: the gains stay, the equilibrium moves with the parameters: the integrator finds it.
-Rule 3: a parameter without an interval cannot be varied, and the result says so.
+        The errors of a fit are correlated, so the box is larger than the data allow: the check is conservative.
+Rule 2: the gains are constant.  The equilibrium is that of the drawn parameters, as the integrator would find it.
+Rule 3: a parameter without an interval is not varied, and the result lists it.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from twin.model.parameters import PARAMETERS, Model, Parameter
 
 SAMPLES = 400
 POSITIONS = 39
-CORNERS = 256  # eight parameters; of more, not every corner
+CORNERS = 256  # all corners of eight parameters; with more parameters only a part of them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Robustness:
-    """Loops of one controller on plants of the box."""
+    """Stability of one controller on plants of the box."""
 
     varied: Mapping[str, tuple[float, float]]  # the box
     fixed: tuple[str, ...]  # parameters without an interval
@@ -39,7 +39,7 @@ class Robustness:
 def over_intervals(
     model: Model, controller: Controller, x_m: float, sample_time_s: float, *, seed: int, samples: int = SAMPLES
 ) -> Robustness:
-    """Close `controller` around plants drawn from the intervals of `model`, at `x_m`."""
+    """Close the loop of `controller` with plants drawn from the intervals of `model`, linearised at `x_m`."""
     box = {}
     for name, parameter in model.parameters.items():
         if parameter.ci95 is not None:
@@ -72,7 +72,7 @@ def over_intervals(
 
 
 def stable_range_m(model: Model, controller: Controller, x_m: float, sample_time_s: float) -> tuple[float, float]:
-    """Positions around `x_m` between which every linearisation is stable, on a grid of the travel; m."""
+    """(lowest, highest) position in m such that all linearisations between them and `x_m` are stable, on a grid."""
     travel = model.plant.travel_m
     grid = (travel * np.arange(1, POSITIONS + 1) / (POSITIONS + 1)).tolist()
     low = high = x_m
@@ -93,7 +93,7 @@ def plant_at(model: Model, x_m: float, sample_time_s: float) -> Plant:
 
 
 def within_range(name: str, value: float) -> float:
-    """`cause.parameter`, moved into its physical range."""
+    """Limit the value of `cause.parameter` to its physical range."""
     from twin.model.causes.catalogue import BY_NAME
 
     cause, _, parameter = name.partition(".")

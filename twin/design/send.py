@@ -1,7 +1,7 @@
-"""A designed controller into a board, through its gateway: one SetGains on the bus, and what became of it.
+"""Send a designed controller to a board through its gateway: one SetGains on the bus, and its reply.
 
-Rule: the board's own parameters are read first.  Gains of another T_s, or a reference range that does not hold the
-      operating point, are refused here: the board would take them, and throw the ball.
+Rule: the board's parameters are read first.  Gains for another T_s, or for an operating point outside the board's
+      reference range, are refused here: the board would accept them and lose the ball.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ def send(
     who: str = "board51 design",
     identity: Identity | None = None,
 ) -> str:
-    """Load `design` into `board`; in closed loop it takes over within one tick.
+    """Load `design` into `board`; in closed loop the gains are in force within one tick.
 
     Returns:
-        What the gateway said, one line.
+        The reply of the gateway, one line.
 
     Raises:
-        UsageError: the loop is unstable on the model, or the board is not the one designed for.
-        ServiceError: no router, no such board, or the command was refused.
+        UsageError: the loop is unstable on the model, or the design does not fit the board.
+        ServiceError: there is no router or no such board, or the command was refused.
     """
     topics.check_name(site, what="site")
     topics.check_name(board, what="board")
@@ -66,7 +66,7 @@ def send(
 
 
 def check_board(design: Design, parameters: pb.Parameters) -> None:
-    """Refuse a board that `design` was not made for.  Raises UsageError."""
+    """Check that `design` fits the board with these parameters.  Raises UsageError if not."""
     if abs(parameters.sample_time_s - design.sample_time_s) > 1e-6 * design.sample_time_s:
         raise UsageError(
             f"designed for T_s = {design.sample_time_s:g} s, the board runs at {parameters.sample_time_s:g} s",

@@ -1,4 +1,4 @@
-"""From a finished search to the diagnosis: findings, next experiments, what was ruled out, the gain, the sentence."""
+"""From a finished search to the diagnosis: findings, next experiments, prediction improvement, verdict, sentence."""
 
 from __future__ import annotations
 
@@ -57,25 +57,25 @@ Say = Callable[[str], None]
 
 @dataclass(kw_only=True)
 class Searched:
-    """What the search ended with; a change puts its own criterion, causes and recordings in place of the first ones."""
+    """Result of the search; with a change point, criterion and selection are those of the change."""
 
     criterion: Criterion
     base: Fit
     floor: Floor
     found: Selection
-    fine: bool  # what is left is noise
+    fine: bool  # whether only noise is left
     why_not: str
     change: Change | None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """How the user wants it done."""
+    """The options of the user."""
 
     model: Model | None
     quick: bool
     share: float
-    experiments: bool  # which one would tell the causes of a class apart
+    experiments: bool  # whether to find experiments that split equivalence classes
     seed: int
     workers: int
     budget: Budget
@@ -84,14 +84,14 @@ class Asked:
 
 @contextmanager
 def timed(stages: dict[str, float], name: str) -> Iterator[None]:
-    """Add the seconds that the block takes to that stage."""
+    """Add the duration of the block to the stage `name`, s."""
     began = time.perf_counter()
     yield
     stages[name] = stages.get(name, 0.0) + time.perf_counter() - began
 
 
 def testable_causes(records: Sequence[Record]) -> tuple[Cause, ...]:
-    """The causes whose channels the recordings have."""
+    """The causes whose channels are in the recordings, without those that are not found by fitting."""
     return tuple(
         cause
         for cause in CATALOGUE
@@ -110,9 +110,21 @@ def told(
     asked: Asked,
     stages: dict[str, float],
 ) -> Diagnosis:
-    """The diagnosis of a finished search; `warnings` and `stages` grow on the way."""
+    """Assemble the diagnosis.
+
+    Args:
+        campaign: plant and controller.
+        done: result of the search.
+        records: recordings for fitting.
+        judges: recordings for judging.
+        evidence: prepared recordings for fitting.
+        judge: prepared recordings for judging; None: there are none.
+        warnings: receives further warnings.
+        asked: options of the user.
+        stages: receives the duration of each stage, s.
+    """
     criterion, found, floor = done.criterion, done.found, done.floor
-    finished = not asked.budget.unanswered  # what cannot be paid from here on leaves the verdict as it is
+    finished = not asked.budget.unanswered  # questions left open from here on do not change the verdict
     asked.budget.reopen()
     with timed(stages, "what is left"):
         under = floor.under(criterion, found.fit.theta)
@@ -181,12 +193,12 @@ def told(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Worth:
-    """What the extended model is worth on the judge recordings."""
+    """Prediction improvement of the extended model on the judge recordings."""
 
-    before: Theta  # of the given model, or of the paper's at its best
+    before: Theta  # of the reference model, or of the fitted paper's model
     gains: tuple[Gain, ...]
     at_20_ms: Gain | None
-    off: str  # what is wrong in the numbers of the given model; "" where nothing
+    off: str  # a sentence on wrong parameters of the reference model; "" if there are none
 
 
 def _worth(done: Searched, judge: Evidence | None, plant: Plant, asked: Asked) -> _Worth:
@@ -215,7 +227,7 @@ def _gains(
     def at(samples: int) -> Gain | None:
         return gain(judge, before, after, floor, plant, tick_s, samples, asked.seed)
 
-    # The longest first: it takes the most.
+    # The longest first, as it takes most time.
     horizons = sorted({max(round(horizon / tick_s), 1) for horizon in HORIZONS_S}, reverse=True)
     horizons = _affordable(horizons, judge, (before, after), tick_s, asked.budget)
     with ThreadPoolExecutor(max_workers=asked.workers) as pool:
@@ -226,7 +238,7 @@ def _gains(
 def _affordable(
     horizons: Sequence[int], judge: Evidence, thetas: Sequence[Theta], tick_s: float, budget: Budget
 ) -> list[int]:
-    """The horizons that the budget pays for, that of the answer first."""
+    """The horizons within the budget; that of the answer has priority."""
     pace, paid = pace_of(judge.series), set()
     for samples in sorted(horizons, key=lambda samples: abs(samples * tick_s - settings.BENEFIT_HORIZON_S)):
         with suppress(Spent), budget.question(f"the error of x {1e3 * samples * tick_s:.0f} ms ahead"):
@@ -278,7 +290,7 @@ def _findings(
 
 
 def _late(finding: Finding, change: Change) -> Finding:
-    """A finding with the place where it begins or ends."""
+    """The finding with the recording in which it begins or after which it ends."""
     if finding.name not in change.selection.causes:
         return finding
     if change.begins:
@@ -287,14 +299,14 @@ def _late(finding: Finding, change: Change) -> Finding:
 
 
 def _names(findings: Sequence[Finding]) -> set[str]:
-    """Of the causes, and of those that none of these data can tell from them."""
+    """Names of the causes and of the other members of their equivalence classes."""
     return {finding.name for finding in findings} | {
         member.name for finding in findings for member in finding.indistinguishable_from
     }
 
 
 def _proposals(criterion: Criterion, found: Selection, campaign: Campaign, asked: Asked) -> dict[str, Proposal]:
-    """For each cause with a class, the experiment that splits it best, or why none can."""
+    """For each cause with an equivalence class, the experiment that splits it best, or a measurement if none does."""
     result = {}
     for cause in found.causes:
         near = found.classes.get(cause, ())

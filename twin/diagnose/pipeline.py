@@ -1,11 +1,12 @@
-"""From a campaign to a diagnosis: the steps in order, and what is said on the way.
+"""Diagnosis of a campaign: the steps in order.
 
-    recordings -> evidence -> the paper's model at its best -> what does it lack against sensor noise alone?
-               -> causes: forward, backward, classes -> is what is left noise? -> gain on the judge recordings
+    recordings -> evidence -> fit of the paper's model -> deviance above the noise floor
+               -> causes by stepwise selection, equivalence classes -> adequacy, change point
+               -> prediction improvement on the judge recordings
 
-Rule 1: nothing but the campaign folder (and the model file, where one is given) is read.
-Rule 2: choosing sees the recordings for fitting only; measuring sees the judge recordings only.
-Rule 3: the same seed gives the same diagnosis, whatever the number of workers.
+Rule 1: only the campaign, its recordings and the given model are read.
+Rule 2: causes are selected on the recordings for fitting, and the improvement is measured on the judge recordings.
+Rule 3: the same seed gives the same diagnosis for any number of workers.
 """
 
 from __future__ import annotations
@@ -67,21 +68,23 @@ def diagnose(
     """Diagnose a campaign.
 
     Args:
-        campaign: of `protocol.campaign.load`.
-        data: folder of recordings that are not beside the campaign.
-        model: the simulation to be judged; default: the paper's model, identified from the campaign itself.
-        quick: fewer candidates are fitted to shorter flights, and nothing is asked about confounders of several
-            causes or a change in the middle: confidence is not calibrated.
-        share: least part of what is left that a cause must explain; with a smaller one confidence is not calibrated.
-        experiments: ask which experiment tells the causes of a class apart; default: not where `quick`.
+        campaign: of `Campaign.load`.
+        data: folder of the recordings, if it is not that of the campaign.
+        model: the reference model to diagnose; None: the paper's model, fitted to the campaign.
+        quick: fit fewer candidates to shorter flights, without confounders of several causes and without a change
+            point; confidence is then not calibrated.
+        share: smallest part of the deviance above the noise floor that a cause must explain; below the default,
+            confidence is not calibrated.
+        experiments: whether to find the experiment that distinguishes the causes of an equivalence class; None: if not
+            `quick`.
         seed: of the bootstrap.
         workers: threads.
-        budget: filter steps, `twin/diagnose/inference/budget.py`; default QUICK or FULL.
-        say: takes lines of progress, each with the share of the budget that is used.
+        budget: filter steps (`twin/diagnose/inference/budget.py`); None: QUICK or FULL.
+        say: is called with lines of progress, each with the used share of the budget.
 
     Raises:
-        DataError: no recording for fitting, too little data, a recording that is not what it says it is, a model of
-            another plant; a budget that does not fit the paper's model to the recordings.
+        DataError: there is no recording for fitting or too little data, a recording is implausible, the model is of
+            another plant, or the budget is too small to fit the paper's model.
     """
     records = read_campaign(campaign, data=data)
     judges = read_campaign(campaign, use="judge", data=data)
@@ -120,7 +123,10 @@ def diagnose_records(
     look_for_outlier: bool = True,
     say: Say = lambda line: None,
 ) -> Diagnosis:
-    """As `diagnose`, on recordings in memory; one that contradicts all others is left out, where asked for."""
+    """`diagnose` with recordings in memory.
+
+    With `look_for_outlier`, a recording that contradicts all others is left out.  Raises DataError.
+    """
     plant = campaign.plant
     budget = budget or Budget()
     asked = Asked(
@@ -190,7 +196,7 @@ def diagnose_records(
 def _evidence(
     records: Sequence[Record], judges: Sequence[Record], plant: Plant
 ) -> tuple[Evidence, Evidence | None, Noise]:
-    """The series for fitting and for judging, without outliers, and the noise of their instruments."""
+    """(evidence for fitting, evidence for judging, noise of the instruments), without outliers."""
     evidence = gather(records, plant)
     judge = gather(judges, plant, (evidence.low_m, evidence.high_m)) if judges else None
     evidence, judge = without_outliers(evidence), judge and without_outliers(judge)
@@ -199,7 +205,7 @@ def _evidence(
 
 
 def _missing(records: Sequence[Record], judges: Sequence[Record]) -> list[str]:
-    """Warnings about recordings that are not there."""
+    """Warnings about missing recordings."""
     warnings = []
     if not judges:
         warnings.append('no recording has use = "judge": the gain cannot be measured on data that were not used')
@@ -219,12 +225,12 @@ def _outlier(criterion: Criterion, done: Searched) -> Outlier | None:
 
 
 def _prepared(campaign: Campaign, records: Sequence[Record], quick: bool) -> tuple[list[Record], list[str]]:
-    """(recordings without dead channels, shortened for `quick`; what is to be said about them)."""
+    """(recordings without dead channels, shortened for `quick`; warnings)."""
     warnings = [note for record in records for note in record.notes]
     warnings += inspect(list(records), campaign.plant, campaign.controller)
     retained: list[Record] = []
     for record in records:
-        # Elsewhere a ball may lie still, or beyond the range of its sensor.
+        # In other kinds the ball may be at rest, or beyond the range of its sensor.
         asked = [record] if record.kind in ("closed-loop", "prbs") else []
         alive, dead = without_dead(asked, campaign.plant)
         retained += alive or [record]
@@ -238,7 +244,7 @@ def _prepared(campaign: Campaign, records: Sequence[Record], quick: bool) -> tup
 def _search(
     criterion: Criterion, start: Theta, records: Sequence[Record], asked: Asked, stages: dict[str, float]
 ) -> Searched:
-    """The paper's model, what it lacks, the causes, and where they leave more than noise, a change."""
+    """Fit the paper's model, select causes, and if more than noise is left, look for a change point."""
     say, few = asked.say, 3 if asked.quick else 6
     with timed(stages, "base fit"):
         say(f"{len(records)} recordings, {len(criterion.evidence.series)} samples; the paper's model first")
@@ -273,13 +279,13 @@ def _search(
 
 
 def without_outlier(rest: Diagnosis, outlier: Outlier) -> Diagnosis:
-    """The diagnosis of the others, with what was left out."""
+    """The diagnosis of the other recordings, with a sentence on the outlier."""
     said = outlier_sentence(outlier)
     return replace(rest, sentence=f"{rest.sentence} But {said}.", warnings=(said, *rest.warnings))
 
 
 def tick_of(records: Sequence[Record]) -> float:
-    """The sampling interval of the flights."""
+    """The sampling interval of the flights, s; 2 ms if it is unknown."""
     for kinds in (("closed-loop", "prbs", "free"), ("sawtooth",)):
         steps = [r.interval_s for r in records if r.kind in kinds and len(r.t) > 1]
         good = [step for step in steps if math.isfinite(step)]
@@ -289,10 +295,10 @@ def tick_of(records: Sequence[Record]) -> float:
 
 
 def enough(evidence: Evidence) -> None:
-    """Whether the flights are long enough to tell one cause from another.
+    """Check that the flights are long enough to distinguish causes.
 
     Raises:
-        DataError: with what there is and what is asked for.
+        DataError: they are too short; the message gives their length and the required one.
     """
     series = evidence.series
     flown_s = float(series.step[series.flags & (FLIES | FOLLOWS) == FLIES | FOLLOWS].sum())

@@ -1,1 +1,1 @@
-"""What identify, validate, diagnose and the live twin share: records, filters, predictions, their noise floor."""
+"""Estimation, shared by identify, validate, diagnose and the live twin: records, filter, predictions, noise floor."""

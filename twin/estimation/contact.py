@@ -1,7 +1,8 @@
-"""What the readings of one recording say about contact: held, lying at a stop, bouncing, at the end of a range.
+"""Contact of the ball in a recording: held, at rest at a stop, bouncing, or at the end of the sensor's range.
 
-Rule: contact is told by the data, not by the number 0: a sensor with an offset or a wrong scale shows the stops at
-      other places, and that is evidence.  In open loop an unstable ball that stays within its noise for 50 ms is held.
+Rule: contact is found from the data and not from the nominal position of a stop, because a sensor with an offset or a
+      wrong scale shows the stops elsewhere.  In open loop the ball is unstable: if it stays within its noise for 50 ms,
+      something holds it.
 """
 
 from __future__ import annotations
@@ -15,27 +16,27 @@ from protocol.campaign import Plant
 from twin.estimation.record import BoolArray, FloatArray, Record, runs
 
 HELD_SAMPLES = 25  # 50 ms: four times the time constant of the unstable pole
-HELD_SCALES = 10.0  # of the sensor noise, largest spread while held
-BOUNCE_SAMPLES = 5  # 10 ms: a ball that bounces is off its place for longer
-BOUNCE_APART = 10  # a bounce begins and ends at rest
-BOUNCE_SCALES = 10.0  # of the mean of so many readings, as it spreads in the same rest
-NEAR_SHARE = 0.25  # of the travel: as far as a stop may seem displaced
-AGREE_SHARE = 0.06  # of the travel: by this much the same stop may differ between recordings (crosstalk, drift)
-EDGE_SAMPLES = 4  # left out at both ends of a rest: the ball rocks
-HOVERS_SHARE = 0.02  # of the travel: so far from where it reads in the same recording's other rests, it does not lie
-CLIPPED_SHARE = 0.8  # of a rest
-NOISE_LEAST_M = 1e-7  # with less, a ball at rest has one reading wherever it rests
-TURNS = 5.0  # of g, on the mean over four intervals
-CLEAR_STEP = 6.0  # of the noise, from reading to reading
-END_SHARE = 0.15  # of readings within 50 ms at the converter's end: the noise is cut off there, and its mean is not 0
-NEAR_END = 6.0  # of the noise: so far from the end a reading may be one of those whose noise is cut off there
-PILE_SAMPLES = 250  # as many readings near the end tell
-PILE_SHARE = 0.04  # of them at the very end: noise that is not cut off has its lowest reading once in thousands
+HELD_SCALES = 10.0  # largest spread of x while held, over the sensor noise
+BOUNCE_SAMPLES = 5  # 10 ms, the length of the moving average; a bounce takes longer
+BOUNCE_APART = 10  # samples at rest before and after a bounce
+BOUNCE_SCALES = 10.0  # smallest height of a bounce, over the spread of the moving average in the same rest
+NEAR_SHARE = 0.25  # of the travel: largest apparent displacement of a stop
+AGREE_SHARE = 0.06  # of the travel: largest difference of one stop between recordings (crosstalk, drift)
+EDGE_SAMPLES = 4  # left out at both ends of a rest, where the ball still moves
+HOVERS_SHARE = 0.02  # of the travel: a rest farther from the recording's other rests is not at the stop
+CLIPPED_SHARE = 0.8  # of the samples of a rest
+NOISE_LEAST_M = 1e-7  # with less noise, the reading of any ball at rest is constant
+TURNS = 5.0  # of g: mean over four intervals
+CLEAR_STEP = 6.0  # of the noise, between successive readings
+END_SHARE = 0.15  # share of readings within 50 ms at the converter's end from which noise is cut off: its mean is not 0
+NEAR_END = 6.0  # of the noise: within this distance of the converter's end, noise may be cut off
+PILE_SAMPLES = 250  # fewest readings near the end for a decision
+PILE_SHARE = 0.04  # share of them at the very end; noise that is not cut off has its extreme once in thousands
 OPEN_LOOP = ("sawtooth", "prbs", "free")
 
 
 def held_samples(record: Record, plant: Plant) -> BoolArray:
-    """Where the ball is held by something, shape (n,): open loop, and x within its noise for 50 ms."""
+    """Whether the ball is held at each sample, shape (n,): in open loop, x within its noise for 50 ms."""
     n = len(record.t)
     if record.kind not in OPEN_LOOP or n < 2 * HELD_SAMPLES or not record.has("x"):
         return np.zeros(n, np.bool_)
@@ -45,7 +46,7 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
     spread = maximum_filter1d(x, HELD_SAMPLES) - minimum_filter1d(x, HELD_SAMPLES)
     least = max(noise_of(x), 1e-4 * plant.travel_m)
     core = spread <= HELD_SCALES * least
-    held = maximum_filter1d(core.astype(np.uint8), HELD_SAMPLES) > 0  # a window that is still is still at its ends
+    held = maximum_filter1d(core.astype(np.uint8), HELD_SAMPLES) > 0  # all samples of a still window are held
     held &= known
     for piece in _rests(held, x, HELD_SCALES * least):
         held[piece] &= ~_bounces(record.i_c[piece], x[piece], held[piece], least)
@@ -56,7 +57,7 @@ def held_samples(record: Record, plant: Plant) -> BoolArray:
 
 
 def _rests(held: BoolArray, x: FloatArray, near_m: float) -> list[slice]:
-    """Where the ball is held, those together that a bounce has cut in two: 50 ms apart at most, at one height."""
+    """The rests; two that only a bounce separates (at most 50 ms, same height) are one."""
     rests: list[slice] = []
     for piece in runs(held, HELD_SAMPLES):
         last = rests[-1] if rests else None
@@ -69,29 +70,29 @@ def _rests(held: BoolArray, x: FloatArray, near_m: float) -> list[slice]:
 
 
 def _bounces(i_c: FloatArray, x: FloatArray, held: BoolArray, sigma: float) -> BoolArray:
-    """Where a ball that lies otherwise leaves its place for a moment, shape (n,), by less than a rest may spread.
+    """Where a ball at rest leaves its place briefly, shape (n,), by less than HELD_SCALES allows.
 
-    Just before it lifts off for good, a force that comes and goes raises it by some ten micrometres.
+    Just before lift-off a changing force raises the ball by some ten micrometres.
     """
     place = line_over(i_c[held], x[held])(i_c) if np.isfinite(i_c).all() else np.median(x[held])
     off = uniform_filter1d(x - place, BOUNCE_SAMPLES)
     spread = max(1.4826 * float(np.median(np.abs(off[held]))), sigma / np.sqrt(BOUNCE_SAMPLES))
     away = np.abs(off) > BOUNCE_SCALES * spread
     for piece in runs(away, 1):
-        # A ball that does not come back to rest took off there, or came to rest.
+        # Without rest on both sides it is a lift-off or a landing.
         away[piece] = piece.start >= BOUNCE_APART and len(x) - piece.stop >= BOUNCE_APART
     return np.asarray(away)
 
 
 def line_over(i_c: FloatArray, x: FloatArray) -> np.polynomial.Polynomial:
-    """Reading of a ball that lies over the current, m over A: crosstalk of the sensor shows it along a line."""
+    """Line of the readings of a ball at rest over the current, m over A: its slope is the sensor's crosstalk."""
     return np.polynomial.Polynomial.fit(i_c, x, 1 if np.ptp(i_c) > 0.0 else 0)
 
 
 def bounces(record: Record, plant: Plant) -> BoolArray:
-    """Where a ball that rose falls, sooner than its weight can turn it, shape (n,): it hit a stop.
+    """Where the ball reverses faster than its weight allows, shape (n,): it has hit a stop.
 
-    A slow or late sensor shows such a bounce anywhere below the stop, and four readings of one decided over 30 000.
+    A slow or delayed sensor shows such a bounce below the stop; its few readings would dominate the likelihood.
     """
     x, step_s = record.x, record.interval_s
     hit = np.zeros(len(x), np.bool_)
@@ -99,7 +100,7 @@ def bounces(record: Record, plant: Plant) -> BoolArray:
         return hit
     sigma = noise_of(x[np.isfinite(x)])
     steps = np.diff(x)
-    # Two clear steps each way: a wrong reading goes up and down, too, but by one.
+    # Two clear steps each way: a single wrong reading gives one step each way.
     rises, falls = np.minimum(steps[:-1], steps[1:]), np.minimum(-steps[:-1], -steps[1:])
     clear = np.minimum(rises[:-4], falls[4:]) > CLEAR_STEP * sigma
     change = ((x[2:-4] - x[:-6]) + (x[4:-2] - x[6:])) / (2.0 * step_s)
@@ -110,7 +111,7 @@ def bounces(record: Record, plant: Plant) -> BoolArray:
 
 
 def at_converter_end(values: FloatArray) -> BoolArray:
-    """Where readings stand at the lowest or highest value of the record so often that noise must be cut off there."""
+    """Where so many readings are at the extreme value of the record that noise must be cut off, shape (n,)."""
     cut = np.zeros(len(values), np.bool_)
     if len(values) < HELD_SAMPLES or not np.isfinite(values).any():
         return cut
@@ -121,14 +122,14 @@ def at_converter_end(values: FloatArray) -> BoolArray:
 
 
 def near_converter_end(values: FloatArray) -> BoolArray:
-    """Where finite readings have less noise than the sensor: some of it is cut off, too little for `at_converter_end`.
+    """Where some noise of the (finite) readings is cut off, but too little for `at_converter_end`, shape (n,).
 
-    Their mean is right within a tenth of the noise.
+    The error of their mean is below a tenth of the noise.
     """
     cut = np.zeros(len(values), np.bool_)
     sigma, levels = noise_of(values), np.unique(values)
     if len(values) < PILE_SAMPLES or len(levels) < 2 or sigma <= np.diff(levels).min():
-        return cut  # with a coarse converter any level is read often
+        return cut  # on a coarse converter every level is frequent
     reach = NEAR_END * sigma
     for end in (values.min(), values.max()):
         near = np.abs(values - end) <= reach
@@ -137,7 +138,7 @@ def near_converter_end(values: FloatArray) -> BoolArray:
 
 
 def noise_of(x: FloatArray) -> float:
-    """Standard deviation of white noise on a smooth signal, from its third difference."""
+    """Standard deviation of white noise on a smooth signal, from its third difference; 0 for fewer than 8 values."""
     if len(x) < 8:
         return 0.0
     third = np.diff(x, 3)
@@ -147,7 +148,14 @@ def noise_of(x: FloatArray) -> float:
 def stop_readings(
     records: Sequence[Record], held: Sequence[BoolArray], plant: Plant, notes: list[str]
 ) -> tuple[float | None, float | None]:
-    """Readings at the lower and the upper stop, where the recordings agree on them."""
+    """(reading at the lower stop, at the upper stop), m; None if unknown or if the recordings disagree.
+
+    Args:
+        records: the recordings.
+        held: `held_samples` of each.
+        plant: travel.
+        notes: receives a sentence on each disagreement.
+    """
     found: tuple[list[float], list[float]] = ([], [])
     for record, still in zip(records, held, strict=True):
         levels = [float(np.median(record.x[piece])) for piece in runs(still, HELD_SAMPLES)]
@@ -166,7 +174,7 @@ def stop_readings(
 
 
 def range_ends(records: Sequence[Record], held: Sequence[BoolArray]) -> list[float]:
-    """Readings beyond which the position sensor shows nothing: a ball at rest there reads that one, without noise."""
+    """Ends of the position sensor's range, m: a ball at rest beyond one gives that reading without noise."""
     if least_noise(records) < NOISE_LEAST_M:
         return []
     found = set()
@@ -178,7 +186,7 @@ def range_ends(records: Sequence[Record], held: Sequence[BoolArray]) -> list[flo
 
 
 def beyond_range(record: Record, still: BoolArray, blind: Sequence[float]) -> BoolArray:
-    """Where the ball is held beyond the range of its sensor, shape (n,): i_c says there what it says at any rest."""
+    """Where the ball is held beyond the range of its sensor (`blind`, of `range_ends`), shape (n,); i_c is valid."""
     mask = np.zeros(len(record.t), np.bool_)
     beyond = np.isin(record.x, blind)
     for piece in runs(still, HELD_SAMPLES):
@@ -188,7 +196,7 @@ def beyond_range(record: Record, still: BoolArray, blind: Sequence[float]) -> Bo
 
 
 def least_noise(records: Sequence[Record]) -> float:
-    """Noise of position readings between the ends of their recording, m: the least that one of them shows."""
+    """Smallest noise of the position among the recordings, m, without the extreme readings of each."""
     found = []
     for x in (record.x[np.isfinite(record.x)] for record in records):
         between = x[(x != x.min()) & (x != x.max())] if len(x) else x
@@ -197,7 +205,7 @@ def least_noise(records: Sequence[Record]) -> float:
 
 
 def converter_step(records: Sequence[Record]) -> float:
-    """Step of the position converter, m: the smallest between two readings; 0 without two."""
+    """Resolution of the position converter, m: the smallest difference of two readings; 0 if all are equal."""
     found = []
     for record in records:
         steps = np.diff(np.unique(record.x[np.isfinite(record.x)]))
@@ -208,7 +216,15 @@ def converter_step(records: Sequence[Record]) -> float:
 def on_stops(
     record: Record, still: BoolArray, low: float | None, high: float | None, plant: Plant
 ) -> tuple[BoolArray, BoolArray]:
-    """Where the ball lies at the lower and at the upper stop, each of shape (n,); their readings may be unknown."""
+    """Where the ball rests at the (lower, upper) stop, each of shape (n,).
+
+    Args:
+        record: the recording.
+        still: of `held_samples`.
+        low: reading at the lower stop, m; None: unknown.
+        high: reading at the upper stop, m; None: unknown.
+        plant: travel.
+    """
     masks = []
     for stop in (low, high):
         mask = np.zeros(len(record.t), np.bool_)
@@ -221,9 +237,9 @@ def on_stops(
 
 
 def _lying(record: Record, pieces: Sequence[slice], plant: Plant) -> list[slice]:
-    """Those of the rests near a stop that are of a ball which lies: one that hovers beside it reads differently.
+    """The rests at the stop, without those of a ball that hovers beside it.
 
-    A sensor with crosstalk shows one that lies along a line over i_c.
+    At the stop the readings lie on a line over i_c, whose slope is the sensor's crosstalk.
     """
     if len(pieces) < 2:
         return list(pieces)

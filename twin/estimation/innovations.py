@@ -1,7 +1,7 @@
-"""What a filter made of a campaign's readings: flags of the samples, likelihood and information of its innovations.
+"""Innovations of a campaign: flags of the samples, log-likelihood, score and Fisher information.
 
-Every sample says by its flags what holds for it: FOLLOWS (the one before is one interval away), FLIES (the ball is free
-of the stops), USE_I, USE_X.  A ball that does not fly leaves a filter of i_c alone.
+Flags of a sample: FOLLOWS (the previous sample is one interval earlier), FLIES (the ball is free of the stops), USE_I
+and USE_X (the reading is used).  Without FLIES only i_c is filtered.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from twin.estimation.structures import Samples
 
 FOLLOWS, FLIES, USE_I, USE_X = 1, 2, 4, 8
 RESTS_LOW, RESTS_HIGH, RESTS_UNSEEN, LOST = 16, 32, 64, 128
-SPEED_STD_M_S = 0.5  # of a ball whose speed nobody has seen yet
+SPEED_STD_M_S = 0.5  # initial standard deviation of the speed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Series:
     """Samples in order, ready for the filter; all of shape (n,).  Made by `prepare.py`."""
 
-    step: FloatArray  # s, to the sample before
+    step: FloatArray  # s, since the previous sample
     u: FloatArray  # V, from this sample on
     i: FloatArray  # A
     x: FloatArray  # m
@@ -33,7 +33,7 @@ class Series:
     recording: NDArray[np.int32]  # index of the recording
 
     def part(self, piece: slice) -> Series:
-        """Some of the samples, as views."""
+        """A slice of the samples, as views."""
         return Series(
             step=self.step[piece],
             u=self.u[piece],
@@ -45,7 +45,7 @@ class Series:
 
     @property
     def samples(self) -> Samples:
-        """As the filter takes them, the time counted along the series."""
+        """The samples in the form of the filter, with the time summed along the series."""
         return Samples(np.cumsum(self.step), self.step, self.u, self.i, self.x, self.flags)
 
     def __len__(self) -> int:
@@ -54,9 +54,15 @@ class Series:
 
 @kernel
 def whiten(out: NDArray[np.float64], loglik: NDArray[np.float64], white: NDArray[np.float64]) -> float:
-    """Per-sample log-likelihood (without constants) and whitened innovations (i_c, then x given i_c); the sum.
+    """Log-likelihood and whitened innovations of each sample; returns the total log-likelihood without constants.
 
-    NaN innovations give 0 and NaN.  -inf where a covariance is not positive: the parameters are impossible.
+    Args:
+        out: output of the filter, shape (n, 5).
+        loglik: receives the log-likelihood of each sample, shape (n,); 0 for NaN innovations.
+        white: receives the whitened innovations of i_c, and of x given i_c, shape (n, 2).
+
+    Returns:
+        The sum; -inf if a covariance is not positive, that is, for impossible parameters.
     """
     total = 0.0
     for n in range(out.shape[0]):
@@ -83,8 +89,8 @@ def whiten(out: NDArray[np.float64], loglik: NDArray[np.float64], white: NDArray
 
 
 def whitened(out: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The whitened innovations of `whiten`, shape (n, 2), NaN where nothing was predicted."""
-    white = np.full((len(out), 2), np.nan)  # of impossible parameters not all is filled in
+    """The whitened innovations of `whiten`, shape (n, 2); NaN without a prediction."""
+    white = np.full((len(out), 2), np.nan)  # for impossible parameters `whiten` stops early
     whiten(out, np.empty(len(out)), white)
     return white
 
@@ -105,7 +111,7 @@ def information(
         base: output of the filter, shape (n, 5).
         moved: d output / d parameter, shape (n_parameters, n, 5).
         scores: receives the score of each sample, shape (n, n_parameters).
-        fisher: is added to, shape (n_parameters, n_parameters).
+        fisher: the information is added to this matrix, shape (n_parameters, n_parameters).
     """
     count = moved.shape[0]
     row = np.empty((count, 5))  # dnu_1, dnu_2, dS_11, sqrt(2) dS_12, dS_22, the last three over sqrt(2)

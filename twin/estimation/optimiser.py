@@ -1,8 +1,8 @@
-"""The maximum of a likelihood by Fisher scoring with Levenberg damping, and what is known there.
+"""Maximum likelihood by Fisher scoring with Levenberg damping.
 
-A coordinate at its bound that wants further out is left there.  A step solves (F + damping D) step = score with D the
-diagonal of F (Levenberg 1944; Marquardt 1963), in coordinates scaled by the root of that diagonal: parameters differ by
-ten orders of magnitude.
+A step solves (F + damping D) step = score with D the diagonal of F (Levenberg 1944; Marquardt 1963).  Coordinates are
+scaled by the square root of that diagonal, as parameters differ by ten orders of magnitude.  A coordinate at its bound
+whose score points outwards stays there.
 """
 
 from __future__ import annotations
@@ -18,81 +18,81 @@ from numpy.typing import NDArray
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import NOISES
 
-P = TypeVar("P")  # a point: all numbers of a model
-NEAR = 0.3  # standard errors, where a wrong model makes the climb slow: what is left to gain is 0.05 of log-likelihood
-CLOSE = 3.0  # standard errors from the maximum: nearer than that only exact slopes say where it is
+P = TypeVar("P")  # a point: all parameters of a model
+NEAR = 0.3  # decrement, standard errors, that suffices if convergence is slow: 0.05 of log-likelihood is left
+CLOSE = 3.0  # decrement, standard errors, below which exact derivatives are used
 _LITTLE = 0.05  # of log-likelihood
-_NUDGE = 1e-3  # of a coordinate: tells whether it is at its bound
+_NUDGE = 1e-3  # of a coordinate: test whether it is at its bound
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Slopes:
-    """Of a log-likelihood, by its free coordinates."""
+    """Derivatives of a log-likelihood by its free coordinates."""
 
     score: FloatArray  # shape (count,)
     fisher: FloatArray  # information, shape (count, count)
     exact: bool = True
-    fresh: bool = True  # from this very point
-    retained: Any = None  # whatever `Surface` wants to see again
+    fresh: bool = True  # computed at this point
+    retained: Any = None  # data of the `Surface` for its next call
 
 
 class Surface(Protocol[P]):
     """A log-likelihood over the points of a model."""
 
     def moved(self, point: P, name: str, by: float) -> P:
-        """One coordinate moved, within its bounds."""
+        """The point with one coordinate moved, within its bounds."""
 
     def most(self, name: str) -> float:
         """The largest move of a coordinate in one pass."""
 
     def visit(self, point: P) -> tuple[float, Any]:
-        """(log-likelihood there, what `slopes` and `exact` want to know of the visit)."""
+        """(log-likelihood at the point, data for `slopes` and `exact`)."""
 
     def slopes(self, point: P, seen: Any, free: Sequence[str], before: Slopes | None, decrement: float) -> Slopes:
-        """Slopes that are good enough to go on.
+        """Derivatives, approximate if that suffices.
 
         Args:
-            point: where.
-            seen: of `visit`.
+            point: the point.
+            seen: data of `visit`.
             free: the coordinates.
-            before: those of the point before; None at the start.
-            decrement: of the step that led here, standard errors; inf at the start.
+            before: derivatives at the previous point; None at the start.
+            decrement: of the step to this point, standard errors; inf at the start.
         """
 
     def exact(self, point: P, seen: Any, free: Sequence[str]) -> Slopes:
-        """Slopes of this very point."""
+        """Exact derivatives at this point."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summit(Generic[P]):
-    """A maximum and what is known about it."""
+    """A maximum with its covariance and convergence."""
 
     point: P
     loglik: float
-    covariance: FloatArray  # of the free coordinates; 0 where one is at its bound
+    covariance: FloatArray  # of the free coordinates; 0 for one at its bound
     converged: bool
     passes: int
     decrement: float  # of the last step, standard errors
-    ahead: float  # log-likelihood that the slope here still promises, were it a parabola
+    ahead: float  # log-likelihood still to gain, by the quadratic approximation
 
 
 def climb(surface: Surface[P], start: P, free: Sequence[str], *, passes: int, done: float, patience: int) -> Summit[P]:
     """Climb to the maximum from `start`.
 
     Args:
-        surface: what is climbed.
-        start: where from.
-        free: coordinates that move; the others stay.
-        passes: at most.
-        done: decrement, in standard errors, from which on nothing that matters moves.
-        patience: passes in a row that gain little, after which NEAR will do.
+        surface: the log-likelihood.
+        start: starting point.
+        free: coordinates to estimate; the others stay.
+        passes: largest number of passes.
+        done: decrement of convergence, standard errors.
+        patience: consecutive passes with little gain after which the decrement NEAR suffices.
     """
     point, damping, converged = start, Damping(), False
     loglik, seen = surface.visit(start)
     slopes = surface.slopes(start, seen, free, None, math.inf)
     most = np.array([surface.most(name) for name in free])
-    # One factor for the physics: the direction stays.  A noise level near its floor has no slope and asks for any step:
-    # it is cut by itself, or it would hold back all the others.
+    # One factor shortens the step of all physical parameters, which keeps its direction.  The likelihood is flat in a
+    # noise level near its floor, so its step can be arbitrarily large: noise levels are limited separately.
     physics = np.array([name not in NOISES for name in free], np.bool_)
     decrement, used, slow = math.inf, 0, 0
     for _ in range(passes):
@@ -133,7 +133,7 @@ def climb(surface: Surface[P], start: P, free: Sequence[str], *, passes: int, do
 
 
 def active_of(surface: Surface[P], point: P, free: Sequence[str], score: FloatArray) -> NDArray[np.bool_]:
-    """Which coordinates may move: not one at its bound whose score points outwards."""
+    """Which coordinates may move, shape (count,): all but those at a bound whose score points outwards."""
     return np.array(
         [
             surface.moved(point, name, _NUDGE if score[place] > 0.0 else -_NUDGE) != point
@@ -144,16 +144,16 @@ def active_of(surface: Surface[P], point: P, free: Sequence[str], score: FloatAr
 
 
 def newton(slopes: Slopes, active: NDArray[np.bool_], damping: float) -> tuple[FloatArray, float]:
-    """(step, Newton decrement in standard errors) of the coordinates that may move.
+    """Damped Newton step and Newton decrement.
 
     Args:
-        slopes: of the log-likelihood.
+        slopes: derivatives of the log-likelihood.
         active: which coordinates may move, shape (count,); the step of the others is 0.
         damping: Levenberg's, relative to the diagonal.
 
     Returns:
-        The step, shape (count,), and the decrement, which is undamped: a step that damping has made small is no sign of
-        a maximum.  Zeros and inf where the numbers are not finite.
+        The step, shape (count,), and the decrement, standard errors.  The decrement is undamped, as a damped step is
+        also small far from a maximum.  Zeros and inf if a derivative is not finite.
     """
     score, fisher = slopes.score, slopes.fisher
     step = np.zeros(len(score))
@@ -170,7 +170,7 @@ def newton(slopes: Slopes, active: NDArray[np.bool_], damping: float) -> tuple[F
 
 
 def inverse(matrix: FloatArray) -> FloatArray:
-    """Inverse of an information matrix, shape (count, count), scaled for rounding; inf where it is not finite."""
+    """Inverse of an information matrix, shape (count, count), scaled against rounding; inf if it is not finite."""
     if not np.isfinite(matrix).all():
         return np.full(matrix.shape, np.inf)
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
@@ -178,7 +178,7 @@ def inverse(matrix: FloatArray) -> FloatArray:
 
 
 def covariance_of(fisher: FloatArray, active: NDArray[np.bool_]) -> FloatArray:
-    """Inverse information of the coordinates that may move, shape (count, count); 0 for the others."""
+    """Inverse information of the active coordinates, shape (count, count); 0 for the others."""
     covariance = np.zeros_like(fisher)
     if active.any():
         covariance[np.ix_(active, active)] = inverse(fisher[np.ix_(active, active)])
@@ -186,16 +186,16 @@ def covariance_of(fisher: FloatArray, active: NDArray[np.bool_]) -> FloatArray:
 
 
 class Damping:
-    """Levenberg's damping: less after each step that was taken, more after each that was not."""
+    """Levenberg's damping: reduced after each accepted step, increased after each rejected one."""
 
     def __init__(self) -> None:
         self.value = 1e-3
 
     def taken(self) -> None:
-        """The step was taken."""
+        """Reduce the damping after an accepted step."""
         self.value = max(self.value * 0.1, 1e-9)
 
     def refused(self) -> bool:
-        """The step was not taken; whether another is worth a try."""
+        """Increase the damping after a rejected step; returns whether to try another step."""
         self.value = max(self.value, 1e-4) * 10.0
         return self.value <= 1e8

@@ -1,6 +1,6 @@
-"""How many filter steps a run takes: the substeps of the extended model, which are nine tenths of a diagnosis.
+"""The cost of a run of the filter, in substeps of the extended model, which take nine tenths of a diagnosis.
 
-They take 60 to 80 ns each, whatever causes are in the model: 125 ns under motional-emf, the dearest.
+A substep takes 60 to 80 ns, and 125 ns with `motional-emf`, the most expensive cause.
 """
 
 from __future__ import annotations
@@ -23,39 +23,39 @@ from twin.model.extended import PARTS, SHORT_S
 
 
 class Reuse(Enum):
-    """What a run of the filter takes over from that of a model nearby."""
+    """What a run of the filter reuses from that of a nearby model."""
 
     NOTHING = auto()
-    SLOPES = auto()  # of the steps
-    STEPS = auto()  # themselves: of a model that differs in its noise alone
+    SLOPES = auto()  # the Jacobians
+    STEPS = auto()  # the steps themselves, for a model that differs only in its noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pace:
-    """What a run of the filter along one series takes."""
+    """Counts of one series that determine the cost of a run."""
 
     samples: int
-    flown: int  # substeps of the model with the ball in flight
-    held: int
+    flown: int  # substeps with the ball in flight
+    held: int  # substeps with the ball held
 
     def steps(self, c: NDArray[np.float64], reuse: Reuse) -> float:
         """Filter steps of a run.
 
         Args:
-            c: the causes' parameters.
-            reuse: what the run takes over from another.
+            c: the causes' parameters, shape (PLACES,).
+            reuse: what the run reuses from another.
         """
         rubs, states = c[coulomb_friction.FORCE] != 0.0, states_in(c)
         advances = 0 if reuse is Reuse.STEPS else 1
         if reuse is Reuse.NOTHING:
             advances += states + (3 if rubs else 0)
-        # The current of a held ball needs no integration where the amplifier is (1).
+        # With the amplifier of (1) the current of a held ball needs no integration.
         linear = states == 3 and amplifier_alone(c)
         pieces = 2 if delay_s(c) > 0.0 else 1
         return self.samples + pieces * (advances * self.flown + (0 if linear else 2 * self.held))
 
     def steps_ahead(self, c: NDArray[np.float64], samples: int) -> float:
-        """Filter steps of `measure.predictions`, so many samples ahead; a force with a phase runs for each phase."""
+        """Filter steps of `measure.predictions`, `samples` ahead; a periodic force takes a run for each phase."""
         return (PHASES if has_phase(c) else 1) * (self.steps(c, Reuse.NOTHING) + samples * self.flown)
 
 

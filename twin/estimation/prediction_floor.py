@@ -1,20 +1,19 @@
-"""What a right model gets wrong N samples ahead: the noise floor that every report prints.
+"""The noise floor: the error of a right model N samples ahead.
 
-A prediction starts from the filter's estimate and goes on with the recorded u_c.  If the model is right its error has
-the covariance of that estimate, P, carried on by the slopes of the steps between, and the reading's own noise:
+A prediction starts from the filter's estimate and uses the recorded u_c.  If the model is right, the variance of its
+error is the covariance P of that estimate, propagated by the Jacobians of the steps, plus the noise of the reading:
 
-    var = h (F_N .. F_1 P F_1' .. F_N' + what process noise adds on the way) h' + sigma_x^2
+    var = h (F_N .. F_1 P F_1' .. F_N' + propagated process noise) h' + sigma_x^2
 
-Rule 1: P, F and h are the filter's own, along the recorded motion, for exactly the samples that were predicted: lags,
-        delays, offsets, limits, lost samples and dry friction need no equations of their own here.
-Rule 2: the noise is the caller's.  Both reports ask what sensor noise alone leaves: process noise takes up what a
-        model gets wrong, and a floor with it would forgive that.
+Rule 1: P, F and h are those of the filter along the recorded motion, for the same samples that were predicted.  So
+        lags, delays, offsets, limits, lost samples and dry friction need no equations here.
+Rule 2: the caller gives the noise.  Both reports use sensor noise alone, because process noise absorbs errors of the
+        model, which a floor must not include.
 
-Against recordings simulated with the true model, for each cause of the catalogue: within 1 % (dry friction too weak to
-hold the ball 4 %, 40 ms ahead) beside the sampling error
-(tests/twin/estimation/test_prediction_floor.py).  A linearisation at rest was off by up to a factor of two under dry
-friction (with it in the slopes 2.8 too low, without it 2.1 too high),
-by 30 % under a slew limit, by 10 % with one sample in ten lost and by 6 % under drag.
+For recordings simulated with the true model, the floor is right within 1 % beside the sampling error for each cause of
+the catalogue (4 % for dry friction too weak to hold the ball, 40 ms ahead;
+tests/twin/estimation/test_prediction_floor.py).  A linearisation at rest is not enough: its error is up to a factor of
+2.8 under dry friction, 30 % under a slew limit, 10 % with one sample in ten lost and 6 % under drag.
 """
 
 from __future__ import annotations
@@ -29,17 +28,17 @@ from twin.estimation.ekf.memory import Memory, base_of, copy_square, memory_for
 from twin.estimation.ekf.predict import add_process_noise, carry
 from twin.estimation.structures import Results, Samples, System
 
-TOLERANCE = 1.05  # of error over floor: what rounding and numbers fitted to finite data add to a right model
+TOLERANCE = 1.05  # error over floor of a right model, with rounding and parameters fitted to finite data
 
 
 def floor_rmse(system: System, samples: Samples, ahead: int, predicted: NDArray[np.bool_]) -> float:
-    """Root mean square of x_hat - x over the predicted samples, m, of a right model; NaN where it cannot be told.
+    """Root mean square of x_hat - x of a right model over the predicted samples, m; NaN without any.
 
     Args:
         system: the model and the noise.
         samples: of the series.
-        ahead: samples, 1 or more.
-        predicted: which samples have a prediction from `ahead` samples before, shape (n,).
+        ahead: horizon N in samples, 1 or more.
+        predicted: which samples have a prediction from `ahead` samples earlier, shape (n,).
     """
     variances = np.full(len(samples.u), np.nan)
     _carry(memory_for(system), samples, filtered(system, samples, spread=True, steps=True), ahead, predicted, variances)

@@ -1,10 +1,10 @@
-"""From recordings to one series of flagged samples: gaps, contacts with the stops, clipped and wild samples marked.
+"""From recordings to one series of flagged samples: gaps, contacts with the stops, clipped readings and outliers.
 
-Rule 1: nothing is interpolated.  What cannot be used is left out of the correction step of the filter, what breaks the
-        chain of known inputs starts a new piece.
-Rule 2: each count that was left out is reported by recording (`Usage`).
-Rule 3: a sawtooth gives lift-off currents (`twin/identify/starting/liftoff.py`); its x does not enter here, because the
-        ball may rest on anything at any height while it waits.
+Rule 1: nothing is interpolated.  Unusable readings are left out of the filter's correction; an unknown input starts a
+        new piece.
+Rule 2: the number of samples left out is reported for each recording (`Usage`).
+Rule 3: a sawtooth gives lift-off currents (`twin/identify/starting/liftoff.py`).  Its x is not used here, because
+        before lift-off the ball may rest on anything at any height.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from protocol.campaign import Plant
 from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X, Series
 from twin.estimation.record import BoolArray, FloatArray, Record, intervals, runs
 
-CONTACT_SHARE = 0.01  # of the travel: nearer to a stop than this counts as contact
-REST_SHARE = 0.05  # of the travel: a plateau this near to a stop is the stop, as a badly zeroed sensor sees it
+CONTACT_SHARE = 0.01  # of the travel: a ball nearer to a stop is in contact
+REST_SHARE = 0.05  # of the travel: a plateau this near to a stop is the stop, read with a sensor offset
 REST_SAMPLES = 25
-REACH = 1.3  # times the last or next change of x: what acceleration may add within an interval
-FLIGHT_SAMPLES = 8  # shorter ones only tell their own initial state
-SPIKE_SCALES = 12.0  # of the robust spread about the neighbours; a flight does not do that, a bit error does
-CLIPPED_RUN = 6  # equal extreme readings in a row: the converter's end, not chance
-CUT_SHARE, CUT_FEWEST = 0.01, 25  # of the samples at the lowest i_c, which then is the converter's end
-CUT_INPUT_SHARE = 0.02  # of the largest u_c: with less, no current is asked for
-BLOCK_SAMPLES = 20_000  # chains are cut here, so that an hour of data needs no more memory than a minute
+REACH = 1.3  # times the last or next change of x: largest motion within an interval, with acceleration
+FLIGHT_SAMPLES = 8  # a shorter flight determines nothing but its own initial state
+SPIKE_SCALES = 12.0  # of the robust spread about the neighbours: more is a bit error, not motion
+CLIPPED_RUN = 6  # equal extreme readings in a row are at the converter's end
+CUT_SHARE, CUT_FEWEST = 0.01, 25  # share and number of samples at the lowest i_c if that is the converter's end
+CUT_INPUT_SHARE = 0.02  # of the largest u_c: a smaller input is zero
+BLOCK_SAMPLES = 20_000  # chains are cut here, so that the memory does not grow with the recording
 _CAPTURE_LEAD = 20  # samples of a capture before the step
 
 
 @dataclass(slots=True, kw_only=True)
 class Usage:
-    """What became of the samples of one recording."""
+    """How the samples of one recording are used."""
 
     name: str
     kind: str
@@ -42,9 +42,9 @@ class Usage:
     flights: int = 0  # stretches away from the stops
     flight_samples: int = 0
     contact_samples: int = 0
-    steep_samples: int = 0  # free of the stops, but nearer to x_max than the fit goes
+    steep_samples: int = 0  # in flight, but nearer to x_max than `gap_least_m`
     clipped: int = 0
-    cut: int = 0  # readings of i_c beside zero, where the converter cuts the noise in half
+    cut: int = 0  # readings of i_c near zero, where the converter cuts off the negative half of the noise
     outliers: int = 0
     gaps: int = 0
     captures: int = 0
@@ -52,12 +52,12 @@ class Usage:
 
 
 def prepare(records: list[Record], plant: Plant, *, gap_least_m: float = 0.0) -> tuple[Series, list[Usage]]:
-    """The series of all recordings that have u_c and i_c, and what was done to each.
+    """The series of all recordings that have u_c and i_c, and the usage of each recording.
 
     Args:
         records: of `read_campaign`.
-        plant: mass, travel, x_max.
-        gap_least_m: flights end where the ball is nearer to x_max than that.
+        plant: travel and x_max.
+        gap_least_m: samples with the ball nearer to x_max, m, are not in flight.
     """
     parts: list[Series] = []
     usages: list[Usage] = []
@@ -86,7 +86,7 @@ def prepare(records: list[Record], plant: Plant, *, gap_least_m: float = 0.0) ->
 
 
 def flights(record: Record, plant: Plant, *, at_least: int = FLIGHT_SAMPLES) -> list[slice]:
-    """Stretches of a recording in which the ball touches nothing and no sample is missing in time."""
+    """Stretches of at least `at_least` samples in which the ball is free and no sample is missing."""
     _, follows = intervals(record.t)
     free = in_flight(record.x, plant) & np.isfinite(record.t)
     return [
@@ -97,7 +97,7 @@ def flights(record: Record, plant: Plant, *, at_least: int = FLIGHT_SAMPLES) -> 
 
 
 def in_flight(x: FloatArray, plant: Plant) -> BoolArray:
-    """Whether each sample shows the ball free of the stops; a missing x goes with the one before it."""
+    """Whether the ball is free of the stops at each sample, shape (n,); a missing x is taken from the previous one."""
     known = np.isfinite(x)
     if not known.any():
         return np.zeros(len(x), np.bool_)
@@ -107,11 +107,11 @@ def in_flight(x: FloatArray, plant: Plant) -> BoolArray:
     for side, stop in ((0, 0.0), (1, plant.travel_m)):
         near = held[np.abs(held - stop) < REST_SHARE * plant.travel_m]
         if near.size >= REST_SAMPLES:
-            # The quartile on the stop's side: a slow passage near the stop must not move the level.
+            # The quartile on the stop's side is not affected by a slow motion near the stop.
             level = float(np.percentile(near, 25 if side == 0 else 75))
             low, high = (max(low, level), high) if side == 0 else (low, min(high, level))
-    # A fast ball hits and rebounds between two samples that both look free: it is near to a stop if, at its speed, it
-    # could have been there within an interval.
+    # A fast ball can hit a stop and rebound between two samples: it is in contact if, at its speed, it could have
+    # reached the stop within an interval.
     jump = np.abs(np.diff(held))
     reach = np.zeros(len(held))
     for lag in (-1, 0):
@@ -120,7 +120,7 @@ def in_flight(x: FloatArray, plant: Plant) -> BoolArray:
         reach = np.maximum(reach, own)
     near_by = margin + REACH * reach
     free = (held > low + near_by) & (held < high - near_by)
-    free[1:] &= free[:-1].copy()  # the sample next to a contact belongs to it: the impact lies between the two
+    free[1:] &= free[:-1].copy()  # the samples next to a contact belong to it
     free[:-1] &= free[1:].copy()
     return np.asarray(free)
 
@@ -131,7 +131,7 @@ def _split(follows: BoolArray, at_least: int) -> list[slice]:
 
 
 def scatter(values: FloatArray) -> float:
-    """Noise of a smooth signal: robust scale of its third difference, which passes white noise with gain sqrt(20)."""
+    """Noise of a smooth signal: robust scale of its third difference, over the gain sqrt(20) for white noise."""
     if len(values) < 8:
         return 0.0
     third = np.diff(values, 3)
@@ -162,7 +162,7 @@ def _series(record: Record, plant: Plant, usage: Usage, number: int, gap_least_m
         free = in_flight(np.where(wild, np.nan, record.x), plant)
         usage.contact_samples = int(np.count_nonzero(~free))
         steep = np.asarray(plant.x_max_m - np.where(free, record.x, -np.inf) < gap_least_m)
-        steep[1:] |= steep[:-1].copy()  # an interval with one end there is there
+        steep[1:] |= steep[:-1].copy()  # both samples of such an interval
         steep[:-1] |= steep[1:].copy()
         steep &= free
         usage.steep_samples = int(np.count_nonzero(steep))
@@ -174,7 +174,6 @@ def _series(record: Record, plant: Plant, usage: Usage, number: int, gap_least_m
         usage.flight_samples = int(flies.sum())
         usage.outliers = int(np.count_nonzero(wild & flies))
     flags = FOLLOWS * follows + FLIES * flies + USE_I * use_i + USE_X * (use_x & flies)
-    # A flight that begins right behind another one (cut at a gap) is told apart by the missing FOLLOWS.
     return Series(
         step=step,
         u=np.where(u_known, record.u_c, 0.0),
@@ -192,7 +191,7 @@ def _clipped(values: FloatArray) -> BoolArray:
     top = np.nanmax(values)
     spread = np.nanmax(values) - np.nanmin(values)
     for piece in runs(np.asarray(values >= top), CLIPPED_RUN):
-        # A converter's end is met at speed; a noiseless signal at rest stands still for long and is not clipped.
+        # A signal at its converter's end arrives there from below; a noiseless constant signal is not clipped.
         before = values[max(piece.start - 1, 0)]
         if top - before > 1e-3 * spread and spread > 0:
             clipped[piece] = True
@@ -200,9 +199,9 @@ def _clipped(values: FloatArray) -> BoolArray:
 
 
 def _cut(record: Record) -> BoolArray:
-    """Readings of i_c near its lowest value, where that value piles up under an input of zero.
+    """Readings of i_c near its lowest value, if that value is frequent under zero input, shape (n,).
 
-    A converter from 0 V reads noise about 0 A as half a Gaussian: its mean is not zero, and the fit would explain that.
+    A unipolar converter cuts off negative noise, so the mean of its readings at 0 A is not zero and would bias the fit.
     """
     known = np.isfinite(record.i_c) & np.isfinite(record.u_c)
     if not known.any():
@@ -217,9 +216,9 @@ def _cut(record: Record) -> BoolArray:
 
 
 def spikes(x: FloatArray, plant: Plant) -> BoolArray:
-    """Single readings far off the cubic through their four neighbours, and further off than these neighbours are.
+    """Outliers, shape (n,): single readings far off the cubic through their four neighbours, more than these are.
 
-    Not where the ball may be hitting a stop: an impact has a corner, too.
+    Readings near a possible impact are excepted, as an impact is not smooth either.
     """
     wild = np.zeros(len(x), np.bool_)
     if len(x) < 16:
@@ -239,7 +238,7 @@ def spikes(x: FloatArray, plant: Plant) -> BoolArray:
 
 
 def captured(record: Record) -> int:
-    """How many samples of its captures enter the series, behind all others."""
+    """Number of samples of its captures in the series; they follow all others."""
     return sum(len(one.i_c_a) - max(one.step_index - _CAPTURE_LEAD, 0) for one in record.captures)
 
 

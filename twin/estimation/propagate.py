@@ -1,7 +1,7 @@
-"""From sample to sample: which u_c is in force on the way, delays and lost samples included.
+"""The state from one sample to the next under the u_c in force, with delays and lost samples.
 
-Rule 1: the delays of input and of sampling are one delay between u_c and the readings.
-Rule 2: the u_c of a lost sample is what brings the current to the next reading, within what noise leaves open.
+Rule 1: the delays of actuation and of sampling add to one delay between u_c and the readings.
+Rule 2: the u_c of a lost sample is estimated from the next reading of i_c.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from twin.model.causes import actuation_delay, sampling_delay
 from twin.model.extended import I_C, Base, current_reading, drive, over
 
 INPUT_DELTA_V = 1e-3
-UNKNOWN_INPUT_V = 1.0  # standard deviation of a lost u_c about the one before
-_ANSWERS = 0.02  # of K_A: what i_c must answer to u_c within the interval, to be asked for it
+UNKNOWN_INPUT_V = 1.0  # standard deviation of a lost u_c about the previous one
+_ANSWERS = 0.02  # of K_A: smallest response of i_c to u_c within the interval that determines u_c
 
 
 @inlined
 def copy(to: NDArray[np.float64], of: NDArray[np.float64]) -> None:
-    """Fill `to` from `of`, both of shape (n,): an assigned slice asks first whether the two overlap."""
+    """Copy `of` to `to`, both of shape (n,), without the overlap check of a slice assignment."""
     for k in range(len(of)):
         to[k] = of[k]
 
 
 @inlined
 def delay_s(c: NDArray[np.float64]) -> float:
-    """From u_c to what the readings show of it, s."""
+    """Delay from u_c to the readings, s."""
     return float(c[actuation_delay.DELAY] + c[sampling_delay.DELAY])
 
 
@@ -51,17 +51,17 @@ def propagate(
     T_s: float,
     stops: bool,
 ) -> None:
-    """From sample n - 1 to n: the inputs in force, delays applied, one after the other.
+    """Advance the state from sample n - 1 to n under the delayed inputs.
 
     Args:
         base: tuple(Base).
         c: the causes' parameters, shape (PLACES,).
         y: the state at n - 1, shape (7,), updated in place.
         u: u_c of each sample, V, shape (n_samples,).
-        n: the sample that is reached.
-        first: no earlier input is known than that of this sample.
-        t: of n - 1, s.
-        T_s: from n - 1 to n, s.
+        n: the sample to reach.
+        first: sample of the first known input.
+        t: time of n - 1, s.
+        T_s: interval from n - 1 to n, s.
         stops: as in `advance`.
     """
     delay = delay_s(c)
@@ -78,7 +78,7 @@ def propagate(
 def current_held(
     base: Packed, c: NDArray[np.float64], i: float, u: NDArray[np.float64], n: int, first: int, T_s: float, w: float
 ) -> float:
-    """The current of a held ball at sample n, A, from i at n - 1, by (1) alone; the other arguments as `propagate`."""
+    """The current at sample n by (1) with the ball held, A, from i at n - 1; w: the warmth; others as `propagate`."""
     p = Base(*base)
     delay = delay_s(c)
     whole = int(delay / T_s)
@@ -104,9 +104,9 @@ def find_input(
     reading: float,
     moved: NDArray[np.float64],
 ) -> None:
-    """Put into u[lost] what brings i_c from the state `here` at n - 1 to its reading at n.
+    """Set u[lost] to the input that brings i_c from the state `here` at n - 1 to its `reading` at n, A.
 
-    The arguments are those of `propagate`; `moved`, shape (7,), is room.
+    The other arguments are those of `propagate`; `moved`, shape (7,), is a working array.
     """
     held = u[lost]
     for _ in range(3):

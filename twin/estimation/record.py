@@ -1,7 +1,7 @@
-"""A recording as arrays in SI units: what every estimator takes.
+"""A recording as arrays in SI units, the input of every estimator.
 
-Rule 1: reading never repairs.  A cell that is not a number becomes NaN and is counted; a time that does not rise ends
-        a piece; both are named in `notes`.
+Rule 1: readers do not repair data.  A cell that is not a number becomes NaN and is counted; a time that does not rise
+        ends a piece; `notes` reports both.
 Rule 2: u_c of sample k is in force from sample k to k+1 (protocol/README.md, rule 6).
 """
 
@@ -17,14 +17,14 @@ from protocol.campaign import Kind, Use
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-REGULAR_SHARE = 0.05  # a sampling interval this near to the median is the same interval
-GAP_REGULAR = 1.5  # intervals: a longer one in a regular record lost a sample, and with it an unknown input
-GAP_IRREGULAR = 10.0  # the same where the sampling time varies on purpose
+REGULAR_SHARE = 0.05  # of the median: intervals this near to it are regular
+GAP_REGULAR = 1.5  # times the median: a longer interval of a regular record is a lost sample with an unknown input
+GAP_IRREGULAR = 10.0  # the same for a sampling time that varies on purpose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Capture:
-    """i_c around one step of u_c at 25 kHz; the sample `step_index`, at the step, still shows what was before."""
+    """i_c around one step of u_c at 25 kHz; the sample `step_index`, at the step, still has the current before it."""
 
     sample_time_s: float
     u_from_v: float
@@ -35,7 +35,7 @@ class Capture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
-    """One recording; all channels have the length of t, an absent channel is all NaN."""
+    """One recording; all channels have the shape of t, (n,); a missing channel is NaN."""
 
     name: str
     kind: Kind
@@ -46,8 +46,8 @@ class Record:
     x: FloatArray  # m, up from the sensor
     x_ref: FloatArray  # m
     captures: tuple[Capture, ...] = ()
-    instrument: str = ""  # what read it, where the campaign file says so
-    lsb: tuple[float, float] = (0.0, 0.0)  # one count of i_c in A and of x in m, where the log says so
+    instrument: str = ""  # the instrument, if the campaign file names it
+    lsb: tuple[float, float] = (0.0, 0.0)  # one count of i_c in A and of x in m, if the log contains it
     notes: tuple[str, ...] = field(default=())
 
     def has(self, *channels: str) -> bool:
@@ -63,9 +63,9 @@ class Record:
 
 
 def intervals(t: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """(time to the previous sample, whether this sample follows it without a gap), both of shape (n,).
+    """(time since the previous sample in s, whether there is no gap between them), both of shape (n,).
 
-    Jitter of a rounded time column is taken out: intervals within 1e-3 of the median are the median.
+    Intervals within 1e-3 of the median are set to the median, as a rounded time column jitters.
     """
     step = np.empty(len(t))
     step[:1] = np.nan
@@ -74,7 +74,7 @@ def intervals(t: FloatArray) -> tuple[FloatArray, BoolArray]:
     if not good.any():
         return np.where(good, step, 0.0), good
     median = float(np.median(step[good]))
-    # A lost sample leaves twice the interval: a clock that beats regularly all the same.
+    # A lost sample doubles the interval of a regular clock.
     near = np.abs(step - np.maximum(np.rint(step / median), 1.0) * median) <= REGULAR_SHARE * median
     regular = np.count_nonzero(near & good) >= 0.9 * np.count_nonzero(good)
     follows = good & (step <= (GAP_REGULAR if regular else GAP_IRREGULAR) * median)
@@ -83,7 +83,7 @@ def intervals(t: FloatArray) -> tuple[FloatArray, BoolArray]:
 
 
 def runs(mask: BoolArray, at_least: int = 1) -> list[slice]:
-    """The stretches of True in `mask` that hold at least so many samples."""
+    """The stretches of True in `mask` with at least `at_least` samples."""
     padded = np.concatenate(([False], mask, [False]))
     edges = np.flatnonzero(padded[1:] != padded[:-1])
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= at_least]

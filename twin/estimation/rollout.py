@@ -1,13 +1,12 @@
-"""N samples ahead: from the filter's estimate at a sample, with the measured u_c, to the reading of x N samples on.
+"""Prediction of x N samples ahead, from the filter's estimate with the measured u_c.
 
-Rule 1: the prediction of sample k knows the readings up to k - N and the inputs up to k, nothing else.
-Rule 2: what is predicted is what the position sensor will show (offset, scale, lag and all), so that it is compared
-        with what it did show.
-Rule 3: where a ball is held by the stops, as the rig's is, a model that pulls too hard is wrong by the travel at most,
-        not by metres.  Where the search compares models it is not: a model must not gain by a stop.  Then what is told
-        to people is `within_reach`.
-Rule 4: no prediction where the ball met a stop, a sample was lost or x is no reading between k - N and k, nor before
-        the filter has had `settle_s` of the flight to find the speed.
+Rule 1: the prediction of sample k uses the readings up to k - N and the inputs up to k, nothing else.
+Rule 2: the predicted quantity is the reading of the position sensor (with offset, scale and lag), so that it can be
+        compared with the recorded reading.
+Rule 3: with `stops` the predicted ball stays between the stops, as on the rig.  The search compares models without
+        stops, because a stop hides the error of a model; reports then print the predictions of `within_reach`.
+Rule 4: there is no prediction for sample k if the ball met a stop or a sample was lost between k - N and k, if x(k) was
+        not read, or if the filter has had less than `settle_s` of the flight to estimate the speed.
 """
 
 from __future__ import annotations
@@ -25,21 +24,21 @@ from twin.estimation.propagate import copy
 from twin.estimation.structures import Samples, Stops, System
 from twin.model.extended import SENSOR, Base, position_reading
 
-_FOUND = 3  # samples behind a lost one whose readings tell its input
-SETTLE_S = 0.1  # an estimate forgets its start within 1 / (unstable pole) = 12 ms; eight of them
+_FOUND = 3  # samples after a lost one whose readings determine its input
+SETTLE_S = 0.1  # eight times 1 / (unstable pole) = 12 ms, within which an estimate forgets its start
 
 
 def predict_ahead(system: System, samples: Samples, ahead: int, *, settle_s: float = SETTLE_S) -> NDArray[np.float64]:
-    """The filter over a series, and from each of its estimates `ahead` samples onwards.
+    """Run the filter over a series and predict x from each estimate.
 
     Args:
         system: the model and its noise.
         samples: of the series.
-        ahead: samples, 1 or more.
-        settle_s: of a flight, before the first estimate that is used, s.
+        ahead: horizon N in samples, 1 or more.
+        settle_s: time in flight before the first estimate that is used, s.
 
     Returns:
-        x_hat, shape (n,): the reading predicted for each sample `ahead` samples earlier, m; NaN where there is none.
+        x_hat, shape (n,): the reading of each sample, predicted `ahead` samples earlier, m; NaN without a prediction.
     """
     return roll_out(system, samples, filtered(system, samples, state=True).state, ahead, settle_s=settle_s)
 
@@ -53,7 +52,7 @@ def roll_out(
     settle_s: float = SETTLE_S,
     stops: bool = False,
 ) -> NDArray[np.float64]:
-    """`predict_ahead` from corrected states that are known, shape (n, 7); `stops`: whether they hold the ball."""
+    """`predict_ahead` from given corrected states, shape (n, 7); `stops`: whether the stops limit x."""
     settle = max(round(settle_s / system.noise.tick_s), 2)
     x_hat = np.empty(len(samples.u))
     _roll(memory_for(system), samples, state, ahead, settle, stops, x_hat)
@@ -63,14 +62,14 @@ def roll_out(
 def window(
     system: System, samples: Samples, state: NDArray[np.float64], begin: int, length: int
 ) -> NDArray[np.float64]:
-    """Readings from one estimate on, by u_c alone, the ball held by the stops.
+    """Readings of x predicted from one estimate with u_c alone, with stops.
 
     Args:
         system: the model and its noise.
         samples: of the series.
-        state: corrected, shape (n, 7).
-        begin: the sample whose estimate it is.
-        length: samples, that one included.
+        state: corrected states, shape (n, 7).
+        begin: the sample of the estimate.
+        length: samples, including `begin`.
 
     Returns:
         x_hat, shape (length,), m.
@@ -82,10 +81,15 @@ def window(
 
 
 def within_reach(x_hat: NDArray[np.float64], base: Base, c: NDArray[np.float64], stops: Stops) -> NDArray[np.float64]:
-    """The predictions, shape (n,), none farther behind a stop than a stop may seem displaced: the ball ends there.
+    """The predictions, limited to the stops and a margin for their apparent displacement (NEAR_SHARE), shape (n,).
 
-    Near the coil's plane a wrong model throws it ten travels in 20 ms, and such a number tells nobody anything.
-    The other arguments are those of `predict_ahead`.
+    Near the coil's plane the error of a wrong model grows to ten travels in 20 ms, which is not a useful number.
+
+    Args:
+        x_hat: predictions, m, shape (n,).
+        base: the paper's parameters and the plant.
+        c: the causes' parameters, shape (PLACES,).
+        stops: positions of the ball at the stops.
     """
     margin = NEAR_SHARE * base.travel_m
     low, high = (float(position_reading(base, c, place, 0.0)) for place in (stops.low_m, base.travel_m + stops.high_m))
@@ -105,7 +109,7 @@ def _roll(
     t, step, u, _, _, flags, _ = samples
     y = f.y[:]
     unbroken = 0  # samples of this flight before the present one
-    known = 0  # of them, how many since one was lost
+    known = 0  # samples of this flight since the last lost one
     for n in range(len(u)):
         x_hat[n] = np.nan
         follows = flags[n] & FOLLOWS != 0

@@ -1,12 +1,12 @@
-"""Reference steps: rise time, settling time, overshoot, IAE and effort of rig and simulation, and their difference.
+"""Step responses: rise time, settling time, overshoot, IAE and control effort of rig and simulation, and differences.
 
-Rule 1: rig and simulation are measured by the same code; the simulation's figure is the mean over its realisations.
-Rule 2: the difference is rig - simulation, paired step by step; its interval is Student's over the steps.  One step has
-        no interval.
-Rule 3: x is averaged over 10 ms before thresholds are applied, and the band is at least 4 standard deviations of what
-        noise does to it: noise alone must not undo a settling.  The band that was used is part of the figure.
-Rule 4: a band wider than 10 % has no settling time: the response would be inside before it has risen to 90 %, and
-        settled before it has risen.  So a settling time is never shorter than the rise time beside it.
+Rule 1: the same code measures rig and simulation; the simulation's figure is the mean over its realisations.
+Rule 2: the difference is rig - simulation, paired step by step, with Student's interval over the steps.  A single step
+        has no interval.
+Rule 3: x is averaged over 10 ms before thresholds are applied.  The settling band is at least 4 standard deviations of
+        the effect of noise, so that noise does not end a settling.  The band is reported with the figure.
+Rule 4: with a band wider than 10 % there is no settling time, because the response would be inside before it has risen
+        to 90 %.  So a settling time is never shorter than the rise time.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy.stats import t as student
 
 from twin.estimation.record import FloatArray, runs
 
-DWELL_S = 0.15  # a reference that stands still for so long after a change is a step
+DWELL_S = 0.15  # a step is a change of the reference after which it is constant for this time
 SMALLEST_SIGMAS = 20.0
 BAND, WIDEST_BAND = 0.05, 0.10
 SMOOTH_S = 0.01
@@ -37,7 +37,7 @@ FIGURES: dict[str, tuple[str, str, float]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopRun:
-    """One flight in closed loop; all of shape (n,) but the simulations, (realisations, n)."""
+    """One flight in closed loop; arrays have shape (n,), those of the simulation (realisations, n)."""
 
     name: str
     t_s: FloatArray
@@ -49,7 +49,7 @@ class LoopRun:
     simulated_i_c_a: FloatArray
     simulated_u_c_v: FloatArray
     quiet_x_m: FloatArray  # simulated without noise
-    expected_std_m: float  # of measured - quiet under a right model; NaN where the model's loop is unstable
+    expected_std_m: float  # of measured - quiet under a right model; NaN if the model's loop is unstable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,26 +61,26 @@ class Compared:
     simulation: float
     difference: float  # rig - simulation
     ci95: tuple[float, float] | None  # None: fewer than two steps
-    count: int  # steps in which both have it
+    count: int  # steps in which both have the figure
     steps: int  # all steps
     rig_count: int  # steps in which the rig has it
     simulation_count: int  # steps in which every realisation has it
     bands: tuple[float, float] | None = None  # of a settling time: narrowest and widest, shares of the step
-    too_small: int = 0  # steps in which noise leaves no settling time
+    too_small: int = 0  # steps too small for a settling time in this noise
 
     @property
     def significant(self) -> bool:
-        """Whether the 95 % interval leaves out 0."""
+        """Whether the 95 % interval excludes 0."""
         return self.ci95 is not None and not self.ci95[0] <= 0.0 <= self.ci95[1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alone:
-    """One figure of the rig over all its steps, where no simulation can stand beside it; SI units."""
+    """One figure of the rig over all its steps, without a simulation; SI units."""
 
     name: str
     rig: float
-    ends: tuple[float, float]  # smallest and largest: steps of other sizes at other heights, no interval of one mean
+    ends: tuple[float, float]  # smallest and largest; the steps differ in size and height, so a mean has no interval
     count: int
     steps: int
     bands: tuple[float, float] | None = None  # as in Compared
@@ -88,7 +88,7 @@ class Alone:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """Where in a run the reference steps, and by how much."""
+    """A step of the reference in a run."""
 
     begin: int
     end: int
@@ -98,7 +98,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Response:
-    """One step from 0 to 1, time from the change of the reference; the simulation is the mean of its realisations."""
+    """One response, scaled to a step from 0 to 1 at t = 0; the simulation is the mean of its realisations."""
 
     t_s: FloatArray
     rig: FloatArray
@@ -106,7 +106,7 @@ class Response:
 
 
 def find_steps(run: LoopRun, sigma_x_m: float) -> list[Step]:
-    """Changes of the reference from one level at which it stays to another."""
+    """Changes of the reference between constant levels; `sigma_x_m` is the noise of x, m."""
     T_s = float(np.median(np.diff(run.t_s)))
     still = np.concatenate(([True], np.abs(np.diff(run.x_ref_m)) < 1e-9))
     levels = runs(np.asarray(still), max(round(DWELL_S / T_s) - 1, 2))
@@ -119,7 +119,7 @@ def find_steps(run: LoopRun, sigma_x_m: float) -> list[Step]:
 
 
 def responses(loops: Sequence[LoopRun], sigma_x_m: float) -> list[Response]:
-    """Every step as a share of itself."""
+    """The scaled response to every step."""
     found = []
     for run in loops:
         quiet = run.simulated_x_m.mean(axis=0)
@@ -132,7 +132,7 @@ def responses(loops: Sequence[LoopRun], sigma_x_m: float) -> list[Response]:
 
 
 def compare_steps(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Compared, ...]:
-    """All figures over all steps of all runs; empty without a step."""
+    """All figures over all steps of all runs; empty without a step.  `sigma_x_m` is the noise of x, m."""
     rig: list[list[float]] = []
     simulation: list[list[float]] = []
     bands: list[float] = []
@@ -158,13 +158,13 @@ def compare_steps(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Compared,
 
 
 def _widths(bands: Sequence[float]) -> tuple[float, float] | None:
-    """Narrowest and widest of those that a settling time was taken with."""
+    """Narrowest and widest band that allowed a settling time."""
     usable = [band for band in bands if band <= WIDEST_BAND]
     return (min(usable), max(usable)) if usable else None
 
 
 def rig_alone(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Alone, ...]:
-    """The figures of the rig; empty without a step."""
+    """The figures of the rig alone; empty without a step."""
     rows, bands = [], []
     for run in loops:
         T_s = float(np.median(np.diff(run.t_s)))
@@ -202,7 +202,7 @@ def measure(
     *,
     smooth_s: float = SMOOTH_S,
 ) -> list[float]:
-    """The figures of one step in the order of FIGURES; NaN for what did not happen within the dwell.
+    """The figures of one step in the order of FIGURES; NaN for events outside the step.
 
     The rise time is from 10 % to 90 % of the step; the settling time counts from the first change of the reference
     until x stays within the band; overshoot is a share of the step; the effort is the integral of
@@ -220,7 +220,7 @@ def measure(
     inside = np.abs(y - 1.0) <= band
     outside = np.flatnonzero(~inside)
     last = int(outside[-1]) + 1 if len(outside) else 0
-    # The last quarter of the dwell must be inside, or nobody saw it settle.
+    # Settled only if the last quarter of the step is inside the band.
     settled = band <= WIDEST_BAND and last < 0.75 * len(y)
     settling = last * T_s if settled else float("nan")
     level = float(np.nanmean(u[part][-max(len(y) // 5, 1) :]))
@@ -234,14 +234,14 @@ def measure(
 
 
 def settling_band(size_m: float, noise_m: float) -> float:
-    """Half its width, a share of the step."""
+    """Half the width of the settling band, a share of the step; `noise_m`: standard deviation of x, m."""
     return max(BAND, 4.0 * noise_m / abs(size_m))
 
 
 def definition(
     name: str, bands: tuple[float, float] | None, figures: Mapping[str, tuple[str, str, float]] = FIGURES
 ) -> str:
-    """What a figure means, in words for a table; `bands` of a settling time."""
+    """Title of a figure for a table; `bands`: narrowest and widest of a settling time."""
     title = figures[name][0]
     if name != "settling_s":
         return title
@@ -262,7 +262,7 @@ def _crossing(y: FloatArray, level: float) -> float:
 
 
 def compared(name: str, rig: FloatArray, simulation: FloatArray, bands: Sequence[float] = ()) -> Compared:
-    """One figure of both over the same steps, paired; `bands`: of a settling time in each."""
+    """Compare one figure of rig and simulation, each of shape (steps,); `bands`: settling band of each step."""
     both = np.isfinite(rig) & np.isfinite(simulation)
     n = int(both.sum())
     difference = rig[both] - simulation[both]

@@ -1,6 +1,6 @@
-"""What the filter takes and gives, as its kernels take it: named tuples of arrays and numbers.
+"""Arguments and results of the filter: named tuples of arrays and numbers.
 
-An array of length 0 stands for what nobody wants or knows.
+An array of length 0 marks a quantity that is unknown or not requested.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twin.compiled import Packed
 from twin.model.extended import STATES
 
-OUT_COLUMNS = 5  # nu_i, nu_x, S_ii, S_ix, S_xx; NaN where nothing was predicted
+OUT_COLUMNS = 5  # nu_i, nu_x, S_ii, S_ix, S_xx; NaN without a prediction
 
 
 class NoiseLevels(NamedTuple):
@@ -21,7 +21,7 @@ class NoiseLevels(NamedTuple):
 
     sigma_i_c_a: float  # of a reading, A
     sigma_x_m: float  # of a reading, m
-    process_i_c_a: float  # disturbance of i_c in a tick, A; over other intervals its variance grows with their length
+    process_i_c_a: float  # disturbance of i_c in a tick, A; its variance is proportional to the interval
     process_a_m_s2: float  # acceleration, constant over an interval, m/s^2
     tick_s: float  # s
 
@@ -30,7 +30,7 @@ NOISES = NoiseLevels._fields[:4]
 
 
 class Stops(NamedTuple):
-    """Where the ball lies at the stops."""
+    """Positions of the ball at the stops."""
 
     low_m: float  # m
     high_m: float  # above the travel, m
@@ -40,43 +40,43 @@ AT_THE_ENDS = Stops(0.0, 0.0)
 
 
 class System(NamedTuple):
-    """A model and the noise that a filter expects about it."""
+    """A model and its noise."""
 
     base: Packed  # tuple(Base)
     c: NDArray[np.float64]  # the causes' parameters, shape (PLACES,)
     noise: NoiseLevels
     stops: Stops
-    # (1) and (6) and nothing else: stepped by `ekf/transition.py`, u_c in force as recorded from the first sample on,
-    # and the current deaf to the ball.
+    # The model is (1) and (6) without causes, advanced by `ekf/transition.py`.  u_c is in force from its sample on, and
+    # the current does not depend on the ball.
     closed_form: bool = False
 
 
-ALIKE = np.empty((0, 2))  # each reading has the noise of its channel
+ALIKE = np.empty((0, 2))  # all readings of a channel have the same noise
 
 
 class Samples(NamedTuple):
     """Readings in order, arrays of shape (n,)."""
 
     t: NDArray[np.float64]  # s, with the phase of periodic causes
-    step: NDArray[np.float64]  # s, to the sample before
+    step: NDArray[np.float64]  # s, since the previous sample
     u: NDArray[np.float64]  # V, from this sample on
     i: NDArray[np.float64]  # A
     x: NDArray[np.float64]  # m
-    flags: NDArray[np.uint8]  # `innovations.py`, `ekf.py`
+    flags: NDArray[np.uint8]  # see `innovations.py` and `ekf/filter.py`
     noise_ratio: NDArray[np.float64] = ALIKE  # variance of the noise of i and x over that of their levels, shape (n, 2)
 
     def part(self, piece: slice) -> Samples:
-        """Some of them, as views."""
+        """A slice of the samples, as views."""
         t, step, u, i, x, flags, noise_ratio = self
         return Samples(t[piece], step[piece], u[piece], i[piece], x[piece], flags[piece], noise_ratio[piece])
 
 
 class Steps(NamedTuple):
-    """The steps of a run in flight, linearised, for runs of models nearby; m active states."""
+    """The linearised steps of a run in flight, for runs of nearby models; m active states."""
 
-    slopes: NDArray[np.float64]  # d state / d state at the sample before, shape (n, m, m)
-    before: NDArray[np.float64]  # the correction: states, shape (n, 7)
-    after: NDArray[np.float64]  # shape (n, 7)
+    slopes: NDArray[np.float64]  # Jacobian d state / d previous state, shape (n, m, m)
+    before: NDArray[np.float64]  # states before the correction, shape (n, 7)
+    after: NDArray[np.float64]  # states after the correction, shape (n, 7)
 
     def part(self, piece: slice) -> Steps:
         """Those of some samples, as views."""
@@ -84,15 +84,15 @@ class Steps(NamedTuple):
 
     @property
     def slopes_alone(self) -> Steps:
-        """Without the states: a run takes the slopes from here and makes the steps itself."""
+        """The Jacobians without the states: a run reuses them but computes its own steps."""
         return Steps(self.slopes, _NO_STATE, _NO_STATE)
 
 
 class Results(NamedTuple):
-    """What a run of the filter fills in."""
+    """Results of a run of the filter."""
 
-    innovations: NDArray[np.float64]  # nu_i, nu_x, S_ii, S_ix, S_xx, shape (n, 5), NaN where nothing was predicted
-    state: NDArray[np.float64]  # after the correction, shape (n, 7), NaN where the ball does not fly
+    innovations: NDArray[np.float64]  # nu_i, nu_x, S_ii, S_ix, S_xx, shape (n, 5), NaN without a prediction
+    state: NDArray[np.float64]  # after the correction, shape (n, 7), NaN while the ball is not in flight
     spread: NDArray[np.float64]  # covariance of the active states after the correction, shape (n, m, m)
     steps: Steps
 
@@ -106,7 +106,7 @@ NO_STEPS = Steps(_NO_MATRIX, _NO_STATE, _NO_STATE)
 
 
 def room_for(n: int, m: int, *, state: bool = False, spread: bool = False, steps: bool = False) -> Results:
-    """Room for the results of n samples with m active states; what is not asked for has none."""
+    """Arrays for the results of n samples with m active states; those not requested have length 0."""
     return Results(
         innovations=np.empty((n, OUT_COLUMNS)),
         state=np.empty((n, STATES)) if state else _NO_STATE,

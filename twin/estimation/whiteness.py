@@ -1,4 +1,7 @@
-"""Are the innovations white and as large as the filter says?  If not, the model is not the whole story."""
+"""Whiteness test: whether the innovations are white and as large as the filter predicts.
+
+Source: Ljung and Box, Biometrika 65(2), 1978.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,13 @@ from twin.estimation.innovations import FLIES, FOLLOWS, Series
 from twin.estimation.record import FloatArray
 
 LAGS = 25
-SMALL = 0.015  # autocorrelation that no length of a record makes important
-LEVEL = 1e-3  # of the Ljung-Box test, below which residuals are called coloured
+SMALL = 0.015  # autocorrelation below which residuals are white, however significant
+LEVEL = 1e-3  # p-value of the Ljung-Box test below which residuals are coloured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Whiteness:
-    """Of whitened innovations."""
+    """Whiteness of the innovations of both channels."""
 
     chi2_i: float  # mean square of i_c, 1 under a right model
     chi2_x: float
@@ -28,7 +31,12 @@ class Whiteness:
 
 
 def whiteness(series: Series, white: FloatArray) -> Whiteness:
-    """Ljung-Box of both channels over all chains; a pair of samples counts where nothing broke between them."""
+    """Ljung-Box test of both channels over all chains; a pair of samples counts only within one chain or flight.
+
+    Args:
+        series: the samples.
+        white: whitened innovations, shape (n, 2).
+    """
     broken = (series.flags & FOLLOWS) == 0
     turned = np.diff((series.flags & FLIES).astype(np.int8), prepend=np.int8(0)) != 0
     results = []

@@ -1,4 +1,4 @@
-"""From recordings to a model: campaign data, fits, uncertainty.  Start with README.md, then `pipeline.py`."""
+"""Identification of a model from recordings, with uncertainty.  Start with README.md, then `pipeline.py`."""
 
 import sys
 

@@ -1,13 +1,13 @@
-"""Maximum likelihood of the innovations over a whole campaign: four parameters of (1), (6) and four noise levels.
+"""Maximum likelihood of the innovations over a campaign: four parameters of (1), (6) and four noise levels.
 
-Fisher scoring with Levenberg damping.  The derivatives of innovations and their covariance are one-sided differences of
-the filter, so the score is that of the likelihood itself, terms through the gains included.
+The method is Fisher scoring with Levenberg damping.  Innovations and their covariances are differentiated by one-sided
+differences of the filter, so the score includes the effect of the parameters on the Kalman gains.
 
-Rule 1: K_A, T_A, K_c and the noise levels move as logarithms; b moves freely through zero, because a record that knows
-        nothing of the drag must be able to say so.
-        It is held below the unstable pole: beyond, it only stands for something else.
-Rule 2: a noise level or T_A at its floor with a score that pushes it further down is left there.
-Rule 3: never raises for numbers: an impossible step is refused, no convergence is a value (`converged`).
+Rule 1: K_A, T_A, K_c and the noise levels are estimated as logarithms.  b may become negative, so that its interval is
+        right when the data do not show the drag.  b / m is kept below the unstable pole: a larger value would imitate
+        another effect.
+Rule 2: a noise level or T_A stays at its floor if the score points below it.
+Rule 3: numerical problems do not raise: an impossible step is rejected, and `converged` reports convergence.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from twin.model.extended import STATES, Base
 PARAMETERS = ("K_A", "T_A", "K_c", "b")
 NAMES = PARAMETERS + NOISES
 FLOORS = {
-    "T_A": 2e-6,  # faster than any coil: below, the likelihood is flat and no climb ends
+    "T_A": 2e-6,  # faster than any coil; below, the likelihood is flat and the iteration would not converge
     "sigma_i_c_a": 1e-7,
     "sigma_x_m": 1e-9,
     "process_i_c_a": 1e-6,
@@ -40,9 +40,9 @@ FLOORS = {
 _STEP = {"K_A": 1e-5, "T_A": 1e-4, "K_c": 1e-5} | dict.fromkeys(NOISES, 1e-4)
 _DRAG_STEP = 1e-2  # 1/s, of b / m
 _MOST = {"K_A": 0.7, "T_A": 1.5, "K_c": 0.5} | dict.fromkeys(NOISES, 2.0)  # largest step of a logarithm
-_DRAG_MOST = 20.0  # 1/s
-DONE = 0.01  # of a standard error (Newton decrement): smaller steps move nothing that matters
-GATE = 6.0  # standard deviations: a right model does that once in 5e8 samples
+_DRAG_MOST = 20.0  # largest step of b / m, 1/s
+DONE = 0.01  # Newton decrement of convergence, standard errors
+GATE = 6.0  # standard deviations of an outlier; a right model exceeds it once in 5e8 samples
 PASSES = 40
 
 
@@ -60,18 +60,18 @@ class Point:
     process_a_m_s2: float
 
     def noise(self, tick_s: float) -> NoiseLevels:
-        """The noise levels, as the filter takes them; `tick_s`: that they refer to, s."""
+        """The noise levels in the form of the filter; `tick_s`: interval of the process noise, s."""
         return NoiseLevels(self.sigma_i_c_a, self.sigma_x_m, self.process_i_c_a, self.process_a_m_s2, tick_s)
 
     def system(self, plant: Plant, tick_s: float) -> System:
-        """The model and its noise, as the filter takes them; `tick_s`: that process noise refers to, s."""
+        """The model and its noise in the form of the filter; `tick_s`: interval of the process noise, s."""
         base = Base(
             self.K_A, self.T_A, self.K_c, self.b, plant.mass_kg, plant.gravity_m_s2, plant.x_max_m, plant.travel_m
         )
         return System(tuple(base), neutral(), self.noise(tick_s), AT_THE_ENDS, closed_form=True)
 
     def moved(self, name: str, by: float, mass_kg: float) -> Point:
-        """One coordinate moved: by a logarithm, b by `by` times m (so that its unit is 1/s)."""
+        """The point with one coordinate moved by `by`: a logarithm, or for b the quotient b / m in 1/s."""
         if name == "b":
             return replace(self, b=self.b + by * mass_kg)
         value = float(getattr(self, name)) * math.exp(by)
@@ -80,7 +80,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
-    """A maximum and what is known about it."""
+    """A maximum with its covariance and convergence."""
 
     point: Point
     loglik: float
@@ -92,7 +92,7 @@ class Fit:
     robust: FloatArray | None = None  # sandwich covariance
 
     def std(self, name: str, mass_kg: float, *, robust: bool = False) -> float:
-        """Standard error in the unit of the parameter; inf where it was not free."""
+        """Standard error in the unit of the parameter; inf if it was not free; `robust`: of the sandwich."""
         if name not in self.free:
             return float("inf")
         matrix = self.robust if robust and self.robust is not None else self.covariance
@@ -102,12 +102,12 @@ class Fit:
 
 
 class Likelihood:
-    """The criterion over one series.
+    """The likelihood of one series.
 
     Args:
         series: of `prepare`.
         plant: mass, x_max, gravity.
-        tick_s: the interval that process noise refers to.
+        tick_s: interval of the process noise, s.
     """
 
     def __init__(self, series: Series, plant: Plant, tick_s: float) -> None:
@@ -138,9 +138,16 @@ class Likelihood:
     def gradient(
         self, point: Point, free: Sequence[str], *, lags: int = 0
     ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-        """(log-likelihood, score, Fisher information, Newey-West sum of scores) in the free coordinates.
+        """Log-likelihood and its derivatives by the free coordinates.
 
-        The sum is taken within blocks of `BLOCK_SAMPLES`: the scores of an hour would not fit beside its data.
+        Args:
+            point: the point.
+            free: names of the coordinates.
+            lags: of the Newey-West sum, samples; 0: no sum.
+
+        Returns:
+            Log-likelihood, score of shape (count,), Fisher information and Newey-West sum of scores, both of shape
+            (count, count).  The sum is taken within blocks of `BLOCK_SAMPLES` to save memory.
         """
         count = len(free)
         fisher, spread = np.zeros((count, count)), np.zeros((count, count))
@@ -153,7 +160,7 @@ class Likelihood:
             moved = np.empty((count, n, 5))
             for place, name in enumerate(free):
                 by = _DRAG_STEP if name == "b" else _STEP[name]
-                # A model that differs in its noise alone makes the same steps.
+                # A model that differs only in its noise has the same steps.
                 known = here.steps if name in NOISES else NO_STEPS
                 beside = self._run(point.moved(name, by, self.plant.mass_kg), block, known)
                 np.subtract(beside.innovations, base, out=moved[place])
@@ -166,7 +173,7 @@ class Likelihood:
         return total, score, fisher, spread
 
     def moved(self, point: Point, name: str, by: float) -> Point:
-        """One coordinate moved, within its bounds."""
+        """The point with one coordinate moved, within its bounds."""
         there = point.moved(name, by, self.plant.mass_kg)
         return replace(there, b=min(there.b, self.drag_most * self.plant.mass_kg))
 
@@ -175,20 +182,20 @@ class Likelihood:
         return _DRAG_MOST if name == "b" else _MOST[name]
 
     def visit(self, point: Point) -> tuple[float, None]:
-        """The log-likelihood, and nothing to keep: what is kept of an hour would not fit beside its data."""
+        """(log-likelihood, None): nothing is stored for the derivatives, to save memory."""
         return self.value(point), None
 
     def slopes(self, point: Point, seen: None, free: Sequence[str], before: Slopes | None, decrement: float) -> Slopes:
-        """Exact ones, always."""
+        """Exact derivatives; see `exact`."""
         return self.exact(point, seen, free)
 
     def exact(self, point: Point, seen: None, free: Sequence[str]) -> Slopes:
-        """Slopes of this very point."""
+        """Score and Fisher information at this point."""
         _, score, fisher, _ = self.gradient(point, free)
         return Slopes(score=score, fisher=fisher)
 
     def states(self, point: Point) -> FloatArray:
-        """Corrected states of `extended.py` at each sample, shape (n, 7), NaN where the ball does not fly."""
+        """Corrected states of `extended.py` at each sample, shape (n, 7); NaN while the ball is not in flight."""
         parts = [self._run(point, block, state=True).state for block in self._blocks]
         return np.concatenate(parts) if parts else np.empty((0, STATES))
 
@@ -204,18 +211,18 @@ class Likelihood:
 
 
 def most_drag(plant: Plant) -> float:
-    """B / m that equals the unstable pole sqrt(2 g / gap) in the middle of the travel, 1/s: no ball in air has it."""
+    """Largest b / m, 1/s: the unstable pole sqrt(2 g / gap) in mid-travel, far above the drag of a ball in air."""
     return math.sqrt(2.0 * plant.gravity_m_s2 / (plant.x_max_m - 0.5 * plant.travel_m))
 
 
 def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: int = PASSES) -> Fit:
-    """Climb to the maximum from `start`; coordinates not in `free` stay."""
+    """Maximise the likelihood from `start` over the coordinates `free`, with at most `passes` passes."""
     top = climb(likelihood, start, free, passes=passes, done=DONE, patience=3)
     return Fit(
         point=top.point,
         loglik=top.loglik,
         free=tuple(free),
-        covariance=top.covariance,  # at its floor a number is known to be as good as zero
+        covariance=top.covariance,  # 0 for a coordinate at its floor
         converged=top.converged,
         passes=top.passes,
         decrement=top.decrement,
@@ -223,7 +230,10 @@ def fit(likelihood: Likelihood, start: Point, free: Sequence[str], *, passes: in
 
 
 def sandwich(likelihood: Likelihood, found: Fit, lags: int) -> Fit:
-    """The fit with the covariance that holds for coloured residuals too: F^-1 (Newey-West sum of scores) F^-1."""
+    """The fit with the sandwich covariance, which holds for coloured residuals: F^-1 (Newey-West sum of scores) F^-1.
+
+    Source: Newey and West, Econometrica 55(3), 1987.
+    """
     _, _, fisher, middle = likelihood.gradient(found.point, found.free, lags=lags)
     active = np.diag(found.covariance) > 0.0
     inner = inverse(fisher[np.ix_(active, active)])
@@ -241,10 +251,15 @@ def _newey_west(scores: FloatArray, lags: int) -> FloatArray:
 
 
 def gate(series: Series, white: FloatArray, recording_count: int) -> tuple[Series, FloatArray]:
-    """(the series without the readings that are beyond GATE, how many in each recording).
+    """(the series without outliers, their number in each recording, shape (recording_count,)).
 
-    A reading is dropped only where its neighbours are plausible: a stretch of large innovations is a wrong model or an
-    undetected contact, and dropping it would hide that.
+    An outlier is a whitened innovation beyond GATE whose neighbours are plausible.  A stretch of large innovations is
+    retained, as it shows a wrong model or an undetected contact.
+
+    Args:
+        series: the samples.
+        white: whitened innovations, shape (n, 2).
+        recording_count: number of recordings.
     """
     flags = series.flags.copy()
     dropped = np.zeros(recording_count)

@@ -1,7 +1,7 @@
-"""Multi-step prediction error: from the filter's estimate at k, with the measured u_c alone, to the x of k + N.
+"""Multi-step prediction error of x(k + N), predicted from the filter's estimate at k with the measured u_c.
 
-The figure that a fit cannot flatter: it is taken on recordings that were never used, at horizons long compared with
-the unstable pole's 13 ms.
+Recordings that were not used for fitting, and horizons long compared with the unstable pole's time constant of 13 ms,
+show errors that a fit hides.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ HORIZONS_S = (2e-3, 10e-3, 20e-3, 40e-3)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Horizon:
-    """Prediction of x so far ahead."""
+    """Error of the prediction of x at one horizon."""
 
     horizon_s: float
     rmse_m: float
-    still_m: float  # the same for "x stays where it is"
+    still_m: float  # rmse of the constant prediction "x stays where it is"
     count: int
 
 
@@ -40,8 +40,8 @@ def horizons(
         records: in flight, with u_c; usually those with use = "judge".
         plant: of the campaign.
         point: parameters and noise levels of the filter.
-        tick_s: interval that the process noise refers to.
-        wanted_s: horizons.
+        tick_s: interval of the process noise, s.
+        wanted_s: horizons, s.
     """
     series, _ = prepare(records, plant)
     likelihood = Likelihood(series, plant, tick_s)
@@ -68,9 +68,9 @@ def errors(system: System, series: Series, state: FloatArray, ahead: int) -> tup
 
     Args:
         system: the model and its noise.
-        series: what was recorded.
+        series: the recorded samples.
         state: corrected states along it, shape (n, 7).
-        ahead: samples, 1 or more.
+        ahead: horizon N in samples, 1 or more.
     """
     error = series.x - roll_out(system, series.samples, state, ahead, stops=True)
     still = np.full(len(error), np.nan)

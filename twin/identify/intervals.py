@@ -1,4 +1,4 @@
-"""95 % intervals: from the covariance where the likelihood is a parabola, from its profile where it is not."""
+"""95 % intervals: from the covariance if the log-likelihood is nearly a parabola, otherwise from its profile."""
 
 from __future__ import annotations
 
@@ -25,7 +25,13 @@ class Interval:
 
 
 def quadratic_or_profile(likelihood: Likelihood, found: Fit, *, robust: bool) -> dict[str, Interval]:
-    """Intervals of the free parameters; `robust`: the residuals are coloured, use the sandwich."""
+    """Intervals of the free parameters, by name.
+
+    Args:
+        likelihood: of the recordings.
+        found: its maximum.
+        robust: whether the residuals are coloured, so that the sandwich covariance is used.
+    """
     mass = likelihood.plant.mass_kg
     result = {}
     for name in PARAMETERS:
@@ -34,7 +40,7 @@ def quadratic_or_profile(likelihood: Likelihood, found: Fit, *, robust: bool) ->
         std = found.std(name, mass, robust=robust)
         value = getattr(found.point, name)
         relative = std / value if name != "b" and value > 0 else 0.0
-        floored = name == "T_A" and value <= FLOORS[name] * 1.001  # no std, and no end below
+        floored = name == "T_A" and value <= FLOORS[name] * 1.001  # no standard error and no lower end
         crooked = (
             floored
             or relative > settings.PROFILE_FROM
@@ -49,7 +55,7 @@ def quadratic_or_profile(likelihood: Likelihood, found: Fit, *, robust: bool) ->
             )
             method = "sandwich covariance (residuals are coloured)" if robust else "Fisher information"
         else:
-            # Coloured residuals make the likelihood too sure of itself by the ratio of the two standard errors.
+            # With coloured residuals the profile is too narrow by the ratio of the two standard errors.
             inflate = max(std / max(found.std(name, mass), 1e-300), 1.0) if robust and np.isfinite(std) else 1.0
             high = _profile(likelihood, found, name, 1, Z * inflate)
             low = 0.0 if floored else _profile(likelihood, found, name, -1, Z * inflate)
@@ -60,7 +66,7 @@ def quadratic_or_profile(likelihood: Likelihood, found: Fit, *, robust: bool) ->
 
 
 def _profile(likelihood: Likelihood, found: Fit, name: str, side: int, target: float) -> float:
-    """Where the signed root of the likelihood ratio reaches `target`; 0 or inf where it never does."""
+    """Value at which the signed root of the likelihood ratio reaches `target`; 0 or inf if it does not."""
     mass = likelihood.plant.mass_kg
     std = found.std(name, mass)
     value = getattr(found.point, name)

@@ -1,11 +1,11 @@
-"""From a campaign to a model: the steps in order, and what is said on the way.
+"""Identification of a model from a campaign: the steps in order.
 
-    recordings -> checks -> levels, shape, lift-off -> start -> innovations likelihood over everything at once
-               -> readings beyond 6 sigma out, again -> noise levels that are not needed out, again
+    recordings -> checks -> levels, step responses, lift-off -> starting values -> maximum likelihood of all innovations
+               -> fit again without outliers -> fit again without unnecessary process noise
                -> whiteness, covariance, intervals -> verdicts
 
 Rule 1: one parameter set explains the whole campaign.
-Rule 2: a number always comes with its standing; what could not be estimated is written down as that, never invented.
+Rule 2: each parameter has a verdict; one that cannot be estimated is marked as not identifiable.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from twin.identify.starting.regression import AmplifierStart, BallStart, amplifi
 from twin.model.parameters import Model, Parameter
 from twin.readers.campaign import read_campaign
 
-# Much unexplained acceleration: from little of it, a model that lacks something climbs to a far lower maximum, in which
-# all its error counts as noise of the position sensor (250 um instead of 4).
+# The process noise starts large.  From a small value an incomplete model converges to a far lower maximum, which
+# attributes all its error to the noise of the position sensor (250 um instead of 4).
 _NOISE_START = {"sigma_x_m": 1e-5, "process_a_m_s2": 5.0}
 _TICK_S = 2e-3
 
@@ -49,12 +49,12 @@ def identify(
     """Identify the model of a campaign from its recordings for fitting.
 
     Args:
-        campaign: of `protocol.campaign.load`.
-        data: folder of recordings that are not beside the campaign.
-        say: takes lines of progress.
+        campaign: of `Campaign.load`.
+        data: folder of the recordings, if it is not that of the campaign.
+        say: is called with lines of progress.
 
     Raises:
-        DataError: a recording is absent, unreadable, or not what it says it is.
+        DataError: a recording is missing, unreadable or implausible, or none has use = "fit".
     """
     records = read_campaign(campaign, data=data)
     if not records:
@@ -69,7 +69,7 @@ def identify(
 def identify_records(
     campaign: Campaign, records: list[Record], *, say: Callable[[str], None] = lambda line: None
 ) -> Identification:
-    """As `identify`, on recordings in memory."""
+    """`identify` with recordings in memory.  Raises DataError."""
     plant = campaign.plant
     warnings = [note for record in records for note in record.notes]
     said = inspect(records, plant, campaign.controller)
@@ -136,7 +136,7 @@ def identify_records(
 
 
 def _aligned(records: list[Record], delays: list[int], warnings: list[str]) -> list[Record]:
-    """The recordings with u_c shifted to where it acts; `warnings` says which."""
+    """The recordings with u_c shifted by its delay; `warnings` receives a sentence."""
     aligned = [delayed(record, samples) for record, samples in zip(records, delays, strict=True)]
     for samples in sorted(set(delays) - {0}):
         names = [record.name for record, own in zip(aligned, delays, strict=True) if own == samples]
@@ -151,7 +151,7 @@ def _aligned(records: list[Record], delays: list[int], warnings: list[str]) -> l
 def _fitted(
     likelihood: Likelihood, start: Point, free: tuple[str, ...], usages: Sequence[Usage], say: Callable[[str], None]
 ) -> tuple[Likelihood, Fit]:
-    """(the likelihood without outliers, its maximum); `usages` counts them."""
+    """(the likelihood without outliers, its maximum); their number is added to `usages`."""
     found = fit(likelihood, start, free)
     say(f"fit: {found.passes} passes over {len(likelihood.series)} samples")
     gated, dropped = gate(likelihood.series, likelihood.white(found.point), len(usages))
@@ -164,7 +164,7 @@ def _fitted(
 
 
 def _possible_drag(likelihood: Likelihood, found: Fit, ball: BallStart | None, warnings: list[str]) -> Fit:
-    """The fit with a drag that a ball in air can have, where the likelihood asks for more."""
+    """The fit with b held at a possible value, for a likelihood whose maximum has an impossible drag."""
     plant = likelihood.plant
     free = tuple(name for name in found.free if name != "b")
     possible = ball is not None and 0.0 <= ball.d <= most_drag(plant)
@@ -181,7 +181,7 @@ def _possible_drag(likelihood: Likelihood, found: Fit, ball: BallStart | None, w
 def _misfit(
     records: list[Record], campaign: Campaign, found: Fit | None, white: Whiteness, tick_s: float, warnings: list[str]
 ) -> Horizon | None:
-    """What a model that is not the whole story is worth as a predictor; `warnings` says so."""
+    """The prediction error of a model with coloured residuals; `warnings` receives sentences."""
     warnings.append(
         f"the residuals are not white (autocorrelation up to {white.worst:.2f}): the model is not the whole story. "
         "The intervals are those of its best approximation, and b is the first to be wrong; board51 diagnose looks "
@@ -206,7 +206,7 @@ def _ahead(records: list[Record], campaign: Campaign, found: Fit | None, tick_s:
 
 
 def grouped(said: list[str], names: list[str]) -> list[str]:
-    """Lines "recording: text" of one text joined into one line; others as they are."""
+    """Join lines "recording: text" with the same text into one line; other lines are unchanged."""
     lines: dict[str, list[str]] = {}
     for line in said:
         name = next((name for name in names if line.startswith(f"{name}: ")), "")
@@ -282,13 +282,13 @@ def _start(
 
 
 def _parsimonious(likelihood: Likelihood, found: Fit) -> Fit:
-    """Without the process noises that the likelihood does not miss.
+    """The fit without process noises that do not improve the likelihood significantly.
 
-    A noise that is not there costs precision (it says "trust the model less"), and a current disturbance cannot be told
-    from current noise at all where T_A is far below the sampling interval.
+    An unnecessary process noise widens the intervals.  If T_A is far below the sampling interval, a disturbance of the
+    current cannot be distinguished from noise of its sensor.
     """
     for name in NOISES[2:]:
-        # Known that well, it is there, and a fit without it would only wander where nothing explains the flights.
+        # A noise level that is known so well is present; a fit without it would take long and be rejected.
         if name not in found.free or (
             found.converged and 0.0 < found.std(name, 1.0) < settings.NOISE_KNOWN * getattr(found.point, name)
         ):

@@ -1,4 +1,4 @@
-"""What goes into model.json beside the parameters, and the table a person reads."""
+"""The result of identification: the model's noise and provenance, and a table for the user."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ASSUMED = Noise(sigma_x_m=5e-6, sigma_i_c_a=2e-3, process_a_m_s2=0.02, process_
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identification:
-    """The model and everything that was found on the way."""
+    """The model and the intermediate results."""
 
     model: Model
     converged: bool
@@ -32,18 +32,18 @@ class Identification:
     force: ForceConstant | None
     fit: Fit | None
     whiteness: Whiteness | None
-    ahead: Horizon | None  # prediction over AHEAD_S on these recordings, where the residuals are coloured
-    tick_s: float  # interval that the process noise refers to
+    ahead: Horizon | None  # prediction over AHEAD_S on these recordings, if the residuals are coloured
+    tick_s: float  # interval of the process noise
 
     @property
     def usable(self) -> bool:
-        """Whether a twin can run on it: the fit converged, K_A and K_c are known."""
+        """Whether a twin can use the model: the fit converged, and K_A and K_c are known."""
         known = all(self.model.parameters[name].verdict in ("identified", "weak") for name in ("K_A", "K_c"))
         return self.converged and known
 
 
 def noise_of(found: Fit | None, records: list[Record]) -> Noise:
-    """Noise levels of the fit without the converters' steps, which a twin adds where it knows them."""
+    """Noise levels of the fit without the converters' quantisation, which the twin adds from the board's scalings."""
     values = {name: getattr(_ASSUMED, name) for name in NOISE}
     if found is not None:
         known = {name: getattr(found.point, name) for name in found.free if name in NOISE}
@@ -71,7 +71,7 @@ def provenance_of(
     shape: Shape | None,
     force: ForceConstant | None,
 ) -> dict[str, Any]:
-    """Where the numbers come from: recordings, fit, residuals, warnings."""
+    """The provenance of a model file: recordings, fit, residuals, warnings."""
     result: dict[str, Any] = {
         "campaign": campaign.plant.name,
         "recordings": [asdict(usage) for usage in usages],
@@ -122,7 +122,7 @@ def table(found: Identification) -> str:
     for name, p in found.model.parameters.items():
         interval = "-"
         if p.ci95:
-            # As many digits as show the width, or a narrow interval reads "0.3 .. 0.3".
+            # Enough digits to show the width of the interval.
             low, high = p.ci95
             width = (high - low) / max(abs(high), 1e-300)
             digits = min(max(math.ceil(2.0 - math.log10(width)), 5), 9) if width > 0.0 else 5

@@ -1,4 +1,4 @@
-"""From estimates to parameters with a standing, and where they are not identified, the experiment that would help."""
+"""Verdicts: each parameter with its interval and verdict, and if not identified, the experiment that would help."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _INPUT_HELP = "record steps of u_c with two or more steady levels (kind amplifie
 _TIME_HELP = "capture a step of u_c at 25 kHz (board51 send capture; kind amplifier-step)"
 _FORCE_HELP = "record a slow sawtooth to lift-off (kind sawtooth) or a closed-loop run"
 _DRAG_HELP = "record closed loop with wide, fast reference changes (multisine), several minutes: drag shows in speed"
-_INFINITE = 1e6  # relative: an interval without an end, as JSON can hold it
+_INFINITE = 1e6  # relative width that stands for an infinite one
 
 
 def gain(
@@ -29,7 +29,15 @@ def gain(
     shape: Shape | None,
     warnings: list[str],
 ) -> Parameter:
-    """K_A: the steady levels; the joint fit where it says the same more precisely."""
+    """K_A from the steady levels, or from the joint fit if it agrees with them.
+
+    Args:
+        found: the joint fit; None: there is none.
+        intervals: of the joint fit.
+        levels: line through the steady levels; None: there are none.
+        shape: of the step response; None: there is none.
+        warnings: receives sentences for the user.
+    """
     joint = intervals.get("K_A")
     if levels is not None:
         top = max(abs(level.i_a) for level in levels.levels)
@@ -81,10 +89,13 @@ def gain(
 def time_constant(
     found: Fit | None, intervals: dict[str, Interval], shape: Shape | None, tick_s: float, warnings: list[str]
 ) -> Parameter:
-    """T_A: from the steps where the shape is odd, else jointly."""
+    """T_A from the steps if they are not first order, are more precise or disagree; otherwise from the joint fit.
+
+    Arguments as in `gain`; `tick_s` is the sampling interval, s.
+    """
     joint = intervals.get("T_A")
     if shape is not None and not shape.first_order:
-        # What is left over, and the spread from step to step, say more than the noise about a number that is not one.
+        # A T_A of a response that is not first order is less certain than noise alone makes it.
         std = math.hypot(shape.T_A_std * shape.ratio, shape.spread * shape.T_A / math.sqrt(shape.steps))
         return _parameter(
             "T_A",
@@ -102,7 +113,7 @@ def time_constant(
         or not joint.std <= shape.T_A_std
         or abs(found.point.T_A - shape.T_A) > settings.AGREEMENT_ERRORS * math.hypot(joint.std, shape.T_A_std)
     ):
-        # Each step of its own levels: an offset that (1) does not have cannot pass for a slow amplifier.
+        # Each step has its own levels, so an offset, which (1) does not have, cannot bias T_A.
         return _parameter(
             "T_A",
             shape.T_A,
@@ -142,7 +153,17 @@ def force_constant(
     plant: Plant,
     warnings: list[str],
 ) -> Parameter:
-    """K_c: by innovations where the ball flies, else from lift-off."""
+    """K_c from the joint fit if there are flights, otherwise from lift-off or equilibria (8).
+
+    Args:
+        found: the joint fit; None: there is none.
+        intervals: of the joint fit.
+        force: K_c by (8); None: there is none.
+        ball: the regression for starting values.
+        flying: whether any flight was fitted.
+        plant: mass, travel, x_max.
+        warnings: receives sentences for the user.
+    """
     joint = intervals.get("K_c")
     if (
         force is not None
@@ -176,7 +197,7 @@ def force_constant(
         )
         if force is None or not differ or abs(force.K_c / found.point.K_c - 1.0) < settings.K_C_DIFFERENT:
             return parameter
-        # Each of the two is precise, and yet they are two: an interval of either is not one of K_c.
+        # Two precise but different values: neither interval is that of K_c.
         method = f"{parameter.method}; lift-off (8) says {force.K_c:.4g}"
         if parameter.verdict == "identified":
             return replace(parameter, verdict="weak", method=method)
@@ -212,9 +233,10 @@ def drag(
     *,
     coloured: bool,
 ) -> Parameter:
-    """b, honestly: an interval that reaches zero is said to, and coloured residuals make it weak at best.
+    """The drag b; an interval that includes zero is reported, and with coloured residuals b is at most weak.
 
-    Drag is the smallest force: whatever the model lacks (a lag, a delay, another force law) ends up in b first.
+    Drag is the smallest force, so an effect that the model lacks (a lag, a delay, another force law) biases b first.
+    Arguments as in `force_constant`; `coloured`: whether the residuals are coloured.
     """
     joint = intervals.get("b")
     if flying and found is not None and joint is None and ball is not None:
@@ -279,7 +301,7 @@ def _parameter(
     name: str, value: float, std: float, low: float, high: float, method: str, equation: str, remedy: str
 ) -> Parameter:
     unit, lowest, highest = PARAMETERS[name]
-    least = settings.LEAST_RELATIVE_ERROR * abs(value)  # recordings without noise would ask for any number of digits
+    least = settings.LEAST_RELATIVE_ERROR * abs(value)  # without noise the standard error would be 0
     std, low, high = max(std, least), min(low, value - 1.96 * least), max(high, value + 1.96 * least)
     bounded = min(max(value, lowest), highest)
     low = max(low, 0.0)

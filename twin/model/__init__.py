@@ -1,1 +1,1 @@
-"""What is known of a plant: its constants, the four parameters of the paper, its noise, its sources."""
+"""The plant model: constants, the paper's four parameters, causes that extend it, noise, provenance."""

@@ -1,11 +1,10 @@
-"""Where the ball can rest: the equilibrium (13) of the model with whatever causes it has.
+"""Equilibria (13) of the model with its causes.
 
-Rule 1: rest is found from the equations of `extended.py` themselves, first the current that carries the ball, then the
-        input that gives that current, each by Brent's method (Algorithms for Minimization without Derivatives, 1973,
-        chapter 4) to the last digit.
-Rule 2: a position is the true one, or with `shown` the one that the sensor shows: crosstalk and a nonlinear sensor
-        make the two differ.
-Rule 3: dry friction, which would hold the ball anywhere near, has no part in it.
+Rule 1: the equations are those of `extended.py`.  Brent's method (Algorithms for Minimization without Derivatives,
+        1973, chapter 4) gives first the current that carries the ball, then the input that gives this current.
+Rule 2: a position is the true position, or with `shown` the sensor's reading; crosstalk and a nonlinear sensor make
+        them differ.
+Rule 3: dry friction is left out: with it every position near an equilibrium would be one, too.
 """
 
 from __future__ import annotations
@@ -38,27 +37,27 @@ from twin.model.extended import (
 from twin.model.extension import base, vector
 from twin.model.parameters import Model
 
-# Beyond any amplifier: what is not reached by then is not reached.
+# The upper limits are beyond any amplifier.
 _LEAST_A, _MOST_A, _LEAST_V, _MOST_V = 1e-3, 1e3, 1e-2, 1e5
 _XTOL, _RTOL = 1e-18, 4.0 * float(np.finfo(float).eps)  # the finest relative tolerance that brentq takes
-_INPUTS = 300  # tried between these two, 5 % apart
+_INPUTS = 300  # inputs on a grid from _LEAST_V to _MOST_V, 5 % apart
 _SETTLING, _SETTLING_STEP_S = 2000, 5e-3
 
 
 def holding_current(p: Base, c: Vector, x_m: float, *, shown: bool = False) -> float:
-    """The coil current that carries the ball at x, A; NaN where none does.
+    """The coil current that carries the ball at x, A; NaN if no current does.
 
     Args:
         p: the paper's parameters and the plant.
         c: the causes' parameters, shape (PLACES,).
-        x_m: where the ball is, m.
-        shown: whether `x_m` is what the sensor shows.
+        x_m: position of the ball, m.
+        shown: whether `x_m` is the sensor's reading.
     """
     packed = tuple(p)
     if _lift(0.0, packed, c, x_m, shown) > 0.0:
         return math.nan
     low, high = 0.0, _LEAST_A
-    while not _lift(high, packed, c, x_m, shown) > 0.0:  # a sensor with crosstalk shows nonsense far above the root
+    while not _lift(high, packed, c, x_m, shown) > 0.0:  # far above the root, readings with crosstalk are meaningless
         low, high = high, 2.0 * high
         if high > _MOST_A:
             return math.nan
@@ -66,19 +65,19 @@ def holding_current(p: Base, c: Vector, x_m: float, *, shown: bool = False) -> f
 
 
 def holding_input(p: Base, c: Vector, i_a: float, warmth_a2: float | None = None) -> float:
-    """The u_c behind a steady coil current, V; NaN where the amplifier cannot give it.
+    """The u_c that gives a steady coil current, V; NaN if the amplifier cannot give it.
 
     Args:
         p: the paper's parameters and the plant.
         c: the causes' parameters, shape (PLACES,).
         i_a: the coil current, A.
-        warmth_a2: mean square of the current that warms the amplifier; None: that of `i_a`.
+        warmth_a2: mean square of the current that warms the amplifier, A^2; None: that of `i_a`.
     """
     packed, w = tuple(p), i_a * i_a if warmth_a2 is None else warmth_a2
     if _surplus(0.0, packed, c, i_a, w) > 0.0:
         return math.nan
     high = _MOST_V
-    if not _surplus(high, packed, c, i_a, w) > 0.0:  # an amplifier that folds back gives less again far above
+    if not _surplus(high, packed, c, i_a, w) > 0.0:  # with foldback the current falls again far above
         inputs = np.geomspace(_LEAST_V, _MOST_V, _INPUTS).tolist()
         high = next((u for u in inputs if _surplus(u, packed, c, i_a, w) > 0.0), math.nan)
         if math.isnan(high):
@@ -87,9 +86,9 @@ def holding_input(p: Base, c: Vector, i_a: float, warmth_a2: float | None = None
 
 
 def at_rest(p: Base, c: Vector, x_m: float, *, shown: bool = False) -> tuple[NDArray[np.float64], float]:
-    """(state of `extended.py`, shape (7,); u_c in V) of a ball that floats at x.
+    """(state of `extended.py`, shape (7,); u_c in V) of a ball that floats at x; arguments as `holding_current`.
 
-    The input is NaN where nothing holds the ball there, and the state then one without current.
+    If nothing holds the ball there, the input is NaN and the state has no current.
     """
     i = holding_current(p, c, x_m, shown=shown)
     u = holding_input(p, c, i)
@@ -102,16 +101,16 @@ def at_rest(p: Base, c: Vector, x_m: float, *, shown: bool = False) -> tuple[NDA
 
 
 def equilibrium(model: Model, x_m: float) -> tuple[float, float]:
-    """(i_c0 as it is read, u_c0) that hold the ball where the sensor shows `x_m`, (13); A, V; NaN where none do."""
+    """(reading of i_c0 in A, u_c0 in V) that hold the ball at the reading `x_m`, (13); NaN if there are none."""
     p, c = base(model), vector(model.causes)
     y, u = at_rest(p, c, x_m, shown=True)
     return (float(current_reading(c, y[I_C])), u) if math.isfinite(u) else (math.nan, math.nan)
 
 
 def settled_current(p: Base, c: Vector, u_v: float, x_m: float = 0.0) -> float:
-    """What i_c comes to under a constant u_c, A, the ball held at x and the coil as warm as that current makes it.
+    """Steady-state i_c under a constant u_c, A, with the ball held at x and the coil at its steady-state warmth.
 
-    Simulated, not solved: whatever bends the amplifier's response is in the equations of motion alone.
+    It is simulated because some causes of the amplifier appear only in the differential equations.
     """
     packed = tuple(p)
     y = np.zeros(STATES)
@@ -127,7 +126,7 @@ def settled_current(p: Base, c: Vector, u_v: float, x_m: float = 0.0) -> float:
 
 @kernel
 def _lift(i: float, base: Packed, c: Vector, x_m: float, shown: bool) -> float:
-    """Acceleration of a ball that lies still at x under the current i, m/s^2."""
+    """Acceleration of a ball at rest at x under the current i, m/s^2."""
     p = Base(*base)
     x = position_of_reading(p, c, x_m, i) if shown else x_m
     return acceleration(p, c, i, x, 0.0, 0.0)
@@ -135,7 +134,7 @@ def _lift(i: float, base: Packed, c: Vector, x_m: float, shown: bool) -> float:
 
 @kernel
 def _surplus(u: float, base: Packed, c: Vector, i: float, w: float) -> float:
-    """By how much the current that the amplifier aims at under u exceeds i, A."""
+    """Steady-state current under u minus i, A."""
     return drive(Base(*base), c, u, w) - i
 
 

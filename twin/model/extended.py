@@ -1,18 +1,18 @@
-"""The paper's model with every cause of the catalogue at its place: (1), (6) and what they leave out.
+"""The extended model: the paper's (1) and (6) with all causes of the catalogue.
 
     u_c --delay, dead zone--> target --limits, T_A(x), emf--> i --lag, remanence, saturation--> force --> x', x
-    i, x --gain, offset, bow, crosstalk, lag--> what the sensors show
+    i, x --gain, offset, bow, crosstalk, lag--> sensor readings
 
 State y, shape (7,): i_c (A), x (m), x' (m/s), field current f (A), position sensor s (m), warmth w (A^2), the
 rate of the sensor s' (m/s).
 
-Rule 1: at `catalogue.neutral()` it is (1) and (6), and f = i_c, s = x.
-Rule 2: the amplifier is integrated exactly within a substep (any T_A, any limit of rate), the ball by Runge-Kutta with
-        the current at start, middle and end.  The first substep is short: the current bends right after u_c has
-        changed.  After 2 ms x is off by less than 60 nm, a hundredth of the sensor noise; by 0.2 um under jumps of 1 A
-        where the coil's plane is at the stop (tests/twin/model/test_simulate.py).
-Rule 3: delays are not in here: they are a matter of which u_c is in force (twin/estimation/propagate.py).
-Rule 4: stops are inelastic, as in `simulate.py`, and only where the caller asks for them.
+Rule 1: with `catalogue.neutral()` the model is exactly (1) and (6), and f = i_c, s = x.
+Rule 2: within a substep the amplifier is integrated exactly (for any T_A and slew rate), and the ball by Runge-Kutta
+        with the current at start, middle and end.  The first substep is short because the current changes fastest
+        right after a change of u_c.  After 2 ms the error of x is below 60 nm, a hundredth of the sensor noise, and
+        0.2 um for jumps of 1 A with the coil's plane at the stop (tests/twin/model/test_simulate.py).
+Rule 3: delays are applied by the caller, who chooses the u_c in force (twin/estimation/propagate.py).
+Rule 4: stops are inelastic, as in `simulate.py`, and apply only if the caller asks for them.
 """
 
 from __future__ import annotations
@@ -54,15 +54,15 @@ from twin.model.causes.cause import Vector
 
 I_C, X, V, FIELD, SENSOR, WARMTH, RATE = range(7)
 STATES = 7
-PARTS = (0.0625, 0.1875, 0.25, 0.5)  # of an interval: its substeps
-SHORT_S = 1e-4  # an interval as in a 25 kHz capture is one substep
-LONGEST_STEP_S = 2e-3  # of one `advance`, whose substeps were checked at that
-INSTANT_S = 1e-9  # what is left of an interval by rounding
-GAP_MIN_SHARE = 0.01  # of the travel: nearer to the coil's plane than this, (3) is not evaluated
+PARTS = (0.0625, 0.1875, 0.25, 0.5)  # substeps of an interval, as shares of it
+SHORT_S = 1e-4  # a shorter interval, as in a 25 kHz capture, is one substep
+LONGEST_STEP_S = 2e-3  # longest interval of one `advance`; the error bounds of rule 2 hold for it
+INSTANT_S = 1e-9  # a shorter interval is a rounding error
+GAP_MIN_SHARE = 0.01  # of the travel: smallest gap at which (3) is evaluated
 
 
 class Base(NamedTuple):
-    """The paper's parameters and the plant, as the kernels take them: tuple(Base)."""
+    """The paper's parameters and the plant's constants; the kernels take tuple(Base)."""
 
     K_A: float  # A/V
     T_A: float  # s
@@ -76,7 +76,7 @@ class Base(NamedTuple):
 
 @kernel
 def drive(p: Base, c: Vector, u: float, w: float) -> float:
-    """The current that the amplifier aims at under u_c = u, A: K_A u of (1), with what changes it."""
+    """Steady-state current of the amplifier under u_c = u, A: K_A u of (1) with the amplifier's causes."""
     target = p.K_A * amplifier_gain_drift.gain(c, w) * amplifier_dead_zone.effective_input(c, u)
     return current_limit.aimed_at(c, max(amplifier_offset.shifted(c, target), 0.0))
 
@@ -99,7 +99,7 @@ def acceleration(p: Base, c: Vector, field: float, x: float, v: float, t: float)
 
 @kernel
 def position_reading(p: Base, c: Vector, x: float, i: float) -> float:
-    """What the position sensor tends to, m."""
+    """Steady-state reading of the position sensor, m."""
     bent = position_sensor_nonlinearity.bent(c, x, p.travel_m)
     shifted = position_sensor_offset.shifted(c, position_sensor_gain.scaled(c, bent))
     return sensor_crosstalk.disturbed(c, shifted, i)
@@ -107,31 +107,31 @@ def position_reading(p: Base, c: Vector, x: float, i: float) -> float:
 
 @kernel
 def sensor_lag_s(c: Vector) -> float:
-    """The time constant of the position sensor, s; 0 where it shows what is there."""
+    """The time constant of the position sensor, s; 0 for an instantaneous sensor."""
     return c[position_sensor_lag.TAU]
 
 
 @kernel
 def lagging_reading(c: Vector, s: float, rate: float, settled: float, h: float) -> tuple[float, float]:
-    """(the sensor's output in m, its rate in m/s) h s after s and rate; it would settle at `settled`, m."""
+    """(output of the sensor in m, its rate in m/s) after h s from s and rate, with the steady state `settled`, m."""
     return position_sensor_lag.lagged(c, s, rate, settled, settled, h)
 
 
 @kernel
 def current_reading(c: Vector, i: float) -> float:
-    """What the current sensor shows, A."""
+    """Reading of the current sensor, A."""
     return current_sensor_offset.shifted(c, current_sensor_gain.scaled(c, i))
 
 
 @kernel
 def current_of_reading(c: Vector, reading: float) -> float:
-    """The current behind a reading, A."""
+    """The current that gives this reading, A."""
     return (reading - c[current_sensor_offset.OFFSET]) / c[current_sensor_gain.GAIN]
 
 
 @kernel
 def position_of_reading(p: Base, c: Vector, reading: float, i: float) -> float:
-    """The position behind a settled reading, m: Newton on `position_reading`."""
+    """The position that gives this steady-state reading, m, by Newton's method on `position_reading`."""
     x = reading
     for _ in range(4):
         slope = c[position_sensor_gain.GAIN] * position_sensor_nonlinearity.slope(c, x, p.travel_m)
@@ -143,7 +143,7 @@ def position_of_reading(p: Base, c: Vector, reading: float, i: float) -> float:
 def _driven(
     c: Vector, i: float, target: float, T_A: float, v: float, a: float, gap: float, gap_mid: float, at: float, h: float
 ) -> float:
-    """The current h s later, from i at `at` s behind the moment at which the ball has v, a and `gap`."""
+    """The current after h s, starting from i; `at` is the time since the ball had v, a and `gap`, s."""
     if c[motional_emf.COUPLING] == 0.0:
         return current_limit.limited(c, slew_rate_limit.relaxed(c, i, target, T_A, h))
     begin = motional_emf.lead(c, v + at * a, gap - at * v, gap_mid)
@@ -159,16 +159,16 @@ def _driven(
 
 @kernel
 def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float, duration: float, stops: bool) -> None:
-    """`duration` s with u_c = u in force; y, shape (7,), is updated in place.
+    """Advance the state by `duration` s under constant u_c = u; y is updated in place.
 
     Args:
         base: tuple(Base).
         c: the causes' parameters, shape (PLACES,).
-        y: the state.
-        u: V, delays already applied.
+        y: the state, shape (7,).
+        u: input after all delays, V.
         t: time at the beginning, s, for periodic causes.
-        duration: s.
-        stops: whether x is held within 0 .. travel.
+        duration: s, at most LONGEST_STEP_S.
+        stops: whether x is limited to 0 .. travel.
     """
     p = Base(*base)
     plane = air_gap_offset.gap_m(c, p.x_max_m)
@@ -241,7 +241,7 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
 
 @kernel
 def over(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float, duration: float, stops: bool) -> None:
-    """`advance` in steps that it was checked for; the arguments are the same."""
+    """`advance` for any duration, in steps of at most LONGEST_STEP_S; the arguments are the same."""
     if duration <= 1.01 * LONGEST_STEP_S:
         advance(base, c, y, u, t, duration, stops)
         return

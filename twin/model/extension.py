@@ -1,6 +1,6 @@
-"""The causes of a model, as the kernels of `extended.py` take them.
+"""Conversion of a model to the arguments of the kernels of `extended.py`.
 
-Rule: a model without causes gives the neutral vector, with which `extended.py` is the paper's (1) and (6).
+Rule: a model without causes gives the neutral vector; `extended.py` is then the paper's (1) and (6).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from twin.model.parameters import Model, ModelCause
 
 
 def vector(causes: Sequence[ModelCause]) -> NDArray[np.float64]:
-    """The vector c of these causes, shape (PLACES,); all others neutral."""
+    """The vector c of these causes, shape (PLACES,); all other causes are neutral."""
     c = neutral()
     for cause in causes:
         for parameter in BY_NAME[cause.name].parameters:
@@ -25,7 +25,7 @@ def vector(causes: Sequence[ModelCause]) -> NDArray[np.float64]:
 
 
 def base(model: Model) -> Base:
-    """The paper's parameters of a model, as the kernels of `extended.py` take them."""
+    """The paper's parameters and the plant of a model."""
     p = model.plant
     return Base(
         K_A=model.K_A,
@@ -40,7 +40,7 @@ def base(model: Model) -> Base:
 
 
 def sentences(model: Model) -> list[str]:
-    """One line per cause: its name, what it is, its numbers."""
+    """One line per cause: name, title, parameters."""
     lines = []
     for cause in model.causes:
         known = BY_NAME[cause.name]

@@ -1,14 +1,14 @@
-"""A model with causes around a point of rest: its linearisation (14), its delays as states.
+"""Linearisation (14) of a model with causes about an equilibrium, and its discretisation (15) with delays as states.
 
-Everything in what the sensors show, because that is what a board measures, feeds back and holds.
+The states are sensor readings, because these are what the board measures and feeds back.
 
-Rule 1: the physics is `extended.advance`: (14) is the logarithm of its differences over a short time, not a second set
+Rule 1: (14) is the matrix logarithm of differences of `extended.advance` over a short time, so there is no second set
         of equations.
-Rule 2: the first three states are the readings of i_c and x and the speed in the position sensor's scale; behind them
-        what the causes add (field current of `eddy-current-lag`, settled reading of `position-sensor-lag` and its
+Rule 2: the first three states are the readings of i_c and x and the speed in the position sensor's scale.  The states
+        that causes add follow (field current of `eddy-current-lag`, settled reading of `position-sensor-lag` and its
         rate).
-Rule 3: warmth is held at that of the equilibrium: it moves in minutes.  Dry friction is left out: linearised at rest it
-        is a ball that sticks.  So is a periodic force.
+Rule 3: warmth stays at its equilibrium value, as it changes over minutes.  A periodic force is left out.  So is dry
+        friction, as its linearisation at rest is a ball that sticks.
 """
 
 from __future__ import annotations
@@ -46,29 +46,29 @@ from twin.model.extended import (
 from twin.model.extension import base, vector
 from twin.model.parameters import Model
 
-LONGEST_S = 1e-4  # over which differences are taken; shorter than every time constant, so that the logarithm is exact
+LONGEST_S = 1e-4  # longest time of a difference; it is also at most each time constant, for the logarithm to be exact
 _DELTA = np.array([1e-5, 1e-7, 1e-5, 1e-5, 1e-7, np.nan, 1e-5])  # A, m, m/s, A, m; warmth is held; m/s
 _DELTA_U = 1e-4  # V
 
 
 def delay_s(model: Model) -> float:
-    """From u_c to what the readings show of it, s: both delays."""
+    """Delay from u_c to the readings, s: the sum of both delays."""
     c = vector(model.causes)
     return float(c[actuation_delay.DELAY] + c[sampling_delay.DELAY])
 
 
 def linearise(model: Model, x_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Jacobians (14) of the model with its causes, delays apart, where the sensor shows `x_m` at rest.
+    """Jacobians (14) of the model with its causes but without delays, at the equilibrium with the reading `x_m`.
 
     Returns:
         A, shape (n, n), and B, shape (n, 1), for [i_c, x, x', ..] as readings in A, m, m/s and the input u_c in V; NaN
-        where the ball cannot rest.
+        if there is no equilibrium.
     """
     return linearised(base(model), vector(model.causes), x_m)
 
 
 def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """`linearise` of parameters and causes as the kernels take them; c of shape (PLACES,)."""
+    """`linearise` for parameters and causes in the form of the kernels; c has shape (PLACES,)."""
     c = c.copy()
     c[coulomb_friction.FORCE] = c[periodic_disturbance.AMPLITUDE] = 0.0
     eddy, lag = float(c[eddy_current_lag.TAU]), float(c[position_sensor_lag.TAU])
@@ -106,9 +106,9 @@ def linearised(p: Base, c: NDArray[np.float64], x_m: float) -> tuple[NDArray[np.
 def measured(
     p: Base, c: NDArray[np.float64], x_m: float, sample_time_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(15) for the readings of i_c and x and the speed alone, shapes (3, 3) and (3, 1): delays and sensor lag left out.
+    """(15) for the readings of i_c and x and the speed, shapes (3, 3) and (3, 1), without delays and sensor lag.
 
-    A lagging field, which nobody measures, is taken for settled at the current that is read.
+    A lagging field, which is not measured, is assumed settled at the measured current.
     """
     c = c.copy()
     c[position_sensor_lag.TAU] = 0.0
@@ -119,7 +119,7 @@ def measured(
 
 
 def _logarithm(block: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of a matrix near to 1; by its eigenvectors where they allow it: `logm` takes 50 ms."""
+    """Logarithm of a matrix near identity; by eigenvectors if well-conditioned, as `logm` takes 50 ms."""
     values, vectors = np.linalg.eig(block)
     if np.linalg.cond(vectors) < 1e6:
         return np.asarray(np.real((vectors * np.log(values.astype(complex))) @ np.linalg.inv(vectors)))
@@ -127,7 +127,7 @@ def _logarithm(block: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _to_readings(p: Base, c: Vector, y0: NDArray[np.float64], places: list[int]) -> NDArray[np.float64]:
-    """From deviations of the states `places` to deviations of what is shown, shape (n, n)."""
+    """The matrix from deviations of the states `places` to deviations of the readings, shape (n, n)."""
     i, x = float(y0[I_C]), float(y0[X])
     by_x = (position_reading(p, c, x + 1e-7, i) - position_reading(p, c, x - 1e-7, i)) / 2e-7
     by_i = (position_reading(p, c, x, i + 1e-4) - position_reading(p, c, x, i - 1e-4)) / 2e-4
@@ -147,10 +147,16 @@ def _to_readings(p: Base, c: Vector, y0: NDArray[np.float64], places: list[int])
 def late(
     A: NDArray[np.float64], B: NDArray[np.float64], delay_s: float, sample_time_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(15) with u_c acting `delay_s` late, exactly: a part of a tick by splitting the hold, whole ticks as states.
+    """(15) with u_c delayed by `delay_s`: exact, with past inputs as states and the hold split for a part of a tick.
+
+    Args:
+        A: shape (n, n).
+        B: shape (n, 1).
+        delay_s: s, 0 or more.
+        sample_time_s: s.
 
     Returns:
-        Phi, Gamma of the states of A and behind them u(k-1), u(k-2), ..; without delay none of these.
+        Phi and Gamma for the states of A followed by u(k-1), u(k-2), .. if there is a delay.
     """
     whole, part_s = divmod(delay_s, sample_time_s)
     held, n = int(whole), len(A)

@@ -1,10 +1,11 @@
-"""A model file: read, checked, written.  The format is what `board51 identify` gives and every twin command takes.
+"""Model files: read, check, write.  `board51 identify` writes this format and every twin command reads it.
 
-Rule 1: strict.  A missing key, another unit, a number that is not finite or not physical is refused by name: a twin
-        that runs on a guessed parameter accuses the rig of its own mistake.
-Rule 2: units are the ones below, always; there is no conversion.
-Rule 3: `causes` are of the catalogue, each with all its parameters, in its unit and within its physical
-        range: a half-known cause is none; a shape that is left out is that of the usual form; [] is the paper's model.
+Rule 1: reading is strict.  A missing key, another unit, a number that is not finite or not physical is an error that
+        names the key: with a guessed parameter the twin would report its own error as one of the rig.
+Rule 2: units are always the ones below; nothing is converted.
+Rule 3: each entry of `causes` is in the catalogue and has all its parameters, in their units and physical ranges.
+        Only shape parameters may be left out; they are then those of the usual form.  An empty list is the paper's
+        model.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ from protocol.errors import DataError
 from protocol.files import parse_json, read_small, writing
 
 SHIPPED = ("ce152", "inteco")  # models that come with the product, by name
-Verdict = Literal["identified", "weak", "not-identifiable", "assumed"]  # assumed: taken from a source, not a record
+Verdict = Literal["identified", "weak", "not-identifiable", "assumed"]  # assumed: from a source, not from a recording
 
-# name: (unit, lowest, highest).  The bounds are of any laboratory rig of this kind, not of one: they catch a wrong
-# unit or a slipped power of ten.
+# name: (unit, lowest, highest).  The bounds hold for any laboratory rig of this kind; they reveal a wrong unit or a
+# wrong power of ten.
 PARAMETERS: dict[str, tuple[str, float, float]] = {
     "K_A": ("A/V", 1e-3, 100.0),
     "T_A": ("s", 1e-7, 1.0),
@@ -40,13 +41,13 @@ REMEDY = "Give a model.json as `identify` writes it"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parameter:
-    """One estimated number with its standing."""
+    """One parameter: value, unit, uncertainty, verdict and origin."""
 
     __pydantic_config__ = KEYS
 
     value: Number
     unit: str
-    std: Annotated[Number, key("standard deviation, in the unit", 0.0)] | None = None  # None: nobody measured it
+    std: Annotated[Number, key("standard deviation, in the unit", 0.0)] | None = None  # None: unknown
     ci95: tuple[Number, Number] | None = None
     verdict: Verdict = "assumed"
     method: str = ""
@@ -55,13 +56,13 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:
-    """White, per sample.  Converter quantisation (lsb^2 / 12) comes on top, from the board's own scalings."""
+    """Standard deviations of white noise per sample.  Quantisation (lsb^2 / 12) is added from the board's scalings."""
 
     __pydantic_config__ = KEYS
 
     sigma_x_m: Annotated[Number, key("noise of x, m", 1e-9, 1e-2)]
     sigma_i_c_a: Annotated[Number, key("noise of i_c, A", 1e-7, 1.0)]
-    # Constant over a tick: the observer's only doubt in (6).
+    # Constant over a tick: the only process noise of (6).
     process_a_m_s2: Annotated[Number, key("acceleration that the model does not explain, m/s^2", 0.0, 10.0)]
     process_i_c_a: Annotated[Number, key("the same for the current of (1), A", 0.0, 1.0)]
 
@@ -89,12 +90,15 @@ def _all_fit(
     known: Mapping[str, tuple[str, float, float]],
     usual: Mapping[str, Parameter] = MappingProxyType({}),
 ) -> Mapping[str, Parameter]:
-    """The parameters in the order of those that are known, each in its unit and within its physical range.
+    """Check names, units and ranges; returns the parameters in the order of `known`.
 
     Args:
-        supplied: by the file.
+        supplied: parameters of the file.
         known: unit, lowest and highest value of each.
-        usual: of those that a file may leave out.
+        usual: parameters that a file may leave out.
+
+    Raises:
+        RuleError: a parameter is missing, unknown, in another unit or out of range.
     """
     supplied = {**usual, **supplied}
     for name in (*known, *supplied):
@@ -111,7 +115,7 @@ def _of_the_paper(supplied: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelCause:
-    """One effect of the catalogue that the model includes, with its size."""
+    """A cause that the model includes, with its parameters."""
 
     __pydantic_config__ = KEYS
 
@@ -120,7 +124,7 @@ class ModelCause:
 
 
 def _in_catalogue(cause: ModelCause) -> ModelCause:
-    # Only here: the catalogue is made of kernels, and most models need none of them.
+    # Imported here because the catalogue loads compiled kernels, which most models do not need.
     from twin.model.causes.catalogue import BY_NAME
 
     if cause.name not in BY_NAME:
@@ -133,7 +137,7 @@ def _in_catalogue(cause: ModelCause) -> ModelCause:
 
 
 def _usual(cause: str) -> Mapping[str, Parameter]:
-    """The shapes of a cause in its usual form: a file without them is of before they were known."""
+    """The shape parameters of a cause in its usual form, for older files, which do not have them."""
     from twin.model.causes.catalogue import BY_NAME
 
     known = BY_NAME[cause]
@@ -161,13 +165,13 @@ def _reach(plant: Plant) -> Plant:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Model:
-    """Plant, parameters of (1) and (6), the causes that extend them, noise, provenance."""
+    """A model: plant, parameters of (1) and (6), causes that extend them, noise, provenance."""
 
     __pydantic_config__ = KEYS
 
     plant: Annotated[Plant, AfterValidator(_reach)]
     parameters: Annotated[_Parameters, AfterValidator(_of_the_paper)]
-    # In the order of their importance.
+    # In order of decreasing importance.
     causes: Annotated[tuple[Annotated[ModelCause, AfterValidator(_in_catalogue)], ...], AfterValidator(_each_once)] = ()
     noise: Noise
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -177,20 +181,20 @@ class Model:
         """Read a model file, or a shipped model by its name: "ce152", "inteco".
 
         Raises:
-            DataError: no such file, or not a model.
+            DataError: the file is missing or is not a valid model.
         """
         shipped = isinstance(path, str) and path in SHIPPED
         return load_model(str(files("twin.model").joinpath(f"{path}.json")) if shipped else path)
 
     def to_json(self) -> dict[str, Any]:
-        """What a model file holds."""
+        """The content of the model file."""
         return model_to_dict(self)
 
     def save(self, path: str | Path) -> None:
         """Write a model file, as `board51 identify --out` does.
 
         Raises:
-            UsageError: it cannot be written.
+            UsageError: the file cannot be written.
         """
         with writing(Path(path)):
             Path(path).write_text(model_text(self) + "\n", encoding="utf-8")
@@ -223,28 +227,28 @@ def load_model(path: str | Path) -> Model:
     """Read a model file.
 
     Raises:
-        DataError: no such file, not JSON, or not a model; names the key and the value.
+        DataError: the file is missing, is not JSON or is not a valid model; the message names key and value.
     """
     return parse_model(read_small(Path(path), remedy="Give the path of a model.json"), where=str(path))
 
 
 def parse_model(text: str, *, where: str) -> Model:
-    """The model in a text of JSON; `where` names its source in errors.  Raises DataError."""
+    """Parse a model from JSON text; `where` names the source in errors.  Raises DataError."""
     return model_from_dict(parse_json(text, where=where, remedy=REMEDY), where=where)
 
 
 def model_text(model: Model) -> str:
-    """The JSON text of a model file; `parse_model` of it gives the model back.  Raises ValueError for NaN."""
+    """The JSON text of a model file; `parse_model` is the inverse.  Raises ValueError for NaN."""
     return json.dumps(asdict(model), indent=2, allow_nan=False)
 
 
 def model_from_dict(data: object, *, where: str) -> Model:
-    """Check `data` (the parsed JSON) key by key; `where` names its source in errors.  Raises DataError."""
+    """Check parsed JSON key by key and build the model; `where` names the source in errors.  Raises DataError."""
     model: Model = checked(_COMPLETE, data, where=where, error=DataError)
     return model
 
 
 def model_to_dict(model: Model) -> dict[str, Any]:
-    """The JSON form; `model_from_dict` of it gives the model back."""
+    """The model as parsed JSON; `model_from_dict` is the inverse."""
     plain: dict[str, Any] = json.loads(model_text(model))
     return plain

@@ -1,15 +1,15 @@
-"""One tick of the model, causes included, with the input held: `extended.advance` and the delays around it.
+"""Simulation of the model by ticks with the input held: `extended.advance` and the delays around it.
 
-Rule 1: the sample grid is the clock.  One call is one T_s; what happens at a tick happens between two calls.
-Rule 2: there is one physics: a model without causes is (1) and (6) by the same kernel, with the neutral vector.
-Rule 3: `actuation-delay` holds back u_c, `sampling-delay` what the sensors show.  Readings are what a board would get:
-        sensors' causes, lag and delay included, noise not.
-Rule 4: the phase of a periodic force is unknown to a simulation, so it runs without that force (`left_out` says so);
-        lost samples are the line's, not the rig's.
+Rule 1: one call of `hold` advances the rig by one T_s.
+Rule 2: a model without causes uses the same kernel with the neutral vector, which is (1) and (6).
+Rule 3: `actuation-delay` delays u_c, `sampling-delay` the readings.  Readings include the sensors' causes, lag and
+        delay, but no noise.
+Rule 4: the phase of a periodic force is unknown, so the simulation leaves that force out and `left_out` reports it.
+        Lost samples belong to the serial line and are not simulated either.
 
-Memory of a simulated rig, shape (`places`,): the state of `extended.py` (0..6), the readings shown at this tick
-(I_READ, X_READ), two places of the law that closes the loop (INTEGRAL, X_BEFORE), the inputs that still have to act,
-newest first, then pairs of readings that still have to show.
+Memory of a simulated rig, shape (`places`,): the state of `extended.py` (0..6), the readings of this tick (I_READ,
+X_READ), two places for the control law (INTEGRAL, X_BEFORE), the delayed inputs, newest first, then the pairs of
+delayed readings.
 """
 
 from __future__ import annotations
@@ -44,26 +44,26 @@ from twin.model.parameters import Model
 
 I_READ, X_READ, INTEGRAL, X_BEFORE = range(STATES, STATES + 4)
 LINES = STATES + 4
-_SLIVER = 1e-9  # of a tick: rounding of a delay that is whole ticks
+_SLIVER = 1e-9  # of a tick: rounding error of a delay of whole ticks
 
 
 class PlantNumbers(NamedTuple):
-    """The model as the kernels take it, for one T_s; made by `plant_numbers`."""
+    """The model in the form of the kernels, for one T_s; `plant_numbers` makes it."""
 
     base: Packed  # tuple(Base)
     c: NDArray[np.float64]  # the causes, shape (PLACES,)
     sample_time_s: float
-    act_whole: int  # ticks by which the input acts late, and
-    act_part_s: float  # what is left of the delay
-    sense_whole: int  # the same of what the sensors show
-    sense_part_s: float
-    in_whole: int  # the same of their sum, for an observer that sees readings
-    in_part_s: float
-    closed_form: bool  # (1) and (6) and nothing else
+    act_whole: int  # whole ticks of the actuation delay
+    act_part_s: float  # the rest of it
+    sense_whole: int  # whole ticks of the sampling delay
+    sense_part_s: float  # the rest of it
+    in_whole: int  # whole ticks of their sum: from u_c to the readings
+    in_part_s: float  # the rest of it
+    closed_form: bool  # whether the model is (1) and (6) without causes
 
 
 def plant_numbers(model: Model, sample_time_s: float) -> PlantNumbers:
-    """Freeze `model` for ticks of `sample_time_s`."""
+    """The model in the form of the kernels, for ticks of `sample_time_s`, s."""
     c = vector(model.causes)
     c[periodic_disturbance.AMPLITUDE] = 0.0
     act, sense = float(c[actuation_delay.DELAY]), float(c[sampling_delay.DELAY])
@@ -85,7 +85,7 @@ def _ticks(delay_s: float, sample_time_s: float) -> tuple[int, float]:
 
 
 def left_out(model: Model) -> list[str]:
-    """What of the model a simulation does without, and why."""
+    """Sentences on the causes that a simulation leaves out, with the reason."""
     why = {cause.name: BY_NAME[cause.name].not_simulated for cause in model.causes}
     return [f"{name} is not simulated: {reason}" for name, reason in why.items() if reason]
 
@@ -98,15 +98,18 @@ def places(plant: PlantNumbers) -> int:
 def rig_at(
     plant: PlantNumbers, *, i: float, x: float, v: float, u: float, warmth: float | None = None
 ) -> NDArray[np.float64]:
-    """A rig whose sensors show i (A) and x (m), at the speed v (m/s), with u (V) in force for long.
+    """Memory of a rig with given readings and speed after a long time under constant input.
 
     Args:
         plant: of `plant_numbers`.
-        i: reading of the current.
-        x: reading of the position; the ball is put within the stops.
-        v: true speed.
-        u: input so far.
-        warmth: A^2; None: the coil has carried this current for long.
+        i: reading of the current, A.
+        x: reading of the position, m; the position is limited to the travel.
+        v: true speed, m/s.
+        u: input so far, V.
+        warmth: A^2; None: that of a coil that has carried this current for a long time.
+
+    Returns:
+        The memory, shape (`places`,).
     """
     p, c = Base(*plant.base), plant.c
     memory = np.zeros(places(plant))
@@ -124,7 +127,7 @@ def rig_at(
 
 @kernel
 def hold(plant: Packed, memory: NDArray[np.float64], u: float) -> None:
-    """One tick of the rig with u_c = u sent to it; memory, as at the top, is then that of the next tick."""
+    """Advance the rig by one tick under u_c = u, V; `memory` (see the top of the file) is updated in place."""
     p = PlantNumbers(*plant)
     T_s = p.sample_time_s
     if p.act_whole == 0 and p.act_part_s == 0.0 and p.sense_whole == 0 and p.sense_part_s == 0.0:

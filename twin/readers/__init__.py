@@ -1,1 +1,1 @@
-"""Recordings from their files: MCAP logs and campaigns of CSV, MATLAB, MCAP."""
+"""Readers of recordings: MCAP logs, and campaigns of CSV, MATLAB and MCAP files."""

@@ -1,7 +1,7 @@
-"""Recordings of a campaign from their files: CSV (also .gz), MATLAB, MCAP.
+"""Read the recordings of a campaign: CSV (also .gz), MATLAB, MCAP.
 
-Rule 1: a bad file is a DataError that names file, column and remedy; a bad cell is NaN and a note.
-Rule 2: `skip_s` is taken off every file alike, after sorting out nothing: the order of the file is the order of time.
+Rule 1: a bad file is a DataError that names file, column and remedy; a bad cell becomes NaN and a note.
+Rule 2: `skip_s` seconds at the beginning of a file are left out; rows are never sorted.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from protocol.files import open_regular
 from protocol.table_file import LONGEST_LINE, REMEDY, check_mat, check_table, read_csv_bytes
 from twin.estimation.record import Capture, FloatArray, Record
 
-_HEAD = 4096  # bytes that tell text from something else
+_HEAD = 4096  # bytes in which a file is recognised as text
 
 
 def read_campaign(campaign: Campaign, *, use: str = "fit", data: Path | None = None) -> list[Record]:
     """All recordings of one use (`fit` | `judge`), in the order of the file.
 
     Raises:
-        DataError: a recording is absent or not readable.
+        DataError: a recording is missing or unreadable.
     """
     return [
         read_recording(campaign.path_of(recording, data=data), recording)
@@ -36,10 +36,10 @@ def read_campaign(campaign: Campaign, *, use: str = "fit", data: Path | None = N
 
 
 def read_recording(path: Path, recording: Recording) -> Record:
-    """One recording; the format is told by the file's content, not its name.
+    """Read one recording; the format is recognised by the file's content (a .mat file also by its suffix).
 
     Raises:
-        DataError: the file is none of CSV, MATLAB, MCAP, or lacks what its kind needs.
+        DataError: the file is not CSV, MATLAB or MCAP, or lacks a channel that its kind needs.
     """
     with open_regular(path, remedy=REMEDY) as file:
         head = file.read(16)
@@ -92,7 +92,7 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
     data = read_csv_bytes(path)
     if not data[:_HEAD].decode("utf-8", errors="ignore").strip():
         raise DataError(f"{path} is not text", remedy="Name a CSV file in UTF-8, a .mat or an MCAP file")
-    # Bytes all the way: an hour of samples as a list of lines takes half a gigabyte.
+    # Bytes, because an hour of samples as a list of lines takes half a gigabyte.
     if data.startswith(b"#") or b"\n#" in data:
         data = b"\n".join(line for line in data.split(b"\n") if not line.startswith(b"#"))
     start = len(data) - len(data.lstrip()) if data[:1].isspace() else 0
@@ -113,7 +113,7 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
     }
     body = memoryview(data)[end + 1 :]
     try:
-        # In pieces, so that an hour of samples is never in memory as text, as Arrow and as numpy all at once.
+        # In batches, so that the samples are not in memory as text, Arrow and numpy at the same time.
         values = np.empty((len(names), data.count(b"\n", end) + 1))
         rows = 0
         for batch in csv.open_csv(pa.BufferReader(body), **options):
@@ -124,7 +124,7 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
         pa.default_memory_pool().release_unused()
         return columns
     except pa.ArrowInvalid:
-        pass  # a column changes its type on the way: read whole, cell by cell where need be
+        pass  # a column changes its type between batches: read the whole table
     try:
         table = csv.read_csv(pa.BufferReader(body), **options)
     except pa.ArrowInvalid as error:
@@ -160,7 +160,7 @@ def _mat_columns(path: Path) -> tuple[dict[str, FloatArray], dict[str, str]]:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError:
         raise DataError(f"{path} is a MATLAB 7.3 file", remedy="Save it again with: save(name, '-v7')") from None
-    except Exception as error:  # scipy lets through whatever its parser stumbles over, KeyError and zlib.error too
+    except Exception as error:  # scipy raises many types for a damaged file, KeyError and zlib.error among them
         raise DataError(f"{path} is not a MATLAB file, or is cut off: {error}", remedy="Save it again") from None
     columns: dict[str, FloatArray] = {}
     unusable: dict[str, str] = {}
@@ -199,7 +199,7 @@ def _from_columns(
     path: Path,
     recording: Recording,
     columns: dict[str, FloatArray],
-    unusable: Mapping[str, str] = MappingProxyType({}),  # what else there is under a name, and why it is no column
+    unusable: Mapping[str, str] = MappingProxyType({}),  # other variables, and why they are not columns
 ) -> Record:
     channels: dict[str, FloatArray] = {}
     notes = [f"{recording.file}: {name} cannot be used: {why}" for name, why in unusable.items()]
@@ -270,7 +270,7 @@ def _read_log(path: Path, recording: Recording) -> Record:
         boards.add(entry.board)
         if entry.topic == "state":
             state.ParseFromString(entry.data)
-            # A new session starts its clock anew: it follows the last one after a pause, which ends a piece.
+            # A new session restarts the clock: it is placed 10 s later, with a row without readings that ends a piece.
             if last is not None and state.session != last[0]:
                 offset = rows[-1][0] + 10.0 - state.t_s
                 rows.append((rows[-1][0] + 5.0, nan, nan, nan, nan))

@@ -1,9 +1,9 @@
-"""Logs for offline use: messages out of an MCAP file in the order they were written, and twin topics into one.
+"""MCAP logs for the twin: read messages in the order they were written, and write twin topics.
 
-Rule 1: the order of the file is the order of the day: what came first when it was recorded comes first again, so a twin
-        that reads a log does what it did live.
-Rule 2: an unfinished file (its writer was killed) is read as far as it goes; `LogReader.finished` says which it was.
-Rule 3: a channel counts by its key *and* its schema.  A foreign message under our key is an error, not data.
+Rule 1: messages are read in the order of the file, so a twin over a log repeats what it did live.
+Rule 2: an unfinished file (its writer was killed) is read up to its end; `LogReader.finished` tells whether it was
+        closed.
+Rule 3: a channel is identified by its key *and* its schema.  A foreign message under one of our keys is an error.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from protocol.log.reader import LogReader, RawLogRecord
 
 
 def entries(log: LogReader, *, topics: Collection[str], board: str | None = None) -> Iterator[RawLogRecord]:
-    """The messages of `log` that a model is fed with.
+    """The messages of `log` on some topics.
 
     Args:
-        log: an MCAP file of ours.
+        log: an MCAP log of board51.
         topics: names of `protocol.bus.topics` to read.
         board: only this board; None: all.
 
     Raises:
-        DataError: after what is intact, a damaged file, or a message of another type under one of our keys.
+        DataError: after the intact messages, if the file is damaged or has messages of another type under our keys.
     """
     last_ns = None
     for record in log.raw(topics_=tuple(topics), boards=None if board is None else (board,)):
@@ -48,7 +48,7 @@ def entries(log: LogReader, *, topics: Collection[str], board: str | None = None
 
 
 def parse(message_type: type[encoding.M], entry: RawLogRecord, where: Path) -> encoding.M:
-    """The message of an entry.  Raises DataError where the bytes are not one."""
+    """Parse the message of an entry; `where` names the file in errors.  Raises DataError if it is damaged."""
     message = encoding.parse(message_type, entry.data)
     if message is None:
         raise DataError(
@@ -59,9 +59,10 @@ def parse(message_type: type[encoding.M], entry: RawLogRecord, where: Path) -> e
 
 
 class TwinLog:
-    """An MCAP file of bus messages, written in the order of the calls; a context manager.
+    """Writer of an MCAP file of bus messages, in the order of the calls; a context manager.
 
-    Raises DataError where the file exists already: a log is never overwritten.
+    Raises:
+        DataError: the file exists or cannot be written; a log is never overwritten.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -80,7 +81,7 @@ class TwinLog:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._writer.finish()  # type: ignore[no-untyped-call]  # the library left it untyped
+        self._writer.finish()  # type: ignore[no-untyped-call]  # untyped in the library
         self._file.close()
 
     def write(self, key: str, message: Message | bytes, *, message_type: type[Message], log_time_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""Is a model good enough?  The paper's figures from any campaign, with a number under each."""
+"""Validation of a model on a campaign: the paper's figures with their numbers, and a verdict."""
 
 import sys
 

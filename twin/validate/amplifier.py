@@ -1,4 +1,4 @@
-"""The paper's figure 7: measured i_c against (1), driven by the recorded u_c alone, open loop."""
+"""The paper's figure 7: i_c measured, and simulated by (1) in open loop from the recorded u_c."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from twin.validate.extended import current
 from twin.validate.source import Source, chosen
 
 FEWEST = 20  # samples of a level
-REALISATIONS = 8  # of the sensor's noise on (1)
-FLAT_SHARE = 2e-3  # of the range of u_c: smaller changes are the same level
+REALISATIONS = 8  # of the sensor noise added to (1)
+FLAT_SHARE = 2e-3  # of the range of u_c: a smaller change does not end a level
 # name: (title, unit, factor from SI)
 CURRENT_FIGURES: dict[str, tuple[str, str, float]] = {
     "rise_s": ("rise time 10-90 %", "ms", 1e3),
@@ -28,7 +28,7 @@ CURRENT_FIGURES: dict[str, tuple[str, str, float]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AmplifierTrace:
-    """One stretch, measured and simulated; time from its beginning."""
+    """One stretch, measured and simulated, arrays of shape (n,); time from its beginning."""
 
     name: str
     t_s: FloatArray
@@ -44,20 +44,20 @@ class Amplifier:
     traces: tuple[AmplifierTrace, ...]
     fit_percent: float  # 100 (1 - |y - y_sim| / |y - mean y|), as `compare` of MATLAB
     rmse_a: float
-    noise_a: float  # sigma of the current sensor, which a right model leaves
-    from_steps: bool  # amplifier steps; else any recording with u_c and i_c
-    fitted: bool  # the data had been used for fitting
-    steps: tuple[Compared, ...]  # measured against (1), step by step; empty where u_c never dwells
+    noise_a: float  # standard deviation of the current sensor: rmse of a right model
+    from_steps: bool  # whether the data are amplifier steps; otherwise any recording with u_c and i_c
+    fitted: bool  # whether the data have use = "fit"
+    steps: tuple[Compared, ...]  # measured against (1), step by step; empty without steps of u_c
 
 
 def fit_percent(measured: FloatArray, simulated: FloatArray) -> float:
-    """MATLAB's NRMSE fit; NaN for a constant signal."""
+    """NRMSE fit in percent, as `compare` of MATLAB; NaN for a constant signal."""
     spread = float(np.linalg.norm(measured - measured.mean()))
     return 100.0 * (1.0 - float(np.linalg.norm(measured - simulated)) / spread) if spread > 0 else float("nan")
 
 
 def amplifier(sources: Sequence[Source], model: Model) -> Amplifier | str:
-    """Compare; a string says why it is not testable."""
+    """Compare the amplifier of `model` with the recordings; a string gives the reason if that is not possible."""
     stepped = [s for s in sources if s.record.kind == "amplifier-step" or s.record.captures]
     usable = stepped or [s for s in sources if s.record.has("u_c", "i_c")]
     if not usable:
@@ -66,7 +66,7 @@ def amplifier(sources: Sequence[Source], model: Model) -> Amplifier | str:
     traces = [trace for source in judges for trace in _traces(source, model)]
     if not traces:
         return "no stretch of u_c and i_c without gaps"
-    # Every trace about its own mean, or the difference between recordings would count as explained.
+    # Each trace is compared with its own mean: differences between recordings must not count as explained.
     errors = np.concatenate([t.measured_a - t.simulated_a for t in traces])
     spread = np.concatenate([t.measured_a - t.measured_a.mean() for t in traces])
     power = float(np.linalg.norm(spread))
@@ -83,9 +83,9 @@ def amplifier(sources: Sequence[Source], model: Model) -> Amplifier | str:
 
 
 def _steps(traces: Sequence[AmplifierTrace], noise_a: float) -> tuple[Compared, ...]:
-    """Rise, settling, overshoot and IAE of every step of u_c between two levels that it holds.
+    """Rise time, settling time, overshoot and IAE of every step of u_c between two constant levels.
 
-    (1) is given the sensor's noise, too: overshoot and IAE of a noisy trace are larger, whatever the amplifier does.
+    Sensor noise is added to the simulation, because noise increases overshoot and IAE.
     """
     rng = np.random.default_rng(1)
     measured: list[list[float]] = []
@@ -128,7 +128,7 @@ def _traces(source: Source, model: Model) -> list[AmplifierTrace]:
         u = np.full(len(measured), capture.u_to_v)
         u[: capture.step_index - first] = capture.u_from_v
         step = np.full(len(measured), capture.sample_time_s)
-        # i_c is steady before the step: the simulation starts on it, not on one noisy sample.
+        # The simulation starts at the mean of the steady i_c before the step, and not at one noisy sample.
         start = float(measured[: max(capture.step_index - first, 1)].mean())
         traces.append(_trace(f"{record.name}, capture {n + 1}", u, measured, step, start, model))
     if traces or not record.has("u_c", "i_c"):

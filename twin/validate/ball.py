@@ -1,8 +1,8 @@
-"""The paper's figure 8 and the multi-step errors: the ball predicted from the filter's estimate by u_c alone.
+"""The paper's figure 8, and multi-step prediction errors: the ball predicted from the filter's estimate by u_c alone.
 
-The ball is unstable (an error grows by e within about 13 ms on a CE 152), so open loop means short windows.
+The ball is unstable (an error grows by a factor of e in about 13 ms on a CE 152), so open loop means short windows.
 
-The noise floor is what the model's sensor noise alone leaves of a right model (`twin/estimation/prediction_floor.py`).
+The noise floor is the error of a right model under the sensor noise alone (`twin/estimation/prediction_floor.py`).
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ from twin.identify.horizon import errors as error_ahead
 from twin.validate.source import Filtered
 
 WINDOW_S = 0.04
-FEWEST = 20.0  # independent errors: fewer pass any model
+FEWEST = 20.0  # independent errors: with fewer, any model would pass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ahead:
-    """Prediction of x so far ahead."""
+    """Prediction error of x at one horizon."""
 
     horizon_s: float
     rmse_m: float
     floor_m: float
     ratio: float  # rmse / floor
     ratio_ci95: tuple[float, float]
-    still_m: float  # the same for "x stays where it is"
+    still_m: float  # rmse of the constant prediction "x stays where it is"
     count: int
-    at_floor: bool
-    beats_still: bool  # no worse than "x stays where it is", as far as so many errors tell
+    at_floor: bool  # whether the interval of the ratio includes a right model
+    beats_still: bool  # whether it is not significantly worse than "x stays where it is"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Windows:
-    """A stretch with short open-loop predictions, each from a fresh estimate."""
+    """A stretch with short open-loop predictions, each from a new estimate; arrays of shape (n,)."""
 
     name: str
     t_s: FloatArray
@@ -55,7 +55,7 @@ class Windows:
 
 
 def multi_step(runs_: Sequence[Filtered]) -> tuple[Ahead, ...]:
-    """Errors over all flights, against the floor; empty where nothing could be predicted."""
+    """Errors over all flights, compared with the floor, by horizon; empty without predictions."""
     rows = []
     for wanted in HORIZONS_S:
         errors: list[FloatArray] = []
@@ -103,7 +103,7 @@ def multi_step(runs_: Sequence[Filtered]) -> tuple[Ahead, ...]:
 
 
 def _effective(error: FloatArray, count: int) -> float:
-    """Count over the sum of squared autocorrelations: what a mean of squares of correlated samples is worth."""
+    """Effective number of independent errors: count over the sum of squared autocorrelations."""
     filled = np.where(np.isfinite(error), error, 0.0)
     power = float(filled @ filled)
     total = 1.0
@@ -114,13 +114,16 @@ def _effective(error: FloatArray, count: int) -> float:
 
 
 def _floor_m(run: Filtered, ahead: int, predicted: BoolArray) -> float:
-    # Process noise takes up what a model gets wrong: with it a model without the rig's drag lay below its own floor.
+    # Process noise absorbs errors of the model: with it, a model without the rig's drag was below its own floor.
     noise = run.system.noise._replace(process_i_c_a=FLOORS["process_i_c_a"], process_a_m_s2=FLOORS["process_a_m_s2"])
     return floor_rmse(run.system._replace(noise=noise), run.series.samples, ahead, predicted)
 
 
 def windows(runs_: Sequence[Filtered], *, shown_s: float = 0.8) -> Windows | None:
-    """Windows over every flight; the stretch with most motion is kept to be drawn."""
+    """Predict windows over all flights; the result has the stretch of `shown_s` s with most motion for the figure.
+
+    None if no flight is long enough.
+    """
     best: tuple[float, Filtered, slice, FloatArray] | None = None
     errors, centred = [], []
     count = 0
@@ -131,7 +134,7 @@ def windows(runs_: Sequence[Filtered], *, shown_s: float = 0.8) -> Windows | Non
         simulated = np.full(len(s), np.nan)
         for piece in _chains(run):
             for begin in range(piece.start + settle, piece.stop - length, length):
-                # The last stays NaN: the next window starts there.
+                # The last sample stays NaN to separate the windows.
                 simulated[begin : begin + length - 1] = window(run.system, s.samples, run.state, begin, length - 1)
                 count += 1
             shown = slice(piece.start + settle, min(piece.stop, piece.start + settle + round(shown_s / tick_s)))

@@ -1,6 +1,6 @@
-"""The model as `validate` takes it, causes included: for the filter, as the sensors show it, and its amplifier.
+"""The model with its causes, as `validate` uses it: for the filter, as readings, and its amplifier.
 
-Rule: the phase of a periodic force is not known: it is left out, and the report's notes say so (`simulate.left_out`).
+Rule: the phase of a periodic force is unknown, so the force is left out and the notes report it (`simulate.left_out`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from twin.model.simulate import plant_numbers
 
 
 def system_of(model: Model, record: Record) -> System:
-    """The model as the filter takes it, with the converters' steps of this recording added to its noise."""
+    """The model in the form of the filter, with the quantisation of this recording added to its noise."""
     n, tick_s = model.noise, record.interval_s
     noise = NoiseLevels(
         sigma_i_c_a=float(np.hypot(n.sigma_i_c_a, record.lsb[0] / np.sqrt(12.0))),
@@ -41,7 +41,7 @@ def system_of(model: Model, record: Record) -> System:
 
 
 def as_shown(state: FloatArray, model: Model) -> FloatArray:
-    """i_c and x as the sensors show them, and x', of states of shape (n, 7); shape (n, 3)."""
+    """Readings of i_c and x, and the speed, of states of shape (n, 7); shape (n, 3), in A, m, m/s."""
     c = plant_numbers(model, 1e-3).c
     shown = np.empty((len(state), 3))
     shown[:, 0] = [current_reading(c, i) for i in state[:, I_C].tolist()]
@@ -50,12 +50,12 @@ def as_shown(state: FloatArray, model: Model) -> FloatArray:
 
 
 def current(u: FloatArray, step: FloatArray, start_a: float, x: FloatArray, model: Model) -> FloatArray:
-    """Reading of i_c under u_c with the ball held where it was seen, A, shape (n,).
+    """Reading of i_c under u_c with the ball at its recorded positions, A, shape (n,).
 
     Args:
         u: u_c from each sample on, V, shape (n,).
-        step: time to the sample before, s, shape (n,).
-        start_a: first reading.
+        step: time since the previous sample, s, shape (n,).
+        start_a: first reading, A.
         x: positions of the ball, m, shape (n,).
         model: with causes.
     """

@@ -1,7 +1,8 @@
-"""The paper's figures 11 and 12: the closed loop simulated with the identified noise, against the measured one.
+"""The paper's figures 11 and 12: the closed loop measured, and simulated with the identified noise.
 
-Rule 1: the simulation gets the recorded reference and the rig's state and integral at one instant, nothing after it.
-Rule 2: a law that does not reproduce the recorded u_c from the recorded samples is not the one that ran: not testable.
+Rule 1: the simulation uses the recorded reference, and the rig's state and integral at its first sample only.
+Rule 2: a law that does not reproduce the recorded u_c from the recorded samples did not run: the closed loop is not
+        testable then.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from twin.model.simulate import I_READ, X_READ, PlantNumbers, hold, plant_number
 from twin.validate.source import Filtered, Source
 
 SHORTEST_S = 0.5
-UNEXPLAINED = 0.25  # of the changes of u_c that the law may leave open: rounding, not another law
+UNEXPLAINED = 0.25  # of the changes of u_c: largest part that rounding may leave unexplained
 REALISATIONS = 8
 
 
@@ -41,17 +42,17 @@ def simulate_loop(
     before: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
-    """Fill out, shape (3, n), with i_c, x as the board would read them and u_c.
+    """Fill out, shape (3, n), with the board's readings of i_c and x, and u_c.
 
     Args:
         plant: tuple(PlantNumbers).
         numbers: tuple(LawNumbers).
         x_ref: m, shape (n,).
         noise: of i_c (A), x (m), process of i_c (A), of x' (m/s), shape (4, n).
-        lsb: of i_c (A), x (m), u_c (V); 0 does not round.
-        begin: memory of the simulated rig (`twin/model/simulate.py`).
-        law_begin: integral, previous measured x.
-        before: inputs that still have to act, oldest first: their number is the delay.
+        lsb: one count of i_c (A), x (m), u_c (V), shape (3,); 0: no rounding.
+        begin: initial memory of the simulated rig (`twin/model/simulate.py`).
+        law_begin: integral, previous measured x, shape (2,).
+        before: inputs sent before the first sample and not yet acting, V, oldest first; their number is the delay.
         out: receives the result.
     """
     p = PlantNumbers(*plant)
@@ -81,7 +82,7 @@ def simulate_loop(
 
 
 def closed_loops(runs_: Sequence[Filtered], model: Model, *, seed: int = 1) -> tuple[list[LoopRun], list[str]]:
-    """(every flight that can be simulated, why the others cannot)."""
+    """(all flights that can be simulated, sentences on why the others cannot); `seed`: of the noise."""
     found: list[LoopRun] = []
     why: dict[str, list[str]] = {}
     for n, run in enumerate(runs_):
@@ -93,7 +94,7 @@ def closed_loops(runs_: Sequence[Filtered], model: Model, *, seed: int = 1) -> t
 
 
 def _flights(run: Filtered, model: Model, *, seed: int) -> tuple[list[LoopRun], str]:
-    """(the flights of one recording, why some or all are left out)."""
+    """(the simulated flights of one recording, why some or all are left out)."""
     record, c = run.source.record, run.source.law
     if c is None:
         return [], run.source.without_law
@@ -131,7 +132,7 @@ def _flights(run: Filtered, model: Model, *, seed: int) -> tuple[list[LoopRun], 
 
 
 def measured_only(run: Filtered) -> list[LoopRun]:
-    """The flights of a recording without a simulation beside them, for a law that is not known; longest first."""
+    """The flights of a recording without a simulation, if the law is not known; longest first."""
     r = run.source.record
     if not r.has("x_ref"):
         return []
@@ -159,7 +160,14 @@ def measured_only(run: Filtered) -> list[LoopRun]:
 
 
 def unexplained(source: Source, c: LawNumbers, part: slice, integral: float) -> float:
-    """Share of the changes of u_c (nine in ten) that the law, given the recorded samples, does not explain."""
+    """Part of the changes of u_c that the law does not explain from the recorded samples (ratio of 90 % quantiles).
+
+    Args:
+        source: the recording.
+        c: the law.
+        part: samples of it; the one before the first must exist.
+        integral: of the law at the first sample, m s.
+    """
     r = source.record
     s, x_prev = integral, float(r.x[part.start - 1])
     predicted = np.full(part.stop - part.start, np.nan)
@@ -174,7 +182,7 @@ def unexplained(source: Source, c: LawNumbers, part: slice, integral: float) -> 
     known = np.isfinite(left) & np.isfinite(moves)
     if not known.any():
         return float("inf")
-    # A quantile and not the rms: one wild reading in the log must not hide the law.
+    # A quantile and not the rms, because of outliers.
     size = float(np.quantile(np.abs(moves[known]), 0.9))
     return float(np.quantile(np.abs(left[known]), 0.9)) / size if size > 0.0 else 0.0
 
@@ -187,7 +195,7 @@ def _flown(run: Filtered, c: LawNumbers) -> list[slice]:
 
 
 def _begin(run: Filtered, c: LawNumbers, piece: slice) -> tuple[int, float] | None:
-    """(sample, integral) of the first instant after the filter's start at which u_c tells the integral."""
+    """(sample, integral) of the first sample after settling at which u_c determines the law's integral."""
     r = run.source.record
     settle = round(SETTLE_S / c.sample_time_s)
     for k in range(piece.start + settle, piece.stop - round(SHORTEST_S / c.sample_time_s) + settle):

@@ -1,8 +1,8 @@
-"""Residual tests as users of `resid` expect them: are the innovations white, of the stated size, and free of u_c?
+"""Residual tests (as `resid` of MATLAB): whether the innovations are white, of the stated size, independent of u_c.
 
-Rule 1: e(k) is compared with u_c(k - lag) for lags from 1 on only.  In closed loop u_c answers past innovations, so the
-        other side is correlated under a right model, too.
-Rule 2: bounds in the figure are for one lag at 99 %; the verdict is a joint test over all lags (chi-square).
+Rule 1: e(k) is correlated with u_c(k - lag) for lags of 1 and more only.  In closed loop u_c depends on past
+        innovations, so it is correlated with them at other lags under a right model, too.
+Rule 2: the bounds in the figure are 99 % bounds of one lag; the verdict is a joint chi-square test over all lags.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ SETTLE_S = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Channel:
-    """Tests of one measured signal's innovations."""
+    """Tests of the innovations of one channel."""
 
     name: str  # i_c | x
     count: int
     chi2: float  # mean square of the whitened innovations: 1 under a right model
-    chi2_bound: float  # 99 %: |chi2 - 1| beyond it contradicts the stated noise
+    chi2_bound: float  # 99 % bound of |chi2 - 1|
     mean: float  # of the whitened innovations
     autocorrelation: FloatArray  # lags 1 .. LAGS
     cross_correlation: FloatArray  # with u_c, the same lags
@@ -43,7 +43,7 @@ class Channel:
 
     @property
     def passed(self) -> bool:
-        """Whether all three tests are."""
+        """Whether all three tests are passed."""
         return self.white and self.independent and self.size_right
 
 
@@ -86,14 +86,14 @@ def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None
     p_input, r = 1.0, np.zeros(LAGS)
     if u_power > 0.0:
         r = cross / cross_pairs / np.sqrt(power / count * u_power / u_count)
-        # r of neighbouring lags moves together as far as u_c does: their covariance is u_c's autocorrelation / n.
+        # r of different lags is correlated: its covariance is the autocorrelation of u_c over n.
         of_u = np.concatenate(([1.0], u_products[:-1] / u_pairs[:-1] / (u_power / u_count)))
         values, vectors = np.linalg.eigh(toeplitz(of_u))
         retained = values > 1e-3 * values.max()
         statistic = float(np.mean(cross_pairs)) * float(np.sum((vectors.T @ r)[retained] ** 2 / values[retained]))
         p_input = float(chi2.sf(statistic, int(retained.sum())))
     size = power / count
-    # The stated noise comes from a record about as long as this one: both estimates scatter by sqrt(2 / n).
+    # The stated noise was estimated from a recording of similar length: both estimates have a scatter of sqrt(2 / n).
     bound = BOUND_99 * np.sqrt(4.0 / count)
     return Channel(
         name=name,
@@ -113,7 +113,7 @@ def _channel(runs: Sequence[Filtered], column: int, name: str) -> Channel | None
 
 
 def _aligned(run: Filtered, column: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(whitened innovation, u_c, number of the unbroken stretch), without the filter's own start."""
+    """(whitened innovations, NaN while the filter settles; u_c; number of the unbroken stretch), each of shape (n,)."""
     s = run.series
     broken = (s.flags & FOLLOWS) == 0
     broken |= np.diff((s.flags & FLIES).astype(np.int8), prepend=np.int8(0)) != 0

@@ -1,9 +1,10 @@
-"""The recordings that judge a model, each with the law that ran on it and the lateness of its input.
+"""The recordings for validation, each with its control law and the delay of its input.
 
-Rule 1: recordings with use = "judge" judge.  Those for fitting step in for a part only where there is no other, and
-        the report says so.
-Rule 2: a late u_c is corrected only for a model whose identification corrected it; otherwise it is the model's error.
-Rule 3: the law of a log is the one that its board announced; else the campaign's [controller].
+Rule 1: recordings with use = "judge" are used.  A part without such a recording uses those for fitting, and the report
+        says so.
+Rule 2: a delay of u_c is corrected only if the identification of the model corrected it; otherwise it is an error of
+        the model.
+Rule 3: the law of a log is the one that its board announced, otherwise the campaign's [controller].
 """
 
 from __future__ import annotations
@@ -36,58 +37,60 @@ from twin.readers.log import entries, parse
 from twin.validate.extended import as_shown, system_of
 
 FLYING = ("closed-loop", "prbs", "free")
-WILD_MOST = 0.01  # of the readings: more are no accidents of reading but the model's, or the sensor's, everyday
-LIMIT_SAMPLES = 5  # equal extreme inputs in a row: the limit of the input
+WILD_MOST = 0.01  # of the readings: more outliers are an error of the model or the sensor, and are retained
+LIMIT_SAMPLES = 5  # equal extreme inputs in a row that show a limit of the input
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """One recording, with what is known beside its samples."""
+    """One recording, with its control law and the delay of its input."""
 
     record: Record  # as recorded
     law: LawNumbers | None = None
     without_law: str = "the campaign has no [controller] and the recording names no gains"
     u_lsb_v: float = 0.0
-    late: int = 0  # samples by which u_c acts later than recorded, where the model knows of it
-    unknown_late: int = 0  # by so many more than the model knows of
+    late: int = 0  # delay of u_c, samples, that the identification of the model corrected
+    unknown_late: int = 0  # further delay of u_c, samples
 
     @property
     def acting(self) -> Record:
-        """The recording with u_c where it acts."""
+        """The recording with u_c delayed by `late`."""
         return delayed(self.record, self.late)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Filtered:
-    """A recording under the model's Kalman filter."""
+    """A recording filtered with the model."""
 
     source: Source
     series: Series
     white: FloatArray  # whitened innovations (i_c, x), shape (n, 2)
     system: System
     state: FloatArray  # corrected states of `extended.py`, shape (n, 7)
-    shown: FloatArray  # i_c and x of them as the sensors show them, and x', shape (n, 3)
-    wild: int  # readings left out
+    shown: FloatArray  # readings of i_c and x of these states, and x', shape (n, 3)
+    wild: int  # number of outliers left out
 
 
 def sources_of(campaign: Campaign, model: Model, *, data: Path | None = None) -> tuple[list[Source], list[str]]:
-    """(all recordings of the campaign that could judge, in its order; what is to be said of them).
+    """(the recordings of the campaign that can be used, in its order; sentences about them).
 
     Raises:
-        DataError: a recording is absent or not readable, or not what it says it is.
+        DataError: a recording is missing, unreadable or implausible.
     """
     records: list[Record] = []
     told: list[list[pb.Parameters]] = []
     judged = {r.kind in FLYING for r in campaign.recordings if r.use == "judge"}
     for recording in campaign.recordings:
-        spare = recording.use == "fit" and (recording.kind in FLYING) in judged  # others of its sort judge
+        spare = (
+            recording.use == "fit" and (recording.kind in FLYING) in judged
+        )  # there are judge recordings of its sort
         if recording.kind in ("equilibria", "sawtooth") or spare:
             continue
         path = campaign.path_of(recording, data=data)
         records.append(read_recording(path, recording))
         told.append(_announced(path, recording.board) if recording.kind in FLYING else [])
     plant = model.plant
-    # The same checks as before a fit: a model must not be blamed for millimetres.
+    # The checks before a fit: wrong units must not appear as errors of the model.
     said = inspect(records, plant, None)
     records, left_out = without_dead(records, plant)
     sources = [
@@ -104,9 +107,9 @@ def source_of(
 
     Args:
         record: of a rig.
-        model: that is judged; its provenance tells whether it knows of a late input.
+        model: to validate; its provenance contains the delay of u_c.
         controller: of the campaign.
-        announced: Parameters of the board, in order; the last with a law counts.
+        announced: Parameters of the board, in order; the last one with a law is used.
     """
     source = Source(record=record)
     laws = [(law, p) for p in announced if (law := law_numbers(p)) is not None]
@@ -123,13 +126,13 @@ def source_of(
 
 
 def chosen(sources: Sequence[Source]) -> tuple[list[Source], bool]:
-    """(those that judge, whether they are of use "fit" for want of others)."""
+    """(the sources to use, whether they are those with use "fit" because there are no others)."""
     judges = [s for s in sources if s.record.use == "judge"]
     return (judges, False) if judges else (list(sources), bool(sources))
 
 
 def filtered(source: Source, model: Model) -> Filtered | None:
-    """The recording under the filter; None where nothing flies."""
+    """Filter the recording with the model; None without a flight."""
     plant = model.plant
     record = replace(source.acting, captures=())
     if not record.has("u_c", "i_c", "x") or not flights(record, plant):
@@ -154,7 +157,7 @@ def filtered(source: Source, model: Model) -> Filtered | None:
 
 
 def _without_wild(source: Source, series: Series) -> tuple[Source, int]:
-    """The recording without the readings that the filter was not given, and how many in flight these are."""
+    """(the recording without the readings in flight that the filter did not use, their number)."""
     r = source.record
     flies = (series.flags & FLIES) != 0
     i = flies & ((series.flags & USE_I) == 0) & np.isfinite(r.i_c)
@@ -164,7 +167,7 @@ def _without_wild(source: Source, series: Series) -> tuple[Source, int]:
 
 
 def _known_late(model: Model) -> int:
-    """By how many samples u_c acted late in the recordings that the model was made from; their median."""
+    """Median delay of u_c in the recordings that the model was identified from, samples."""
     late = [
         delay
         for usage in _usages(model)

@@ -1,6 +1,6 @@
-"""All parts of a validation, and the answer in one sentence.
+"""All parts of a validation, and its verdict in one sentence.
 
-Rule: what a campaign cannot test is a sentence that says why, never a pass.
+Rule: a part that the campaign cannot test is a string with the reason; it is never counted as passed.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from twin.validate.loop import closed_loops, measured_only
 from twin.validate.residuals import Channel, residuals
 from twin.validate.source import FLYING, Filtered, Source, chosen, filtered, sources_of
 
-RMSE_TOLERANCE = 1.5  # of a simulation's error over what noise alone leaves: below it, nobody sees it in the figure
+RMSE_TOLERANCE = 1.5  # of a simulation's error over that of noise alone: a smaller one is not visible in the figure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,15 +42,15 @@ class ClosedLoop:
     runs: tuple[LoopRun, ...]
     fit_percent: float  # of the noise-free simulation
     rmse_m: float
-    expected_m: float  # what noise alone leaves under a right model; NaN where the model's loop is unstable
+    expected_m: float  # rmse of a right model due to noise; NaN if the model's loop is unstable
     steps: tuple[Compared, ...]
     responses: tuple[Response, ...]
-    without: tuple[str, ...]  # recordings that could not be simulated, and why
+    without: tuple[str, ...]  # reasons why recordings could not be simulated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Validation:
-    """The whole result; a part that is a string says why it is not testable."""
+    """The result; a part that is a string gives the reason why it is not testable."""
 
     model: Model
     amplifier: Amplifier | str
@@ -59,19 +59,19 @@ class Validation:
     channels: tuple[Channel, ...] | str
     loop: ClosedLoop | str
     measured: tuple[LoopRun, ...]  # closed loops that could not be simulated
-    alone: tuple[Alone, ...]  # the rig's steps in these
+    alone: tuple[Alone, ...]  # figures of the rig's steps in these
     flown: tuple[str, ...]  # names of the recordings in flight
     notes: tuple[str, ...]
 
     @property
     def passed(self) -> bool | None:
-        """Whether every testable part agrees with the model; None where the flight is absent or too short to tell."""
+        """Whether all testable parts agree with the model; None if there is no flight or none is long enough."""
         if isinstance(self.channels, str) and isinstance(self.loop, str):
             return None
         return not self.failures()
 
     def failures(self) -> list[str]:
-        """What contradicts the model, worst news first."""
+        """Clauses on the contradictions to the model, most important first."""
         said = []
         if bad := [row for row in self.ahead if not row.at_floor]:
             row = max(bad, key=lambda r: r.ratio)
@@ -113,7 +113,7 @@ class Validation:
         return said
 
     def answer(self) -> str:
-        """One sentence, and one more on how the steps differ."""
+        """The verdict in one sentence, one more on the differences of the steps, and one on a missing closed loop."""
         if self.passed is None:
             first = "The model of the ball could not be tested on this campaign."
         elif self.passed:
@@ -136,9 +136,9 @@ class Validation:
         return " ".join(part for part in (first, self.pace(), untested) if part)
 
     def pace(self) -> str:
-        """How the steps of rig and simulation differ, the largest difference first; '' where nothing steps.
+        """A sentence on the differences of the steps of rig and simulation, largest first; '' without steps.
 
-        It makes the paper's remark "the rig takes longer to reach the reference" a number.
+        It quantifies the paper's remark that the rig takes longer to reach the reference.
         """
         if isinstance(self.loop, str) or not self.loop.steps:
             return ""
@@ -170,7 +170,7 @@ _PACE = ("rise_s", "settling_s")
 
 
 def _weight(row: Compared) -> float:
-    """How large a difference is: overshoot as a share of the step, all else as a share of the larger of the two."""
+    """Relative size of a difference: overshoot as a share of the step, others as a share of the larger value."""
     if row.name == "overshoot":
         return abs(row.difference)
     larger = max(abs(row.rig), abs(row.simulation))
@@ -178,7 +178,7 @@ def _weight(row: Compared) -> float:
 
 
 def _difference(row: Compared) -> str:
-    """One figure of both, with its definition and the interval of the difference."""
+    """A clause on one figure of rig and simulation, with its definition and the interval of the difference."""
     _, unit, factor = FIGURES[row.name]
     text = (
         f"{definition(row.name, row.bands)} {row.rig * factor:.4g} {unit} for the rig, {row.simulation * factor:.4g} "
@@ -193,10 +193,16 @@ def _difference(row: Compared) -> str:
 def validate(
     campaign: Campaign, model: Model, *, data: Path | None = None, say: Callable[[str], None] = lambda _: None
 ) -> Validation:
-    """All parts on the recordings of a campaign.
+    """Validate a model on the recordings of a campaign.
+
+    Args:
+        campaign: of `Campaign.load`.
+        model: to validate.
+        data: folder of the recordings, if it is not that of the campaign.
+        say: is called with lines of progress.
 
     Raises:
-        DataError: a recording is absent, not readable or not what it says it is, or the model is of another rig.
+        DataError: a recording is missing, unreadable or implausible, or the model is of another rig.
     """
     for name in ("mass_kg", "travel_m", "x_max_m"):
         ours, theirs = getattr(model.plant, name), getattr(campaign.plant, name)
@@ -217,7 +223,7 @@ def validate_sources(
     said: Sequence[str] = (),
     say: Callable[[str], None] = lambda _: None,
 ) -> Validation:
-    """All parts on recordings in memory; `said` heads the notes."""
+    """`validate` with recordings in memory; the notes begin with `said`."""
     notes = [*said, *(note for source in sources for note in source.record.notes), *left_out(model)]
     notes += [
         f"{name} = {p.value:.4g} {p.unit} is not identified: {p.method or 'the model gives no interval'}"

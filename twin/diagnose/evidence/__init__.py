@@ -1,1 +1,1 @@
-"""What a campaign offers: its recordings, prepared, with what is known of them without a model."""
+"""The evidence of a campaign: its recordings as a series of flagged samples, and their noise, without a model."""

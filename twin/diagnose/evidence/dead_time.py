@@ -1,9 +1,9 @@
-"""The delay and the T_A that fast step responses ask for together: where the fit of a delay begins.
+"""Starting values of a delay and of T_A from fast step responses.
 
-Without a delay in the model T_A stands in for it, ten times too long; from there the likelihood of a delay rises by a
-thousandth of what it is worth.  A grid over both, on i_c alone, has no such beginning.
+A model without a delay imitates it by a T_A that is ten times too long, and from there the likelihood has a very small
+derivative by the delay.  A grid over both, on i_c alone, avoids that starting point.
 
-    i_c = K_A u_c(t - delay) behind T_A di/dt + i = K_A u_c                                                          (1)
+    T_A di/dt + i = K_A u_c(t - delay)                                                                    (1), delayed
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from twin.estimation.record import Record
 from twin.identify.checks.input_delay import delayed
 from twin.identify.starting.regression import amplifier_start
 
-_FAST_S = 2e-4  # sampling interval of a step response that shows both
+_FAST_S = 2e-4  # longest sampling interval of a step response that shows both
 _LONGEST_S = 6e-3
 _COARSE_S = 2e-4
 
 
 def dead_time(records: Sequence[Record]) -> tuple[float, float] | None:
-    """(delay, T_A), s; None without a step response that is sampled fast enough, or where none is later than u_c."""
+    """(delay, T_A), s; None without a step response that is sampled fast enough, or without a delay."""
     steps = [only for record in records for only in _fast(record)]
     if not steps:
         return None

@@ -1,8 +1,8 @@
-"""A campaign as one series of flagged samples, with what the ball says while it lies at a stop.
+"""A campaign as one series of flagged samples, including the ball at rest at the stops.
 
-Rule 1: places where it was held are stops only if all recordings agree on them; a ball that rested on a platform at
-        another height each time gives lift-off currents (8) and nothing else.
-Rule 2: a judge recording never enters the series of the fit, and the other way round.
+Rule 1: positions at which the ball was held are stops only if all recordings agree on them.  A ball on a platform, at
+        another height each time, gives lift-off currents (8) only.
+Rule 2: the series has either the recordings for fitting or those for judging, never both.
 """
 
 from __future__ import annotations
@@ -35,44 +35,44 @@ from twin.estimation.structures import ALIKE, Samples
 from twin.identify.starting.liftoff import LiftOff, equilibria, lift_offs
 
 TRIM_SAMPLES = 2
-LIFTS_SHARE = 0.97  # of the current at which the ball left its rest
-STAYS_S = 3e-3  # after that current is reached: it has risen 10 um by then
-POLE_SHARE = 0.06  # of the travel below x_max, where (3) has its pole: no flight is judged there
+LIFTS_SHARE = 0.97  # of the lift-off current
+STAYS_S = 3e-3  # time after that current within which the ball rises by 10 um at most
+POLE_SHARE = 0.06  # of the travel below x_max, where (3) has its pole: not used as flight
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
-    """What one use (fit or judge) of a campaign says."""
+    """The prepared recordings of one use (fit or judge) of a campaign."""
 
     records: tuple[Record, ...]
     series: Series
     t: FloatArray  # s, of each sample of the series, shape (n,)
     usages: tuple[Usage, ...]
     statics: tuple[LiftOff, ...]  # points of force balance that are not in the series
-    low_m: float | None  # reading at the lower stop; None: not seen
-    high_m: float | None
+    low_m: float | None  # reading at the lower stop; None: unknown
+    high_m: float | None  # reading at the upper stop; None: unknown
     notes: tuple[str, ...]
-    noise: Noise | None = None  # of the instruments, where they differ
-    noise_ratio: FloatArray = field(default_factory=lambda: ALIKE)  # as `Samples` has it
+    noise: Noise | None = None  # noise levels of the instruments, if they differ
+    noise_ratio: FloatArray = field(default_factory=lambda: ALIKE)  # as in `Samples`
 
     @property
     def samples(self) -> Samples:
-        """The series, as the filter takes it."""
+        """The series in the form of the filter."""
         s = self.series
         return Samples(self.t, s.step, s.u, s.i, s.x, s.flags, self.noise_ratio)
 
     def names(self) -> list[str]:
-        """Of the recordings."""
+        """Names of the recordings."""
         return [record.name for record in self.records]
 
 
 def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, float | None] | None = None) -> Evidence:
-    """The series of these recordings.
+    """Prepare recordings.
 
     Args:
         records: of one use.
         plant: mass, travel, x_max.
-        stops: readings at the stops where other recordings have shown them already.
+        stops: readings at the lower and the upper stop if they are known from other recordings, m.
     """
     every_record = tuple(records)
     rows = [bridged(record) for record in every_record]
@@ -85,7 +85,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
     low, high = stop_readings(records, seen, plant, notes) if stops is None else stops
     lifted = [_on_platform(record, still, low, plant) for record, still in zip(records, seen, strict=True)]
     if stops is None and any(lifted):
-        # Wherever a ball ends that jumped off a platform, it is no stop of the other recordings.
+        # The resting places of a ball that was lifted off a platform are not stops of the other recordings.
         retained = [place for place, platform in enumerate(lifted) if not platform]
         low, high = stop_readings(
             [records[place] for place in retained], [seen[place] for place in retained], plant, notes
@@ -123,7 +123,7 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
             if not lifted[number]:
                 own[beyond_range(record, still, blind) & (own & FLIES == 0)] |= np.uint8(RESTS_UNSEEN)
             if told.kind in OPEN_LOOP:
-                # Between bounces nobody knows the speed, and with it what a moving ball does to the current.
+                # Between bounces the speed is unknown, and so is its effect on the current.
                 own[own & (FLIES | RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) == 0] &= np.uint8(~USE_I & 0xFF)
             mark(own, rows[number][1])
             for values in (x, i):
@@ -156,8 +156,8 @@ def _flag(
     if kind in OPEN_LOOP:
         _trim(own)
     own[still & (own & FLIES != 0)] &= no_flight
-    # One such sample had a score of 32 000 in K_c, any other at most 60: where the paper's model has the coil too low
-    # it decided the fit, and the screen after it named anything.
+    # If the paper's model has the coil too low, a single sample near the pole has a score of 32 000 in K_c (others at
+    # most 60); it dominates the fit and makes the score tests meaningless.
     own[(plant.x_max_m - record.x < POLE_SHARE * plant.travel_m) & (own & FLIES != 0)] &= no_flight
 
 
@@ -170,12 +170,12 @@ def _flag_rest(own: NDArray[np.uint8], record: Record, on_stop: tuple[BoolArray,
 
 
 def _on_platform(record: Record, still: BoolArray, low: float | None, plant: Plant) -> bool:
-    """Whether a sawtooth lifts the ball off something else than the lower stop."""
+    """Whether a sawtooth lifts the ball off a platform and not off the lower stop."""
     return record.kind == "sawtooth" and not on_stops(record, still, low, None, plant)[0].any()
 
 
 def _until_lifted(flags: np.ndarray[tuple[int], np.dtype[np.uint8]], series: Series, lifts_at: float) -> None:
-    """Leave out what follows once a step of the amplifier has lifted the ball: nobody recorded how it moved."""
+    """Leave out i_c after a step of the amplifier has lifted the ball, as its motion is unknown."""
     chain = chains(series)
     for number in np.unique(chain):
         own = np.flatnonzero(chain == number)
@@ -186,14 +186,14 @@ def _until_lifted(flags: np.ndarray[tuple[int], np.dtype[np.uint8]], series: Ser
 
 
 def _trim(flags: np.ndarray[tuple[int], np.dtype[np.uint8]]) -> None:
-    """Take TRIM_SAMPLES off both ends of each flight between stops: a slow or late sensor sees the impact later."""
+    """Take TRIM_SAMPLES off both ends of each flight between stops, as a lagging sensor shows the impact later."""
     for piece in runs(np.asarray(flags & FLIES != 0)):
         for part in (slice(piece.start, piece.start + TRIM_SAMPLES), slice(piece.stop - TRIM_SAMPLES, piece.stop)):
             flags[part] &= np.uint8(~(FLIES | USE_X) & 0xFF)
 
 
 def _rescaling(low: float | None, high: float | None, plant: Plant) -> tuple[float, float]:
-    """(scale, shift) that put the readings at the stops to 0 and the travel: contact is looked for there."""
+    """(scale, shift) that map the readings at the stops to 0 and the travel, for the search for contact."""
     if low is not None and high is not None:
         return plant.travel_m / (high - low), low
     if low is not None:
@@ -216,5 +216,5 @@ def _join(parts: list[Series]) -> Series:
 
 
 def chains(series: Series) -> FloatArray:
-    """The number of the unbroken chain that each sample belongs to, shape (n,)."""
+    """Number of the unbroken chain of each sample, shape (n,)."""
     return np.cumsum(series.flags & FOLLOWS == 0)

@@ -1,19 +1,21 @@
-"""How much noise each instrument has, by channel and height: told by the recordings alone, before any model.
+"""The noise of each instrument, by channel and height, from the recordings alone without a model.
 
-A reading is a smooth signal and noise.  Its fifth difference passes white noise with a gain of sqrt(252) and leaves of
-a ball's motion a few percent; i_c first loses what a linear filter of the u_c before it explains.  Mean squares over
-windows of 25 readings have logarithms whose spread the windows themselves show, whatever the tails are.
+A reading is a smooth signal plus noise.  Its fifth difference passes white noise with a gain of sqrt(252) and reduces
+the ball's motion to a few percent; from i_c, the output of a linear filter of the previous u_c is subtracted first.
+The levels are means of the logarithms of mean squares over windows of 25 readings; the scatter of these logarithms
+gives the errors for any distribution of the noise.
 
-Rule 1: a source is what one instrument has read: the recordings that the campaign file gives the same `instrument`,
-        else one recording; captures are another instrument than the samples beside them.
-Rule 2: flights are compared with flights, what rests or is captured with its like: in flight the loop answers to the
-        noise of x, and crosstalk shows the current; a tenth and more of the noise may be that, alike in all flights.
-Rule 3: sources share a level unless they differ surely (one campaign in a thousand by chance, over all pairs) and by
-        more than the floor's tolerance: where one level is enough, none of its precision is lost.
-Rule 4: noise follows the height where it does so within flights, as surely and as much, and where the ball at rest,
-        as one more height, fits the shape that the flights have.
-Rule 5: the level itself is that of the ball at rest (`sensor_noise.py`), else the fit's; the flights nearest to it are
-        taken to have the same.  From here come ratios to it.
+Rule 1: a source is one instrument: all recordings with the same `instrument` in the campaign file, otherwise one
+        recording.  Captures are a source of their own.
+Rule 2: flights are compared with flights only, and recordings at rest or captures with each other.  In flight the loop
+        responds to the noise of x, and crosstalk shows the current: a tenth of the noise or more may be due to that,
+        the same in all flights.
+Rule 3: sources share a level unless they differ significantly (false in one campaign of a thousand, over all pairs) and
+        by more than the floor's tolerance.  So a common level has its full precision.
+Rule 4: noise depends on height if it does so within flights, as significantly and as much, and if the ball at rest, as
+        one more height, fits the shape of the flights.
+Rule 5: the reference level is that of the ball at rest (`sensor_noise.py`), otherwise that of the fit; the flights with
+        the nearest level are assumed to have the same.  This module gives ratios to it.
 """
 
 from __future__ import annotations
@@ -36,18 +38,18 @@ from twin.estimation.prediction_floor import TOLERANCE
 from twin.estimation.record import BoolArray, FloatArray, runs
 
 IntArray = np.ndarray[tuple[int], np.dtype[np.int64]]
-ORDER = 5  # of the difference; three would leave five times as much of a step of the acceleration
+ORDER = 5  # of the difference; the third leaves five times as much of a step of the acceleration
 _GAIN = math.comb(2 * ORDER, ORDER)  # sum of its squared weights
 WINDOW = 25  # readings
 FEWEST = 8  # windows of a source
-SHOWS = 8  # readings of i_c that a u_c shows in by itself; later ones it reaches through `_TIMES`
-_TIMES = (2.0, 6.0, 20.0, 60.0)  # samples: time constants of the amplifiers that they span
-_BENDS = 2  # the logarithm of the noise is a parabola over the height, at most
+SHOWS = 8  # length of the finite impulse response from u_c to i_c, samples; slower parts are those of `_TIMES`
+_TIMES = (2.0, 6.0, 20.0, 60.0)  # samples: time constants of first-order lags
+_BENDS = 2  # highest order of the polynomial of the logarithm of the noise over height
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Windows:
-    """Of one channel; all of shape (n,)."""
+    """Windows of one channel; arrays of shape (n,)."""
 
     log: FloatArray  # ln of the standard deviation
     height_m: FloatArray
@@ -60,14 +62,14 @@ class _Windows:
 
 
 def instruments(evidences: Sequence[Evidence]) -> Noise:
-    """The noise of these recordings, for fitting and judging alike: no model has a part in it."""
+    """The noise of these recordings; those for fitting and judging may be joined, as no model is used."""
     names = sorted({name for evidence in evidences for name, _ in parts_of(evidence.records, evidence.series)})
     found = [_channel(_windows(evidences, names, place), names, bends=place == 1) for place in range(2)]
     return Noise((found[0], found[1]))
 
 
 def with_noise(evidence: Evidence, noise: Noise | None) -> Evidence:
-    """The evidence with the noise of each reading; unchanged where it is the same for all."""
+    """The evidence with the noise of each reading; unchanged if each channel has a single level."""
     if noise is None or noise.plain:
         return evidence
     return replace(evidence, noise=noise, noise_ratio=noise.noise_ratio(evidence.records, evidence.series))
@@ -113,7 +115,7 @@ def _windows(evidences: Sequence[Evidence], names: Sequence[str], place: int) ->
 
 
 def differences(series: Series, place: int) -> FloatArray:
-    """Fifth differences of i_c (place 0) or x, shape (n,), NaN where a reading is missing; one recording."""
+    """Fifth differences of i_c (place 0) or x of one recording, shape (n,); NaN if a reading is missing."""
     values, whole = smooth(series, place, before=ORDER)
     result = np.full(len(values), np.nan)
     result[ORDER:] = np.diff(values, ORDER)
@@ -122,10 +124,20 @@ def differences(series: Series, place: int) -> FloatArray:
 
 
 def smooth(series: Series, place: int, *, before: int = 0, around: int = 0) -> tuple[FloatArray, BoolArray]:
-    """(i_c (place 0) without what u_c explains, or x; where the readings before and around are there), both (n,)."""
+    """Prepare a channel of one recording for differences.
+
+    Args:
+        series: of one recording.
+        place: 0 for i_c, 1 for x.
+        before: readings before a sample that its difference uses.
+        around: readings on each side of a sample that its difference uses.
+
+    Returns:
+        (i_c without the response to u_c, or x; whether all readings of the difference are present), both of shape (n,).
+    """
     used = series.flags & (USE_I, USE_X)[place] != 0
     chain = np.cumsum(series.flags & FOLLOWS == 0)
-    # As long the u_c of a lost sample shows, which nobody knows; before the first sample it was the same.
+    # For SHOWS samples i_c depends on the unknown u_c of a lost sample, or on that before the first sample of a chain.
     told = np.ones(len(used), np.bool_)
     for at in np.flatnonzero((series.flags & LOST != 0) | (np.diff(chain, prepend=1) != 0)):
         told[at : at + SHOWS] = False
@@ -142,7 +154,7 @@ def smooth(series: Series, place: int, *, before: int = 0, around: int = 0) -> t
 
 
 def without_input(i: FloatArray, u: FloatArray, used: BoolArray) -> FloatArray:
-    """i_c without what a linear filter of u_c says of it, all of shape (n,)."""
+    """i_c minus its linear regression on filtered u_c, over the samples `used`; all of shape (n,)."""
     before = np.concatenate((u[:1], u[:-1]))
     late = [np.concatenate((np.full(lag, u[0]), u[:-lag])) for lag in range(1, SHOWS + 1)]
     slow = [u[0] + lfilter([-math.expm1(-1.0 / time)], [1.0, -math.exp(-1.0 / time)], before - u[0]) for time in _TIMES]
@@ -175,7 +187,7 @@ def _channel(windows: _Windows, names: Sequence[str], *, bends: bool) -> Channel
 
 
 def _reference(groups: Sequence[_Group], windows: _Windows, still: float | None) -> float:
-    """The level of the ball at rest; of flights that which is nearest to it; else of the most windows."""
+    """Logarithm of the reference level: of the ball at rest; for flights the nearest to it; else of most windows."""
     if still is not None:
         return min((group.level for group in groups), key=lambda level: abs(level - still))
     if windows.rests.any():
@@ -200,12 +212,12 @@ class _Group:
         return float(np.std(self.log, ddof=1)) / math.sqrt(len(self.log))
 
     def apart(self, other: _Group) -> float:
-        """In standard errors."""
+        """Difference of the levels in standard errors."""
         return abs(self.level - other.level) / math.hypot(self.error, other.error)
 
 
 def _groups(windows: _Windows) -> list[_Group]:
-    """The sources, those together that cannot be told apart; most windows first."""
+    """Groups of sources that do not differ significantly (hierarchical merging); most windows first."""
     present, counts = np.unique(windows.source, return_counts=True)
     groups = [_Group((int(one),), windows.log[windows.source == one]) for one in present[counts >= FEWEST]]
     surely = float(norm.isf(0.5 * settings.INSTRUMENT_CHANCE / max(math.comb(len(groups), 2), 1)))
@@ -219,7 +231,7 @@ def _groups(windows: _Windows) -> list[_Group]:
 
 
 def _curve(windows: _Windows) -> Channel:
-    """The noise over the height: first within flights, as what lies between recordings may be an instrument."""
+    """Dependence of the noise on height: tested within flights first, as recordings may differ by instrument."""
     flown = windows.where(windows.flies)
     if len(flown.log) < FEWEST * (_BENDS + 1) or not _fitted(flown, flown.source).bend:
         return Channel()
@@ -233,9 +245,9 @@ def _curve(windows: _Windows) -> Channel:
 
 
 def _follows(flown: _Windows, curve: Channel) -> bool:
-    """Whether flights have the shape of a curve through the ball at rest: no parabola of their own is surely better.
+    """Whether the flights agree with a curve through the ball at rest: no other parabola fits significantly better.
 
-    Crosstalk raises the apparent noise of all flights, and a curve from there to the ball at rest would be steep.
+    Crosstalk increases the apparent noise of all flights, and a curve from there to the ball at rest would be steep.
     """
     left = flown.log - curve.log_at(flown.height_m)
     height = flown.height_m - float(np.mean(flown.height_m))
@@ -247,7 +259,7 @@ def _follows(flown: _Windows, curve: Channel) -> bool:
 
 
 def _fitted(windows: _Windows, group: IntArray) -> Channel:
-    """A parabola at most over the height, beside one level for each group, shape (n,)."""
+    """Fit a polynomial over height, with a separate level for each group; `group` has shape (n,)."""
     low, high = (float(end) for end in np.quantile(windows.height_m, (0.01, 0.99)))
     height = np.clip(windows.height_m, low, high)
     log, curve = _within(windows.log, group), Channel()
@@ -265,6 +277,6 @@ def _fitted(windows: _Windows, group: IntArray) -> Channel:
 
 
 def _within(values: FloatArray, group: IntArray) -> FloatArray:
-    """Less the mean of each group."""
+    """Values minus the mean of their group, shape (n,)."""
     means = np.bincount(group, values) / np.maximum(np.bincount(group), 1)
     return np.asarray(values - means[group])

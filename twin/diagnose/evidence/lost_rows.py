@@ -1,4 +1,4 @@
-"""A row for every single lost sample, so that the filter keeps what it knew before it.
+"""A row for every single lost sample, so that the filter continues across it.
 
 A filter that starts again after a gap treats u_c as a number without history.  But the board computed u_c from earlier
 readings, so it carries the noise of the first reading after the gap.  With one sample in ten lost, this produced a
@@ -28,7 +28,7 @@ def bridged(record: Record) -> tuple[Record, BoolArray]:
         single = np.flatnonzero(np.abs(steps - 2.0 * interval) <= 2.0 * REGULAR_SHARE * interval)
         even = np.count_nonzero(np.abs(steps - interval) <= REGULAR_SHARE * interval)
     lost = np.zeros(len(record.t) + len(single), np.bool_)
-    # Where the sampling time varies on purpose, a longer interval lost nothing.
+    # If the sampling time varies on purpose, a longer interval is no lost sample.
     if not len(single) or even < 0.5 * len(steps):
         return record, np.zeros(len(record.t), np.bool_)
     lost[single + 1 + np.arange(len(single))] = True
@@ -50,7 +50,7 @@ def _with(values: FloatArray, lost: BoolArray, there: FloatArray) -> FloatArray:
 
 
 def mark(flags: NDArray[np.uint8], lost: BoolArray) -> None:
-    """Flag the rows of lost samples within flights; the others are gaps again.
+    """Flag the rows of lost samples within flights; the other rows become gaps.
 
     Args:
         flags: of a recording's samples, shape (n,), changed in place.
@@ -66,6 +66,6 @@ def mark(flags: NDArray[np.uint8], lost: BoolArray) -> None:
 
 
 def between(values: FloatArray, lost: BoolArray) -> None:
-    """Put the mean of its neighbours where a sample was lost, in place: for pictures and quantiles."""
+    """Replace the value of each lost sample by the mean of its neighbours, in place, for figures and quantiles."""
     rows = np.flatnonzero(lost)
     values[rows] = 0.5 * (values[rows - 1] + values[rows + 1])

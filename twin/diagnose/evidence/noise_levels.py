@@ -1,4 +1,4 @@
-"""The noise of each reading: a level for each instrument and channel, and how it follows the height."""
+"""The noise of each reading: a level for each instrument and channel, and its dependence on height."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ from twin.estimation.record import FloatArray, Record, runs
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    """The noise of one instrument in one channel."""
+    """The noise level of instruments in one channel."""
 
     sources: tuple[str, ...]
-    flies: bool  # in flight; else at rest, or a capture
-    ratio: float  # of its standard deviation to the reference's
+    flies: bool  # in flight; otherwise at rest, or a capture
+    ratio: float  # of its standard deviation to the reference level
     error: float  # standard error of its logarithm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Channel:
-    """The noise of a channel: its levels, and how it follows the height."""
+    """The noise of a channel: its levels, and its dependence on height."""
 
     levels: tuple[Level, ...] = ()
-    bend: tuple[float, ...] = ()  # of ln of the standard deviation over the height, without a constant; 1/m, 1/m^2
-    range_m: tuple[float, float] = (0.0, 0.0)  # beyond it the noise stays
-    reference: float = 0.0  # what these make of the ball at rest
+    bend: tuple[float, ...] = ()  # polynomial of ln sigma over height, without the constant; 1/m, 1/m^2
+    range_m: tuple[float, float] = (0.0, 0.0)  # outside of it the noise is constant
+    reference: float = 0.0  # value of this polynomial for the ball at rest
 
     def log_at(self, height_m: FloatArray) -> FloatArray:
-        """Ln of the standard deviation there, against that of the ball at rest."""
+        """Ln of the ratio of the standard deviation at each height to that of the ball at rest, shape (n,)."""
         return np.asarray(polyval(np.clip(height_m, *self.range_m), (-self.reference, *self.bend)))
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Of i_c and x."""
+    """The noise of i_c and x."""
 
     channels: tuple[Channel, Channel] = (Channel(), Channel())
 
     @property
     def plain(self) -> bool:
-        """Whether one number for each channel says it all."""
+        """Whether each channel has a single noise level."""
         return not any(channel.bend or any(one.ratio != 1.0 for one in channel.levels) for channel in self.channels)
 
     def noise_ratio(self, records: Sequence[Record], series: Series) -> FloatArray:
-        """Variance of the noise of each reading of i_c and x over that of its channel, shape (n, 2)."""
+        """Variance of the noise of each reading of i_c and x over the reference of its channel, shape (n, 2)."""
         ratio, flies = np.zeros((len(series), 2)), series.flags & FLIES != 0
         for place, channel in enumerate(self.channels):
             for name, own in parts_of(records, series):
@@ -63,7 +63,7 @@ class Noise:
         return np.asarray(np.exp(2.0 * ratio))
 
     def error(self, records: Sequence[Record], series: Series, place: int) -> float:
-        """Standard error of ln sigma that the ratios bring, averaged over the readings of a channel."""
+        """Standard error of ln sigma due to the ratios, averaged over the readings of a channel (0: i_c, 1: x)."""
         used = series.flags & (USE_I, USE_X)[place] != 0
         flies = series.flags & FLIES != 0
         total = sum(
@@ -79,8 +79,8 @@ def to_json(noise: Noise | None, sigmas: tuple[float, float]) -> dict[str, Any]:
     """The noise for diagnosis.json.
 
     Args:
-        noise: None where one level for each channel is enough.
-        sigmas: of i_c, A, and x, m, at the reference, where the ratios are 1.
+        noise: None: each channel has a single level.
+        sigmas: reference levels of i_c, A, and x, m.
     """
     channels = noise.channels if noise is not None else (Channel(), Channel())
     return {
@@ -107,7 +107,10 @@ def to_json(noise: Noise | None, sigmas: tuple[float, float]) -> dict[str, Any]:
 
 
 def parts_of(records: Sequence[Record], series: Series) -> list[tuple[str, slice]]:
-    """(source, its samples) of each recording without its captures, and of each capture."""
+    """(source, its samples) of each recording without its captures, and of each capture.
+
+    The source is the `instrument` of the campaign file, otherwise the recording's name.
+    """
     result: list[tuple[str, slice]] = []
     for number, record in enumerate(records):
         for whole in runs(np.asarray(series.recording == number)):

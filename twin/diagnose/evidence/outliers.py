@@ -1,12 +1,13 @@
-"""Readings that no noise makes: single ones, far off what their neighbours say of them.
+"""Outliers: single readings far from the value that their neighbours give.
 
-A reading that is off by A shows in the fourth difference as A (1, -4, 6, -4, 1).  A corner of the signal, such as an
-impact or a step of the input, shows in another shape: two readings and more agree on it, and it stays.
+An error A of one reading appears in the fourth difference as A (1, -4, 6, -4, 1).  A corner of the signal, such as an
+impact or a step of the input, has another shape there, because two or more readings show it; it is retained.
 
-Rule 1: a single reading is left out where it is off by more than OUTLIER_ERRORS of what the differences are otherwise
-        (of Gaussian noise one in ten million), and the shape is right.
-Rule 2: so few as OUTLIER_SHARE stay: the end of a slew limit or a bad contact may look like one, and they do no harm.
-Rule 3: what is left out is counted (`Usage.outliers`); no reading is mended.
+Rule 1: a single reading is an outlier if its fourth difference exceeds OUTLIER_ERRORS of the usual differences (one in
+        ten million for Gaussian noise) and has this shape.
+Rule 2: a share of outliers up to OUTLIER_SHARE is retained: the end of a slew limit or a bad contact may look alike,
+        and so few have no effect.
+Rule 3: outliers that are left out are counted (`Usage.outliers`); no reading is corrected.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _FEWEST = 200
 
 
 def without_outliers(evidence: Evidence) -> Evidence:
-    """The evidence with outliers of i_c and x left out, where there are more than a few."""
+    """The evidence without outliers of i_c and x, if there are more than a few (rule 2)."""
     series = evidence.series
     flags, usages = series.flags.copy(), [replace(usage) for usage in evidence.usages]
     by_name = {usage.name: usage for usage in usages}
@@ -49,7 +50,7 @@ def without_outliers(evidence: Evidence) -> Evidence:
 
 
 def _wild(series: Series, place: int) -> BoolArray:
-    """Which readings are outliers, shape (n,); of one recording."""
+    """Which readings of one recording are outliers, shape (n,); `place`: 0 for i_c, 1 for x."""
     if len(series) < _FEWEST:
         return np.zeros(len(series), np.bool_)
     values, whole = smooth(series, place, around=2)
@@ -58,7 +59,7 @@ def _wild(series: Series, place: int) -> BoolArray:
     off[~whole] = np.nan
     scaled = np.full(len(values), np.nan)
     flies = series.flags & FLIES != 0
-    least = _count(values) * np.sqrt(_POWER / 12.0)  # what rounding alone makes
+    least = _count(values) * np.sqrt(_POWER / 12.0)  # due to rounding alone
     for kind in (flies, ~flies):
         own = off[kind & whole]
         if len(own) >= _FEWEST:
@@ -70,20 +71,18 @@ def _wild(series: Series, place: int) -> BoolArray:
     for at in np.flatnonzero(wild):
         near = scaled[at - 2 : at + 3]
         left = float(near @ near - (near @ _SPIKE) ** 2 / _POWER)
-        wild[at] = (
-            left < settings.OUTLIER_SHAPE and abs(near[2]) >= np.abs(near).max()
-        )  # of one that is not known nothing is true
+        wild[at] = left < settings.OUTLIER_SHAPE and abs(near[2]) >= np.abs(near).max()  # NaN compares False
     return np.asarray(wild)
 
 
 def _steps(u: FloatArray) -> BoolArray:
-    """Where u_c has just made a step beyond its usual ones, shape (n,): i_c may answer in any shape."""
+    """Samples after an unusually large step of u_c, shape (n,): the response of i_c can have any shape."""
     change = np.abs(np.diff(u, prepend=u[:1]))
     far = change > settings.OUTLIER_ERRORS * 1.4826 * float(np.median(change))
     return np.asarray(np.convolve(far, np.ones(SHOWS))[: len(u)] > 0.0)
 
 
 def _count(values: FloatArray) -> float:
-    """Step of the converter, where the values have one: the smallest between two."""
+    """Resolution of the converter: the smallest difference of two values; 0 if all are equal."""
     steps = np.diff(np.unique(values))
     return float(steps.min()) if len(steps) else 0.0

@@ -1,4 +1,4 @@
-"""Lost samples: gaps in time that no model explains, counted."""
+"""The cause `lost-samples`: counted from the gaps in time."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ CAUSE = found_by("gaps")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lost:
-    """How many samples are missing."""
+    """The rate of lost samples."""
 
-    probability: float
+    probability: float  # that a sample is lost
     ci95: tuple[float, float]
     gaps: int
-    worst: str  # the recording that lost most
+    worst: str  # the recording with most lost samples
 
 
 def lost_samples(records: Sequence[Record]) -> Lost | None:
-    """The share of ticks without a sample; None where that is no more than an interruption or two."""
+    """The rate of lost samples with Wilson's interval; None if there are only a few interruptions."""
     missing, total, gaps, worst = 0, 0, 0, ("", 0)
     for record in records:
         if record.kind == "equilibria" or len(record.t) < 100:
@@ -35,7 +35,7 @@ def lost_samples(records: Sequence[Record]) -> Lost | None:
         interval = record.interval_s
         whole = np.rint(steps / interval)
         if np.mean(np.abs(steps / interval - whole) < 0.1) < 0.99:
-            continue  # sampled at varying times: nothing says that a sample is missing
+            continue  # sampled at varying times: gaps are not recognised
         lost = whole[(whole > 1) & (whole <= settings.LONGEST_GAP)] - 1
         missing, gaps, total = missing + int(lost.sum()), gaps + len(lost), total + len(record.t)
         if lost.sum() > worst[1]:

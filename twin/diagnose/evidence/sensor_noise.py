@@ -1,4 +1,4 @@
-"""Sensor noise where no model is needed: at rest, or of a ball that is clamped."""
+"""Sensor noise without a model: from the ball at rest, or clamped."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
 
 
 def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
-    """Standard deviations (i_c in A, x in m) at rest, where no model is needed; None where nothing rested for long."""
+    """Standard deviations (i_c in A, x in m) of the ball at rest, otherwise clamped; None with too few samples."""
     squares = _rest_squares(evidence)
     result = [float(np.sqrt(total / count)) if count > 300 and total > 0 else None for total, count in squares]
     if None in result:
@@ -24,7 +24,7 @@ def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
 
 
 def noise_error(evidence: Evidence) -> float:
-    """Standard error of ln sigma, averaged over both channels: sqrt(1 / 2n) each."""
+    """Standard error of ln sigma for both channels together; sqrt(1 / 2n) each, and that of the noise ratios."""
     squares = [0.5 / count if count > 300 else 0.0 for _, count in _rest_squares(evidence)]
     if evidence.noise is not None:
         squares = [
@@ -35,9 +35,9 @@ def noise_error(evidence: Evidence) -> float:
 
 
 def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
-    """Sum of squares around straight lines at rest, and its degrees of freedom: i_c, x.
+    """(sum of squares about straight lines at rest, degrees of freedom) for i_c and x.
 
-    A window far noisier than the others is none of rest: a current that still settles when u_c stands, a touched rig.
+    Windows far noisier than the others are left out: the current still settles there, or the rig was touched.
     """
     series = evidence.series
     whole = _not_cut(series, series.i, USE_I), _not_cut(series, series.x, USE_X)
@@ -52,7 +52,7 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
                     continue
                 line = np.polynomial.polynomial.polyfit(_LINE, values, 1)
                 residual = values - np.polynomial.polynomial.polyval(_LINE, line)
-                if len(evidence.noise_ratio):  # another instrument's, as the reference would have it
+                if len(evidence.noise_ratio):  # scaled to the reference instrument
                     residual = residual / np.sqrt(evidence.noise_ratio[window, place])
                 squares[place].append(float(residual @ residual))
     result = []
@@ -64,7 +64,7 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
 
 
 def _not_cut(series: Series, values: FloatArray, use: int) -> BoolArray:
-    """Which readings are used and have all of their noise, shape (n,)."""
+    """Which readings are used and not near the converter's end, which cuts off noise, shape (n,)."""
     used, known = series.flags & use != 0, series.flags & (use | RESTS_LOW | RESTS_HIGH) != 0
     for number in np.unique(series.recording):
         own = np.flatnonzero(known & (series.recording == number))
@@ -73,7 +73,7 @@ def _not_cut(series: Series, values: FloatArray, use: int) -> BoolArray:
 
 
 def _clamped_noise(evidence: Evidence) -> tuple[float | None, float | None]:
-    """As `sensor_noise`, from a clamped ball at the heights that are flown: some sensors' noise grows with the gap."""
+    """`sensor_noise` from a clamped ball, for x only at heights of flight, as some sensors' noise depends on height."""
     series = evidence.series
     flown = series.x[series.flags & FLIES != 0]
     amplifier_only = not any(record.has("x") for record in evidence.records)

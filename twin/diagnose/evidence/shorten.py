@@ -1,6 +1,6 @@
-"""`--quick`: the beginning of each long flight, so that the search passes over less than half of the samples.
+"""`--quick`: only the beginning of each long flight is used, typically less than half of the samples.
 
-Of very many flights it is less of each: the budget of `--quick` pays for a search over `ALL_SAMPLES`, not over more.
+With very many flights it is less of each, as the budget of `--quick` is for a search over `ALL_SAMPLES`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _LONG = ("closed-loop", "prbs", "free")
 
 
 def shortened(records: Sequence[Record]) -> tuple[list[Record], str]:
-    """(the recordings, long ones cut; the sentence that says so, empty where nothing was cut)."""
+    """(the recordings, long ones shortened; a sentence about it, empty if none was shortened)."""
     result, cut = [], 0
     flights = [min(len(record.t), FLIGHT_SAMPLES) for record in records if record.kind in _LONG]
     most = FLIGHT_SAMPLES if sum(flights) <= ALL_SAMPLES else ALL_SAMPLES // len(flights)

@@ -1,1 +1,1 @@
-"""What to record or to measure next, simulated beforehand with the fitted model."""
+"""Experiment design: the recording or measurement to make next, simulated in advance with the fitted model."""

@@ -1,9 +1,10 @@
-"""The extended model tick by tick under the board's law or a given input, and what its converters make of it.
+"""Simulation of the extended model tick by tick under the board's law or a given input, with converters.
 
-Rule 1: noise is that of theta, sensors and process; what a converter's step adds to a reading is part of theta's
-        sigma already and is taken off before.
-Rule 2: delays of input and of sampling are one delay between u_c and the readings, as in `twin/estimation/ekf.py`.
-Rule 3: the stops are inelastic and lie where theta has them.
+Rule 1: sensor and process noise are those of theta.  The sigmas of theta include quantisation, which is subtracted
+        before the converters add it.
+Rule 2: the delays of actuation and of sampling add to one delay between u_c and the readings, as in
+        `twin/estimation/propagate.py`.
+Rule 3: the stops are inelastic, at the positions of theta.
 """
 
 from __future__ import annotations
@@ -40,12 +41,12 @@ _NO_LAW: Packed = tuple(LawNumbers(*[0.0] * len(LawNumbers._fields)))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Converters:
-    """Steps of the board's converters; 0: none."""
+    """Resolution of the board's converters; 0: no rounding."""
 
     i_lsb_a: float = 0.0
     x_lsb_m: float = 0.0
     u_lsb_v: float = 0.0
-    i_from_zero: bool = True  # i_c below 0 A reads 0
+    i_from_zero: bool = True  # whether i_c below 0 A reads 0
 
 
 def run(
@@ -72,16 +73,16 @@ def run(
         plant: mass, travel, x_max, gravity.
         numbers: the law; None: open loop.
         steps: of the converters.
-        t: s, shape (n,).
-        command: x_ref in m under a law, else u_c in V, shape (n,).
-        y: the state at the first sample, shape (7,), used up.
-        s: the integral of the law there, m s.
-        speed: of the reading there, m/s.
-        tick_s: that process noise refers to, s.
-        rng: gives 4 n normal numbers.
+        t: times, s, shape (n,).
+        command: x_ref in m under a law, otherwise u_c in V, shape (n,).
+        y: the state at the first sample, shape (7,), changed in place.
+        s: the integral of the law at the first sample, m s.
+        speed: of the reading at the first sample, m/s.
+        tick_s: interval of the process noise, s.
+        rng: random generator of 4 n normal numbers.
         out: receives the result.
-        clamped: whether the ball is held where it is.
-        floor_m: where it rests if that is not the lower stop, m.
+        clamped: whether the ball is held at its position.
+        floor_m: position of a support above the lower stop, m; None: the ball rests on the stop.
     """
     step = np.diff(t, prepend=t[0])
     scale = np.empty((4, len(t)))
@@ -133,19 +134,19 @@ def play(
     Args:
         base: tuple(Base).
         c: the causes' parameters, shape (PLACES,).
-        law_: tuple(LawNumbers); not looked at in open loop.
+        law_: tuple(LawNumbers); not used in open loop.
         closed_loop: whether `command` is x_ref.
-        clamped: whether the ball is held where it is.
-        stops_m: where it lies at the lower and at the upper stop, m.
+        clamped: whether the ball is held at its position.
+        stops_m: positions of the ball at the lower and the upper stop, m.
         lsb: steps of i_c, x and u_c, and the lowest reading of i_c; A, m, V, A.
-        t: s, shape (n,).
-        step: time to the sample before, s, shape (n,).
+        t: times, s, shape (n,).
+        step: time since the previous sample, s, shape (n,).
         command: of each sample, in force until the next, shape (n,).
-        noise: what is added to the readings of i_c and x, to i_c (all per sample), and an acceleration during the
-            interval before it; A, m, A, m/s^2, shape (4, n).
-        y: the state at the first sample, shape (7,), used up.
-        s: the integral of the law there, m s.
-        speed: of the reading there, m/s.
+        noise: added at each sample to the readings of i_c and x and to i_c, and an acceleration during the previous
+            interval; A, m, A, m/s^2, shape (4, n).
+        y: the state at the first sample, shape (7,), changed in place.
+        s: the integral of the law at the first sample, m s.
+        speed: of the reading at the first sample, m/s.
         out: receives the result.
     """
     p = Base(*base)
@@ -194,7 +195,7 @@ def play(
 
 
 def twelve_bits(theta: Theta, plant: Plant) -> Converters:
-    """Converters that fit the rig: x over 1.25 times the travel, i_c and u_c over what lifting the ball takes."""
+    """12-bit converters for the rig: x over 1.25 times the travel, i_c and u_c over 1.25 times those of lift-off."""
     i = holding_current(theta.base(plant), theta.vector(), 0.0)
     i = i if math.isfinite(i) else 1.0
     return Converters(
@@ -203,7 +204,7 @@ def twelve_bits(theta: Theta, plant: Plant) -> Converters:
 
 
 def converters_of(records: Sequence[Record]) -> Converters:
-    """The steps that recordings themselves show: the smallest differences between readings."""
+    """The converters' steps, from the log or as the smallest differences of readings."""
 
     def smallest(channel: str) -> float:
         found = []

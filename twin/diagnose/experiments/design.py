@@ -1,21 +1,21 @@
-"""Which experiment would tell two causes apart that the recordings so far cannot: computed, for this rig.
+"""Experiment design: which experiment distinguishes two causes of an equivalence class.
 
-Each experiment of the menu is simulated on the rig as the own cause explains it.  What the confounder, as it was
-fitted, predicts otherwise there is its Delta of the innovations.  What the confounder could still take up by other
-parameters is taken off, its parameters being tied down by the campaign so far and by the experiment itself:
+Each experiment of the menu is simulated with the model of the named cause.  Delta is the difference of the whitened
+innovations between this model and the fitted confounder.  A change xi of the confounder's parameters could compensate
+part of it, within the limits that the campaign and the experiment set:
 
     z^2 = min over xi of |Delta_campaign + J_campaign xi|^2 + |Delta_experiment + J_experiment xi|^2
 
 with J the whitened derivatives by the paper's parameters, the stops and the confounder's own.  The confounder was
-fitted to the campaign, so |Delta_campaign|^2 is twice the lead in log-likelihood there and J_campaign' Delta_campaign
-is 0.
+fitted to the campaign, so |Delta_campaign|^2 is twice the difference of log-likelihood there, and J_campaign'
+Delta_campaign is 0.
 
-Rule 1: only what the two predict differs; noise levels are those of the own cause for both.
-Rule 2: an experiment in which the ball would not stay in the air is not proposed.
-Rule 3: up to z = 10 a refit with the experiment finds that z within its own error of 1; beyond 20 a quarter to two
-        thirds of it, because a confounder may call part of a clear misfit process noise: near neighbours may then
-        change places (tests/twin/diagnose/experiments/test_design.py).
-Rule 4: a pair that no experiment of the menu separates is said to be so, with the measurement from outside that would.
+Rule 1: both models have the noise levels of the named cause, so only the predictions differ.
+Rule 2: an experiment in which the ball would not stay in flight is not proposed.
+Rule 3: up to z = 10, a refit with the experiment gives that z within its error of 1.  Beyond 20 it gives a quarter to
+        two thirds of it, because the confounder's fit attributes part of a clear misfit to process noise; experiments
+        with similar z may then change places (tests/twin/diagnose/experiments/test_design.py).
+Rule 4: for a pair that no experiment of the menu separates, the result gives a measurement with other instruments.
 """
 
 from __future__ import annotations
@@ -44,32 +44,32 @@ from twin.estimation.optimiser import inverse
 from twin.estimation.record import FloatArray, Record
 from twin.model.causes.catalogue import with_trait
 
-ENOUGH_Z = math.sqrt(2.0 * settings.EQUIVALENT_GAIN)  # from here on two causes are no longer one class
+ENOUGH_Z = math.sqrt(2.0 * settings.EQUIVALENT_GAIN)  # two causes with a larger z are not in one equivalence class
 _NEAR_STOP = 0.02  # of the travel
 _SEED = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """Two causes that one experiment could tell apart, or not."""
+    """Two causes, and their separation by one experiment."""
 
     own: str
     confounder: str
-    now_z: float  # by the campaign so far, standard errors
-    separation_z: float  # with the experiment added
-    separable: bool  # by any experiment of the menu
-    measurement: str  # from outside, for a pair that is not
+    now_z: float  # separation by the campaign so far, standard errors
+    separation_z: float  # separation with the experiment added
+    separable: bool  # whether any experiment of the menu separates them
+    measurement: str  # with other instruments, for a pair that is not separable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proposal:
-    """One experiment, and what it would settle."""
+    """One experiment, and the pairs of causes that it separates."""
 
     name: str
-    what: str  # a sentence that a person can follow
+    what: str  # instruction for the user
     command: str
-    separation_z: float  # smallest over the pairs that anything on the menu separates
-    separable: bool  # whether the experiment brings those apart
+    separation_z: float  # smallest over the separable pairs, or over all pairs if there are none
+    separable: bool  # whether the experiment separates these pairs
     pairs: tuple[Pair, ...]
 
 
@@ -81,18 +81,18 @@ def propose(
     controller: Controller | None,
     budget: Budget | None = None,
 ) -> list[Proposal]:
-    """The menu's experiments, best first; empty where there is no confounder.
+    """The menu's experiments, best first; empty without a confounder.
 
     Args:
         criterion: of the recordings so far.
-        fit: of the model with the own cause.
-        own: its name.
-        confounders: those that the recordings cannot tell from it, fitted.
+        fit: of the model with the named cause.
+        own: name of that cause.
+        confounders: fits of the causes that the recordings cannot distinguish from it.
         controller: of the board; None: LQI designed for the rig.
-        budget: what the runs along the experiments are paid from; without one they are free.
+        budget: for the runs along the experiments; None: no limit.
 
     Raises:
-        Spent: they are not affordable.
+        Spent: the runs exceed the budget.
     """
     if not confounders:
         return []
@@ -136,14 +136,14 @@ def rank(
     members: Sequence[Fit],
     budget: Budget | None = None,
 ) -> list[tuple[Item, tuple[float, ...]]]:
-    """Each experiment that can be made, with the separation z from every member once it is added.
+    """Each possible experiment, with the separation z from every member after adding it.
 
     Args:
         criterion: of the recordings so far.
-        fit: of the rig, as it is taken to be.
-        controller: of the board.
+        fit: of the model that is simulated.
+        controller: of the board; None: LQI designed for the rig.
         members: the confounders, fitted to the same recordings.
-        budget: as `propose` takes it.
+        budget: as in `propose`.
     """
     plant = criterion.plant
     lift_off_v = lift_off_input(fit.theta, plant)
@@ -184,10 +184,10 @@ def rank(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Tied:
-    """How the campaign so far ties down what a confounder can still move."""
+    """Information of the campaign so far on a confounder's parameters."""
 
     names: tuple[str, ...]
-    gram: FloatArray  # Fisher information of these, the noise levels left free
+    gram: FloatArray  # Fisher information on these parameters, with free noise levels
     lead: float  # |Delta_campaign|^2
 
 
@@ -208,14 +208,14 @@ def _floats(record: Record, criterion: Criterion) -> bool:
 
 def _gathered(records: Sequence[Record], criterion: Criterion, item: Item) -> Evidence:
     known = (criterion.evidence.low_m, criterion.evidence.high_m)
-    # A campaign that has never seen the stops learns them from an experiment that touches them.
+    # If the campaign does not show the stops, they are taken from an experiment that touches them.
     return gather(records, criterion.plant, known if item.closed_loop or None not in known else None)
 
 
 def _separations(
     trial: Criterion, own: Fit, members: Sequence[Fit], held: Sequence[_Tied], times: float
 ) -> tuple[float, ...]:
-    """Z of each member with this experiment added; `times`: so often is it made."""
+    """Separation z of each member with this experiment added; `times`: weight of its information."""
     plant, series = trial.plant, trial.evidence.series
     if not len(series):
         return tuple(math.sqrt(tied.lead) for tied in held)
@@ -246,12 +246,12 @@ def _separations(
 
 
 def _separation(base: FloatArray, rows: FloatArray, tied: _Tied, times: float) -> float:
-    rows[:, :, 2:] = 0.0  # what is predicted, not how surely
+    rows[:, :, 2:] = 0.0  # only the predictions differ, not their covariances
     count = len(rows)
     gram = np.zeros((count, count))
     information(base, rows, np.empty((len(base), count)), gram)
     if not np.isfinite(gram).all():
-        return math.sqrt(tied.lead)  # the confounder's filter does not stand it: nothing is claimed
+        return math.sqrt(tied.lead)  # the confounder's filter diverges: no gain is assumed
     gram *= times
     cross = gram[1:, 0]
     left = gram[0, 0] - float(cross @ inverse(tied.gram + gram[1:, 1:]) @ cross)

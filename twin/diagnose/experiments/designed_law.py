@@ -1,7 +1,6 @@
-"""The law that keeps the ball in a simulated experiment, and the input at which it leaves the stop.
+"""The control law of a simulated experiment, and the lift-off input.
 
-Rule: a law that nobody has told is designed as `board51 design` does it, (14)-(18) with the weights of its
-      inexperienced user; delays and a lag of the sensor are left out.
+Rule: an unknown law is designed as by `board51 design` with default weights, (14)-(18), without delays and sensor lag.
 """
 
 from __future__ import annotations
@@ -22,13 +21,21 @@ from twin.model.linear import measured
 
 
 def lift_off_input(theta: Theta, plant: Plant) -> float:
-    """The u_c at which the ball leaves the lower stop, V, the unit of the menu of experiments; NaN where none does."""
+    """The u_c at which the ball leaves the lower stop, V, the unit of inputs of the menu; NaN if there is none."""
     p, c = theta.base(plant), theta.vector()
     return holding_input(p, c, holding_current(p, c, max(theta.stop_low_m, 0.0)))
 
 
 def law_of(controller: Controller | None, theta: Theta, plant: Plant, tick_s: float, u_max_v: float) -> LawNumbers:
-    """The law as the kernels take it; designed for `theta` where there is none."""
+    """The law in the form of the kernels.
+
+    Args:
+        controller: of the campaign; None: a law is designed for `theta`.
+        theta: the model.
+        plant: mass, travel, x_max, gravity.
+        tick_s: T_s, s.
+        u_max_v: upper limit of u_c, V.
+    """
     numbers, top = None, min(u_max_v, WIDE_V)
     if controller is not None:
         numbers = numbers_of(controller, tick_s, u_low=0.0, u_high=top)
@@ -39,10 +46,10 @@ def law_of(controller: Controller | None, theta: Theta, plant: Plant, tick_s: fl
 
 
 def designed(theta: Theta, plant: Plant, tick_s: float) -> Controller:
-    """LQI for the middle of the travel, (13)-(18), with Bryson's weights as in `twin/design/gains.py`.
+    """LQI for mid-travel, (13)-(18), with the weights of Bryson's rule as in `twin/design/gains.py`.
 
-    For a rig that cannot be held there, or not controlled, all numbers are 0: the ball will not fly, and the caller
-    sees that it does not.
+    If the ball has no equilibrium there or the Riccati equation no solution, all gains are 0; the caller then sees that
+    the ball does not fly.
     """
     p, c, x_0 = theta.base(plant), theta.vector(), 0.5 * plant.travel_m
     y, u_0 = at_rest(p, c, x_0, shown=True)

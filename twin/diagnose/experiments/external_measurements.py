@@ -1,4 +1,4 @@
-"""What to measure beside the board where its own recordings cannot tell two causes apart."""
+"""Measurements with other instruments that distinguish two causes if the board's recordings cannot."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from twin.model.causes.catalogue import BY_NAME
 
 
 def measurement_for(own: str, confounder: str) -> str:
-    """The measurement that tells the two apart; where nobody has thought of one, what confirms either by hand."""
+    """The measurement that distinguishes two causes; without one in the catalogue, how to confirm each by hand."""
     one, other = BY_NAME[own], BY_NAME[confounder]
     known = one.told_from.get(confounder) or other.told_from.get(own)
     return known or f"for {own}: {one.confirm}; for {confounder}: {other.confirm}"

@@ -1,11 +1,11 @@
-"""The experiments that `board51 campaign run` can make, as this rig would be commanded in each.
+"""The experiments of `board51 campaign run`, with the commands of each for this rig.
 
-Names, shares and times are those of the campaign's own menu (tests/twin/diagnose/experiments/test_design.py holds the
-two together); inputs are shares of the lift-off input, positions shares of the travel.
+Names, shares and times are those of the campaign's menu (tests/twin/diagnose/experiments/test_design.py compares the
+two); inputs are shares of the lift-off input, positions shares of the travel.
 
-Rule 1: what is computed is shorter than what is run: a signal that repeats itself is played for a few periods, and what
-        it tells is multiplied.
-Rule 2: references move as the board lets them, SLEW_M_S at most between two holds.
+Rule 1: the simulation is shorter than the experiment: a periodic signal is simulated for a few periods, and its
+        information is multiplied.
+Rule 2: between two holds the reference moves at SLEW_M_S, as on the board.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from twin.estimation.record import FloatArray
 Shape = Literal["rectangle", "sawtooth", "prbs", "multisine", "chirp"]
 
 SLEW_M_S = 20e-3  # the emulated board's, protocol/README.md
-_PLAYED_S = 4.0  # of a signal, unless a period of it is longer
-_HELD_S = 1.0  # of a hold: 80 time constants of the unstable pole
+_PLAYED_S = 4.0  # simulated time of a signal, or one period if that is longer
+_HELD_S = 1.0  # simulated time of a hold: 80 time constants of the unstable pole
 _HARMONICS = range(1, 9)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    """One value, held."""
+    """A constant value."""
 
     value: float  # share
     duration_s: float
@@ -43,7 +43,7 @@ class Wave:
     shape: Shape
     low: float  # share
     high: float
-    period_s: float  # of a prbs: of its clock; of a chirp: at its start
+    period_s: float  # for a prbs: of its clock; for a chirp: at its start
     duration_s: float
     period_end_s: float = 0.0
 
@@ -54,21 +54,21 @@ class Item:
 
     name: str
     kind: Kind
-    what: str  # sentence for a person; {low} and {high} are the range, {duration} the time
+    what: str  # instruction for the user; {low} and {high} are the range, {duration} the time
     parts: tuple[Level | Wave, ...]
-    bursts: tuple[tuple[float, float], ...] = ()  # 25 kHz captures
+    bursts: tuple[tuple[float, float], ...] = ()  # 25 kHz captures: u_c from, to; shares
     clamped: bool = False
-    warms: bool = False  # tells something of its own about heating alone
-    passes: bool = True  # may be cut short
+    warms: bool = False  # useful for causes with heating only
+    passes: bool = True  # whether the simulation may be shortened
 
     @property
     def closed_loop(self) -> bool:
-        """Whether the parts are of the reference."""
+        """Whether the parts are values of the reference."""
         return self.kind == "closed-loop"
 
     @property
     def duration_s(self) -> float:
-        """Without the captures, s."""
+        """Duration without the captures, s."""
         return sum(part.duration_s for part in self.parts)
 
 
@@ -152,12 +152,12 @@ MENU: tuple[Item, ...] = (
 
 
 def schedule_of(item: Item, *, lift_off_v: float, travel_m: float, tick_s: float) -> tuple[Schedule, float]:
-    """(what is commanded, how many times as long the real recording is).
+    """(the simulated commands, duration of the experiment over that of the simulation).
 
     Args:
         item: of the menu.
-        lift_off_v: unit of the inputs, V.
-        travel_m: unit of the positions, m.
+        lift_off_v: lift-off input, the unit of inputs, V.
+        travel_m: travel, the unit of positions, m.
         tick_s: T_s, s.
     """
     unit = travel_m if item.closed_loop else lift_off_v
@@ -181,7 +181,7 @@ def schedule_of(item: Item, *, lift_off_v: float, travel_m: float, tick_s: float
 
 
 def sentence(item: Item, *, lift_off_v: float, travel_m: float) -> str:
-    """What a person is asked to do, in this rig's numbers."""
+    """The instruction for the user, with the values for this rig; arguments as in `schedule_of`."""
     values = [value for pair in item.bursts for value in pair]
     for part in item.parts:
         values += [part.value] if isinstance(part, Level) else [part.low, part.high]
@@ -228,6 +228,6 @@ def _values(part: Level | Wave, tick_s: float) -> FloatArray:
 
 
 def _approached(start: float, values: FloatArray, most: float) -> FloatArray:
-    """The same, reached from `start` in steps of at most `most`."""
+    """The constant `values`, approached from `start` in steps of at most `most`."""
     way = np.sign(values[0] - start) * most * np.arange(1, len(values) + 1) + start
     return np.asarray(np.minimum(way, values) if values[0] > start else np.maximum(way, values))

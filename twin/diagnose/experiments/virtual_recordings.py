@@ -1,11 +1,12 @@
-"""Recordings that a model would have given: the extended model under the board's law, with its noise and converters.
+"""Virtual recordings: simulations of the extended model under the board's law, with its noise and converters.
 
-    simulate(theta, plant, controller, schedule, seed=1)        an experiment that nobody has made yet
-    resimulate(theta, plant, controller, records, seed=1)       a campaign's own experiments once more
+    simulate(theta, plant, controller, schedule, seed=1)        a new experiment
+    resimulate(theta, plant, controller, records, seed=1)       the experiments of a campaign again
 
-Rule 1: what is commanded is repeated, nothing else: in closed loop the recorded x_ref, else the recorded u_c, from the
-        state that the first samples show.
-Rule 2: one seed, one result; a recording's noise depends on its place in the list, not on the others' lengths.
+Rule 1: a repeated experiment uses the recorded commands only (x_ref in closed loop, otherwise u_c) and the state of the
+        first samples.
+Rule 2: the result is determined by the seed; the noise of a recording depends on its place in the list, and not on the
+        lengths of the others.
 """
 
 from __future__ import annotations
@@ -42,24 +43,24 @@ from twin.model.extended import (
 )
 
 TICK_S = 2e-3  # of the board (15)
-PLATFORM_SHARE = 0.06  # of the travel: a ball that begins a ramp higher rests on something
-BRIDGING_S = 0.2  # lost samples up to this long are simulated; behind a longer gap the recorded state begins anew
+PLATFORM_SHARE = 0.06  # of the travel: a ball that begins a ramp higher rests on a support
+BRIDGING_S = 0.2  # shorter gaps are simulated; after a longer gap the state is taken from the recording
 CAPTURE_S, CAPTURE_PRE, CAPTURE_COUNT = 40e-6, 100, 1000
-STATIC_ERROR = 0.003  # relative, of a steady current that somebody has written down
-_HEAD = 8  # samples that show where a piece begins
-_LIMIT_SAMPLES = 5  # equal largest inputs in a row: the limit
-_LIMIT_OVER = 1.1  # and so far above the median
+STATIC_ERROR = 0.003  # relative error of a steady current that was written down by hand
+_HEAD = 8  # samples that give the initial state of a piece
+_LIMIT_SAMPLES = 5  # equal largest inputs in a row that show a limit
+_LIMIT_OVER = 1.1  # the limit over the median of u_c, at least
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Schedule:
-    """What is commanded in one recording, tick by tick."""
+    """The commands of one recording, tick by tick."""
 
     name: str
     kind: Kind
-    command: FloatArray  # x_ref in m if closed_loop, else u_c in V; shape (n_ticks,)
+    command: FloatArray  # x_ref in m if closed_loop, otherwise u_c in V; shape (n_ticks,)
     closed_loop: bool = False
-    clamped_m: float | None = None  # the ball is held there
+    clamped_m: float | None = None  # position at which the ball is held
     bursts: tuple[tuple[float, float], ...] = ()  # 25 kHz captures: u_c from, to; V
 
 
@@ -75,16 +76,16 @@ def simulate(
     u_max_v: float = math.inf,
     use: Use = "fit",
 ) -> list[Record]:
-    """The recordings of an experiment: one.
+    """Simulate an experiment; the list has one recording.
 
     Args:
         theta: the rig.
         plant: mass, travel, x_max, gravity.
         controller: of the board; None: LQI for `theta`.
-        schedule: what is commanded.
+        schedule: the commands.
         seed: of the noise, and of lost samples.
         tick_s: T_s of the board, s.
-        converters: of the board; None: twelve bits over 1.25 times the travel, and the current and input of lift-off.
+        converters: of the board; None: `twelve_bits`.
         u_max_v: upper limit of u_c in closed loop, V; the lower is 0.
         use: of the records.
     """
@@ -134,15 +135,15 @@ def resimulate(
     seed: int,
     tick_s: float = TICK_S,
 ) -> list[Record]:
-    """The same recordings of a rig that is exactly `theta`: as many samples, missing channels missing.
+    """Simulate recordings again with the rig `theta`; same samples, and missing channels stay missing.
 
     Args:
         theta: the rig.
         plant: mass, travel, x_max, gravity.
         controller: of the closed-loop recordings; None: LQI for `theta`.
-        records: what was recorded.
+        records: the recordings to repeat.
         seed: of the noise.
-        tick_s: that process noise refers to, s.
+        tick_s: interval of the process noise, s.
     """
     steps = converters_of(records)
     return [
@@ -207,7 +208,7 @@ def _capture(
     *,
     like: Capture | None = None,
 ) -> Capture:
-    """One step at 25 kHz with the ball at rest, i_c settled before it."""
+    """Simulate one 25 kHz capture of a step with the ball at rest and i_c settled before it."""
     sample_s, pre, count = CAPTURE_S, CAPTURE_PRE, CAPTURE_COUNT
     if like is not None:
         sample_s, pre, count = like.sample_time_s, like.step_index, len(like.i_c_a)
@@ -231,7 +232,7 @@ def _steady(theta: Theta, plant: Plant, record: Record, rng: np.random.Generator
 def _start(
     theta: Theta, plant: Plant, record: Record, piece: slice, clamped: bool
 ) -> tuple[NDArray[np.float64], float]:
-    """(the state that the first samples of a piece show, speed of the reading there in m/s)."""
+    """(state from the first samples of a piece, shape (7,); speed of the reading there, m/s)."""
     p, c = theta.base(plant), theta.vector()
     head = slice(piece.start, min(piece.start + _HEAD, piece.stop))
     y, speed = np.zeros(STATES), 0.0
@@ -255,7 +256,7 @@ def _start(
 
 
 def _pieces(record: Record) -> list[slice]:
-    """Stretches without a long gap."""
+    """Stretches without a gap over BRIDGING_S."""
     _, follows = intervals(record.t)
     steps = np.diff(record.t, prepend=np.nan)
     broken = np.flatnonzero(~(follows | ((steps > 0.0) & (steps <= BRIDGING_S)))).tolist()
@@ -264,7 +265,7 @@ def _pieces(record: Record) -> list[slice]:
 
 
 def _bridged(t: FloatArray) -> FloatArray:
-    """The times of the ticks, those of lost samples put in between."""
+    """The times with those of lost samples inserted."""
     if len(t) < 2:
         return t
     steps = np.diff(t)
@@ -278,7 +279,7 @@ def _bridged(t: FloatArray) -> FloatArray:
 
 
 def _held(values: FloatArray, rows: NDArray[np.int64], n: int) -> FloatArray:
-    """Values at the rows of a grid, each held until the next that is a number."""
+    """Values at the rows of a grid of n ticks, each held until the next finite value, shape (n,)."""
     at = np.full(n, np.nan)
     at[rows] = values
     known = np.isfinite(at)
@@ -291,7 +292,7 @@ def _held(values: FloatArray, rows: NDArray[np.int64], n: int) -> FloatArray:
 def integral_at(
     numbers: LawNumbers, theta: Theta, plant: Plant, y: NDArray[np.float64], x_ref: float, u: float
 ) -> float:
-    """The integral with which the law gives u at that state, the ball standing still; m s."""
+    """The integral with which the law gives the input u (V) at state y with the ball at rest, m s."""
     reading = current_reading(theta.vector(), float(y[I_C]))
     return _integral(numbers, reading, float(y[SENSOR]), float(y[SENSOR]), x_ref, u)
 
@@ -304,7 +305,7 @@ def _integral(numbers: LawNumbers, i: float, x: float, x_prev: float, x_ref: flo
 
 
 def _recorded_integral(numbers: LawNumbers, record: Record, piece: slice) -> float:
-    """The integral at the first sample of a piece, m s: u_c was taken from the very readings recorded."""
+    """The integral at the first sample of a piece, m s, from recorded readings and u_c; 0 if not determined."""
     errors = np.nan_to_num(record.x_ref[piece][:_HEAD] - record.x[piece][:_HEAD])
     for k in range(1, len(errors)):
         n = piece.start + k
@@ -317,11 +318,11 @@ def _recorded_integral(numbers: LawNumbers, record: Record, piece: slice) -> flo
 
 
 def input_limit(record: Record) -> float:
-    """The upper end of u_c where the law stood at it, V; inf where it never did."""
+    """The upper limit of u_c, V, if the law reached it; otherwise inf."""
     u = record.u_c[np.isfinite(record.u_c)]
     if len(u) < _LIMIT_SAMPLES:
         return math.inf
     top = float(u.max())
     stood = bool((np.convolve(u >= top, np.ones(_LIMIT_SAMPLES), "valid") >= _LIMIT_SAMPLES).any())
-    # A ball that hovers without noise has its largest u_c for long, too: that is no limit.
+    # Without noise, a hovering ball has a constant u_c, too, but that is not a limit.
     return top if stood and top > _LIMIT_OVER * float(np.median(u)) else math.inf

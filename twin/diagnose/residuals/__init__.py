@@ -1,1 +1,1 @@
-"""What the simulation gets wrong, as numbers: by state, by frequency, as force, in steps."""
+"""Residuals of the baseline and the extended model: by state, by frequency, as force, in step responses."""

@@ -1,15 +1,15 @@
-"""The force and the current that a model leaves unexplained, as functions of the state.
+"""Residual force and residual current of a model as functions of the state.
 
-Residual force: m (measured acceleration - acceleration of (6)).  A parabola through 30 ms of readings gives the
-acceleration; the model's is averaged with the same weights, so that a right model leaves 0 however fast things move.
-Residual current: what the filter did not foresee of i_c, one sample ahead.
+Residual force: m (measured acceleration - acceleration of (6)).  The measured acceleration is that of a parabola
+through 30 ms of readings.  The model's acceleration is averaged with the same weights, so that a right model leaves 0
+for any motion.  Residual current: the innovation of i_c, one sample ahead.
 
-Rule 1: the model's acceleration is taken at the readings of x and at the filter's current and speed.  The current goes
-        to where the next sample has it: what u_c should have done to it does not enter the force.  Taken as it stands
-        at the samples it would be half an interval late, which looks like a drag; the filter's x of a wrong model is
-        wrong by more than a reading.
-Rule 2: sensor effects that the model has are taken out of the readings first.
-Rule 3: a periodic force is left in the residual: its phase is nobody's function of the state.
+Rule 1: the model's acceleration uses the readings of x, and current and speed of the filter.  Within an interval the
+        current moves to its value at the next sample, so errors of the amplifier do not affect the force.  A constant
+        current would lag by half an interval and imitate a drag.  The filter's x is not used, because for a wrong model
+        its error is larger than that of a reading.
+Rule 2: the model's sensor effects are first removed from the readings.
+Rule 3: a periodic force is left in the residual, because it is not a function of the state.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from twin.model.extended import I_C, STATES, Base, V, X, advance, position_of_re
 WINDOW_S = 0.03
 FEWEST = 7  # readings in a window
 GROUPS = 10
-# The middle is one group, the ball at rest: there the slope is noise that the loop has answered, and parts of it would
-# show a force that is none.
+# The middle group is the ball at rest.  Its measured speed is noise to which the loop responds, so several groups there
+# would show a spurious force.
 _SPEED_SHARES = (0.002, 0.02, 0.08, 0.2, 0.8, 0.92, 0.98, 0.998)
 _CHANGE_SHARES = (0.002, 0.02, 0.08, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92, 0.98, 0.998)
 _INPUT_SHARES = tuple(float(share) for share in np.linspace(0.0, 1.0, 11))
@@ -66,18 +66,18 @@ class Curve:
 class Filtered:
     """One model along a series."""
 
-    state: FloatArray  # shape (n, 7), NaN where the ball is not in the air
-    unforeseen_i_a: FloatArray  # i_c - predicted, one sample ahead, shape (n,)
+    state: FloatArray  # shape (n, 7), NaN while the ball is not in flight
+    unforeseen_i_a: FloatArray  # innovation of i_c, one sample ahead, shape (n,)
     force_n: FloatArray  # residual, shape (n,)
-    slope_m_s: FloatArray  # of the parabola: the filter's speed shares its noise with the residual, this one does not
+    slope_m_s: FloatArray  # speed of the parabola, shape (n,); its noise is independent of the residual, unlike v's
 
 
 def filtered(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float) -> Filtered:
-    """The residuals of one model."""
+    """Run one model along a series; `tick_s`: the sampling interval, s."""
     s = evidence.series
     system = theta.system(plant, tick_s)
     base, c = system.base, system.c
-    c[periodic.CAUSE.strength.place] = 0.0  # the force of what has no clock here is left in the residual
+    c[periodic.CAUSE.strength.place] = 0.0  # a periodic force is left in the residual
     out, state, _, _ = along(system, evidence.samples, state=True)
     modelled, seen = np.empty(len(s)), np.empty(len(s))
     quiet = c.copy()
@@ -112,7 +112,7 @@ def _behind(
     reading: NDArray[np.float64],
     seen: NDArray[np.float64],
 ) -> None:
-    """The position behind each reading of a flying ball, m, shape (n,)."""
+    """Fill `seen`, shape (n,), with the position that gives each reading in flight, m."""
     p = Base(*base)
     for n in range(len(reading)):
         seen[n] = np.nan
@@ -132,14 +132,14 @@ def _along(
     t: NDArray[np.float64],
     modelled: NDArray[np.float64],
 ) -> None:
-    """Mean acceleration around each sample by the model, m/s^2, shape (n,), NaN where it has no neighbours.
+    """Fill `modelled`, shape (n,), with the model's mean acceleration around each sample, m/s^2; NaN at gaps.
 
-    The second difference of x at sample k is T v' + p_k+1 - p_k, where v' is what the speed gains from k - 1 to k, and
-    p_k what x gains in that interval over x + T x'.
+    The second difference of x at sample k is T dv + p_k+1 - p_k, where dv is the change of speed from k - 1 to k, and
+    p_k the change of x in that interval beyond T x'.
     """
     p = Base(*base)
     y = np.empty(STATES)
-    gained, moved = np.nan, np.nan  # speed and position over the interval before
+    gained, moved = np.nan, np.nan  # changes of speed and position in the previous interval
     for n in range(len(x)):
         modelled[n] = np.nan
         last = n + 1 >= len(x) or flags[n + 1] & FOLLOWS == 0 or np.isnan(state[n + 1, V])
@@ -167,11 +167,11 @@ def _recordings(recording: NDArray[np.int32]) -> list[slice]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Windows:
-    """Unbroken windows of one recording, each with a parabola."""
+    """Windows of one recording for the parabolas."""
 
-    half: int
+    half: int  # samples on each side of the middle
     T_s: float
-    whole: NDArray[np.bool_]  # whether the ball flies, sampled evenly, in the window around each sample, shape (n,)
+    whole: NDArray[np.bool_]  # whether the window around each sample is in flight without gaps, shape (n,)
 
     def slope(self, seen: FloatArray) -> FloatArray:
         """Speed in the middle of each window, m/s, shape (n,)."""
@@ -180,7 +180,7 @@ class Windows:
     def left(self, seen: FloatArray, modelled: FloatArray) -> FloatArray:
         """Measured - modelled acceleration in the middle of each window, m/s^2, shape (n,)."""
         weights = parabola(self.half, self.T_s)[1]
-        # x'' of a ball that has a_k at sample k: each a_k enters the parabola with the double sum of the weights.
+        # The acceleration at each sample contributes to the parabola with the double sum of the weights.
         spread = np.cumsum(np.cumsum(weights))[:-2] * self.T_s * self.T_s
         known = np.isfinite(modelled)
         expected = np.convolve(np.where(known, modelled, 0.0)[1:-1], spread[::-1], "valid")
@@ -195,7 +195,13 @@ class Windows:
 
 
 def windows(step: FloatArray, flags: NDArray[np.uint8], flies: NDArray[np.bool_]) -> Windows | None:
-    """The windows of one recording; None where it is too short for one."""
+    """The windows of one recording; None if it is too short.
+
+    Args:
+        step: time since the previous sample, s, shape (n,).
+        flags: of `twin/estimation/innovations.py`, shape (n,).
+        flies: whether each sample has a position in flight, shape (n,).
+    """
     known = step[flies & (step > 0.0)]
     if not len(known):
         return None
@@ -213,14 +219,14 @@ def windows(step: FloatArray, flags: NDArray[np.uint8], flies: NDArray[np.bool_]
 
 
 def parabola(half: int, T_s: float) -> tuple[FloatArray, FloatArray]:
-    """Weights of the readings in first (1/s) and second (1/s^2) derivative of their parabola, shape (2 half + 1,)."""
+    """Weights of the readings for the first (1/s) and second (1/s^2) derivative of their parabola, (2 half + 1,)."""
     k = np.arange(-half, half + 1, dtype=np.float64)
     rows = np.linalg.pinv(np.vander(k, 3, increasing=True))
     return np.asarray(rows[1] / T_s), np.asarray(2.0 * rows[2] / T_s**2)
 
 
 def force_curves(models: tuple[Filtered, Filtered], evidence: Evidence, blocks: Blocks) -> list[Curve]:
-    """Residual force of baseline and extended model over x, x' and i_c."""
+    """Residual force of baseline and extended model as functions of x, x' and i_c."""
     s = evidence.series
     x, v, i = s.x, models[1].slope_m_s, s.i
     flown = np.isfinite(models[0].force_n) & np.isfinite(models[1].force_n)
@@ -237,7 +243,7 @@ def force_curves(models: tuple[Filtered, Filtered], evidence: Evidence, blocks: 
 
 
 def current_curves(models: tuple[Filtered, Filtered], evidence: Evidence, tick_s: float, blocks: Blocks) -> list[Curve]:
-    """Unforeseen current of both models over u_c, and over the change of u_c that came with it."""
+    """Residual current of both models as functions of u_c and of its change."""
     s = evidence.series
     u = np.concatenate(([np.nan], s.u[:-1]))
     change = np.concatenate(([np.nan, np.nan], np.diff(s.u)[:-1]))

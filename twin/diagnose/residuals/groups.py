@@ -1,4 +1,4 @@
-"""Errors 20 ms ahead sorted by position, speed, current, direction, time after a step, time, recording."""
+"""Errors 20 ms ahead, grouped by position, speed, current, direction, time after a step, time, recording."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _TIMES = 12
 
 
 def sorted_errors(errors_m: FloatArray, evidence: Evidence, model: Filtered, blocks: Blocks) -> tuple[Regime, ...]:
-    """The regimes in which there is more than one group.
+    """The errors by regime; a regime with a single group is left out.
 
     Args:
-        errors_m: x_hat - x of every sample, baseline and extended, shape (2, n), NaN where nothing was predicted.
+        errors_m: x_hat - x of every sample, baseline and extended, shape (2, n), NaN without a prediction.
         evidence: the recordings.
         model: the extended model along them, for the speed.
-        blocks: of the samples.
+        blocks: bootstrap blocks of the samples.
     """
     s = evidence.series
     known = np.isfinite(errors_m).all(axis=0)
@@ -71,7 +71,7 @@ def _named(name: str, title: str, labels: Labels, names: Sequence[str], errors_m
 
 
 def _direction(v: FloatArray) -> tuple[Labels, list[str]]:
-    """Sinking, slow, rising: slow is the slower half."""
+    """Labels sinking, slow, rising; the slower half of the samples is slow."""
     known = np.isfinite(v)
     slow = float(np.median(np.abs(v[known]))) if known.any() else 0.0
     labels = np.where(known, np.where(v < -slow, 0, np.where(v > slow, 2, 1)), -1).astype(np.int64)
@@ -79,7 +79,7 @@ def _direction(v: FloatArray) -> tuple[Labels, list[str]]:
 
 
 def _after_steps(evidence: Evidence) -> tuple[Labels, list[str]]:
-    """Time since the reference began to move from one level to another."""
+    """Labels by the time since the reference began to change from one level to another."""
     s = evidence.series
     since = np.full(len(s), np.nan)
     for number, record in enumerate(evidence.records):
@@ -99,7 +99,7 @@ def _after_steps(evidence: Evidence) -> tuple[Labels, list[str]]:
 
 
 def _campaign_time(evidence: Evidence) -> FloatArray:
-    """Time of each sample, the recordings one after the other as the campaign lists them, s."""
+    """Time of each sample with the recordings one after the other in the campaign's order, s, shape (n,)."""
     t, begins = np.full(len(evidence.series), np.nan), 0.0
     for number in range(len(evidence.records)):
         rows = np.flatnonzero(evidence.series.recording == number)

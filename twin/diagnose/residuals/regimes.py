@@ -1,8 +1,8 @@
-"""Errors sorted by the state in which they were made, with intervals.
+"""Errors grouped by the state in which they occurred, with intervals.
 
-Rule 1: intervals are by block bootstrap over half seconds: neighbouring errors overlap and are one accident, not many.
-        The same blocks are drawn for both models, so that their ratio has an interval of its own.
-Rule 2: a group that too few samples or too few blocks speak for is left out: an average over one accident is none.
+Rule 1: intervals are by block bootstrap over half seconds, because errors of overlapping predictions are correlated.
+        The same blocks are drawn for both models, so that their ratio has an interval, too.
+Rule 2: a group with too few samples or blocks is left out.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ class Bin:
     """One group of samples and the root mean square errors in it, m."""
 
     label: str
-    at: float  # mean of the sorting quantity, SI; NaN for names
+    at: float  # mean of the grouping quantity, SI
     count: int
     baseline: Estimate
     extended: Estimate
-    worse: bool  # whether the extended model is surely worse here
+    worse: bool  # whether the extended model is significantly worse here
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Regime:
-    """Errors over one sorting quantity."""
+    """Errors by one grouping quantity."""
 
     name: str
     title: str
@@ -56,19 +56,25 @@ class Regime:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blocks:
-    """Which block each sample belongs to, and the blocks that each draw of the bootstrap takes."""
+    """The blocks of the bootstrap, and its draws."""
 
-    of: Labels  # shape (n,)
-    drawn: FloatArray  # how often each draw takes each block, shape (DRAWS, blocks)
+    of: Labels  # block of each sample, shape (n,)
+    drawn: FloatArray  # number of times that each draw takes each block, shape (DRAWS, blocks)
 
     @property
     def count(self) -> int:
-        """Of the blocks."""
+        """Number of blocks."""
         return int(self.drawn.shape[1])
 
 
 def blocks_of(recording: NDArray[np.int32], tick_s: float, seed: int) -> Blocks:
-    """Blocks of half a second that end with their recording."""
+    """Blocks of half a second, each within one recording.
+
+    Args:
+        recording: index of the recording of each sample, shape (n,).
+        tick_s: the sampling interval, s.
+        seed: of the random generator.
+    """
     n = len(recording)
     length = max(round(settings.ERROR_BLOCK_S / tick_s), 1)
     new = np.ones(n, np.bool_)
@@ -87,14 +93,14 @@ def means(
     """Means by group and their bootstrap.
 
     Args:
-        values: shape (n,), finite wherever its label is not -1.
-        labels: shape (n,).
-        groups: how many.
+        values: shape (n,), finite unless the label is -1.
+        labels: group of each sample, shape (n,); -1: none.
+        groups: number of groups.
         blocks: of the samples.
 
     Returns:
-        (means, shape (groups,); drawn means, shape (DRAWS, groups); samples and blocks of each group, shape (groups,)).
-        NaN where a group or a draw of it is empty.
+        (means, shape (groups,); bootstrap means, shape (DRAWS, groups); number of samples and of blocks of each group,
+        shape (groups,)).  A mean is NaN if its group is empty.
     """
     use = labels >= 0
     place = blocks.of[use] * groups + labels[use]
@@ -108,14 +114,14 @@ def means(
 
 
 def estimate(value: float, drawn: FloatArray) -> Estimate:
-    """With its interval; `drawn`, shape (DRAWS,), may hold NaN of draws in which the group was empty."""
+    """A value with its bootstrap interval; NaN of `drawn`, shape (DRAWS,), are draws in which the group was empty."""
     known = drawn[np.isfinite(drawn)]
     low, high = np.quantile(known, CI) if len(known) else (np.nan, np.nan)
     return Estimate(value=float(value), low=float(low), high=float(high))
 
 
 def solid(samples: NDArray[np.int64], blocks: NDArray[np.int64]) -> BoolArray:
-    """Which groups enough samples and blocks speak for."""
+    """Which groups have enough samples and blocks, shape (groups,)."""
     return np.asarray((samples >= FEWEST_SAMPLES) & (blocks >= FEWEST_BLOCKS))
 
 
@@ -126,7 +132,7 @@ def error_bins(errors_m: FloatArray, labels: Labels, names: Sequence[str], at: F
         errors_m: baseline and extended, shape (2, n).
         labels: group of each sample, shape (n,).
         names: of the groups.
-        at: the sorting quantity, shape (n,).
+        at: the grouping quantity, shape (n,).
         blocks: of the samples.
     """
     labels = np.where(np.isfinite(errors_m).all(axis=0), labels, -1)
@@ -164,7 +170,7 @@ def by_edges(values: FloatArray, edges: FloatArray) -> Labels:
 
 
 def even_edges(values: FloatArray, groups: int) -> FloatArray:
-    """Groups of one width over what is usual, the rare ends left out; empty without a spread."""
+    """Edges of groups of equal width between the 0.5 % and 99.5 % quantiles; empty without a spread."""
     known = values[np.isfinite(values)]
     if len(known) < FEWEST_SAMPLES:
         return np.empty(0)
@@ -173,7 +179,7 @@ def even_edges(values: FloatArray, groups: int) -> FloatArray:
 
 
 def shared_edges(values: FloatArray, shares: Sequence[float]) -> FloatArray:
-    """Groups that hold these cumulative shares of the samples: for quantities that crowd around 0."""
+    """Edges of groups at these quantiles, for quantities that are mostly near 0; empty with too few samples."""
     known = values[np.isfinite(values)]
     if len(known) < FEWEST_SAMPLES:
         return np.empty(0)

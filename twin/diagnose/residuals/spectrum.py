@@ -1,4 +1,4 @@
-"""Spectrum of prediction errors one sample ahead; a right model leaves white noise at the floor."""
+"""Spectrum of prediction errors one sample ahead; that of a right model is white at the noise floor."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FEWEST = 4  # segments
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spectrum:
-    """One-sided amplitude densities, m/sqrt(Hz), shape (n,)."""
+    """One-sided amplitude spectral densities, m/sqrt(Hz), shape (n,)."""
 
     frequency_hz: FloatArray
     baseline: FloatArray
@@ -26,12 +26,15 @@ class Spectrum:
 
 
 def spectrum(errors_m: FloatArray, floor_m: float, tick_s: float) -> Spectrum | None:
-    """Averaged over unbroken segments of a second, Hann window, half overlapped; None with too few of them.
+    """Welch's estimate (1967): mean over unbroken segments of a second, Hann window, 50 % overlap.
 
     Args:
-        errors_m: one sample ahead, baseline and extended, shape (2, n), NaN where nothing was predicted.
-        floor_m: root mean square that sensor noise leaves.
-        tick_s: the sampling interval.
+        errors_m: one sample ahead, baseline and extended, shape (2, n), NaN without a prediction.
+        floor_m: root mean square error due to sensor noise, m.
+        tick_s: the sampling interval, s.
+
+    Returns:
+        The spectrum; None with too few segments.
     """
     length = 2 * max(round(0.5 * SEGMENT_S / tick_s), 8)
     known = np.asarray(np.isfinite(errors_m).all(axis=0))
@@ -46,7 +49,7 @@ def spectrum(errors_m: FloatArray, floor_m: float, tick_s: float) -> Spectrum | 
     for errors in errors_m:
         power = np.abs(np.fft.rfft(errors[rows] * window, axis=1)) ** 2
         densities.append(np.sqrt(2.0 * tick_s / float(window @ window) * power.mean(axis=0)))
-    # Half-overlapping Hann segments are worth 9 independent ones in 11 [Welch 1967].
+    # 11 half-overlapping Hann segments have the variance of 9 independent ones [Welch 1967].
     freedom = 2.0 * len(starts) * 9.0 / 11.0
     return Spectrum(
         frequency_hz=np.arange(1, length // 2 + 1) / (length * tick_s),

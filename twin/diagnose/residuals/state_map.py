@@ -1,10 +1,11 @@
-"""A correction that knows no cause: the mean prediction error over position and speed.
+"""An empirical correction: the mean prediction error as a function of position and speed, without a cause.
 
-It is learnt on the recordings for fitting and measured on those that judge.
+It is estimated on the recordings for fitting and evaluated on the judge recordings.
 
-Rule 1: for prediction only.  It says how much of the remainder is a function of x and x' at all, never what it is.
-Rule 2: a cell is shrunk towards 0 by its own uncertainty and smoothed over its neighbours: a cell with few samples
-        corrects little.
+Rule 1: it serves prediction only.  It shows how much of the remaining error is a function of x and x', and not its
+        cause.
+Rule 2: each cell is shrunk towards 0 according to its uncertainty and smoothed over its neighbours, so a cell with few
+        samples corrects little.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _SMOOTH = 0.7  # cells
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Correction:
-    """Taken off the predictions of the extended model."""
+    """The correction, to be subtracted from the predictions of the extended model."""
 
     x_edges_m: FloatArray
     v_edges_m_s: FloatArray
@@ -48,11 +49,12 @@ def correction(
     blocks: Blocks,
     judge_blocks: Blocks,
 ) -> Correction | None:
-    """Learn on one, measure on the other.
+    """Estimate the correction on `fit` and evaluate it on `judge`; None with too few samples.
 
     Args:
-        fit: error x_hat - x in m, reading of x in m and speed in m/s where each prediction begins, each of shape (n,).
-        judge: the same.
+        fit: error x_hat - x in m, and reading of x in m and speed in m/s at the start of each prediction, each of shape
+            (n,).
+        judge: the same of the judge recordings.
         blocks: of `fit`.
         judge_blocks: of `judge`.
     """

@@ -1,7 +1,7 @@
-"""Reference steps of the rig and of both simulations: why is the rig slower, or faster, than the simulation?
+"""Step responses of the rig and of both simulations.
 
-Each judge recording in closed loop is simulated once more under the board's law, from its first state and with its
-reference, under the sensor noise of the ball at rest; steps are measured by the code of `board51 validate`.
+Each judge recording in closed loop is simulated under the board's law, from its first state, with its reference and
+with the sensor noise of the ball at rest.  The figures are those of `board51 validate`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from twin.estimation.step_figures import Compared, LoopRun, compare_steps, respo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Steps:
-    """Mean of all steps, each as a share of itself, and the figures of `twin/estimation/step_figures.py`."""
+    """Mean of all step responses, scaled to unit steps, and the figures of `twin/estimation/step_figures.py`."""
 
     t_s: FloatArray  # from the change of the reference, shape (n,)
     rig: FloatArray  # shape (n,)
@@ -40,16 +40,16 @@ def step_responses(
     controller: Controller | None,
     tick_s: float,
 ) -> Steps | str:
-    """The steps of these recordings, or why there are none.
+    """The step responses of these recordings, or a string with the reason why there are none.
 
     Args:
-        records: those that judge.
+        records: the judge recordings.
         before: the baseline.
         after: the extended model.
-        floor: sensor noise.
+        floor: noise floor with the sensor noise.
         plant: mass, travel, x_max, gravity.
         controller: the law of the closed-loop recordings.
-        tick_s: the sampling interval.
+        tick_s: the sampling interval, s.
     """
     flown = [record for record in records if record.kind == "closed-loop" and record.has("x", "x_ref", "u_c", "i_c")]
     if not flown:
@@ -71,7 +71,7 @@ def step_responses(
     shares = [responses(runs, sigma) for runs in loops]
     if not shares[0]:
         return "the reference has no step after which it stays for 0.15 s"
-    # The shortest steps would cut all others short: the mean is of those that last as long as three quarters do.
+    # The mean is over the longer three quarters of the steps: with all of them it would be as short as the shortest.
     n = int(np.quantile([len(one.t_s) for one in shares[0]], 0.25))
     long = [[one for one in each if len(one.t_s) >= n] for each in shares]
     curves = [np.nanmean([one.rig[:n] for one in long[0]], axis=0)]

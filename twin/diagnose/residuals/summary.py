@@ -1,9 +1,10 @@
-"""What the simulation gets wrong, as numbers: over the horizon, by regime, by frequency, as force; before and after.
+"""Errors of the baseline and the extended model: over the horizon, by regime, by frequency, as force, in steps.
 
-Rule 1: errors are those of the judge recordings.  Without one, those for fitting stand in, and `judged` is False: what
-        they say is flattering.
-Rule 2: residual force and current are of all recordings: open-loop flights go where closed loop never is.
-Rule 3: baseline and extended are compared on the same samples, drawn in the same blocks.
+Rule 1: errors are those of the judge recordings.  Without any, the recordings for fitting are used and `judged` is
+        False; their errors are optimistic.
+Rule 2: residual force and current are of the recordings for fitting, because open-loop flights reach states that the
+        closed loop does not.
+Rule 3: baseline and extended model are compared on the same samples with the same bootstrap blocks.
 """
 
 from __future__ import annotations
@@ -30,26 +31,26 @@ from twin.model.extended import V
 if TYPE_CHECKING:
     from twin.diagnose.result import Diagnosis
 
-HORIZON_S = 0.02  # the one that regimes are shown at
+HORIZON_S = 0.02  # horizon of the regimes
 PIECE_S = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ahead:
-    """Root mean square errors of one horizon, m."""
+    """Root mean square errors at one horizon, m."""
 
     horizon_s: float
     baseline: Estimate
     extended: Estimate
     floor_m: float
     ratio: tuple[float, float]  # 95 % interval of extended over baseline
-    removed: float  # share of the mean square above the floor; NaN where there was none
+    removed: float  # removed part of the mean square above the floor; NaN if there was none
     count: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Piece:
-    """A stretch of one recording: what x did and what both models had said 20 ms before; shape (n,)."""
+    """A stretch of one recording: x, and the predictions of both models 20 ms ahead; shape (n,)."""
 
     recording: str
     t_s: FloatArray
@@ -60,7 +61,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Show:
-    """Everything that the report draws, beside the diagnosis itself."""
+    """All numbers of the report's figures."""
 
     judged: bool  # whether errors are of judge recordings
     ahead: tuple[Ahead, ...]
@@ -69,22 +70,22 @@ class Show:
     spectrum: Spectrum | None
     force: tuple[Curve, ...]
     current: tuple[Curve, ...]
-    steps: Steps | str  # or why there are none
+    steps: Steps | str  # a string: the reason why there are none
     correction: Correction | None
     floor_m: float  # at HORIZON_S
 
     def worse(self) -> list[str]:
-        """Where the extended model is surely worse."""
+        """Groups in which the extended model is significantly worse."""
         return [f"{regime.title}: {one.label}" for regime in self.regimes for one in regime.bins if one.worse]
 
 
 def shown(found: Diagnosis, controller: Controller | None, *, quick: bool = False, seed: int = 0) -> Show:
-    """The numbers of a diagnosis.
+    """The residuals of a diagnosis.
 
     Args:
         found: of `diagnose`.
         controller: the law of the closed-loop recordings.
-        quick: without closed-loop simulation and correction.
+        quick: whether to leave out closed-loop simulation and correction.
         seed: of the bootstrap.
     """
     plant = found.extended.plant
@@ -117,7 +118,7 @@ def shown(found: Diagnosis, controller: Controller | None, *, quick: bool = Fals
 
 
 def to_dict(show: Show) -> dict[str, Any]:
-    """The numbers for diagnosis.json, in SI units; traces are left out, NaN is None."""
+    """The numbers for diagnosis.json, in SI units; traces are left out, and NaN becomes None."""
     parts = {name: value for name, value in asdict(show).items() if name != "piece"}
     if isinstance(show.steps, Steps):
         figures = [(asdict(first), asdict(second)) for first, second in show.steps.figures]
@@ -179,7 +180,7 @@ def _ahead(one: Gain, blocks: Blocks) -> Ahead:
 
 
 def _piece(errors_m: FloatArray, evidence: Evidence, tick_s: float) -> Piece | None:
-    """The two seconds in which the baseline was wrong most, of those that were predicted throughout."""
+    """The two seconds (or half a second) with the largest error of the baseline and predictions throughout."""
     s = evidence.series
     known = np.asarray(np.isfinite(errors_m).all(axis=0))
     best: tuple[float, slice] | None = None
@@ -208,7 +209,7 @@ def _piece(errors_m: FloatArray, evidence: Evidence, tick_s: float) -> Piece | N
 def _residuals(
     found: Diagnosis, evidence: Evidence, models: tuple[Filtered, Filtered], plant: Plant, seed: int
 ) -> dict[str, Any]:
-    """Residual curves of all recordings together."""
+    """Residual curves of the recordings for fitting."""
     force: tuple[Curve, ...] = ()
     current: tuple[Curve, ...] = ()
     fit = found.fit_evidence
@@ -229,7 +230,7 @@ def _corrected(
     plant: Plant,
     seed: int,
 ) -> Correction | None:
-    """Only where more than noise is left."""
+    """The correction, if the diagnosis leaves more than noise; otherwise None."""
     if at_20 is None or found.verdict not in ("unknown-cause", "partly-explained"):
         return None
     fit = found.fit_evidence
@@ -244,7 +245,7 @@ def _corrected(
 
 
 def _begun(evidence: Evidence, model: Filtered, samples: int) -> tuple[FloatArray, FloatArray]:
-    """(reading, speed) where the prediction of each sample began, shape (n,)."""
+    """(reading in m, speed in m/s) at the start of the prediction of each sample, each of shape (n,)."""
     nothing = np.full(samples, np.nan)
     s = evidence.series
     return (

@@ -1,1 +1,1 @@
-"""The extended Kalman filter: one run along a series, predict, start, correct, and its memory."""
+"""The extended Kalman filter: prediction, initialisation, correction, its memory, and a run along a series."""

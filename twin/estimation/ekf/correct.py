@@ -1,4 +1,4 @@
-"""At a sample in the filter: what begins there, and what its readings say."""
+"""The filter at a sample: initialisation of recordings and flights, and correction by the readings."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from twin.model.extended import (
     position_reading,
 )
 
-TELLING_READINGS = 5  # behind the first of a flight; with a lag of 2 ms the next ones depend on the start no more
-_ACCELERATION_M_S2 = 15.0  # of a flight's beginning
-_WARMTH = (0.25, 0.3)  # A^2: of a recording's start, mean and standard deviation
-_CURRENT_VARIANCE = 1e2  # A^2, of a start without a reading
+TELLING_READINGS = 5  # after the first of a flight; later ones do not depend on the start, even with a lag of 2 ms
+_ACCELERATION_M_S2 = 15.0  # standard deviation at the beginning of a flight
+_WARMTH = (0.25, 0.3)  # A^2: mean and standard deviation at the beginning of a recording
+_CURRENT_VARIANCE = 1e2  # A^2, initial variance without a reading of i_c
 
 
 @kernel
@@ -36,7 +36,7 @@ def _forget(f: Memory, row: int) -> None:
 
 @kernel
 def forget(f: Memory) -> None:
-    """State and covariance are 0, and the ball does not fly."""
+    """Set state and covariance to 0, with the ball not in flight."""
     f.in_flight = False
     for row in range(len(f.y)):
         f.y[row] = 0.0
@@ -46,7 +46,7 @@ def forget(f: Memory) -> None:
 
 @kernel
 def measure_current(f: Memory, reading: float) -> None:
-    """The current as it is read, A."""
+    """Set the current to its reading, A."""
     _forget(f, 0)
     f.y[I_C] = current_of_reading(f.c[:], reading)
     f.P[0, 0] = f.r_i / (f.h_i[0] * f.h_i[0])
@@ -54,7 +54,14 @@ def measure_current(f: Memory, reading: float) -> None:
 
 @kernel
 def start_recording(f: Memory, reads: bool, reading: float, u: float) -> None:
-    """Current and warmth at the first sample of a chain: as read, A, or where u_c tends to, V."""
+    """Initialise current and warmth at the first sample of a chain.
+
+    Args:
+        f: the filter.
+        reads: whether i_c was read; otherwise the current is K_A u.
+        reading: of i_c, A.
+        u: u_c, V.
+    """
     if reads:
         measure_current(f, reading)
     else:
@@ -68,7 +75,7 @@ def start_recording(f: Memory, reads: bool, reading: float, u: float) -> None:
 
 @kernel
 def start_flight(f: Memory, reading: float) -> None:
-    """Position at the first reading of a flight, m, the speed unknown."""
+    """Initialise the position at the first reading of a flight, m, with unknown speed."""
     p, c, y, P = Base(*base_of(f)), f.c[:], f.y[:], f.P
     for k in range(f.m):
         if k != 0 and k != f.warmth:
@@ -76,7 +83,7 @@ def start_flight(f: Memory, reading: float) -> None:
     y[X], y[V] = position_of_reading(p, c, reading, y[I_C]), 0.0
     y[SENSOR], y[RATE] = reading, 0.0
     f.in_flight, f.readings = True, 0
-    # A reading that shows the current, too, places the ball as well as the current is known.
+    # With crosstalk the error of the current adds to that of the position.
     shown = (position_reading(p, c, y[X], y[I_C] + 1e-3) - position_reading(p, c, y[X], y[I_C])) / 1e-3
     P[1, 1], P[2, 2] = f.r_x + shown * shown * P[0, 0], SPEED_STD_M_S**2
     if f.field >= 0:
@@ -88,7 +95,7 @@ def start_flight(f: Memory, reading: float) -> None:
             P[1, k] = -shown * P[0, k]
             P[k, 1] = P[1, k]
     if f.sensor >= 0:
-        # The sensor lags a ball of unknown speed: where x is depends on it.
+        # Behind a lagging sensor the position depends on the unknown speed.
         tau = c[position_sensor_lag.TAU]
         P[1, 1] += (tau * SPEED_STD_M_S) ** 2 + (tau * tau * _ACCELERATION_M_S2) ** 2
         P[1, f.sensor] = f.r_x
@@ -106,22 +113,22 @@ def start_flight(f: Memory, reading: float) -> None:
 
 @inlined
 def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x: bool) -> None:
-    """Innovations of the readings, and the correction by them, i_c first.
+    """Compute the innovations of the readings and correct the state, first by i_c.
 
     Args:
         f: the filter.
         out: receives nu_i, nu_x, S_ii, S_ix, S_xx, shape (5,).
-        i: A.
-        x: m.
-        use_i: whether i counts.
-        use_x: whether x counts; the ball flies.
+        i: reading of i_c, A.
+        x: reading of x, m.
+        use_i: whether i is used.
+        use_x: whether x is used; only in flight.
     """
     P, m = f.P, f.m
     n_i, n_x = i - current_reading(f.c[:], f.y[I_C]), 0.0
     if use_x:
         n_x = x - position_slopes(base_of(f), f.c[:], f.y[:], f.sensor, f.h_x[:])
-        # The readings that tell how fast the ball was, and how far the sensor was behind: nobody predicted them, and a
-        # model that narrows the guess (friction, a field that is taken for settled) would seem to do so better.
+        # The first readings of a flight determine the initial speed and the state of the sensor, so they are not
+        # counted as predicted: a model with a smaller initial variance (friction, a settled field) would seem better.
         if f.readings >= TELLING_READINGS:
             out[1], out[4] = n_x, variance(f, f.h_x[:], f.r_x)
             if use_i:
@@ -145,7 +152,7 @@ def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x
 
 @kernel
 def compare_at_stop(f: Memory, out: Floats, x: float, stop_m: float, use_i: bool) -> None:
-    """The position sensor alone, where the ball lies at a stop; arguments as in `take_readings`."""
+    """Innovation of the position sensor with the ball at rest at `stop_m`; other arguments as in `take_readings`."""
     out[1], out[4] = x - position_reading(Base(*base_of(f)), f.c[:], stop_m, f.y[I_C]), f.r_x
     if use_i:
         out[3] = 0.0
@@ -153,7 +160,7 @@ def compare_at_stop(f: Memory, out: Floats, x: float, stop_m: float, use_i: bool
 
 @inlined
 def position_slopes(base: Packed, c: Floats, y: Floats, sensor: int, h: Floats) -> float:
-    """The reading of x in state y, m; h, shape (m,) or longer, receives its slopes; `sensor` as in `Memory`."""
+    """The reading of x in state y, m; h, shape (m,) or longer, receives its derivatives; `sensor` as in `Memory`."""
     for a in range(len(h)):
         h[a] = 0.0
     if sensor >= 0:
@@ -168,7 +175,7 @@ def position_slopes(base: Packed, c: Floats, y: Floats, sensor: int, h: Floats) 
 
 @inlined
 def variance(f: Memory, h: Floats, r: float) -> float:
-    """Of a reading with these slopes and so much noise: r + h' P h."""
+    """Variance of the innovation of a reading with derivatives h and noise variance r: r + h' P h."""
     total = r
     for a in range(f.m):
         for b in range(f.m):
@@ -178,9 +185,9 @@ def variance(f: Memory, h: Floats, r: float) -> float:
 
 @inlined
 def correct(f: Memory, h: Floats, r: float, innovation: float) -> float:
-    """Correct state and covariance by one reading; returns the variance of its innovation, leaves K.
+    """Correct state and covariance by one reading; returns the variance of its innovation; f.K is the Kalman gain.
 
-    Of a ball that is held current and warmth alone are corrected.
+    If the ball is held, only current and warmth are corrected.
     """
     P, K, m = f.P, f.K, f.m
     s = r

@@ -1,18 +1,19 @@
 """The extended Kalman filter of the extended model: prediction errors along a whole campaign.
 
-The state is that of `twin/model/extended.py`; what is predicted comes from there alone, the sensitivities are its
-differences.  For each sample: predict (`predict.py`), start what begins there, correct (`correct.py`).
+The state and the prediction are those of `twin/model/extended.py`; the Jacobians are differences of it.  For each
+sample: predict (`predict.py`), initialise what begins there, correct (`correct.py`).
 
-Rule 1: the flags are those of `../innovations.py`, and RESTS_LOW, RESTS_HIGH: the ball lies at a stop, whose place is
-        known.  There the position sensor is tested alone: its offset, scale and crosstalk show without any force.
-        RESTS_UNSEEN: it lies beyond the range of its sensor, and i_c is that of a ball at rest.  LOST: in the row of
-        a lost sample (`twin/diagnose/evidence/lost_rows.py`) nothing was read, and u_c from it on is unknown.
-Rule 2: only the states that the causes at hand give a life of their own are in the covariance: with the paper's model
-        three, so that a candidate costs what it needs.
-Rule 3: the first readings of a flight, which tell its start, correct the state and are not counted as predicted.
-Rule 4: warmth at the start of a recording is unknown, and the filter finds it.
-Rule 5: the two readings of i_c behind a lost sample correct the state and are not counted as predicted, whatever delay
-        the model has: the first of them told its u_c (`../propagate.py`).
+Rule 1: the flags are those of `../innovations.py`.  RESTS_LOW, RESTS_HIGH: the ball rests at a stop, whose place is
+        known, which tests the position sensor alone: offset, scale and crosstalk without any force.  RESTS_UNSEEN: the
+        ball rests beyond the sensor's range, and only i_c is valid.  LOST: the row of a lost sample
+        (`twin/diagnose/evidence/lost_rows.py`) has no readings, and u_c from it on is unknown.
+Rule 2: the covariance contains only the states that are independent under the model's causes: three for the paper's
+        model.  This keeps the cost of each candidate low.
+Rule 3: the first readings of a flight, which determine its initial state, correct the state and are not counted as
+        predicted.
+Rule 4: warmth at the start of a recording is unknown and is estimated.
+Rule 5: the two readings of i_c after a lost sample correct the state and are not counted as predicted, whatever delay
+        the model has: the first of them determined the lost u_c (`../propagate.py`).
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ from twin.estimation.propagate import copy, delay_s, find_input, jitter_s
 from twin.estimation.structures import NO_STEPS, Results, Samples, Steps, System, room_for
 from twin.model.extended import I_C, SHORT_S, V, X, current_reading
 
-UNKNOWN_INPUTS = 2  # samples after a start whose u_c may not be in force yet; not a matter of the model at hand
+UNKNOWN_INPUTS = 2  # samples after a start whose u_c may not be in force yet, the same for all models
 
 
 def filtered(
@@ -59,16 +60,16 @@ def filtered(
     spread: bool = False,
     steps: bool = False,
 ) -> Results:
-    """The filter of one model along a series.
+    """Run the filter of one model along a series.
 
     Args:
         system: the model and its noise.
         samples: of the series.
-        known: steps of a model nearby, to be taken from there: the slopes, and with its states the steps themselves,
-            for a model that differs in its noise alone.
-        state: whether the states are wanted; likewise
-        spread: their covariance,
-        steps: the steps.
+        known: steps of a nearby model to reuse: its Jacobians, and with its states the steps themselves, for a model
+            that differs only in its noise.
+        state: whether to return the states.
+        spread: whether to return their covariance.
+        steps: whether to return the steps.
     """
     results = room_for(len(samples.u), states_in(system.c), state=state, spread=spread, steps=steps)
     fill(system, samples, known, results)
@@ -76,7 +77,7 @@ def filtered(
 
 
 def fill(system: System, samples: Samples, known: Steps, results: Results) -> None:
-    """`filtered` into room that is there; arguments as there."""
+    """`filtered` into existing arrays; arguments as there."""
     _run(memory_for(system), samples, known, results)
 
 
@@ -84,7 +85,7 @@ def fill(system: System, samples: Samples, known: Steps, results: Results) -> No
 def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
     t, step, u, y_i, y_x, flags, noise_ratio = samples
     out, state, spread, found = results
-    inputs = u.copy()  # those of lost samples are found
+    inputs = u.copy()  # those of lost samples are estimated
     r_i, r_x = f.r_i, f.r_x
     for n in range(len(u)):
         for column in range(out.shape[1]):
@@ -127,8 +128,8 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
         elif use_i and step[n] > SHORT_S and not f.closed_form:
             blind = not f.in_flight and flags[n - 1] & USE_I == 0
             if blind or n - f.first <= UNKNOWN_INPUTS:
-                # Nobody recorded what was in force before the first sample, nor how the ball moved where i_c is not
-                # used: the current is measured anew.
+                # The input before the first sample and the motion while i_c is not used are unknown: the current is
+                # initialised again.
                 measure_current(f, y_i[n])
                 use_i = False
         if flies and not f.in_flight:
@@ -149,4 +150,4 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             for k in range(state.shape[1]):
                 state[n, k] = f.y[k] if f.in_flight else np.nan
         if not math.isfinite(f.y[X] + f.y[I_C] + f.y[V]):
-            forget(f)  # the parameters are impossible: nothing sensible follows in this chain
+            forget(f)  # the parameters are impossible

@@ -1,7 +1,7 @@
-"""The filter's numbers and its memory, as one record that its kernels share.
+"""The filter's constants and memory, as one record that its kernels share.
 
-A record, as compiled code passes it by its address: a tuple of as many arrays has all of them counted at each call,
-which took ten times as long as a step with known slopes.  Matrices have room for all states; the first m are used.
+Compiled code passes a record by address.  A tuple of as many arrays updates all their reference counts at each call,
+which took ten times as long as a step with known Jacobian.  Matrices have room for all states; the first m are used.
 """
 
 from __future__ import annotations
@@ -22,47 +22,47 @@ Floats = NDArray[np.float64]
 
 
 class Memory(Protocol):
-    """A model, its noise, and what the filter carries from sample to sample; m states in the covariance."""
+    """A model, its noise, and the memory of the filter; m states are in the covariance."""
 
     base: Floats  # tuple(Base), shape (8,)
     c: Floats  # the causes' parameters, shape (PLACES,)
     closed_form: bool  # as in `System`
-    moments: Floats  # of `transition.py`, shape (9,), for intervals of
-    moments_s: float
+    moments: Floats  # of `transition.py`, shape (9,)
+    moments_s: float  # interval that the moments are for, s
     r_i: float  # variance of a reading of i_c, A^2
     r_x: float  # of x, m^2
     q_i: float  # of the disturbance of i_c, A^2/s
     q_a: float  # of the acceleration, constant over an interval, m^2/s^4
-    low_m: float  # where the ball lies at the lower stop
+    low_m: float  # position of the ball at the lower stop
     high_m: float  # at the upper stop
     m: int
-    places: NDArray[np.int64]  # of the m states in the state: I_C, X, V first, as they are numbered
-    field: int  # place in the covariance; -1: not in it
+    places: NDArray[np.int64]  # indices of the m states in the state, I_C, X, V first
+    field: int  # place in the covariance; -1: not in it (likewise the next three)
     sensor: int
     warmth: int
     rate: int
-    first: int  # sample of this chain
+    first: int  # first sample of this chain
     in_flight: bool
-    readings: int  # of x in this flight, behind the first
+    readings: int  # of x in this flight, after the first
     y: Floats  # the state, shape (7,)
-    here: Floats  # at the sample before
-    moved: Floats  # room, like the next four
-    back: Floats
-    K: Floats
-    h_i: Floats  # slopes of the reading of i_c
-    h_x: Floats  # of x
+    here: Floats  # the state at the previous sample
+    moved: Floats  # working array
+    back: Floats  # working array
+    K: Floats  # Kalman gain
+    h_i: Floats  # derivatives of the reading of i_c
+    h_x: Floats  # derivatives of the reading of x
     P: Floats  # covariance, shape (7, 7)
-    F: Floats  # d state / d state before
-    G: Floats  # room
+    F: Floats  # Jacobian d state / d previous state
+    G: Floats  # working array
 
 
 def states_in(c: Floats) -> int:
-    """How many states the causes leave active: m."""
+    """The number m of active states under the causes c, shape (PLACES,)."""
     return len(active_states(c))
 
 
 def active_states(c: Floats) -> list[int]:
-    """The states that the causes give a life of their own, I_C, X, V first."""
+    """The states that are independent under the causes c, shape (PLACES,); I_C, X, V first."""
     own = (
         (FIELD, c[eddy_current_lag.TAU] > 0.0),
         (SENSOR, c[position_sensor_lag.TAU] > 0.0),
@@ -87,7 +87,7 @@ def _fields() -> np.dtype[np.void]:
 
 
 def memory_for(system: System) -> Memory:
-    """The record of a filter that has seen nothing yet."""
+    """The record of a filter before its first sample."""
     records = np.zeros(1, _fields())
     record: Any = records[0]
     c, noise, places = system.c, system.noise, active_states(system.c)

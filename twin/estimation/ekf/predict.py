@@ -1,4 +1,4 @@
-"""From sample n - 1 to n in the filter: state and covariance, in flight and of a held ball."""
+"""Prediction of the filter from sample n - 1 to n: state and covariance, in flight and with the ball held."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from twin.model.causes import (
 from twin.model.extended import FIELD, I_C, RATE, SENSOR, WARMTH, Base, V, X
 
 _DELAY_DELTA_S = 1e-5
-_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5])  # of the states, for differences
+_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5])  # differences of the states for the Jacobian
 
 
 @inlined
 def advance(f: Memory, y: Floats, inputs: Floats, n: int, t: float, T_s: float, stops: bool) -> None:
-    """State y at n - 1 on to n, in place, by the step that the model has; the arguments are those of `propagate`."""
+    """Advance the state y from n - 1 to n in place, in closed form if the model has one; arguments as `propagate`."""
     if not f.closed_form:
         propagate(base_of(f), f.c[:], y, inputs, n, f.first, t, T_s, stops)
         return
@@ -43,13 +43,13 @@ def advance(f: Memory, y: Floats, inputs: Floats, n: int, t: float, T_s: float, 
 
 @inlined
 def step_along(f: Memory, slopes: Floats, before: Floats, after: Floats) -> None:
-    """The state at n by the step of a model nearby, to first order.
+    """The state at n by the step of a nearby model, to first order.
 
     Args:
         f: with the state at n - 1 in `here`.
-        slopes: of that step, shape (m, m).
-        before: where it led to, shape (7,).
-        after: where it began, shape (7,).
+        slopes: Jacobian of that step, shape (m, m).
+        before: the state at which that step ended, before the correction, shape (7,).
+        after: the state at which that step began, after the correction, shape (7,).
     """
     for row in range(f.m):
         total = before[f.places[row]]
@@ -62,13 +62,13 @@ def step_along(f: Memory, slopes: Floats, before: Floats, after: Floats) -> None
 
 @kernel
 def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None:
-    """Fill F with d state(n) / d state(n - 1); the other arguments as `propagate` takes them."""
+    """Fill F with the Jacobian d state(n) / d state(n - 1); the other arguments as `propagate`."""
     moved, back = f.moved[:], f.back[:]
     rubs = f.c[coulomb_friction.FORCE] != 0.0
     for column in range(f.m):
         a = f.places[column]
         delta = _DELTA[a]
-        wide = rubs and a <= V  # with dry friction as wide as the state is uncertain
+        wide = rubs and a <= V  # dry friction is not smooth: the difference is as wide as the standard deviation
         if wide:
             delta = max(delta, math.sqrt(f.P[column, column]))
         copy(moved, f.here[:])
@@ -91,7 +91,7 @@ def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None
 
 @inlined
 def carry(F: Floats, P: Floats, G: Floats, m: int) -> None:
-    """P = F P F' in their first m rows and columns; G: room."""
+    """P = F P F' in the first m rows and columns; G is a working array."""
     for row in range(m):
         for column in range(m):
             total = 0.0
@@ -109,7 +109,7 @@ def carry(F: Floats, P: Floats, G: Floats, m: int) -> None:
 
 @inlined
 def add_process_noise(f: Memory, T_s: float) -> None:
-    """What the disturbances of an interval add to the covariance."""
+    """Add the process noise of an interval to the covariance."""
     P, a2 = f.P, f.q_a
     P[0, 0] += f.q_i * T_s
     P[1, 1] += 0.25 * a2 * T_s**4
@@ -120,7 +120,7 @@ def add_process_noise(f: Memory, T_s: float) -> None:
 
 @kernel
 def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: float) -> None:
-    """What not knowing u_c of the sample `lost` adds to the covariance; the others as `propagate` takes them."""
+    """Add to the covariance the effect of the unknown u_c of the sample `lost`; other arguments as `propagate`."""
     moved, K = f.moved[:], f.K
     inputs[lost] += INPUT_DELTA_V
     copy(moved, f.here[:])
@@ -133,7 +133,7 @@ def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: flo
 
 @kernel
 def doubt_delay(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None:
-    """What a delay that varies from tick to tick adds to the covariance; the others as `propagate` takes them."""
+    """Add to the covariance the effect of the jitter of the delay; other arguments as `propagate`."""
     c, moved, back, K = f.c[:], f.moved[:], f.back[:], f.K
     delay = c[actuation_delay.DELAY]
     less = min(_DELAY_DELTA_S, delay)
@@ -158,7 +158,7 @@ def _add_square(f: Memory) -> None:
 
 @kernel
 def late_current(f: Memory, inputs: Floats, n: int, T_s: float) -> float:
-    """Standard deviation of i_c at n that a delay that varies makes, of a held ball, by (1) alone, A."""
+    """Standard deviation of i_c at n due to the jitter of the delay, A, by (1) with the ball held."""
     delay = delay_s(f.c[:])
     whole = int(delay / T_s)
     place = n - 1 - whole
@@ -171,7 +171,7 @@ def late_current(f: Memory, inputs: Floats, n: int, T_s: float) -> float:
 
 @kernel
 def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, reading: float) -> None:
-    """The current (and the warmth) of a ball held where it was read; the others as `propagate` takes them."""
+    """Predict current and warmth with the ball held at its last `reading`, m; other arguments as `propagate`."""
     base, c, y, P, moved, warm = base_of(f), f.c[:], f.y[:], f.P, f.moved[:], f.warmth
     p = Base(*base)
     held = min(max(reading, 0.0), p.travel_m)
@@ -184,10 +184,10 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
         y[I_C] = current_held(base, c, y[I_C], inputs, n, f.first, T_s, y[WARMTH])
         f_ii = math.exp(-T_s / p.T_A)
     else:
-        # A ball that is held does not move within an interval either: the weight of a house, and no gravity.
+        # A huge mass without gravity keeps the ball in place within the interval.
         held_base = (p.K_A, p.T_A, p.K_c, p.b, 1e12, 0.0, p.x_max_m, p.travel_m)
         rubs = c[coulomb_friction.FORCE]
-        c[coulomb_friction.FORCE] = 0.0  # it needs fine substeps, and holds nothing here
+        c[coulomb_friction.FORCE] = 0.0  # it needs short substeps and has no effect on a ball in place
         moved[I_C] += _DELTA[I_C]
         propagate(held_base, c, moved, inputs, n, f.first, t, T_s, False)
         propagate(held_base, c, y, inputs, n, f.first, t, T_s, False)
@@ -208,6 +208,6 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
 
 @kernel
 def amplifier_alone(c: NDArray[np.float64]) -> bool:
-    """Whether no cause bends the response of the current, so that a held ball's needs no integration."""
+    """Whether the current responds as a first-order lag, so that it needs no integration while the ball is held."""
     straight = c[slew_rate_limit.RATE] == math.inf and c[position_dependent_inductance.GROWTH] == 0.0
     return bool(straight and c[freewheel_diode.DROP] == 0.0)

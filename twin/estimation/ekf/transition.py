@@ -1,12 +1,12 @@
-"""One sampling interval of (1) and (6) away from the stops, exact in the amplifier, for any interval and any T_A.
+"""One sampling interval of (1) and (6) away from the stops, with the amplifier solved exactly for any T_A.
 
     i(t) = e + (i - e) exp(-t / T_A),  e = K_A u_c
     x''  = k i(t)^2 c(t) - d x' - g,   c = 1 / (x_max - x)^2,  k = K_c / m, d = b / m
 
-i^2 is a sum of exponentials, c(t) barely moves within an interval: c is taken as the parabola through start, middle and
-end, and the products are integrated in closed form with the moments of i^2.  Three Picard sweeps leave a position error
-of 2e-10 m and a speed error of 1e-6 m/s at 2 ms (tests/twin/estimation/test_transition.py); Runge-Kutta needs
-substeps of T_A / 2 for that, which for T_A = 0.3 ms makes it five times as slow and for T_A = 20 us useless.
+i^2 is a sum of exponentials and c(t) changes little within an interval.  So c is replaced by the parabola through
+start, middle and end, and the products are integrated in closed form with moments of i^2.  After three Picard sweeps
+the errors at 2 ms are 2e-10 m and 1e-6 m/s (tests/twin/estimation/test_transition.py).  Runge-Kutta needs substeps of
+T_A / 2 for that: five times the time at T_A = 0.3 ms, and far more at T_A = 20 us.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _SWEEPS = 3
 
 @kernel
 def moments(T_s: float, T_A: float, out: NDArray[np.float64]) -> None:
-    """Fill out, shape (9,): integral of t^j exp(-t/T_A) in 0..3, the same with T_A/2 in 4..7, exp(-T_s/T_A) in 8."""
+    """Fill out, shape (9,): integrals of t^j exp(-t/T_A) over T_s in 0..3, with T_A/2 in 4..7, exp(-T_s/T_A) in 8."""
     for half in range(2):
         tau = T_A if half == 0 else 0.5 * T_A
         ratio = T_s / tau
@@ -35,7 +35,7 @@ def moments(T_s: float, T_A: float, out: NDArray[np.float64]) -> None:
             for j in range(1, 4):
                 power *= T_s
                 out[4 * half + j] = j * tau * out[4 * half + j - 1] - tau * power * q
-        else:  # the recurrence would cancel: Taylor in T_s / tau
+        else:  # the recurrence loses digits here: Taylor series in T_s / tau
             for j in range(4):
                 total = 0.0
                 term = T_s ** (j + 1)

@@ -1,1 +1,1 @@
-"""Is a recording what it says it is?  Each check by itself; `plausibility` asks them all."""
+"""Checks of the recordings before they are fitted; `plausibility` runs most of them."""

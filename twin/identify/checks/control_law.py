@@ -1,10 +1,10 @@
-"""Is the recorded u_c what a control law gives on the recorded samples?
+"""Check of the control law: whether it reproduces the recorded u_c from the recorded samples.
 
-Rule 1: within windows of 1 s about their means: the integral began before the recording, and a wild reading or a limit
-        shifts it for good.
-Rule 2: sizes are quantiles, so that single wild readings do not decide.
-Rule 3: a law is contradicted where other gains on the same samples explain u_c several times better, or where it
-        explains hardly anything; what noise and rounding leave is no contradiction.
+Rule 1: signals are compared within windows of 1 s, without their means: the integral before the recording is unknown,
+        and an outlier or a limit shifts it permanently.
+Rule 2: errors are measured by quantiles, so that single outliers have no influence.
+Rule 3: a law is contradicted if other gains on the same samples explain u_c several times better, or if it leaves most
+        of u_c unexplained.  Noise and rounding are no contradiction.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from twin.estimation.prepare import flights, spikes
 from twin.estimation.record import FloatArray, Record
 from twin.identify import settings
 
-WIDE_V = 1e6  # an input limit that nobody reaches, where none is known
+WIDE_V = 1e6  # stands for an unknown input limit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LawGap:
-    """What a law leaves of the recorded u_c."""
+    """The difference between a law and the recorded u_c."""
 
-    off_v: float  # size of what it leaves
-    share: float  # of the movement of u_c
+    off_v: float  # its size (quantile)
+    share: float  # its size over that of the variation of u_c
     fitted: tuple[float, ...]  # gains that fit best, in the order of the law
     explained: float  # of the variance of u_c, by those
     contradicted: bool
 
     def text(self) -> str:
-        """What u_c follows instead."""
+        """A clause for the user: the gains that u_c follows instead."""
         if self.explained < settings.LAW_EXPLAINED:
             return (
                 f"no gains on i_c, x, speed and integral give it (the best explain {100 * self.explained:.0f} %): "
@@ -47,7 +47,7 @@ class LawGap:
 def numbers_of(
     controller: Controller, interval_s: float, *, u_low: float = -WIDE_V, u_high: float = WIDE_V
 ) -> LawNumbers | None:
-    """The law of a `[controller]` at a sampling interval, between input limits."""
+    """The law of a `[controller]` for a sampling interval in s and input limits in V; None if it is not known."""
     point = controller.operating_point
     return law_numbers(
         pb.Parameters(
@@ -64,7 +64,7 @@ def numbers_of(
 
 
 def law_gap(record: Record, plant: Plant, c: LawNumbers) -> LawGap | None:
-    """How far u_c is from the law over the longest flight; None where that cannot be told."""
+    """Compare u_c with the law over the longest flight; None if a channel is missing or the flight is too short."""
     if not record.has("u_c", "i_c", "x", "x_ref"):
         return None
     part = max(flights(record, plant), key=lambda s: s.stop - s.start, default=None)

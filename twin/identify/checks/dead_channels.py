@@ -1,7 +1,7 @@
-"""Channels that show nothing: constant ones, and a position that does not answer to the force.
+"""Channels without information: constant channels, and a position that does not respond to the force.
 
-Rule: such a channel is taken out of its recording and said.  Left in, it would be fitted: an x of sensor noise alone,
-      beside a current that swings, gives a K_c that is 5 % off with an interval of 1 %.
+Rule: such a channel is removed from its recording and reported.  Otherwise it would be fitted: an x of sensor noise
+      with a varying current gives a K_c that is 5 % wrong with an interval of 1 %.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ABSENT = float("nan")
 
 
 def without_dead(records: list[Record], plant: Plant) -> tuple[list[Record], list[str]]:
-    """(the recordings without channels that show nothing, what was left out and why)."""
+    """(the recordings without such channels, a sentence on each that was removed)."""
     retained: list[Record] = []
     said: list[str] = []
     for record in records:
@@ -35,7 +35,7 @@ def without_dead(records: list[Record], plant: Plant) -> tuple[list[Record], lis
 
 
 def at_rest(record: Record) -> bool:
-    """Whether nothing was driven: a record of the noise."""
+    """Whether the input is absent or constant, so that the recording shows noise only."""
     return record.kind == "free" and (not record.has("u_c") or _constant(record.u_c))
 
 
@@ -67,7 +67,7 @@ def _without_constant(record: Record) -> tuple[Record, list[str]]:
 
 
 def _without_still(record: Record, plant: Plant) -> tuple[Record, list[str]]:
-    """An x without motion, while the force on the ball changes."""
+    """The recording without x if x shows no motion although the force changes, and a sentence on that."""
     if record.kind not in FLYING or not record.has("i_c", "x"):
         return record, []
     parts = flights(record, plant, at_least=2 * round(settings.WINDOW_S / record.interval_s))

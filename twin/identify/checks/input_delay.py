@@ -1,8 +1,7 @@
-"""Does the recorded u_c act when it says it does?  Loops in PCs often log the input one sample before it takes effect.
+"""Check of the input's time: many control programs log u_c one sample before it takes effect.
 
-Rule: decided for each recording by the likelihood of i_c alone (no force model is involved), by a margin that no
-      record of a right clock reaches.  A late input shifts T_A by most of a sampling interval: it is corrected and
-      said.
+Rule: each recording is tested by the likelihood of i_c alone, without a force model, and with a large margin.  A delay
+      would bias T_A by most of a sampling interval, so it is corrected and reported.
 """
 
 from __future__ import annotations
@@ -19,12 +18,12 @@ from twin.identify import settings
 from twin.identify.fit import Likelihood, Point, fit
 from twin.identify.starting.regression import amplifier_start
 
-_SAMPLES = 5_000  # enough by far for that margin
+_SAMPLES = 5_000  # more than enough for that margin
 _FREE = ("K_A", "T_A", "sigma_i_c_a", "process_i_c_a")
 
 
 def input_delay(record: Record, plant: Plant) -> int:
-    """By how many samples u_c acts later than recorded; 0 where that cannot be told, as in a ramp."""
+    """Delay of u_c against its record, samples; 0 if it cannot be determined, as in a ramp."""
     if record.kind in ("equilibria", "sawtooth") or not record.has("u_c", "i_c") or len(record.t) < 100:
         return 0
     piece = slice(0, _SAMPLES)
@@ -61,7 +60,7 @@ def input_delay(record: Record, plant: Plant) -> int:
 
 
 def delayed(record: Record, samples: int) -> Record:
-    """The recording with u_c moved to when it acts."""
+    """The recording with u_c delayed by `samples`."""
     if samples == 0:
         return record
     u = np.concatenate((np.full(samples, record.u_c[0]), record.u_c[:-samples]))

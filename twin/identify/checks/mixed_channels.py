@@ -1,6 +1,6 @@
-"""Channels mixed up with one another, and x measured downwards: told by physics and causality, not by names.
+"""Exchanged channels, and x measured downwards; recognised by physics and causality.
 
-Rule: as in `plausibility.py`, each test looks for a factor of several.
+Rule: as in `plausibility.py`, each test needs a clear factor and not just a few percent.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from twin.identify.starting.regression import amplifier_start, ball_start
 
 
 def swapped(record: Record, plant: Plant) -> None:
-    """Pairs of exchanged columns.
+    """Check for exchanged columns.
 
     Raises:
-        DataError: names the pair.
+        DataError: two columns are exchanged; the message names them.
     """
     if record.kind == "equilibria":
         return
@@ -38,7 +38,7 @@ def swapped(record: Record, plant: Plant) -> None:
 
 
 def _lengths(record: Record, plant: Plant) -> None:
-    """i_c or u_c that stays within the travel, in metres, while x does not."""
+    """Check whether i_c or u_c has the range of a position in metres while x has not."""
     if not record.has("x") or record.kind == "amplifier-step":
         return
     reach = float(np.nanpercentile(np.abs(record.x), 99))
@@ -73,7 +73,7 @@ def _reference(record: Record) -> None:
     both = np.isfinite(x) & np.isfinite(x_ref)
     if both.sum() < 200 or not scatter(x_ref[both]) > 3.0 * scatter(x[both]):
         return
-    # The noisy one is the measurement, and a measurement follows: both must say so.
+    # Exchanged only if x_ref is noisier than x and also follows it.
     most = max(round(settings.RESPONSE_S / record.interval_s), 1)
     smooth = np.full(5, 0.2)
     lag, peak = _lag(np.convolve(x_ref[both], smooth, "valid"), np.convolve(x[both], smooth, "valid"), most)
@@ -85,7 +85,7 @@ def _reference(record: Record) -> None:
 
 
 def _lag(u: FloatArray, i: FloatArray, most: int = 3) -> tuple[int, float]:
-    """(by how many samples i follows u, correlation of their changes there)."""
+    """(lag of i behind u in samples, correlation of their changes at that lag)."""
     du, di = np.diff(u), np.diff(i)
     good = np.isfinite(du) & np.isfinite(di)
     du, di = np.where(good, du, 0.0), np.where(good, di, 0.0)
@@ -102,10 +102,10 @@ def _lag(u: FloatArray, i: FloatArray, most: int = 3) -> tuple[int, float]:
 
 
 def downwards(records: list[Record], plant: Plant) -> None:
-    """A current that falls with its input, and x measured down: the force or the lift-off says so.
+    """Check by the amplifier, the force and the lift-off for a reversed current and for x measured downwards.
 
     Raises:
-        DataError: names the recording and the line to change.
+        DataError: a sign is reversed; the message names the recording and the line to change.
     """
     chosen = [r for r in records if r.kind in ("prbs", "closed-loop", "free") and r.has("x", "i_c")]
     amplifier = amplifier_start(records)

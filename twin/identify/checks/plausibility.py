@@ -1,8 +1,8 @@
-"""Is this recording what it says it is?  Wrong units, swapped columns, reversed signs: recognised, said, never fitted.
+"""Plausibility of recordings: wrong units, exchanged columns and reversed signs are recognised before the fit.
 
-Rule 1: what would give a wrong number silently is a DataError with the line to change; what only costs information is a
-        warning and the recording goes on without that part.
-Rule 2: a test must be wrong about no real recording: each looks for a factor of several, not for a percentage.
+Rule 1: a mistake that would give a wrong model is a DataError with the line to change.  One that only costs information
+        is a warning, and the recording is used without that part.
+Rule 2: no test may reject a correct recording, so each needs a clear factor and not just a few percent.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ _LENGTHS = (("millimetres", 1e3), ("centimetres", 1e2), ("micrometres", 1e6))
 
 
 def inspect(records: list[Record], plant: Plant, controller: Controller | None) -> list[str]:
-    """Warnings about the recordings of a campaign.
+    """Check the recordings of a campaign; returns warnings.
 
     Raises:
-        DataError: a channel is not what its column says: unit, sign, or mixed up with another.
+        DataError: a channel has a wrong unit or sign, or is exchanged with another, or x_max is within the travel.
     """
     if plant.x_max_m < plant.travel_m:
         raise DataError(
@@ -74,7 +74,7 @@ def _time(record: Record) -> list[str]:
     if stuck:
         said.append(f"{record.name}: t does not rise at {stuck} samples; each begins a new piece")
     regular = steps[(steps > 0.0) & (steps < 10.0 * step)]
-    # Twice the interval is a lost sample of a clock that beats regularly.
+    # A lost sample doubles the interval of a regular clock.
     beats = np.maximum(np.rint(regular / step), 1.0)
     missing = int((beats - 1.0).sum())
     low, high = np.percentile(regular / beats, (5, 95))
@@ -149,7 +149,7 @@ def _position(record: Record, plant: Plant) -> None:
 
 
 def _reference(record: Record, plant: Plant) -> list[str]:
-    """x_ref is not fitted: a wrong one costs the closed loop only."""
+    """Warnings about x_ref, which is not fitted: a wrong one affects the closed loop only."""
     if record.kind != "closed-loop" or not record.has("x", "x_ref"):
         return []
     travel = plant.travel_m
@@ -186,7 +186,7 @@ def _idle(record: Record, plant: Plant) -> list[str]:
 
 
 def _law(record: Record, plant: Plant, controller: Controller) -> list[str]:
-    """Whether u_c is what the controller section says, given the measured i_c, x, x_ref."""
+    """A warning if u_c contradicts the [controller], given the measured i_c, x, x_ref."""
     if not np.isfinite(record.interval_s) or not record.has("u_c"):
         return []
     numbers = numbers_of(controller, record.interval_s)

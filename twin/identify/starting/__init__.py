@@ -1,1 +1,1 @@
-"""Estimates without the likelihood: where a fit starts, and what checks it afterwards."""
+"""Estimates without the likelihood: starting values of the fit, and checks of its result."""

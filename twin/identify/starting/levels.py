@@ -1,9 +1,9 @@
-"""The amplifier by the paper's graphical method: K_A from steady levels, and whether the way there is first order.
+"""The amplifier by the paper's graphical method: K_A from steady levels, T_A and order from step responses.
 
-Rule 1: K_A is the slope of the line through (u_c, median of i_c) of all plateaus.  Its offset is reported, not hidden
-        in the gain: a current sensor that is off by 20 mA would otherwise change K_A by 2 %.
-Rule 2: the shape is judged by the residual of the best first-order response against the noise on the plateaus.  A
-        response of another shape leaves K_A as it is, because a steady level does not care how it was reached.
+Rule 1: K_A is the slope of the line through (u_c, median of i_c) of all levels.  The offset is estimated and reported:
+        otherwise an offset of 20 mA of the current sensor would change K_A by 2 %.
+Rule 2: a step response is first order if the residual of the best first-order response is explained by the noise of the
+        levels.  K_A does not depend on that, because it uses steady levels only.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from twin.identify import settings
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    """One plateau."""
+    """One steady level."""
 
     u_v: float
     i_a: float
@@ -29,16 +29,16 @@ class Level:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Levels:
-    """The line through all plateaus."""
+    """The line through all levels."""
 
     K_A: float
     K_A_std: float
     offset_a: float
     offset_std_a: float
-    scatter_a: float  # of the plateaus about the line
+    scatter_a: float  # of the levels about the line
     levels: tuple[Level, ...]
-    bend_a: float = 0.0  # how far the level furthest off the line is from it, where that is more than chance
-    bend_at_v: float = 0.0
+    bend_a: float = 0.0  # largest distance of a level from the line; 0 if it is not significant
+    bend_at_v: float = 0.0  # u_c of that level
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,16 +49,16 @@ class Shape:
     T_A_std: float
     steps: int
     residual_a: float  # rms, in the transients
-    resolution_a: float  # what i_c can show at best: a converter's step, where the noise is below it; else 0
+    resolution_a: float  # converter step of i_c if the noise is below it; otherwise 0
     ratio: float  # rms residual in the transients over the noise, or over the resolution
-    z: float
+    z: float  # of the chi-square test of the residuals
     spread: float  # of T_A from step to step, relative
     first_order: bool
     sample_time_s: float
 
     @property
     def said(self) -> str:
-        """The residual, with what it is to be compared with."""
+        """The residual, and its ratio to the noise or the resolution, for a message."""
         other = "the resolution" if self.resolution_a else "the noise"
         many = f"{self.ratio:.1f} times" if self.ratio < settings.RATIO_SHOWN else "far beyond"
         return f"{self.residual_a * 1e3:.3g} mA rms, {many} {other}"
@@ -71,9 +71,9 @@ class _Step:
 
 
 def find_levels(records: list[Record]) -> Levels | None:
-    """The line through the plateaus of amplifier steps and captures, or where there are none, of all open-loop records.
+    """The line through the levels of amplifier steps and captures, or without these, of all open-loop recordings.
 
-    None where fewer than two different levels are steady.
+    None with fewer than two different levels.
     """
     chosen = [r for r in records if r.kind == "amplifier-step" or r.captures]
     levels = [level for record in chosen for level in _plateaus(record)]
@@ -87,12 +87,12 @@ def find_levels(records: list[Record]) -> Levels | None:
     error = np.maximum([level.error_a for level in levels], 1e-9)
     distinct = len(set(np.round(u, 6)))
     columns = np.column_stack((u, np.ones(len(u)))) if distinct > 2 or np.min(np.abs(u)) > 0.05 * np.ptp(u) else None
-    if columns is None:  # two levels, one of them zero: the line through both
+    if columns is None:  # two levels, one of them zero
         columns = np.column_stack((u, np.ones(len(u))))
     weight = 1.0 / error
     solution = np.zeros(2)
     extra = 0.0
-    for _ in range(30):  # Huber weights: a plateau in the dead zone or at a limit must not tilt the line
+    for _ in range(30):  # Huber weights: a level in the dead zone or at a limit must not tilt the line
         total = np.sqrt(error**2 + extra**2)
         row = columns / total[:, None]
         scaled = weight * error
@@ -106,7 +106,7 @@ def find_levels(records: list[Record]) -> Levels | None:
         )
     total = np.sqrt(error**2 + extra**2) / np.maximum(weight * error, 1e-6)
     covariance = np.linalg.inv((columns / total[:, None] ** 2).T @ columns)
-    # Few levels: the scatter itself is uncertain; widen by Student's factor.
+    # With few levels their scatter is uncertain: Student's factor.
     widen = float(student_t.ppf(0.975, max(len(u) - 2, 1)) / 1.96) if distinct > 2 else 1.0
     bend, at, systematic = _bend(u, i - columns @ solution, error)
     return Levels(
@@ -122,10 +122,10 @@ def find_levels(records: list[Record]) -> Levels | None:
 
 
 def _bend(u: FloatArray, residual: FloatArray, error: FloatArray) -> tuple[float, float, float]:
-    """(residual of the level furthest off, its u_c, what the bend does to the slope as a standard error).
+    """(residual of the level furthest from the line, its u_c, standard error of the slope due to the bend).
 
-    Zeros where the levels lie on a line within their errors.  A limit, a dead zone or a coil that heats bends the line:
-    plateaus of one u_c then err together, and their number does not make the slope any surer.
+    All are 0 if the levels lie on a line within their errors.  A limit, a dead zone or a coil that heats bends the
+    line.  Levels of the same u_c then have the same error, so their number does not reduce the error of the slope.
     """
     same = np.round(u / max(settings.SAME_LEVEL * float(np.ptp(u)), 1e-12)).astype(int)
     values = np.unique(same)
@@ -171,7 +171,7 @@ def _constant_pieces(record: Record) -> list[slice]:
     span = float(np.nanmax(record.u_c) - np.nanmin(record.u_c))
     still = np.zeros(len(record.t), np.bool_)
     still[1:] = (np.abs(np.diff(record.u_c)) <= settings.SAME_LEVEL * span) & follows[1:]
-    # A slow ramp changes little from sample to sample: a plateau must hold over its length, too.
+    # A slow ramp changes little from sample to sample, so the change over the whole level is tested, too.
     return [
         piece
         for piece in runs(still, settings.LEVEL_SAMPLES)
@@ -180,7 +180,7 @@ def _constant_pieces(record: Record) -> list[slice]:
 
 
 def _level(u: float, i: FloatArray) -> Level | None:
-    """The median of a settled stretch; None where it still moves."""
+    """The median of a settled stretch; None if it still changes."""
     i = i[np.isfinite(i)]
     n = len(i)
     if n < settings.LEVEL_SAMPLES // 2:
@@ -195,7 +195,7 @@ def _level(u: float, i: FloatArray) -> Level | None:
 
 
 def find_shape(records: list[Record]) -> Shape | None:
-    """First-order fits of all steps of the fastest sampling there is; None without a usable step."""
+    """First-order fit to all steps, of captures if there are any; None without a usable step."""
     steps = [step for record in records for step in _captured_steps(record)]
     if not steps:
         steps = [step for record in records if record.kind == "amplifier-step" for step in _recorded_steps(record)]
@@ -233,7 +233,7 @@ def find_shape(records: list[Record]) -> Shape | None:
         single.append(float(np.exp(own.x)))
     chi2 = squares / sigma**2
     ratio = float(np.sqrt(chi2 / max(count, 1)))
-    # The noise level itself is estimated: its own uncertainty adds to that of the chi-square.
+    # The uncertainty of the estimated noise level adds to that of the chi-square.
     z = (chi2 - count) / np.sqrt(2.0 * count + 2.0 * count**2 / max(sum(len(s.i) // 4 for s in steps), 1))
     return Shape(
         T_A=T_A,
@@ -262,7 +262,7 @@ def _recorded_steps(record: Record) -> list[_Step]:
         return []
     found = []
     for piece in _constant_pieces(record):
-        start = piece.start - 1  # u_c of this sample is already the new one: i_c here is still the old
+        start = piece.start - 1  # this sample has the new u_c but still the old i_c
         jump = abs(float(record.u_c[start] - record.u_c[start - 1])) if start > 0 else 0.0
         i = record.i_c[start : piece.stop]
         if (
@@ -279,11 +279,11 @@ def _tail_noise(i: FloatArray) -> float:
 
 
 def _resolution(i: FloatArray) -> float:
-    """The step between the values of a quantised or rounded channel; a share of the range where there is none."""
+    """The smallest step of a quantised or rounded channel, at least RESOLUTION of its range."""
     values = np.unique(i)
     span = float(np.ptp(values))
     gaps = np.diff(values)
-    gaps = gaps[gaps > 1e-9 * span]  # nearer ones are the same value, computed twice
+    gaps = gaps[gaps > 1e-9 * span]  # smaller gaps are rounding errors
     return max(float(gaps.min()) if gaps.size else 0.0, settings.RESOLUTION * span, 1e-9)
 
 

@@ -1,11 +1,11 @@
-"""K_c without dynamics: from the current at which the ball leaves its rest, and from recorded equilibria.
+"""K_c from statics: from the current at lift-off, and from recorded equilibria.
 
-At rest m g = K_c i^2 / (x_max - x)^2 (8), at whatever x the ball rests.
+At rest m g = K_c i^2 / (x_max - x)^2 (8), for any x.
 
-Rule: the instant of departure is not the first sample at which x has visibly moved: by then the current is higher.
-      Behind the departure t_0 the ball follows x - x_0 = c / w^3 (sinh w tau - w tau), tau = t - t_0, with
-      w^2 = 2 g / gap and c = 2 g (di/dt) / i, the linearised (6) under a rising current; t_0 is what makes this
-      fit the first part of the flight, and i_c(t_0) is read off a straight line through the samples before it.
+Rule: the first sample at which x has visibly moved is later than the lift-off t_0, and its current is higher.  After
+      t_0 the linearised (6) under a rising current gives x - x_0 = c / w^3 (sinh w tau - w tau), tau = t - t_0, with
+      w^2 = 2 g / gap and c = 2 g (di/dt) / i.  t_0 is fitted to the first part of the flight, and i_c(t_0) is taken
+      from a straight line through the samples before it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from twin.identify import settings
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiftOff:
-    """One departure, or one row of an equilibria file."""
+    """One lift-off, or one row of an equilibria file."""
 
     recording: str
     t_s: float
@@ -34,23 +34,23 @@ class LiftOff:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceConstant:
-    """K_c from all of them."""
+    """K_c from all points."""
 
     K_c: float
     std: float
     points: tuple[LiftOff, ...]
     scatter: float  # relative, of the single values
-    shift_m: float | None  # how far above x_max the line of currents reaches zero; None for fewer than 3 heights
+    shift_m: float | None  # height above x_max at which the line of currents is zero; None with fewer than 3 points
     shift_std_m: float = 0.0
 
 
 def lift_offs(records: list[Record], plant: Plant) -> list[LiftOff]:
-    """Every departure from rest in the sawtooth recordings."""
+    """All lift-offs in the sawtooth recordings."""
     return [point for record in records if record.kind == "sawtooth" for point in _departures(record, plant)]
 
 
 def equilibria(records: list[Record], plant: Plant) -> list[LiftOff]:
-    """Every row of the equilibria recordings."""
+    """All rows of the equilibria recordings."""
     points = []
     for record in records:
         if record.kind != "equilibria":
@@ -65,14 +65,14 @@ def equilibria(records: list[Record], plant: Plant) -> list[LiftOff]:
                         gap_m=gap,
                         i_c_a=i,
                         K_c=_constant(plant, gap, i),
-                        relative_error=0.005,  # retyped readings: three digits
+                        relative_error=0.005,  # readings of three digits
                     )
                 )
     return points
 
 
 def force_constant(points: list[LiftOff], plant: Plant) -> ForceConstant | None:
-    """The median of the single values; its error from their scatter and their own errors. None without a point."""
+    """K_c as the median over all points, with a standard error from their scatter and own errors; None without any."""
     if not points:
         return None
     values = np.array([point.K_c for point in points])
@@ -84,7 +84,7 @@ def force_constant(points: list[LiftOff], plant: Plant) -> ForceConstant | None:
     gaps = np.array([point.gap_m for point in points])
     shift, shift_std = None, 0.0
     if len(points) >= 3 and np.ptp(gaps) > 0.1 * plant.travel_m:
-        # (8) says that the currents lie on a line through zero at gap = 0.
+        # By (8) the currents lie on a line through zero at gap = 0.
         columns = np.column_stack((gaps, np.ones(len(gaps))))
         currents = np.array([point.i_c_a for point in points])
         solution, *_ = np.linalg.lstsq(columns, currents, rcond=None)
@@ -179,7 +179,7 @@ def _departure(
         minimize_scalar(misfit, bounds=(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]), method="bounded").x
     )
     current = at_seen + slope * t_0
-    # Half a sampling interval of doubt in t_0, and the line's own error.
+    # An error of half a sampling interval in t_0, and the error of the line.
     error = float(np.hypot(0.5 * step * slope, scatter_i * 2.0 / np.sqrt(max(seen - begin, 1))))
     return LiftOff(
         recording=name,

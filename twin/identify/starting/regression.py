@@ -1,14 +1,14 @@
-"""Start values without a guess: the amplifier by simulation over a grid, the ball by a linear regression.
+"""Starting values without an initial guess: the amplifier by simulation over a grid, the ball by linear regression.
 
-The amplifier (1) is stable and does not feel the ball: for each T_A of a grid its response to the recorded u_c is
-simulated and K_A is a linear regression; the best pair wins.
+The amplifier (1) is stable and independent of the ball.  For each T_A of a grid its response to the recorded u_c is
+simulated and K_A is found by linear regression; the pair with the smallest residual is used.
 
 The ball (6) is unstable, but linear in k = K_c/m and d = b/m once it is multiplied by a smooth window phi that vanishes
 with its slope at both ends and integrated by parts (modulating functions, Shinbrot 1957):
 
     integral of phi'' x + g phi  =  k integral of phi i^2/(x_max - x)^2  +  d integral of phi' x
 
-No derivative of a noisy signal, no initial state, no local minimum; about 60 ms at a time.
+This needs no derivative of a noisy signal and no initial state, and has no local minimum.  A window is about 60 ms.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from twin.identify import settings
 _CONVOLVED = 50_000  # samples at a time
 _OVERLAP = 4  # windows begin a quarter of their length apart
 _SHORTEST, _LONGEST = 0.03, 100.0  # T_A in sampling intervals
-_MOST_SAMPLES = 5_000  # of one piece: enough for a start value
+_MOST_SAMPLES = 5_000  # of one piece: enough for a starting value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AmplifierStart:
-    """K_A, T_A and the noise about them."""
+    """K_A, T_A and the noise of i_c."""
 
     K_A: float
     T_A: float
@@ -42,7 +42,7 @@ class AmplifierStart:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BallStart:
-    """k, d of the regression and how well it holds."""
+    """k = K_c / m and d = b / m of the regression, with its quality."""
 
     k: float
     d: float
@@ -52,7 +52,7 @@ class BallStart:
 
 
 def amplifier_start(records: list[Record]) -> AmplifierStart | None:
-    """The pair that explains i_c by u_c best over all recordings and captures; None without any."""
+    """The pair K_A, T_A that best explains i_c by u_c over all recordings and captures; None without data."""
     pieces: list[tuple[float, FloatArray, FloatArray]] = []
     for record in records:
         for capture in record.captures:
@@ -98,7 +98,7 @@ def _simulate(pieces: list[tuple[float, FloatArray, FloatArray]], T_A: float) ->
     for step, u, i in pieces:
         a = float(np.exp(-step / T_A))
         response = lfilter([0.0, 1.0 - a], [1.0, -a], u)
-        alive = min(len(i), int(30.0 * T_A / step) + 1)  # beyond, the powers are denormal: a hundred times slower
+        alive = min(len(i), int(30.0 * T_A / step) + 1)  # later powers are denormal numbers, a hundred times slower
         free = i.copy()
         free[:alive] -= i[0] * np.exp(-np.arange(alive) * (step / T_A))
         # Within an interval the first sample is not predicted; it is the initial state.
@@ -112,13 +112,13 @@ def _simulate(pieces: list[tuple[float, FloatArray, FloatArray]], T_A: float) ->
 def ball_start(
     records: list[Record], plant: Plant, amplifier: AmplifierStart | None, *, downwards: bool = False
 ) -> BallStart | None:
-    """Regression over all windows of all flights; None where no flight is as long as a window.
+    """Regression over all windows of all flights; None if no flight is as long as a window.
 
     Args:
         records: with i_c and x.
         plant: mass, travel, x_max, gravity.
-        amplifier: the current between the samples follows it; None: straight lines.
-        downwards: as if x were measured down from the top stop (to recognise that it was).
+        amplifier: model of the current between samples; None: linear interpolation.
+        downwards: whether to treat x as measured down from the upper stop (a test for that mistake).
     """
     for window_s in (settings.WINDOW_S, 0.5 * settings.WINDOW_S):
         rows = force_rows(records, plant, amplifier, window_s, downwards=downwards)
@@ -132,7 +132,10 @@ def ball_start(
 def force_rows(
     records: list[Record], plant: Plant, amplifier: AmplifierStart | None, window_s: float, *, downwards: bool = False
 ) -> list[FloatArray]:
-    """The integrals of the regression, one array of shape (n, 3) a flight: left side, force over k, drag over d."""
+    """The integrals of the regression, an array of shape (n, 3) for each flight: left side, force / k, drag / d.
+
+    Arguments as in `ball_start`; `window_s`: length of a window, s.
+    """
     rows: list[FloatArray] = []
     for record in records:
         if record.kind in ("equilibria", "sawtooth", "amplifier-step") or not record.has("i_c", "x"):
@@ -205,7 +208,7 @@ def _windows(x: FloatArray, square: FloatArray, step: float, width: int, plant: 
     slope = -6.0 * s * (1.0 - s**2) ** 2 / reach_s
     bend = (-6.0 * (1.0 - s**2) ** 2 + 24.0 * s**2 * (1.0 - s**2)) / reach_s**2
     gap = np.maximum(plant.x_max_m - x, 0.01 * plant.travel_m)
-    # The force over an interval belongs to its middle: window and gap are taken there.
+    # The mean force of an interval belongs to its middle, where window and gap are evaluated.
     gap_middle = 0.5 * (gap[:-1] + gap[1:])
     force = square[:-1] / gap_middle**2
     phi_middle = (1.0 - (0.5 * (s[:-1] + s[1:])) ** 2) ** 3
@@ -213,7 +216,7 @@ def _windows(x: FloatArray, square: FloatArray, step: float, width: int, plant: 
     def slide(values: FloatArray, window: FloatArray) -> FloatArray:
         return np.asarray(fftconvolve(values, window[::-1], mode="valid")[:: max(width // _OVERLAP, 1)] * step)
 
-    # x about its mean: only differences of x matter, and sums over a window cancel otherwise.
+    # Only differences of x matter; without its mean the sums over a window lose no digits.
     centred = x - np.mean(x)
     left = slide(centred, bend) + plant.gravity_m_s2 * float(np.sum(phi)) * step
     right = slide(force, phi_middle)
