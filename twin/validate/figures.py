@@ -1,8 +1,7 @@
-"""The pictures of the report: measured blue, model red, reference grey, as in `board51 plot`."""
+"""The figures of the report, those of the paper among them."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,8 +11,7 @@ from scipy.stats import t as student
 
 from twin.estimation.record import FloatArray
 from twin.estimation.step_figures import LoopRun, Response
-from twin.mirror.plots.traces import MEASURED, REFERENCE, TWIN
-from twin.page import image
+from twin.page.figures import MEASURED, MODEL, REFERENCE, grid, styled, ticks_125
 from twin.validate.amplifier import Amplifier, AmplifierTrace
 from twin.validate.ball import Ahead, Windows
 from twin.validate.residuals import Channel
@@ -22,61 +20,65 @@ SHOWN_S = 4.0  # of a closed loop
 MOST_TRACES = 3
 
 
+@styled
 def amplifier_figure(result: Amplifier, time_constant_s: float) -> Figure:
     """Figure 7."""
     traces = sorted(result.traces, key=lambda t: -float(np.ptp(t.u_c_v)))[:MOST_TRACES]
-    figure, axes = _grid(2, len(traces), height=5.0, ratios=[2.2, 1.0])
+    figure, axes = grid(2, len(traces), height=5.0, ratios=[2.2, 1.0])
     for n, trace in enumerate(traces):
         part = _around_change(trace, time_constant_s)
         t = (trace.t_s[part] - trace.t_s[part.start]) * 1e3
         axes[0][n].plot(t, trace.measured_a[part], color=MEASURED, lw=0.8, marker=".", ms=3, label="measured")
-        axes[0][n].plot(t, trace.simulated_a[part], color=TWIN, lw=1.4, label="(1)")
+        axes[0][n].plot(t, trace.simulated_a[part], color=MODEL, lw=1.4, label="(1)")
         axes[1][n].step(t, trace.u_c_v[part], color=REFERENCE, lw=1.0, where="post")
-        axes[0][n].set_title(trace.name, fontsize=9)
+        axes[0][n].set_title(trace.name)
         axes[1][n].set_xlabel("time [ms]")
     axes[0][0].set_ylabel("current i_c [A]")
     axes[1][0].set_ylabel("input u_c [V]")
-    axes[0][0].legend(loc="best", fontsize=9)
+    axes[0][0].legend(loc="best")
     return figure
 
 
+@styled
 def ball_figure(result: Windows, travel_m: float) -> Figure:
     """Figure 8, in windows."""
-    figure, axes = _grid(2, 1, height=5.0, ratios=[2.4, 1.0])
+    figure, axes = grid(2, 1, height=5.0, ratios=[2.4, 1.0])
     top, bottom = axes[0][0], axes[1][0]
     top.plot(result.t_s, result.measured_m * 1e3, color=MEASURED, lw=2.6, alpha=0.55, label="measured")
-    top.plot(result.t_s, result.simulated_m * 1e3, color=TWIN, lw=1.2, label="(6), each window from a fresh estimate")
+    top.plot(result.t_s, result.simulated_m * 1e3, color=MODEL, lw=1.2, label="(6), each window from a fresh estimate")
     top.set_ylabel("position x [mm]")
     _within_travel(top, travel_m)
-    top.legend(loc="best", fontsize=9)
+    top.legend(loc="best")
     error = (result.measured_m - result.simulated_m) * 1e6
-    bottom.plot(result.t_s, error, color=TWIN, lw=0.9)
+    bottom.plot(result.t_s, error, color=MODEL, lw=0.9)
     bottom.axhline(0.0, color="black", lw=0.6)
     bottom.set_ylabel("error [µm]")
     bottom.set_xlabel("time [s]")
     return figure
 
 
+@styled
 def ahead_figure(rows: Sequence[Ahead]) -> Figure:
     """Errors over the horizon."""
-    figure, axes = _grid(1, 1, height=3.6, width=6.4)
+    figure, axes = grid(1, 1, height=3.6, width=6.4)
     ax = axes[0][0]
     h = np.array([row.horizon_s for row in rows]) * 1e3
     ax.loglog(h, [row.still_m * 1e6 for row in rows], color=REFERENCE, ls=":", marker=".", label="x stays where it is")
-    ax.loglog(h, [row.rmse_m * 1e6 for row in rows], color=TWIN, marker="o", label="model")
+    ax.loglog(h, [row.rmse_m * 1e6 for row in rows], color=MODEL, marker="o", label="model")
     ax.loglog(h, [row.floor_m * 1e6 for row in rows], color="black", ls="--", marker="_", label="noise floor")
     ax.set_xticks(h, [f"{value:g}" for value in h])
     ax.minorticks_off()
-    _ticks_125(ax)
+    _at_least_two_ticks(ax)
     ax.set_xlabel("prediction horizon [ms]")
     ax.set_ylabel("rms error of x [µm]")
-    ax.legend(fontsize=9)
+    ax.legend()
     return figure
 
 
+@styled
 def residual_figure(channels: Sequence[Channel]) -> Figure:
     """Auto- and cross-correlation with their 99 % bounds."""
-    figure, axes = _grid(2, len(channels), height=5.0)
+    figure, axes = grid(2, len(channels), height=5.0)
     for n, channel in enumerate(channels):
         for row, values, title in (
             (0, channel.autocorrelation, f"autocorrelation of e({channel.name})"),
@@ -86,52 +88,54 @@ def residual_figure(channels: Sequence[Channel]) -> Figure:
             lags = np.arange(1, len(values) + 1)
             ax.axhspan(-channel.bound, channel.bound, color=MEASURED, alpha=0.18, lw=0, label="99 %, one lag")
             ax.axhline(0.0, color="black", lw=0.6)
-            ax.vlines(lags, 0.0, values, color=TWIN, lw=1.6)
-            ax.plot(lags, values, "o", color=TWIN, ms=3)
+            ax.vlines(lags, 0.0, values, color=MODEL, lw=1.6)
+            ax.plot(lags, values, "o", color=MODEL, ms=3)
             span = max(1.25 * float(np.max(np.abs(values))), 2.0 * channel.bound)
             ax.set_ylim(-span, span)
-            ax.set_title(title, fontsize=10)
+            ax.set_title(title)
             ax.set_ylabel("correlation [-]")
         axes[1][n].set_xlabel("lag [samples]")
-    axes[0][0].legend(fontsize=9)
+    axes[0][0].legend()
     return figure
 
 
+@styled
 def loop_figure(run: LoopRun, travel_m: float) -> Figure:
     """Figures 11 and 12 over one another."""
     part = _busiest(run)
     t = run.t_s[part]
-    figure, axes = _grid(4, 1, height=8.4, ratios=[2.4, 1.2, 1.2, 1.0])
+    figure, axes = grid(4, 1, height=8.4, ratios=[2.4, 1.2, 1.2, 1.0])
     x, error, i, u = (axes[n][0] for n in range(4))
     simulated = bool(np.isfinite(run.quiet_x_m).any())
     if simulated:
-        x.plot(t, run.simulated_x_m[0][part] * 1e3, color=TWIN, lw=1.2, label="simulated with noise")
+        x.plot(t, run.simulated_x_m[0][part] * 1e3, color=MODEL, lw=1.2, label="simulated with noise")
     x.plot(t, run.x_m[part] * 1e3, color=MEASURED, lw=1.2, label="measured")
     x.plot(t, run.x_ref_m[part] * 1e3, color=REFERENCE, lw=1.0, ls="--", label="reference")
     x.set_ylabel("position x [mm]")
     _within_travel(x, travel_m)
-    x.legend(fontsize=9, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
+    x.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
     against, label = (run.quiet_x_m, "measured - noise-free simulation") if simulated else (run.x_ref_m, "x - x_ref")
     error.plot(t, (run.x_m - against)[part] * 1e6, color=MEASURED, lw=0.7, label=label)
     if np.isfinite(run.expected_std_m):
         band = 2.0 * run.expected_std_m * 1e6
         error.axhspan(-band, band, color=REFERENCE, alpha=0.2, lw=0, label="2 standard deviations of noise alone")
     error.set_ylabel("error [µm]")
-    error.legend(fontsize=8, loc="upper right")
-    i.plot(t, run.simulated_i_c_a[0][part], color=TWIN, lw=0.7)
+    error.legend(loc="upper right")
+    i.plot(t, run.simulated_i_c_a[0][part], color=MODEL, lw=0.7)
     i.plot(t, run.i_c_a[part], color=MEASURED, lw=0.7)
     i.set_ylabel("current i_c [A]")
-    u.plot(t, run.simulated_u_c_v[0][part], color=TWIN, lw=0.6)
+    u.plot(t, run.simulated_u_c_v[0][part], color=MODEL, lw=0.6)
     u.plot(t, run.u_c_v[part], color=MEASURED, lw=0.6)
     u.set_ylabel("input u_c [V]")
     u.set_xlabel("time [s]")
-    x.set_title(run.name, fontsize=10, loc="right")
+    x.set_title(run.name, loc="right")
     return figure
 
 
+@styled
 def step_figure(responses: Sequence[Response]) -> Figure:
-    """All reference steps over one another, each as a share of itself: who is later, and by how much."""
-    figure, axes = _grid(2, 1, height=5.6, width=8.0, ratios=[2.0, 1.0])
+    """All reference steps over one another, each as a share of itself: which of the two is later, and by how much."""
+    figure, axes = grid(2, 1, height=5.6, width=8.0, ratios=[2.0, 1.0])
     top, bottom = axes[0][0], axes[1][0]
     n = min(len(r.t_s) for r in responses)
     t = responses[0].t_s[:n] * 1e3
@@ -139,11 +143,11 @@ def step_figure(responses: Sequence[Response]) -> Figure:
     simulation = np.array([r.simulation[:n] for r in responses])
     difference = 100.0 * (rig - simulation)
     top.plot(t, rig.T, color=MEASURED, lw=0.4, alpha=0.25)
-    top.plot(t, simulation.mean(axis=0), color=TWIN, lw=1.6, label="simulated, mean")
+    top.plot(t, simulation.mean(axis=0), color=MODEL, lw=1.6, label="simulated, mean")
     top.plot(t, rig.mean(axis=0), color=MEASURED, lw=1.6, label="measured, mean (thin: each step)")
     top.axhline(1.0, color=REFERENCE, lw=0.8, ls="--")
     top.set_ylabel("share of the step [-]")
-    top.legend(fontsize=9, loc="lower right")
+    top.legend(loc="lower right")
     bottom.plot(t, difference.mean(axis=0), color=MEASURED, lw=1.2, label="rig - simulation")
     if len(responses) > 1:
         half = student.ppf(0.975, len(responses) - 1) * difference.std(axis=0, ddof=1) / np.sqrt(len(responses))
@@ -152,7 +156,7 @@ def step_figure(responses: Sequence[Response]) -> Figure:
     bottom.axhline(0.0, color="black", lw=0.6)
     bottom.set_ylabel("difference [% of step]")
     bottom.set_xlabel("time from the change of the reference [ms]")
-    bottom.legend(fontsize=8, loc="best")
+    bottom.legend(loc="best")
     return figure
 
 
@@ -163,15 +167,14 @@ def _within_travel(ax: Axes, travel_m: float) -> None:
     ax.set_ylim(max(low, -room), min(high, travel_m * 1e3 + room))
 
 
-def _ticks_125(ax: Axes) -> None:
-    """Ticks 1, 2, 5, 10 ... of a logarithmic y axis, from one below the values to one above: two at the least."""
+def _at_least_two_ticks(ax: Axes) -> None:
+    """From one of 1, 2, 5, 10 ... below the values to one above."""
     steps = [m * 10.0**k for k in range(-4, 8) for m in (1, 2, 5)]
     low, high = ax.dataLim.intervaly
     below = max((s for s in steps if s < low), default=steps[0])
     above = min((s for s in steps if s > high), default=steps[-1])
-    ticks = [s for s in steps if below <= s <= above]
     ax.set_ylim(0.9 * below, 1.1 * above)
-    ax.set_yticks(ticks, [f"{value:g}" for value in ticks])
+    ticks_125(ax, below, above)
 
 
 def _busiest(run: LoopRun) -> slice:
@@ -189,21 +192,3 @@ def _around_change(trace: AmplifierTrace, time_constant_s: float) -> slice:
     k = int(np.argmax(changes)) if len(changes) else 0
     room = max(round(12.0 * time_constant_s / interval), 30)
     return slice(max(k - room // 4, 0), min(k + room, len(trace.t_s)))
-
-
-def _grid(
-    rows: int, columns: int, *, height: float, width: float = 11.0, ratios: Sequence[float] | None = None
-) -> tuple[Figure, list[list[Axes]]]:
-    figure = Figure(figsize=(width, height), dpi=100, layout="constrained")
-    made = figure.subplots(rows, columns, squeeze=False, sharex="col", height_ratios=ratios)
-    axes = [list(row) for row in made]
-    for ax in made.flat:
-        ax.grid(alpha=0.3)
-    return figure, axes
-
-
-def picture(figure: Figure, about: str) -> str:
-    """As a PNG inside the page."""
-    out = io.BytesIO()
-    figure.savefig(out, format="png", metadata={"Software": None})
-    return image(out.getvalue(), about)

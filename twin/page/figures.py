@@ -1,0 +1,81 @@
+"""The one style of all figures: colours, grid, sizes of the letters, and how a figure gets into a page.
+
+Rule: measured is blue, a model or a twin red, an extended model green, a reference or a noise floor grey.
+"""
+
+from __future__ import annotations
+
+import base64
+import functools
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, ParamSpec, TypeVar
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
+
+P = ParamSpec("P")
+R = TypeVar("R")
+MEASURED, MODEL, EXTENDED, REFERENCE, ALARM = "#1f77b4", "#d62728", "#2a7f3f", "#555555", "#b8860b"
+_STYLE: Any = {
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.titlesize": 11,
+    "figure.dpi": 100,
+    "font.size": 11,
+    "grid.alpha": 0.3,
+    "legend.fontsize": 9.5,
+    "path.simplify_threshold": 0.3,
+    "savefig.dpi": "figure",
+    "svg.fonttype": "path",
+    "svg.hashsalt": "board51",
+}
+_KINDS = {"png": "png", "svg": "svg+xml"}
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A figure as the templates show it."""
+
+    caption: str
+    source: str  # data: URL
+
+
+def styled(draw: Callable[P, R]) -> Callable[P, R]:
+    """A function that draws, in this style."""
+
+    @functools.wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> R:
+        with matplotlib.rc_context(_STYLE):
+            return draw(*args, **kwargs)
+
+    return drawn
+
+
+def grid(
+    rows: int, columns: int, *, height: float, width: float = 11.0, ratios: Sequence[float] | None = None
+) -> tuple[Figure, list[list[Axes]]]:
+    """Axes in rows and columns, those of a column over one x; sizes in inches."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    made = figure.subplots(rows, columns, squeeze=False, sharex="col", height_ratios=ratios)
+    return figure, [list(row) for row in made]
+
+
+def ticks_125(ax: Axes, low: float, high: float) -> None:
+    """Ticks of a logarithmic y axis at 1, 2, 5, 10 ... from `low` to `high`; at the powers of 10 where it is long."""
+    steps = (1, 2, 5) if high / max(low, 1e-12) < 300 else (1,)
+    ticks = [m * 10.0**k for k in range(-7, 8) for m in steps if low <= m * 10.0**k <= high]
+    ax.set_yticks(ticks, [f"{value:g}" for value in ticks])
+    ax.yaxis.set_minor_locator(NullLocator())
+
+
+@styled
+def inline(figure: Figure, caption: str, kind: Literal["png", "svg"] = "svg") -> Picture:
+    """Inside the page; the same numbers give the same bytes."""
+    out = io.BytesIO()
+    nameless = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
+    figure.savefig(out, format=kind, metadata=nameless)
+    return Picture(caption, f"data:image/{_KINDS[kind]};base64,{base64.b64encode(out.getvalue()).decode()}")
