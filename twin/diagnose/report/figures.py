@@ -1,4 +1,4 @@
-"""The pictures of the report: measured blue, baseline red, extended green, noise floor grey.
+"""The figures of the report: measured blue, baseline red, extended green, noise floor grey.
 
 Rule 1: one panel a picture, as wide as a phone: two stand side by side on a desk.
 Rule 2: the same colours and the same order everywhere; error bars are 95 % intervals.
@@ -7,7 +7,6 @@ Rule 3: the same numbers give the same bytes.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,15 +23,14 @@ from twin.diagnose.residuals.step_response import Steps
 from twin.diagnose.residuals.summary import Ahead, Piece
 from twin.diagnose.search.forward_step import Round
 from twin.estimation.record import FloatArray
-from twin.mirror.plots.traces import MEASURED, REFERENCE, TWIN
-from twin.page import drawing
+from twin.page.figures import EXTENDED, MEASURED, MODEL, REFERENCE, styled, ticks_125
 
-BASELINE, EXTENDED, FLOOR = TWIN, "#2a7f3f", REFERENCE
+BASELINE, FLOOR = MODEL, REFERENCE
 MOST_BARS = 8
 _SCALES = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "N": (1e3, "mN")}
-_SETTINGS: Any = {"svg.hashsalt": "board51", "svg.fonttype": "path", "font.size": 11, "path.simplify_threshold": 0.3}
 
 
+@styled
 def ahead_figure(rows: Sequence[Ahead]) -> Figure:
     """Errors over the horizon."""
     figure, ax = _panel()
@@ -44,13 +42,14 @@ def ahead_figure(rows: Sequence[Ahead]) -> Figure:
     ax.set_yscale("log")
     ax.set_xticks(h, [f"{value:.3g}" for value in h])
     ax.minorticks_off()
-    _decades(ax)
+    ticks_125(ax, *ax.get_ylim())
     ax.set_xlabel("predicted so far ahead [ms]")
     ax.set_ylabel("rms error of x [µm]")
-    ax.legend(fontsize=9.5)
+    ax.legend()
     return figure
 
 
+@styled
 def piece_figure(piece: Piece) -> Figure:
     """What x did, and what both models had said."""
     figure, ax = _panel()
@@ -61,10 +60,11 @@ def piece_figure(piece: Piece) -> Figure:
     ax.plot(t, piece.x_m * 1e3, color=MEASURED, lw=1.0, label="measured")
     ax.set_xlabel("time [s]")
     ax.set_ylabel("position x [mm]")
-    ax.legend(fontsize=9.5)
+    ax.legend()
     return figure
 
 
+@styled
 def error_figure(piece: Piece, floor_m: float) -> Figure:
     """Both errors over the same time."""
     figure, ax = _panel()
@@ -76,10 +76,11 @@ def error_figure(piece: Piece, floor_m: float) -> Figure:
         ax.plot(t, (piece.extended_m - piece.x_m) * 1e6, color=EXTENDED, lw=0.9, label="extended")
     ax.set_xlabel("time [s]")
     ax.set_ylabel("predicted - measured [µm]")
-    ax.legend(fontsize=9.5)
+    ax.legend()
     return figure
 
 
+@styled
 def regime_figure(regime: Regime, floor_m: float) -> Figure:
     """Errors in each group."""
     named = not regime.unit
@@ -112,10 +113,11 @@ def regime_figure(regime: Regime, floor_m: float) -> Figure:
         ax.set_ylim(bottom=0.0)
         ax.set_xlabel(f"{regime.title} [{unit}]")
         ax.set_ylabel("rms error 20 ms ahead [µm]")
-    ax.legend(fontsize=9.5)
+    ax.legend()
     return figure
 
 
+@styled
 def curve_figure(curve: Curve) -> Figure:
     """A mean residual over one quantity."""
     figure, ax = _panel()
@@ -127,10 +129,11 @@ def curve_figure(curve: Curve) -> Figure:
         _bars(ax, at, own, up, name, colour, joined=True)
     ax.set_xlabel(f"{curve.title} [{unit}]")
     ax.set_ylabel(what)
-    ax.legend(fontsize=9.5)
+    ax.legend()
     return figure
 
 
+@styled
 def spectrum_figure(found: Spectrum) -> Figure:
     """Densities of the error one sample ahead."""
     figure, ax = _panel()
@@ -141,13 +144,14 @@ def spectrum_figure(found: Spectrum) -> Figure:
     ax.axhline(found.floor * 1e6, color=FLOOR, ls="--", lw=1.2, label="noise floor")
     ax.set_xscale("log")
     ax.set_yscale("log")
-    _decades(ax)
+    ticks_125(ax, *ax.get_ylim())
     ax.set_xlabel("frequency [Hz]")
     ax.set_ylabel("error one sample ahead [µm/√Hz]")
-    ax.legend(fontsize=9.5)
+    ax.legend()
     return figure
 
 
+@styled
 def steps_figure(steps: Steps) -> Figure:
     """Mean step of the rig and of both simulations."""
     figure, ax = _panel()
@@ -157,10 +161,11 @@ def steps_figure(steps: Steps) -> Figure:
         ax.plot(t, own, color=colour, lw=1.3, label=name)
     ax.set_xlabel("time from the change of the reference [ms]")
     ax.set_ylabel("share of the step [-]")
-    ax.legend(fontsize=9.5, loc="lower right")
+    ax.legend(loc="lower right")
     return figure
 
 
+@styled
 def step_difference_figure(steps: Steps) -> Figure:
     """Rig minus simulation."""
     figure, ax = _panel()
@@ -170,10 +175,11 @@ def step_difference_figure(steps: Steps) -> Figure:
         ax.plot(t, 100.0 * (steps.rig - own), color=colour, lw=1.2, label=f"rig - {name}")
     ax.set_xlabel("time from the change of the reference [ms]")
     ax.set_ylabel("difference [% of the step]")
-    ax.legend(fontsize=9.5)
+    ax.legend()
     return figure
 
 
+@styled
 def round_figure(step: Round, number: int, threshold: float) -> Figure:
     """What each candidate of a round gains: fitted where it was, else as its score says."""
     fitted = {trial.cause: trial.gain for trial in step.trials}
@@ -186,18 +192,18 @@ def round_figure(step: Round, number: int, threshold: float) -> Figure:
         ax.barh(place, max(gain, 0.0), height=0.7, color=colour, alpha=1.0 if own else 0.35)
     ax.axvline(threshold, color="black", lw=0.8, ls=":")
     names = [cause + (" ✓" if cause == step.taken else "") for cause, _, _ in rows]
-    ax.set_yticks(range(len(rows)), names, fontsize=9.5)
-    ax.set_axisbelow(True)
+    ax.set_yticks(range(len(rows)), names)
     ax.invert_yaxis()
     ax.set_xscale("symlog", linthresh=threshold)
     ax.set_xlim(0.0, 1.6 * max([gain for _, gain, _ in rows], default=threshold) + threshold)
     ax.xaxis.set_minor_locator(matplotlib.ticker.NullLocator())
     ax.xaxis.set_major_formatter("{x:g}")
     ax.set_xlabel("gain of log-likelihood")
-    ax.set_title(f"round {number}: " + (f"{step.taken} taken" if step.taken else "nothing taken"), fontsize=11)
+    ax.set_title(f"round {number}: " + (f"{step.taken} taken" if step.taken else "nothing taken"))
     return figure
 
 
+@styled
 def correction_figure(found: Correction) -> Figure:
     """The mean error that is taken off, over position and speed."""
     figure, ax = _panel()
@@ -246,15 +252,6 @@ def _bars(
         ax.errorbar(at, middle, yerr=[low, high], label=name, **style)
 
 
-def _decades(ax: Axes) -> None:
-    """Ticks at 1, 2, 5 where a logarithmic axis is short."""
-    low, high = (float(value) for value in ax.get_ylim())
-    steps = (1, 2, 5) if high / max(low, 1e-12) < 300 else (1,)
-    ticks = [m * 10.0**k for k in range(-7, 7) for m in steps if low <= m * 10.0**k <= high]
-    ax.set_yticks(ticks, [f"{value:g}" for value in ticks])
-    ax.yaxis.set_minor_locator(matplotlib.ticker.NullLocator())
-
-
 def short_label(label: str) -> str:
     """A recording by its name alone, without folder and ending; both ends of what is still too long."""
     stem = label.removesuffix(".gz").removesuffix(".csv").removesuffix(".mcap")
@@ -264,17 +261,6 @@ def short_label(label: str) -> str:
 
 
 def _panel(*, height: float = 3.2, left: float = 0.15, top: float = 0.12) -> tuple[Figure, Axes]:
-    with matplotlib.rc_context(_SETTINGS):
-        figure = Figure(figsize=(5.6, height))
-        figure.subplots_adjust(left=left, right=0.97, top=1.0 - top / height, bottom=0.6 / height)
-        ax = figure.subplots()
-    ax.grid(alpha=0.3)
-    return figure, ax
-
-
-def drawn(figure: Figure, caption: str) -> str:
-    """As an SVG inside the page."""
-    out = io.BytesIO()
-    with matplotlib.rc_context(_SETTINGS):
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
-    return drawing(out.getvalue(), caption)
+    figure = Figure(figsize=(5.6, height))
+    figure.subplots_adjust(left=left, right=0.97, top=1.0 - top / height, bottom=0.6 / height)
+    return figure, figure.subplots()

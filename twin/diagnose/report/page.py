@@ -9,29 +9,28 @@ Rule 2: a page of a model that is adequate, or of a cause that nobody knows, say
 
 from __future__ import annotations
 
-import html
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from twin.diagnose.inference.budget import millions
 from twin.diagnose.report.figures import (
     ahead_figure,
-    drawn,
     error_figure,
     piece_figure,
 )
-from twin.diagnose.report.page_causes import causes, not_the_cause, ranking
-from twin.diagnose.report.page_errors import left, where
+from twin.diagnose.report.page_causes import causes
+from twin.diagnose.report.page_errors import errors
 from twin.diagnose.report.page_noise import instruments
 from twin.diagnose.report.sentences import measured, quantity
 from twin.diagnose.residuals.regimes import Estimate
-from twin.diagnose.residuals.summary import HORIZON_S, Show
+from twin.diagnose.residuals.summary import HORIZON_S, Ahead, Show
 from twin.diagnose.result import Diagnosis
 from twin.estimation.prepare import Usage
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Parameter
-from twin.page import bullets, figures, paragraph, table, untested, whole
+from twin.page.figures import Picture, inline
+from twin.page.render import render
 
 _COLOUR = {
     "causes-found": "found",
@@ -51,37 +50,36 @@ def to_html(found: Diagnosis, show: Show, *, campaign: Path, out: Path) -> str:
         campaign: as it was given, for the commands at the end.
         out: folder of the page, for the same.
     """
-    title = f"What the simulation of {found.baseline.plant.name} gets wrong"
-    body = [
-        f"<h1>{html.escape(title)}</h1>",
-        f'<p class="answer {_COLOUR[found.verdict]}">{html.escape(found.sentence)}</p>',
-        *_banners(found, show),
-        paragraph(_about(found, campaign)),
-        "<h2>Before and after</h2>",
-        _before_after(found, show),
-        "<h2>Where the simulation is wrong</h2>",
-        where(found, show),
-        "<h2>Which cause</h2>",
-        ranking(found),
-    ]
-    if found.causes:
-        held = any(found.holds(cause) for cause in found.causes)
-        head = "The causes, and what to do" if held else "Candidates: none of them is sure to be a cause"
-        body += [f"<h2>{head}</h2>", causes(found)]
-    body += [
-        "<h2>What is left</h2>",
-        left(found, show),
-        "<h2>The model's numbers</h2>",
-        _numbers(found),
-        instruments(found),
-        "<h2>What was not named</h2>",
-        not_the_cause(found),
-        "<h2>How the campaign was used</h2>",
-        _use(found),
-        "<h2>Compute it again</h2>",
-        _again(found, campaign, out),
-    ]
-    return whole(title, body)
+    alone = found.before == found.after
+    rows, over_height = instruments(found)
+    sure = any(found.holds(cause) for cause in found.causes)
+    return render(
+        "diagnose/report/page.html",
+        title=f"What the simulation of {found.baseline.plant.name} gets wrong",
+        answer=found.sentence,
+        colour=_COLOUR[found.verdict],
+        found=found,
+        alone=alone,
+        banners=_banners(found, show),
+        about=_about(found, campaign),
+        pictures=_pictures(show),
+        ahead=[_ahead_row(row, alone) for row in show.ahead],
+        growth_ms=f"{_growth_s(found) * 1e3:.0f}",
+        worse=[f"{one.horizon_s * 1e3:.3g} ms ahead" for one in show.ahead if one.ratio[0] > 1.0] + show.worse(),
+        added=_added(sum(len(cause.parameters) for cause in found.extended.causes)),
+        loglik_gain=f"{found.selection.fit.loglik - found.selection.base.loglik:.0f}",
+        numbers=[[row[0], row[2]] if alone else row for row in _numbers(found)],
+        floor=_floor(found),
+        instruments=rows,
+        over_height=over_height,
+        usages=_usages(found),
+        statics=len(found.fit_evidence.statics),
+        stages=_stages(found.stages_s),
+        causes_title="The causes, and what to do" if sure else "Candidates: none of them is sure to be a cause",
+        commands=_commands(found, campaign, out),
+        **errors(found, show),
+        **causes(found),
+    )
 
 
 def _banners(found: Diagnosis, show: Show) -> list[str]:
@@ -97,7 +95,7 @@ def _banners(found: Diagnosis, show: Show) -> list[str]:
         lines.append(
             "No recording was left to judge by. Errors below are of the recordings that were fitted: they flatter."
         )
-    return [f'<p class="warn">{html.escape(line)}</p>' for line in lines]
+    return lines
 
 
 def _about(found: Diagnosis, campaign: Path) -> str:
@@ -113,51 +111,30 @@ def _about(found: Diagnosis, campaign: Path) -> str:
     return text
 
 
-def _before_after(found: Diagnosis, show: Show) -> str:
-    drawings = []
+def _pictures(show: Show) -> list[Picture]:
+    drawn = []
     if show.ahead:
-        drawings.append(
-            drawn(ahead_figure(show.ahead), "Error of the predicted position over the horizon, 95 % intervals")
-        )
+        drawn.append((ahead_figure(show.ahead), "Error of the predicted position over the horizon, 95 % intervals"))
     if show.piece is not None:
         name = show.piece.recording
-        drawings.append(drawn(piece_figure(show.piece), f"{name}: the stretch that the baseline predicts worst"))
-        drawings.append(drawn(error_figure(show.piece, show.floor_m), f"{name}: error of the same predictions"))
-    if not drawings:
-        return untested("no flight is long enough to predict 20 ms ahead")
-    head = [
-        "ahead",
-        "baseline [µm]",
-        "extended [µm]",
-        "noise floor [µm]",
-        "extended / baseline",
-        "of its square above the floor removed",
-        "samples",
+        drawn.append((piece_figure(show.piece), f"{name}: the stretch that the baseline predicts worst"))
+        drawn.append((error_figure(show.piece, show.floor_m), f"{name}: error of the same predictions"))
+    return [inline(figure, caption) for figure, caption in drawn]
+
+
+def _ahead_row(one: Ahead, alone: bool) -> list[str]:
+    ahead, baseline, floor = f"{one.horizon_s * 1e3:.3g} ms", _spread(one.baseline), _micro(one.floor_m)
+    if alone:
+        return [ahead, baseline, floor, f"{one.count}"]
+    return [
+        ahead,
+        baseline,
+        _spread(one.extended),
+        floor,
+        f"{one.ratio[0]:.3f} .. {one.ratio[1]:.3f}",
+        _removed(one.removed, one.baseline.value, one.floor_m),
+        f"{one.count}",
     ]
-    rows = [
-        [
-            f"{one.horizon_s * 1e3:.3g} ms",
-            _spread(one.baseline),
-            _spread(one.extended),
-            _micro(one.floor_m),
-            f"{one.ratio[0]:.3f} .. {one.ratio[1]:.3f}",
-            _removed(one.removed, one.baseline.value, one.floor_m),
-            f"{one.count}",
-        ]
-        for one in show.ahead
-    ]
-    if found.before == found.after:
-        head = ["ahead", "error [µm]", "noise floor [µm]", "samples"]
-        rows = [[row[0], row[1], row[3], row[6]] for row in rows]
-    text = (
-        "Root mean square of predicted - measured position, each prediction from the readings up to so many "
-        "milliseconds before and the measured input since. Intervals: 95 %, bootstrap over blocks of half a second. "
-        "The floor is what sensor noise alone leaves of a right model; removed: share of the mean square above it. "
-        f"The ball is unstable: in the middle of its travel an error grows by e every {_growth_s(found) * 1e3:.0f} ms, "
-        "so that small causes show at long horizons. No prediction is taken farther than a quarter of the travel "
-        "behind a stop: a ball does not go there."
-    )
-    return figures(drawings) + table(head, rows) + paragraph(text) + _worse(found, show) + _cost(found)
 
 
 def _micro(value_m: float) -> str:
@@ -168,6 +145,20 @@ def _micro(value_m: float) -> str:
 
 def _spread(error: Estimate) -> str:
     return f"{_micro(error.value)} ({_micro(error.low)} .. {_micro(error.high)})"
+
+
+def _added(count: int) -> str:
+    return f"{count} parameter{'s' if count > 1 else ''}" if count else ""
+
+
+def _floor(found: Diagnosis) -> str:
+    at_rest = "" if found.floor.measured else ", taken from the fit: it never rested long enough"
+    return f"{quantity(found.floor.sigma_x_m, 'm')} and {quantity(found.floor.sigma_i_c_a, 'A')}{at_rest}."
+
+
+def _stages(seconds: Mapping[str, float]) -> str:
+    text = ", ".join(f"{name} {value:.1f} s" for name, value in seconds.items())
+    return f"{text}; together {sum(seconds.values()):.1f} s."
 
 
 def _growth_s(found: Diagnosis) -> float:
@@ -182,27 +173,7 @@ def _removed(share: float, baseline_m: float, floor_m: float) -> str:
     return f"{100 * share:.3g} %"
 
 
-def _worse(found: Diagnosis, show: Show) -> str:
-    if found.before == found.after:
-        return ""
-    worse = [f"{one.horizon_s * 1e3:.3g} ms ahead" for one in show.ahead if one.ratio[0] > 1.0] + show.worse()
-    if not worse:
-        return "<p>Nothing got worse: no horizon and no group below has a surely larger error (99.5 %).</p>"
-    return '<p class="no">What got worse:</p>' + bullets(worse)
-
-
-def _cost(found: Diagnosis) -> str:
-    count = sum(len(cause.parameters) for cause in found.extended.causes)
-    if not count:
-        return ""
-    gain = found.selection.fit.loglik - found.selection.base.loglik
-    return paragraph(
-        f"The price: {count} parameter{'s' if count > 1 else ''} more, for {gain:.0f} of log-likelihood on the "
-        "recordings that were fitted; by chance each would bring about half of one."
-    )
-
-
-def _numbers(found: Diagnosis) -> str:
+def _numbers(found: Diagnosis) -> list[list[str]]:
     rows = []
     first, second = found.baseline.parameters, found.extended.parameters
     for name, after in second.items():
@@ -212,7 +183,7 @@ def _numbers(found: Diagnosis) -> str:
         known = BY_NAME[cause.name]
         for entry in known.parameters:
             parameter = cause.parameters[entry.name]
-            rows.append([html.escape(f"{entry.symbol} of {cause.name}"), "-", _value(parameter)])
+            rows.append([f"{entry.symbol} of {cause.name}", "-", _value(parameter)])
     noise = [
         ("noise of x", found.before.sigma_x_m, found.after.sigma_x_m, "m"),
         ("noise of i_c", found.before.sigma_i_c_a, found.after.sigma_i_c_a, "A"),
@@ -220,51 +191,22 @@ def _numbers(found: Diagnosis) -> str:
         ("current left to chance", found.before.process_i_c_a, found.after.process_i_c_a, "A"),
     ]
     rows += [[name, quantity(a, unit), quantity(b, unit)] for name, a, b, unit in noise]
-    head = ["", "baseline", "extended"]
-    if found.before == found.after:
-        head, rows = ["", "model"], [[row[0], row[2]] for row in rows]
-    return table(head, rows) + paragraph(
-        "In brackets 95 % intervals of maximum likelihood, where they were computed. Sensor noise of the ball at rest: "
-        f"{quantity(found.floor.sigma_x_m, 'm')} and {quantity(found.floor.sigma_i_c_a, 'A')}"
-        + ("." if found.floor.measured else ", taken from the fit: it never rested long enough.")
-    )
+    return rows
 
 
 def _of(parameter: Parameter) -> str:
-    return f"of {html.escape(parameter.equation)}" if parameter.equation else ""
+    return f"of {parameter.equation}" if parameter.equation else ""
 
 
 def _value(parameter: Parameter) -> str:
     number, interval = measured(parameter.value, parameter.ci95, parameter.unit)
-    return html.escape(f"{number} ({interval})" if interval else number)
+    return f"{number} ({interval})" if interval else number
 
 
-def _use(found: Diagnosis) -> str:
+def _usages(found: Diagnosis) -> list[list[str]]:
     rows = [[*_usage(usage), "fit"] for usage in found.fit_evidence.usages]
-    if found.judge_evidence is not None:
-        rows += [[*_usage(usage), "judge"] for usage in found.judge_evidence.usages]
-    head = [
-        "recording",
-        "kind",
-        "samples",
-        "in flight",
-        "flights",
-        "at a stop",
-        "gaps",
-        "clipped",
-        "outliers",
-        "25 kHz",
-        "use",
-    ]
-    notes = bullets(found.warnings) if found.warnings else ""
-    times = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in found.stages_s.items())
-    points = len(found.fit_evidence.statics)
-    return (
-        table(head, rows)
-        + (paragraph(f"Beside these, {points} points of force balance (lift-off, equilibria).") if points else "")
-        + notes
-        + paragraph(f"Time: {times}; together {sum(found.stages_s.values()):.1f} s.")
-    )
+    judge = found.judge_evidence
+    return rows if judge is None else rows + [[*_usage(usage), "judge"] for usage in judge.usages]
 
 
 def _usage(usage: Usage) -> list[str]:
@@ -278,10 +220,10 @@ def _usage(usage: Usage) -> list[str]:
         usage.outliers,
         usage.captures,
     )
-    return [html.escape(usage.name), usage.kind, *(str(number) for number in numbers)]
+    return [usage.name, usage.kind, *(str(number) for number in numbers)]
 
 
-def _again(found: Diagnosis, campaign: Path, out: Path) -> str:
+def _commands(found: Diagnosis, campaign: Path, out: Path) -> list[str]:
     judge = found.judge_evidence
     flown = [record for record in judge.records if record.has("x")] if judge is not None else []
     name = flown[0].name if flown else "RECORDING"
@@ -289,12 +231,8 @@ def _again(found: Diagnosis, campaign: Path, out: Path) -> str:
     folder = campaign if campaign.suffix != ".toml" else campaign.parent
     quick = " --quick" if found.quick else ""
     model = out / "extended_model.json"
-    lines = [
+    return [
         f"board51 diagnose {campaign}{quick} --out {out}",
         f"board51 predict {model} {folder / name} --campaign {campaign} --horizon {samples} --out pred.csv",
         f"board51 validate {campaign} --model {model} --out validation",
     ]
-    return f"<pre>{html.escape(chr(10).join(lines))}</pre>" + paragraph(
-        "pred.csv has t, x, x_hat: the error above is their root mean square difference. diagnosis.json beside this "
-        "page has every number of it."
-    )

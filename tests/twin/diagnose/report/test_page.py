@@ -38,7 +38,8 @@ def gap_page() -> str:
 
 
 def text_of(html: str) -> str:
-    return re.sub(r"<[^>]+>", " ", re.sub(r"<style>.*?</style>|src=\"[^\"]*\"", "", html))
+    """In words, however the lines are broken."""
+    return " ".join(re.sub(r"<[^>]+>", " ", re.sub(r"(?s)<style>.*?</style>|src=\"[^\"]*\"", "", html)).split())
 
 
 def test_the_sentence_comes_first_then_pictures_of_before_and_after() -> None:
