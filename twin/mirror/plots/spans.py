@@ -13,7 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from twin.mirror.plots.traces import MEASURED, REFERENCE, TWIN, Traces, shade
+from twin.mirror.plots.traces import Traces, shade
+from twin.page.figures import MEASURED, MODEL, REFERENCE, styled
 
 CUT_SHARE = 0.005  # of the samples at either end may lie outside the axes of the errors
 
@@ -26,6 +27,7 @@ class Column:
     label: str
 
 
+@styled
 def draw_spans(columns: list[Column], out: Path, *, title: str) -> None:
     """Write the picture: position, current, their difference in current, one-step innovation; a column per span."""
     figure = Figure(figsize=(6.6 * len(columns), 9.2), dpi=110, layout="constrained")
@@ -44,7 +46,7 @@ def draw_spans(columns: list[Column], out: Path, *, title: str) -> None:
             if label not in labels:
                 handles.append(handle)
                 labels.append(label)
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9, frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
     figure.savefig(out)
 
 
@@ -61,41 +63,40 @@ def _scale(axis: Axes, values: NDArray[np.float64]) -> None:
 def _column(
     axes: NDArray[np.object_], column: Column, *, first: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Draw one; returns the error of i_c in mA and the innovation of x in um."""
+    """Draw one; returns the error of i_c in mA and the innovation of x in µm."""
     rows = column.traces.columns()
     begin = float(np.nanmin(rows[0]))
     t, x, x_ref, i, twin_x, twin_i, innovation = (rows[0] - begin, *rows[[1, 2, 3, 5, 6, 12]])
     alarms = [(at - begin, name, active) for at, name, active in column.traces.alarms]
     end = float(np.nanmax(t))
     position, current, difference, surprise = axes
-    position.set_title(column.label, fontsize=11)
+    position.set_title(column.label)
     _measured(position, t, x * 1e3, twin_x * 1e3)
     position.plot(t, x_ref * 1e3, color=REFERENCE, lw=1.0, ls="--", label="reference", zorder=1)
     _measured(current, t, i, twin_i)
     error = i - twin_i
     difference.axhline(0.0, color=REFERENCE, lw=0.8)
-    difference.plot(t, error * 1e3, color=TWIN, lw=0.7)
+    difference.plot(t, error * 1e3, color=MODEL, lw=0.7)
     _say(difference, error * 1e3, "mA")
     shade(difference, alarms, "divergence-i_c", end)
     surprise.axhline(0.0, color=REFERENCE, lw=0.8)
-    surprise.plot(t, innovation * 1e6, color=TWIN, lw=0.7)
-    _say(surprise, innovation * 1e6, "um")
+    surprise.plot(t, innovation * 1e6, color=MODEL, lw=0.7)
+    _say(surprise, innovation * 1e6, "µm")
     shade(surprise, alarms, "innovation", end)
     surprise.set_xlabel("time [s]")
     for axis in axes:
-        axis.grid(visible=True, color="#e4e4e4", lw=0.6)
         axis.margins(x=0.005)
     if first:
         position.set_ylabel("position x [mm]")
         current.set_ylabel("current i_c [A]")
         difference.set_ylabel("i_c: measured - twin\n[mA]")
-        surprise.set_ylabel("x: one-step\ninnovation [um]")
+        surprise.set_ylabel("x: one-step\ninnovation [µm]")
     return error * 1e3, innovation * 1e6
 
 
 def _measured(axis: Axes, t: NDArray[np.float64], measured: NDArray[np.float64], twin: NDArray[np.float64]) -> None:
     axis.plot(t, measured, color=MEASURED, lw=2.4, alpha=0.55, label="measured")
-    axis.plot(t, twin, color=TWIN, lw=1.1, label="twin")
+    axis.plot(t, twin, color=MODEL, lw=1.1, label="twin")
 
 
 def _say(axis: Axes, values: NDArray[np.float64], unit: str) -> None:

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from protocol.bus import board51_pb2 as pb
 from twin.mirror.mirror import IN_STEP, OUT_OF_STEP
+from twin.page.figures import ALARM, MEASURED, MODEL, REFERENCE, styled
 
-MEASURED, TWIN, REFERENCE, ALARM = "#1f77b4", "#d62728", "#555555", "#b8860b"
 FLOOR_UM = 1.0  # lower end of the logarithmic axis of errors: below one count of the converter nothing is to be seen
 AROUND_S = 0.5  # shown before and after the time in closed loop
 
@@ -94,6 +94,7 @@ class Traces:
         return np.insert(table, breaks, np.nan, axis=0).T
 
 
+@styled
 def draw(traces: Traces, out: Path, *, nis_on: float, error_on: float, title: str) -> None:
     """Write the picture.
 
@@ -116,13 +117,13 @@ def draw(traces: Traces, out: Path, *, nis_on: float, error_on: float, title: st
     _pair(axes[2], t, u, twin_u, "input u_c [V]")
 
     axes[3].semilogy(t, np.maximum(error * 1e6, FLOOR_UM), color="#bbbbbb", lw=0.6, label="|error|")
-    axes[3].semilogy(t, rmse * 1e6, color=TWIN, lw=1.6, label="rolling RMSE")
+    axes[3].semilogy(t, rmse * 1e6, color=MODEL, lw=1.6, label="rolling RMSE")
     axes[3].semilogy(t, std * np.sqrt(error_on) * 1e6, color=ALARM, lw=1.4, ls="-.", label="alarm line")
     if not np.isfinite(twin_x).any():
         why = "no free twin: the log does not say which law ran"
         axes[3].text(0.5, 0.5, why, transform=axes[3].transAxes, ha="center", color=REFERENCE)
-    axes[3].set_ylabel("x: measured - twin\n[um]")
-    axes[4].semilogy(t, nis, color=TWIN, lw=1.4, label="NIS, window mean")
+    axes[3].set_ylabel("x: measured - twin\n[µm]")
+    axes[4].semilogy(t, nis, color=MODEL, lw=1.4, label="NIS, window mean")
     axes[4].axhline(2.0, color=REFERENCE, lw=0.9, ls=":", label="a right model: 2")
     axes[4].axhline(nis_on, color=ALARM, lw=1.4, ls="-.", label=f"alarm line: {nis_on:.2f}")
     axes[4].set_ylabel("one-step\ninnovation [-]")
@@ -134,9 +135,8 @@ def draw(traces: Traces, out: Path, *, nis_on: float, error_on: float, title: st
     shade(axes[4], traces.alarms, "innovation", end)
     for axis in axes:
         shade(axis, traces.alarms, OUT_OF_STEP, end)
-        axis.grid(visible=True, color="#e4e4e4", lw=0.6)
         axis.margins(x=0.005)
-        axis.legend(loc="upper left", bbox_to_anchor=(1.005, 1.0), fontsize=9, frameon=False)
+        axis.legend(loc="upper left", bbox_to_anchor=(1.005, 1.0), frameon=False)
     figure.savefig(out)
 
 
@@ -144,7 +144,7 @@ def _pair(
     axis: Axes, t: NDArray[np.float64], measured: NDArray[np.float64], twin: NDArray[np.float64], label: str
 ) -> None:
     axis.plot(t, measured, color=MEASURED, lw=2.4, alpha=0.55, label="measured")
-    axis.plot(t, twin, color=TWIN, lw=1.1, label="twin" if np.isfinite(twin).any() else None)
+    axis.plot(t, twin, color=MODEL, lw=1.1, label="twin" if np.isfinite(twin).any() else None)
     axis.set_ylabel(label)
 
 
