@@ -13,16 +13,9 @@ from twin.estimation.record import FloatArray
 from twin.estimation.step_figures import FIGURES, Alone, Compared, definition
 from twin.page.figures import Picture, inline
 from twin.page.render import Mark, render, yes_or_no
+from twin.validate import figures
 from twin.validate.amplifier import CURRENT_FIGURES
 from twin.validate.ball import Ahead
-from twin.validate.figures import (
-    ahead_figure,
-    amplifier_figure,
-    ball_figure,
-    loop_figure,
-    residual_figure,
-    step_figure,
-)
 from twin.validate.residuals import Channel
 from twin.validate.verdict import Validation
 
@@ -95,17 +88,17 @@ def _pictures(result: Validation) -> dict[str, Picture]:
     """By the part of the page, of what is testable."""
     drawn = {}
     if not isinstance(result.amplifier, str):
-        figure = amplifier_figure(result.amplifier, result.model.T_A)
+        figure = figures.amplifier_figure(result.amplifier, result.model.T_A)
         drawn["amplifier"] = figure, "measured current against equation (1)"
     if not isinstance(result.windows, str):
-        figure = ball_figure(result.windows, result.model.plant.travel_m)
+        figure = figures.ball_figure(result.windows, result.model.plant.travel_m)
         drawn["ball"] = figure, "measured position and short predictions"
     if result.ahead:
-        drawn["ahead"] = ahead_figure(result.ahead), "error over the horizon"
+        drawn["ahead"] = figures.ahead_figure(result.ahead), "error over the horizon"
     if not isinstance(result.channels, str):
-        drawn["residuals"] = residual_figure(result.channels), "residual correlations"
+        drawn["residuals"] = figures.residual_figure(result.channels), "residual correlations"
     if not isinstance(result.loop, str) and result.loop.steps:
-        drawn["steps"] = step_figure(result.loop.responses), "mean step response of rig and simulation"
+        drawn["steps"] = figures.step_figure(result.loop.responses), "mean step response of rig and simulation"
     return {part: inline(figure, caption, "png") for part, (figure, caption) in drawn.items()}
 
 
@@ -117,7 +110,7 @@ def _loops(result: Validation) -> list[Picture]:
     else:
         what, runs = "closed loop", result.loop.runs
     travel_m = result.model.plant.travel_m
-    return [inline(loop_figure(run, travel_m), f"{what} of {run.name}", "png") for run in runs[:MOST_LOOPS]]
+    return [inline(figures.loop_figure(run, travel_m), f"{what} of {run.name}", "png") for run in runs[:MOST_LOOPS]]
 
 
 def _ahead_row(row: Ahead) -> list[str | Mark]:

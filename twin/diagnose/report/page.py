@@ -14,11 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from twin.diagnose.inference.budget import millions
-from twin.diagnose.report.figures import (
-    ahead_figure,
-    error_figure,
-    piece_figure,
-)
+from twin.diagnose.report import figures
 from twin.diagnose.report.page_causes import causes
 from twin.diagnose.report.page_errors import errors
 from twin.diagnose.report.page_noise import instruments
@@ -114,11 +110,13 @@ def _about(found: Diagnosis, campaign: Path) -> str:
 def _pictures(show: Show) -> list[Picture]:
     drawn = []
     if show.ahead:
-        drawn.append((ahead_figure(show.ahead), "Error of the predicted position over the horizon, 95 % intervals"))
+        drawn.append(
+            (figures.ahead_figure(show.ahead), "Error of the predicted position over the horizon, 95 % intervals")
+        )
     if show.piece is not None:
         name = show.piece.recording
-        drawn.append((piece_figure(show.piece), f"{name}: the stretch that the baseline predicts worst"))
-        drawn.append((error_figure(show.piece, show.floor_m), f"{name}: error of the same predictions"))
+        drawn.append((figures.piece_figure(show.piece), f"{name}: the stretch that the baseline predicts worst"))
+        drawn.append((figures.error_figure(show.piece, show.floor_m), f"{name}: error of the same predictions"))
     return [inline(figure, caption) for figure, caption in drawn]
 
 

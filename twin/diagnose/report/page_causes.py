@@ -7,7 +7,7 @@ from typing import Any
 
 from twin.diagnose import settings
 from twin.diagnose.judge.account import Account
-from twin.diagnose.report.figures import round_figure
+from twin.diagnose.report import figures
 from twin.diagnose.report.sentences import LACKED, capital, percent, round_sentence, sizes
 from twin.diagnose.result import Diagnosis, Finding, Proposal
 from twin.model.causes.catalogue import BY_NAME
@@ -22,7 +22,7 @@ def causes(found: Diagnosis) -> dict[str, Any]:
         "lacked": LACKED,
         "least_gain": f"{settings.LEAST_GAIN:g}",
         "rounds": [
-            inline(round_figure(step, number, settings.LEAST_GAIN), f"Round {number}: {round_sentence(step)}")
+            inline(figures.round_figure(step, number, settings.LEAST_GAIN), f"Round {number}: {round_sentence(step)}")
             for number, step in enumerate(found.selection.rounds, start=1)
             if step.scores
         ],

@@ -6,14 +6,7 @@ import math
 from typing import Any
 
 from twin.diagnose.judge.account import beyond_floor
-from twin.diagnose.report.figures import (
-    correction_figure,
-    curve_figure,
-    regime_figure,
-    spectrum_figure,
-    step_difference_figure,
-    steps_figure,
-)
+from twin.diagnose.report import figures
 from twin.diagnose.report.sentences import LACKED, WHERE_JUDGED, capital, percent
 from twin.diagnose.residuals.state_map import Correction
 from twin.diagnose.residuals.step_response import Steps
@@ -32,12 +25,14 @@ def errors(found: Diagnosis, show: Show) -> dict[str, Any]:
     """What page_errors.html shows."""
     alone = found.before == found.after
     regimes = [one for one in show.regimes if not found.quick or one.name in _QUICK_REGIMES]
-    by_group = [inline(regime_figure(one, show.floor_m), f"Error 20 ms ahead by {one.title}") for one in regimes]
+    by_group = [
+        inline(figures.regime_figure(one, show.floor_m), f"Error 20 ms ahead by {one.title}") for one in regimes
+    ]
     if show.spectrum is not None and not found.quick:
         caption = (
             f"Spectrum of the error one sample ahead ({show.spectrum.segments} segments); noise alone is a flat line"
         )
-        by_group.append(inline(spectrum_figure(show.spectrum), caption))
+        by_group.append(inline(figures.spectrum_figure(show.spectrum), caption))
     missing = [*show.force, *(() if found.quick else show.current)]
     steps = show.steps
     return {
@@ -47,12 +42,14 @@ def errors(found: Diagnosis, show: Show) -> dict[str, Any]:
         "step_pictures": []
         if isinstance(steps, str)
         else [
-            inline(steps_figure(steps), f"Mean of {steps.count} reference steps, each as a share of itself"),
-            inline(step_difference_figure(steps), "Rig minus simulation"),
+            inline(figures.steps_figure(steps), f"Mean of {steps.count} reference steps, each as a share of itself"),
+            inline(figures.step_difference_figure(steps), "Rig minus simulation"),
         ],
         "step_rows": [] if isinstance(steps, str) else _step_rows(steps, alone),
         "pace": "" if isinstance(steps, str) else _pace(steps, alone),
-        "residuals": [inline(curve_figure(one), f"{_MISSING[one.residual_unit]}, over {one.title}") for one in missing],
+        "residuals": [
+            inline(figures.curve_figure(one), f"{_MISSING[one.residual_unit]}, over {one.title}") for one in missing
+        ],
         "rest": _rest(found) if found.verdict in _UNEXPLAINED else "",
         "largest": _largest(show) if found.verdict in _UNEXPLAINED else [],
         "correction": None if show.correction is None else _correction(show.correction),
@@ -62,7 +59,7 @@ def errors(found: Diagnosis, show: Show) -> dict[str, Any]:
 def _correction(found: Correction) -> dict[str, Any]:
     low, high = found.ratio.low, found.ratio.high
     return {
-        "picture": inline(correction_figure(found), "For prediction only, not a cause"),
+        "picture": inline(figures.correction_figure(found), "For prediction only, not a cause"),
         "helps": "It helps" if high < 1.0 else "It does not help" if low > 1.0 else "It hardly matters",
         "before": f"{found.extended_rmse_m * 1e6:.3g}",
         "after": f"{found.corrected_rmse_m * 1e6:.3g}",
