@@ -207,3 +207,53 @@ def test_a_greeting_that_was_begun_is_not_finished_after_the_loss_of_the_port() 
     assert b"\0" not in session.output()[1:]  # at most the mark that ends what was begun
     session.poll(10.0)
     assert sent(session) == []
+
+
+def test_ids_begin_where_the_session_says() -> None:
+    """A board that kept answers to the ids of another host would answer with them, and act on nothing."""
+    session = new_session()
+    session.connect(0.0)
+    session.poll(0.0)
+
+    (hello,) = sent(session)
+
+    assert hello.int("id") == 0x34 + 1
+
+
+def test_a_greeting_refused_for_its_id_is_repeated_with_another_when_it_is_due() -> None:
+    session = new_session(hello_s=0.25)
+    session.connect(0.0)
+    session.poll(0.0)
+    (hello,) = sent(session)
+
+    assert session.feed(nack(hello, Reason.BUSY), 0.01) == []
+    session.poll(0.2)
+    assert sent(session) == []
+    session.poll(0.25)
+
+    (again,) = sent(session)
+    assert again.name == "HELLO"
+    assert again.int("id") != hello.int("id")
+
+
+def test_an_event_before_the_board_has_a_session_is_told() -> None:
+    session = new_session()
+    session.connect(0.0)
+
+    assert session.feed(event(4), 0.0) == [BoardEvent(10_001, EventCode.LIMIT_HIT, 0, 0)]
+
+
+def test_what_was_answered_is_not_repeated() -> None:
+    session = new_session()
+    session.connect(0.0)
+    session.poll(0.0)
+    (hello,) = sent(session)
+    session.poll(0.25)  # repeats it, and the port has not taken it yet
+
+    session.feed(identity(hello.int("id")), 0.26)
+    assert session.output() == b""
+
+    _, command = asked(session, "SET_MODE", 0.3, mode=1)
+    session.poll(0.4)
+    session.feed(ack(command), 0.41)
+    assert session.output() == b""
