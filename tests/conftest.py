@@ -27,9 +27,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.hookimpl(tryfirst=True)  # xdist reads the groups in the same hook
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Tests that share a fixture of their module run in one process: four processes would make it four times."""
-    for item in items:
+    for item in items if hasattr(config, "workerinput") else []:
         if isinstance(item, pytest.Function) and not any(item.iter_markers("xdist_group")):
             made = item._fixtureinfo.name2fixturedefs.values()
             if any(definition[-1].scope == "module" for definition in made):
