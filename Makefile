@@ -5,6 +5,9 @@ BIN    := $(VENV)/bin
 PYTEST_ARGS ?=
 STAMP  := $(VENV)/.from-lock
 
+# Containers often forbid bytecode: every test process and every command would compile all of Python's sources again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: setup demo test test-slow mutants check docs clean
 setup: $(STAMP)
 

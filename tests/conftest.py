@@ -1,9 +1,17 @@
 """For all tests: hypothesis takes the same examples on every run, with no deadline that a busy machine could miss, and
 the programs that tests start hear SIGHUP and SIGINT, also where this run itself was told to ignore them (nohup, &).
+
+What is slow to make is made once, not in each process of the run: fixtures of a module, and machine code.
 """
 
-import signal
+from __future__ import annotations
 
+import fcntl
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
 from hypothesis import settings
 
 settings.register_profile("board51", derandomize=True, deadline=None, database=None)
@@ -11,3 +19,41 @@ settings.load_profile("board51")
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if hasattr(config, "workerinput"):
+        _compile_one_at_a_time()
+
+
+@pytest.hookimpl(tryfirst=True)  # xdist reads the groups in the same hook
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Tests that share a fixture of their module run in one process: four processes would make it four times."""
+    for item in items if hasattr(config, "workerinput") else []:
+        if isinstance(item, pytest.Function) and not any(item.iter_markers("xdist_group")):
+            made = item._fixtureinfo.name2fixturedefs.values()
+            if any(definition[-1].scope == "module" for definition in made):
+                item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
+
+
+def _compile_one_at_a_time() -> None:
+    """Of the processes of a run one compiles a kernel; the others wait and read it from numba's cache on disk."""
+    from numba.core.compiler_lock import global_compiler_lock
+    from numba.core.dispatcher import Dispatcher
+
+    dispatcher: Any = Dispatcher
+    compiled, depth = dispatcher.compile, 0
+
+    def compile_alone(self: Any, signature: Any) -> Any:
+        nonlocal depth
+        # numba's lock first: one thread of a process waits, and a kernel compiles those that it calls.
+        with global_compiler_lock, Path(__file__).open() as lock:
+            if not depth:
+                fcntl.flock(lock, fcntl.LOCK_EX)  # closing the file lets it go
+            depth += 1
+            try:
+                return compiled(self, signature)
+            finally:
+                depth -= 1
+
+    dispatcher.compile = compile_alone
