@@ -17,14 +17,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from google.protobuf.message import Message as ProtoMessage
 
 from gateway.board.scaling import Refusal, Scaling, WireCommand, measured
-from gateway.config import LimitsConfig
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import parse
 from protocol.wire.messages import Flag, Message, Mode
+
+if TYPE_CHECKING:  # pydantic takes long to import: the commands of clients need it not
+    from gateway.config import LimitsConfig
 
 MAX_PAYLOAD = 4096  # bytes; the largest sensible command has about 200
 MAX_STOP = 65536  # bytes that are searched for a STOP, the largest payload that the router of a guarded bus passes

@@ -1,7 +1,7 @@
 """Run board51 commands as child processes, and stop them in every case.
 
 Rule: each has a process session of its own.  So Ctrl-C reaches only the demo, which then stops them in order: the
-      campaign parks the ball while gateway and board still run.
+      campaign parks the ball while gateway and board still run.  They end with the demo, also after kill -9.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from gateway.processes.command import end, words_of
+from gateway.processes.command import Process, end, start
 from protocol.errors import ServiceError
 
 START_LIMIT_S = 90.0  # includes the first compilation of the kernels on a slow machine
@@ -22,13 +22,13 @@ STOP_LIMIT_S = 15.0
 
 
 @contextlib.contextmanager
-def running(out: Path, name: str, *words: str) -> Iterator[subprocess.Popen[bytes]]:
+def running(out: Path, name: str, *words: str) -> Iterator[Process]:
     """Run a command in the background with output to OUT/NAME.log; a context manager.
 
     At the end of the block the process is stopped, and killed after STOP_LIMIT_S.
     """
     with (out / f"{name}.log").open("wb") as log:
-        process = subprocess.Popen(words_of(name, *words), stdout=log, stderr=log, start_new_session=True)
+        process = start(name, *words, nicer=False, stdout=log, stderr=log)
     try:
         yield process
     finally:
@@ -59,13 +59,7 @@ def call(
     Raises:
         ServiceError: the exit code is not in `good`; the message has the last line.
     """
-    process = subprocess.Popen(
-        words_of(name, *words),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    )
+    process = start(name, *words, nicer=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     lines: list[str] = []
     path = out / f"{log or name}.log"
     assert process.stdout is not None
@@ -83,7 +77,7 @@ def call(
     return code, lines
 
 
-def finish(process: subprocess.Popen[bytes], out: Path, name: str, *, good: tuple[int, ...], limit_s: float) -> int:
+def finish(process: Process, out: Path, name: str, *, good: tuple[int, ...], limit_s: float) -> int:
     """Wait for a process of `running`; returns its exit code.
 
     Raises:
@@ -109,7 +103,7 @@ def _check(code: int, good: tuple[int, ...], name: str, lines: list[str], path: 
         )
 
 
-def wait(ready: Callable[[], bool], process: subprocess.Popen[bytes], what: str) -> None:
+def wait(ready: Callable[[], bool], process: Process, what: str) -> None:
     """Wait until `ready()` is true.  Raises ServiceError if the process ends before or START_LIMIT_S is over."""
     end_s = time.monotonic() + START_LIMIT_S
     while not ready():

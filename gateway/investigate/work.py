@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from gateway.processes.command import words_of
+from gateway.processes.command import Process, start
 from protocol.errors import ServiceError, UsageError
 from protocol.files import parse_json, read_small
 
@@ -37,7 +37,7 @@ class Work:
 
     def __init__(self, folder: Path, rig: Sequence[str], *, workers: int, say: Say) -> None:
         self._folder, self._rig, self._workers, self._say = folder, tuple(rig), workers, say
-        self._process: subprocess.Popen[str] | None = None
+        self._process: Process | None = None
         self._stopped = False
         self._ending = signal.SIGTERM
 
@@ -91,14 +91,8 @@ class Work:
         """(exit code, stdout, last line of stderr)."""
         if self._stopped:
             raise Interrupted
-        self._process = process = subprocess.Popen(
-            words_of(*words, child=True),
-            stdin=subprocess.PIPE,  # the child ends when it is closed
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            errors="replace",
-            start_new_session=True,
+        self._process = process = start(
+            *words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace"
         )
         last = ""
         assert process.stdin is not None

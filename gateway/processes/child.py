@@ -1,8 +1,8 @@
-"""Runs one `board51` command as a child of the gateway: `python -m gateway.processes.child opcua --listen ...`.
+"""Runs one `board51` command as a child of another: `python -m gateway.processes.child opcua --listen ...`.
 
-It ends when its standard input closes, which happens when the gateway ends for any reason.  It runs at a lower priority
-than the gateway (NICER, and never in real time, as a gateway may run).  It is a new interpreter and not a fork of the
-multi-threaded gateway.
+It ends when its standard input closes, which happens when its parent ends for any reason.  It runs at a lower priority
+than its parent (NICER, and never in real time, as a gateway may run), unless the first word is SAME_PRIORITY.  It is a
+new interpreter and not a fork of a multi-threaded parent.
 
 Its main thread writes a byte every BEAT_S to the descriptor in the environment (BEAT_VARIABLE): from a signal
 handler, which Python runs there and nowhere else.  A process that is stopped, or whose main thread hangs in a call,
@@ -19,6 +19,7 @@ from contextlib import suppress
 from types import FrameType
 
 NICER = 5
+SAME_PRIORITY = "--same-priority"
 BEAT_S = 1.0
 BEAT_VARIABLE = "BOARD51_BEAT_FD"
 
@@ -48,11 +49,15 @@ def main() -> int:
     """Run the command and return its exit code."""
     import board51
 
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    os.nice(NICER)
+    words = sys.argv[1:]
+    if words[:1] == [SAME_PRIORITY]:
+        words = words[1:]
+    else:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.nice(NICER)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _beat()
-    return board51.main(sys.argv[1:])
+    return board51.main(words)
 
 
 if __name__ == "__main__":

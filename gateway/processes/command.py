@@ -9,12 +9,28 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from gateway.processes.child import SAME_PRIORITY
+
 Process = subprocess.Popen[Any]  # of bytes or of text
 
 
-def words_of(*command: str, child: bool = False) -> list[str]:
-    """Return the command line of `board51 COMMAND`; with `child`, the process ends with this one (child.py)."""
-    return [sys.executable, "-m", "gateway.processes.child" if child else "board51", *command]
+def words_of(*command: str) -> list[str]:
+    """Return the command line of `board51 COMMAND`."""
+    return [sys.executable, "-m", "board51", *command]
+
+
+def start(*command: str, nicer: bool = True, **options: Any) -> Process:
+    """Start `board51 COMMAND`, which ends with this process, also after kill -9 (child.py).
+
+    It is a session of its own: Ctrl-C reaches this process alone, which ends its children in the right order.
+
+    Args:
+        command: the words after `board51`.
+        nicer: run at a lower priority than this process.
+        options: of `subprocess.Popen`.
+    """
+    child = [sys.executable, "-m", "gateway.processes.child", *(() if nicer else (SAME_PRIORITY,)), *command]
+    return subprocess.Popen(child, stdin=subprocess.PIPE, start_new_session=True, **options)
 
 
 def end(processes: Sequence[Process], with_signal: signal.Signals, limit_s: float) -> list[Process]:
@@ -36,4 +52,8 @@ def end(processes: Sequence[Process], with_signal: signal.Signals, limit_s: floa
         for process in running:
             process.kill()
         raise
+    finally:
+        for process in processes:
+            if process.stdin is not None:
+                process.stdin.close()
     return late

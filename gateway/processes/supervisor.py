@@ -13,7 +13,6 @@ import logging
 import os
 import select
 import signal
-import subprocess
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -21,7 +20,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from gateway.processes.child import BEAT_VARIABLE
-from gateway.processes.command import Process, end, words_of
+from gateway.processes.command import Process, end, start
 
 FIRST_WAIT_S = 1.0
 LONGEST_WAIT_S = 30.0
@@ -59,7 +58,7 @@ class _Keeper:
 
     def __init__(self, service: Service) -> None:
         self.name = service.name
-        self._words = words_of(service.name, *service.arguments, child=True)
+        self._command = (service.name, *service.arguments)
         self._stop = threading.Event()
         self._lock = threading.Lock()  # a stop must not slip between a look at it and a start
         self._process: Process | None = None
@@ -117,9 +116,7 @@ class _Keeper:
             self._beats, theirs = os.pipe()
             environment = os.environ | {BEAT_VARIABLE: str(theirs)}
             try:
-                self._process = subprocess.Popen(
-                    self._words, stdin=subprocess.PIPE, pass_fds=(theirs,), env=environment
-                )
+                self._process = start(*self._command, pass_fds=(theirs,), env=environment)
             finally:
                 os.close(theirs)
             return self._process

@@ -13,13 +13,12 @@ import signal
 from typing import TYPE_CHECKING
 
 from gateway.client.connection import open_bus
-from gateway.config import OpcuaConfig, changed
 from gateway.views.account import views_identity
 from gateway.views.listen import add_view_arguments, listener
 from protocol.bus.identity import Identity
 from protocol.errors import UsageError
 
-if TYPE_CHECKING:  # asyncua takes a second to import: --help answers at once
+if TYPE_CHECKING:  # asyncua and pydantic take a second to import: --help answers at once
     from gateway.views.opcua.server import OpcuaSettings
 
 
@@ -35,16 +34,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rate",
         type=float,
-        default=OpcuaConfig.rate_hz,
         metavar="HZ",
-        help="10 to 50 values per second, each with min and max (%(default)g)",
+        help="10 to 50 values per second, each with min and max (20)",
     )
     parser.add_argument(
         "--history",
         type=float,
-        default=OpcuaConfig.history_s,
         metavar="S",
-        help="how far back, 10 to 3600 s (%(default)g)",
+        help="how far back, 10 to 3600 s (300)",
     )
     parser.add_argument(
         "--anonymous",
@@ -58,12 +55,16 @@ def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM or SIGINT."""
     from gateway.access.listeners import is_loopback
     from gateway.access.roles import Role
+    from gateway.config import OpcuaConfig, changed
     from gateway.views.opcua.security import Security
     from gateway.views.opcua.server import OpcuaSettings
 
     host, port = listener(args, "OPC UA", remedy="Give --security DIR, made by `board51 security init DIR`")
-    served = changed(OpcuaConfig(), "--rate", rate_hz=args.rate)
-    served = changed(served, "--history", history_s=args.history)
+    served = OpcuaConfig()
+    if args.rate is not None:
+        served = changed(served, "--rate", rate_hz=args.rate)
+    if args.history is not None:
+        served = changed(served, "--history", history_s=args.history)
     identity = views_identity(args.identity)
     word = args.anonymous or anonymous(host, secured=args.security is not None, guarded=identity is not None)
     if word in ("operator", "engineer") and not is_loopback(host):

@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from gateway.processes.command import end, words_of
+from gateway.processes.command import Process, end, start
 from protocol.bus.identity import VARIABLE as IDENTITY_VARIABLE
 from protocol.errors import UsageError
 
@@ -33,7 +33,7 @@ class Job:
     board: str
     title: str
     who: str
-    process: subprocess.Popen[bytes]
+    process: Process
     began_s: float  # monotonic
     lines: deque[str] = field(default_factory=lambda: deque(maxlen=LINES))
     listener: threading.Thread = field(default_factory=threading.Thread)  # takes in what it says
@@ -76,14 +76,7 @@ class Jobs:
             present = self._jobs.get((kind, board))
             if present is not None and present.running:
                 raise UsageError(f"A {kind} of {board} runs already, begun by {present.who}", remedy="Stop it first")
-            process = subprocess.Popen(
-                words_of(*words, child=True),
-                stdin=subprocess.PIPE,  # its end is the end of the job
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                env=self._environment,
-                start_new_session=True,  # Ctrl-C reaches this process alone, which ends its jobs in order
-            )
+            process = start(*words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=self._environment)
             job = Job(kind=kind, board=board, title=title, who=who, process=process, began_s=time.monotonic())
             self._jobs[(kind, board)] = job
         job.listener = threading.Thread(target=_listen, args=(job,), name=f"job-{kind}", daemon=True)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 import board51
 from gateway.commands.views.opcua import anonymous
+from gateway.config import OpcuaConfig
 from gateway.views.listen import address
 
 
@@ -50,6 +53,22 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(SystemExit):
             board51.main([command, "--help"])
         assert f"board51 {command}" in capsys.readouterr().out.partition("examples:")[2]
+
+
+def test_help_names_the_defaults_of_the_configuration(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        board51.main(["opcua", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"each with min and max ({OpcuaConfig.rate_hz:g})" in said
+    assert f"10 to 3600 s ({OpcuaConfig.history_s:g})" in said
+
+
+@pytest.mark.parametrize("command", ["send", "opcua"])
+def test_help_does_not_wait_for_pydantic(command: str) -> None:
+    words = [sys.executable, "-X", "importtime", "-m", "board51", command, "--help"]
+    imported = subprocess.run(words, capture_output=True, text=True, check=True).stderr
+    assert "argparse" in imported
+    assert "pydantic" not in imported
 
 
 def test_a_layout_is_printed_for_the_board_that_was_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
