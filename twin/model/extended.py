@@ -140,14 +140,22 @@ def position_of_reading(p: Base, c: Vector, reading: float, i: float) -> float:
 
 
 @kernel
+def _lead(p: Base, c: Vector, v: float, gap: float) -> float:
+    bottom, gap_mid = air_gap_offset.gap_m(c, p.x_max_m), p.x_max_m - 0.5 * p.travel_m
+    per_speed = motional_emf.per_speed(c, gap, gap_mid)
+    per_speed += position_dependent_inductance.per_speed(c, p.T_A, gap, bottom, gap_mid)
+    return motional_emf.lead(per_speed * v)
+
+
+@kernel
 def _driven(
-    c: Vector, i: float, target: float, T_A: float, v: float, a: float, gap: float, gap_mid: float, at: float, h: float
+    p: Base, c: Vector, i: float, target: float, T_A: float, v: float, a: float, gap: float, at: float, h: float
 ) -> float:
     """The current after h s, starting from i; `at` is the time since the ball had v, a and `gap`, s."""
-    if c[motional_emf.COUPLING] == 0.0:
+    if c[motional_emf.COUPLING] == 0.0 and c[position_dependent_inductance.VOLTAGE] == 0.0:
         return current_limit.limited(c, slew_rate_limit.relaxed(c, i, target, T_A, h))
-    begin = motional_emf.lead(c, v + at * a, gap - at * v, gap_mid)
-    end = motional_emf.lead(c, v + (at + h) * a, gap - (at + h) * v, gap_mid)
+    begin = _lead(p, c, v + at * a, gap - at * v)
+    end = _lead(p, c, v + (at + h) * a, gap - (at + h) * v)
     change = T_A * (end - begin) / h if h > INSTANT_S else 0.0
     last = motional_emf.settled(end, change)
     if c[slew_rate_limit.RATE] < math.inf:
@@ -199,7 +207,7 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
             if c[freewheel_diode.DROP] == 0.0:
                 target = max(target, 0.0)
             pressed = stops and v == 0.0 and (a1 < 0.0 if x <= 0.0 else x >= p.travel_m)
-            i_half = _driven(c, i, target, T_A, v, 0.0 if pressed else a1, gap, gap_mid, 0.0, 0.5 * h)
+            i_half = _driven(p, c, i, target, T_A, v, 0.0 if pressed else a1, gap, 0.0, 0.5 * h)
         else:
             half_decay = math.exp(-0.5 * h / p.T_A)
             i_half = target + (i - target) * half_decay
@@ -208,7 +216,7 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         f_half = eddy_current_lag.lagged(c, f, i, i_half, w, w_half, 0.5 * h)
         a2 = 0.0 if held else acceleration(p, c, f_half, x + 0.5 * h * v, v2, t + 0.5 * h) - brake
         if shaped:
-            i_next = _driven(c, i_half, target, T_A, v, 0.0 if pressed else a2, gap, gap_mid, 0.5 * h, 0.5 * h)
+            i_next = _driven(p, c, i_half, target, T_A, v, 0.0 if pressed else a2, gap, 0.5 * h, 0.5 * h)
         else:
             i_next = target + (i_half - target) * half_decay
         w_next = eddy_current_lag.weight(c, plane - x - h * v2, gap_mid)

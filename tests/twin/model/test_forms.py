@@ -149,8 +149,13 @@ def test_an_inductance_of_short_reach_is_woodson_s() -> None:
         found = position_dependent_inductance.time_constant(c, RIG.T_A, gap, bottom, mid)
         expected = RIG.T_A * (1.0 + growth * (part(gap) - part(bottom)) / (part(mid) - part(bottom)))
         assert found == pytest.approx(expected, rel=1e-12)
-        lead = motional_emf.lead(having(p7=0.1, p39=1.0), 0.2, gap, mid)
-        assert lead - 1.0 == pytest.approx(0.1 * 0.2 * (part(gap) / part(mid)) ** 2, rel=1e-12)
+        alone = motional_emf.per_speed(having(p7=0.1, p39=1.0), gap, mid)
+        assert alone == pytest.approx(0.1 * (part(gap) / part(mid)) ** 2, rel=1e-12)
+        belongs = position_dependent_inductance.per_speed(
+            having(p6=growth, p38=1.0, p47=1.0), RIG.T_A, gap, bottom, mid
+        )
+        slope = (part(gap - 1e-9) - part(gap + 1e-9)) / 2e-9 / (part(mid) - part(bottom))
+        assert belongs == pytest.approx(RIG.T_A * growth * slope, rel=1e-5)
 
 
 def test_friction_after_stribeck_is_more_at_rest_and_less_when_fast() -> None:

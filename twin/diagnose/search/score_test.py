@@ -68,7 +68,7 @@ def screen(
         for cause in candidates
         if cause.name not in present and not cause.not_testable and cause.found_by == "score-test"
         for probe in probes_of(cause, criterion.evidence.series)
-        for shape in _shapes(cause)
+        for shape in shapes_of(cause)
     ]
     run = criterion.run(theta)
     base, by_free = criterion.derivatives(theta, free, run, rough=True)
@@ -119,7 +119,7 @@ def screen(
     return sorted(best.values(), key=lambda found: -found.gain)
 
 
-def _shapes(cause: Cause) -> list[tuple[tuple[str, float], ...]]:
+def shapes_of(cause: Cause) -> list[tuple[tuple[str, float], ...]]:
     """The coordinates of the forms that are looked at; () for the usual one."""
     forms = [form for form in cause.forms if form.probed]
     return [

@@ -54,17 +54,23 @@ CAUSE = Cause(
 
 
 @kernel
-def lead(c: Vector, v: float, gap: float, gap_mid: float) -> float:
-    """By how much faster, and lower, the current settles in a ball that rises: 1 + coupling x' (g_mid / g)^2.
+def per_speed(c: Vector, gap: float, gap_mid: float) -> float:
+    """The induced voltage over that at the coil's resistance, per speed of the ball, s/m: coupling (g_mid / g)^2."""
+    if c[COUPLING] == 0.0:
+        return 0.0
+    a = c[REACH] * gap_mid
+    ratio = (gap_mid + a) / max(gap + a, LEAST_SHARE * gap_mid)
+    return c[COUPLING] * ratio * ratio
+
+
+@kernel
+def lead(swing: float) -> float:
+    """By how much faster, and lower, the current settles in a ball that rises; `swing`: `per_speed` times its speed.
 
     The voltage is proportional to i_c itself, so that the equation is solved for it: with the current of a step's
     beginning a jump of u_c would meet the voltage of the old current.
     """
-    if c[COUPLING] == 0.0:
-        return 1.0
-    a = c[REACH] * gap_mid
-    ratio = (gap_mid + a) / max(gap + a, LEAST_SHARE * gap_mid)
-    return max(1.0 + c[COUPLING] * v * ratio * ratio, LEAST_LEAD)
+    return max(1.0 + swing, LEAST_LEAD)
 
 
 @kernel
