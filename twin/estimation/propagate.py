@@ -33,12 +33,6 @@ def delay_s(c: NDArray[np.float64]) -> float:
     return float(c[actuation_delay.DELAY] + c[sampling_delay.DELAY])
 
 
-@inlined
-def jitter_s(c: NDArray[np.float64]) -> float:
-    """Standard deviation of the delay from tick to tick, s."""
-    return float(c[actuation_delay.JITTER] + c[sampling_delay.JITTER])
-
-
 @kernel
 def propagate(
     base: Packed,

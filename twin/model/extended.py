@@ -78,7 +78,7 @@ class Base(NamedTuple):
 def drive(p: Base, c: Vector, u: float, w: float) -> float:
     """Steady-state current of the amplifier under u_c = u, A: K_A u of (1) with the amplifier's causes."""
     target = p.K_A * amplifier_gain_drift.gain(c, w) * amplifier_dead_zone.effective_input(c, u)
-    return current_limit.aimed_at(c, max(amplifier_offset.shifted(c, target), 0.0))
+    return current_limit.aimed_at(c, amplifier_offset.shifted(c, target))
 
 
 @kernel

@@ -152,7 +152,7 @@ def test_an_inductance_of_short_reach_is_woodson_s() -> None:
         alone = motional_emf.per_speed(having(p7=0.1, p39=1.0), gap, mid)
         assert alone == pytest.approx(0.1 * (part(gap) / part(mid)) ** 2, rel=1e-12)
         belongs = position_dependent_inductance.per_speed(
-            having(p6=growth, p38=1.0, p47=1.0), RIG.T_A, gap, bottom, mid
+            having(p6=growth, p38=1.0, p43=1.0), RIG.T_A, gap, bottom, mid
         )
         slope = (part(gap - 1e-9) - part(gap + 1e-9)) / 2e-9 / (part(mid) - part(bottom))
         assert belongs == pytest.approx(RIG.T_A * growth * slope, rel=1e-5)

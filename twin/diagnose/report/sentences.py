@@ -91,8 +91,9 @@ def finding_sentence(cause: str, parameters: Mapping[str, Parameter]) -> str:
     )
     _, interval = measured(strength.value, strength.ci95, known.strength.unit)
     form = form_of(known, parameters)
-    nearest = f"; the nearest form in the literature: {form}" if form else ""
-    return (f"{text} ({known.strength.symbol} = {interval}, 95 %)" if interval else text) + nearest
+    size = f"{known.strength.symbol} = {interval}, 95 %" if interval else ""
+    details = "; ".join(part for part in (size, f"nearest form: {form}" if form else "") if part)
+    return f"{text} ({details})" if details else text
 
 
 def form_of(cause: Cause, parameters: Mapping[str, Parameter]) -> str:

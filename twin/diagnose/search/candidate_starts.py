@@ -16,7 +16,7 @@ from protocol.campaign import Plant
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import NOISES, PARAMETERS, Theta, most_step, moved
 from twin.diagnose.search.probes import probes_of
-from twin.diagnose.search.score_test import Score, probed, shapes_of
+from twin.diagnose.search.score_test import Score, probed
 from twin.estimation.record import Record
 from twin.identify.starting.regression import amplifier_start
 from twin.model.causes.catalogue import BY_NAME
@@ -42,20 +42,13 @@ def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
         quick = quickest(criterion.evidence.records)
         if quick is not None:
             times.add(min(quick, theta.T_A))
+        own = [(name, value) for name, value in score.others if name.startswith(f"{cause.name}.")]
         for K_A in sorted(gains):
             for T_A in sorted(times):
                 for probe in probes_of(cause, criterion.evidence.series):
-                    starts.append(probed(replace(theta, K_A=K_A, T_A=T_A), cause, probe))
-    # A shape may have no slope at its usual value, where a fit would stay.
-    starts = [_having(start, shape) for start in starts for shape in shapes_of(cause)]
+                    starts.append(probed(replace(theta, K_A=K_A, T_A=T_A), cause, probe, own))
     starts = _with_stops(criterion.plant, theta, starts, cause)
     return starts[int(np.argmax(criterion.values(starts)))]
-
-
-def _having(theta: Theta, shape: Sequence[tuple[str, float]]) -> Theta:
-    for name, value in shape:
-        theta = theta.having(name, value)
-    return theta
 
 
 def _with_stops(plant: Plant, theta: Theta, starts: list[Theta], cause: Cause) -> list[Theta]:

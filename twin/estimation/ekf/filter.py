@@ -38,13 +38,12 @@ from twin.estimation.ekf.predict import (
     advance,
     carry,
     differences,
-    doubt_delay,
     doubt_input,
     predict_held,
     step_along,
 )
 from twin.estimation.innovations import FLIES, FOLLOWS, LOST, RESTS_HIGH, RESTS_LOW, USE_I, USE_X
-from twin.estimation.propagate import copy, delay_s, find_input, jitter_s
+from twin.estimation.propagate import copy, delay_s, find_input
 from twin.estimation.structures import NO_STEPS, Results, Samples, Steps, System, room_for
 from twin.model.extended import I_C, SHORT_S, V, X, current_reading
 
@@ -116,8 +115,6 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             carry(f.F, f.P, f.G, f.m)
             if unknown:
                 doubt_input(f, inputs, lost, n, t[n - 1], T_s)
-            if jitter_s(f.c[:]) > 0.0:
-                doubt_delay(f, inputs, n, t[n - 1], T_s)
             add_process_noise(f, T_s)
         elif follows:
             predict_held(f, inputs, n, t[n - 1], step[n], y_x[n - 1])

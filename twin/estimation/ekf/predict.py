@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from twin.compiled import inlined, kernel
 from twin.estimation.ekf.memory import Floats, Memory, base_of
 from twin.estimation.ekf.transition import moments, transit
-from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, current_held, delay_s, jitter_s, propagate
+from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, current_held, propagate
 from twin.model.causes import (
-    actuation_delay,
     amplifier_gain_drift,
     coulomb_friction,
     freewheel_diode,
@@ -21,7 +20,6 @@ from twin.model.causes import (
 )
 from twin.model.extended import FIELD, I_C, RATE, SENSOR, WARMTH, Base, V, X
 
-_DELAY_DELTA_S = 1e-5
 _DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5])  # differences of the states for the Jacobian
 
 
@@ -128,45 +126,9 @@ def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: flo
     inputs[lost] -= INPUT_DELTA_V
     for row in range(f.m):
         K[row] = UNKNOWN_INPUT_V * (moved[f.places[row]] - f.y[f.places[row]]) / INPUT_DELTA_V
-    _add_square(f)
-
-
-@kernel
-def doubt_delay(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None:
-    """Add to the covariance the effect of the jitter of the delay; other arguments as `propagate`."""
-    c, moved, back, K = f.c[:], f.moved[:], f.back[:], f.K
-    delay = c[actuation_delay.DELAY]
-    less = min(_DELAY_DELTA_S, delay)
-    copy(moved, f.here[:])
-    c[actuation_delay.DELAY] = delay + _DELAY_DELTA_S
-    propagate(base_of(f), c, moved, inputs, n, f.first, t, T_s, False)
-    copy(back, f.here[:])
-    c[actuation_delay.DELAY] = delay - less
-    propagate(base_of(f), c, back, inputs, n, f.first, t, T_s, False)
-    c[actuation_delay.DELAY] = delay
-    for row in range(f.m):
-        K[row] = jitter_s(c) * (moved[f.places[row]] - back[f.places[row]]) / (_DELAY_DELTA_S + less)
-    _add_square(f)
-
-
-@inlined
-def _add_square(f: Memory) -> None:
     for row in range(f.m):
         for column in range(f.m):
-            f.P[row, column] += f.K[row] * f.K[column]
-
-
-@kernel
-def late_current(f: Memory, inputs: Floats, n: int, T_s: float) -> float:
-    """Standard deviation of i_c at n due to the jitter of the delay, A, by (1) with the ball held."""
-    delay = delay_s(f.c[:])
-    whole = int(delay / T_s)
-    place = n - 1 - whole
-    if place <= f.first:
-        return 0.0
-    T_A = f.base[1]
-    slope = f.base[0] / T_A * math.exp(-((1 + whole) * T_s - delay) / T_A)
-    return float(jitter_s(f.c[:]) * slope * abs(inputs[place] - inputs[place - 1]))
+            f.P[row, column] += K[row] * K[column]
 
 
 @kernel
@@ -202,8 +164,6 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
     else:
         P[0, 0] = f_ii * f_ii * P[0, 0]
     P[0, 0] += f.q_i * T_s
-    if jitter_s(c) > 0.0:
-        P[0, 0] += late_current(f, inputs, n, T_s) ** 2
 
 
 @kernel

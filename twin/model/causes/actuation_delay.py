@@ -5,10 +5,10 @@ u_c(t - delay)
 
 from __future__ import annotations
 
-from twin.model.causes.cause import Cause, CauseParameter, Form, MeasuredProbes
+from twin.model.causes.cause import Cause, CauseParameter, MeasuredProbes
 from twin.model.causes.instruments import OSCILLOSCOPE
 
-DELAY, JITTER = 8, 42
+DELAY = 8
 
 CAUSE = Cause(
     name="actuation-delay",
@@ -21,17 +21,6 @@ CAUSE = Cause(
     parameters=(
         CauseParameter(
             name="delay_s", symbol="delay", unit="s", place=DELAY, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
-        ),
-        CauseParameter(
-            name="jitter_s",
-            symbol="jitter",
-            unit="s",
-            place=JITTER,
-            neutral=0.0,
-            low=0.0,
-            high=0.005,
-            probes=(0.0002,),
-            spread=0.001,
         ),
     ),
     signature="i_c begins to move a fixed time after u_c, at 25 kHz as at 500 Hz, whatever the size of the step",
@@ -46,13 +35,4 @@ CAUSE = Cause(
     traits=frozenset({"delays", "hidden-state"}),
     # The likelihood of a delay has a kink at every whole interval.
     measured_probes=MeasuredProbes(of="sampling-interval", times=(0.5, 1.5)),
-    usual="constant",
-    forms=(
-        Form(
-            name="another at each tick",
-            values={"jitter_s": 0.0005},
-            source="J. Nilsson, Real-Time Control Systems with Delays, 1998: jitter, given as a standard deviation",
-            probed=True,
-        ),
-    ),
 )

@@ -5,10 +5,9 @@ K_A max(u_c - u_0, 0)
 
 from __future__ import annotations
 
-import math
-
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
+from twin.model.causes.corner import behind_corner
 from twin.model.causes.instruments import CLAMP_METER
 
 WIDTH, ROUNDING = 4, 33
@@ -61,9 +60,4 @@ CAUSE = Cause(
 @kernel
 def effective_input(c: Vector, u: float) -> float:
     """The input behind the dead zone, V."""
-    width = c[WIDTH]
-    if c[ROUNDING] == 0.0 or width <= 0.0 or u <= 0.0:
-        return max(u - width, 0.0)
-    corner = c[ROUNDING] * width
-    at_zero = math.sqrt(width * width + corner * corner) - width  # no current without input
-    return 0.5 * (u - width + math.sqrt((u - width) * (u - width) + corner * corner) - at_zero)
+    return behind_corner(u, c[WIDTH], c[ROUNDING])

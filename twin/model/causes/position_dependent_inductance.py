@@ -8,7 +8,7 @@ from __future__ import annotations
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
 
-GROWTH, REACH, VOLTAGE = 6, 38, 47
+GROWTH, REACH, VOLTAGE = 6, 38, 43
 LEAST_SHARE = 0.02  # of the middle gap: nearer to the coil the inductance stays
 
 CAUSE = Cause(

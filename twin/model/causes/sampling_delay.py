@@ -5,9 +5,9 @@ i_measured(t) = i_c(t - delay), x_measured(t) = x(t - delay)
 
 from __future__ import annotations
 
-from twin.model.causes.cause import Cause, CauseParameter, Form, MeasuredProbes
+from twin.model.causes.cause import Cause, CauseParameter, MeasuredProbes
 
-DELAY, JITTER = 26, 43
+DELAY = 26
 
 CAUSE = Cause(
     name="sampling-delay",
@@ -21,17 +21,6 @@ CAUSE = Cause(
         CauseParameter(
             name="delay_s", symbol="delay", unit="s", place=DELAY, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
         ),
-        CauseParameter(
-            name="jitter_s",
-            symbol="jitter",
-            unit="s",
-            place=JITTER,
-            neutral=0.0,
-            low=0.0,
-            high=0.005,
-            probes=(0.0002,),
-            spread=0.001,
-        ),
     ),
     signature="u_c seems to act late, on i_c and on x alike: from the samples alone it is an actuation delay",
     shows_in=("amplifier-steps", "prbs-reference"),
@@ -42,13 +31,4 @@ CAUSE = Cause(
     # The likelihood of a delay has a kink at every whole interval.
     measured_probes=MeasuredProbes(of="sampling-interval", times=(0.5, 1.5)),
     same_samples_as="actuation-delay",
-    usual="constant",
-    forms=(
-        Form(
-            name="another at each tick",
-            values={"jitter_s": 0.0005},
-            source="J. Nilsson, Real-Time Control Systems with Delays, 1998: jitter, given as a standard deviation",
-            probed=True,
-        ),
-    ),
 )
