@@ -92,7 +92,7 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
     from gateway.campaign.folder import CE152, Folder
     from gateway.campaign.menu import LIFT_OFF, chosen
     from gateway.campaign.outcome import Wishes
-    from gateway.campaign.rig import RigControl
+    from gateway.campaign.rig import RigControl, Stopped
     from gateway.campaign.runner import Runner
     from gateway.campaign.subscriber import BoardSubscriber
     from protocol.campaign import load_plant
@@ -117,6 +117,9 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
         handlers = {n: signal.signal(n, lambda *_: stop.set()) for n in (signal.SIGINT, signal.SIGTERM)}
         try:
             summary = Runner(rig, subscriber, Folder(args.folder), args.board, wishes, _say).run()
+        except Stopped:
+            _say("interrupted before the board's first sample: nothing was sent to it")
+            return 1
         finally:
             for number, handler in handlers.items():
                 signal.signal(number, handler)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
+import threading
 from pathlib import Path
 
 import pytest
@@ -172,3 +174,25 @@ def test_a_board_that_is_not_there_is_said(tmp_path: Path, capsys: pytest.Captur
         assert board51.main(words) == 1
 
     assert "No samples from board51/other" in capsys.readouterr().err
+
+
+def test_ctrl_c_before_the_first_sample_says_that_nothing_was_sent(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = signal.getsignal(signal.SIGINT)
+
+    def interrupt() -> None:
+        wait_for(lambda: signal.getsignal(signal.SIGINT) is not before, "the campaign's own handler")
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with emulated_line(tmp_path) as line:
+        interrupter = threading.Thread(target=interrupt)
+        interrupter.start()
+        words = ["campaign", "run", str(tmp_path / "c"), "--board", "other", "--connect", line.endpoint]
+        code = board51.main(words)
+        interrupter.join()
+
+    err = capsys.readouterr().err
+    assert code == 1
+    assert "interrupted before the board's first sample: nothing was sent to it" in err
+    assert "fault of board51" not in err
