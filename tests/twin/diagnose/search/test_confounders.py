@@ -53,15 +53,15 @@ def test_beside_dry_friction_a_doubtful_name_goes_to_one_that_the_screen_hardly_
     """The friction comes out wrong without the magnetism, and there is no slope from there to the true numbers."""
     rig = strong(MAGNETISM, 0.04, strong(FRICTION, 3e-3))
     criterion = criterion_of(narrow(rig, seconds=8.0))
-    free = (*BASE, *STOPS, *coordinates_of(FRICTION))
+    free = (*BASE, *STOPS, coordinates_of(FRICTION)[0])  # beside friction with its shapes no force is named
     try:
         base = climb(criterion, THETA, (*BASE, *STOPS))
         true = climb(criterion, rig, (*free, *coordinates_of(MAGNETISM)))
         rubs = climb(criterion, reinitialised(strong(FRICTION, 3e-3)), free)
-        false = climb(criterion, strong(FORCE, 1e-3, rubs.theta), (*free, *coordinates_of(FORCE)))
+        scores = {score.cause: score for score in screen(criterion, rubs.theta, rubs.free)}
+        false = climb(criterion, start_of(criterion, rubs.theta, scores[FORCE]), (*free, *coordinates_of(FORCE)))
         floor = floor_of(criterion, base.theta)
         doubtful = floor.under(criterion, false.theta).material(false.loglik)
-        shown = {score.cause: score.gain for score in screen(criterion, rubs.theta, rubs.free)}
         spared, asked = selection(base, false, FRICTION, FORCE), selection(base, false, FRICTION, FORCE)
         find_classes(criterion, spared, candidates=(BY_NAME[MAGNETISM],), few=3)
         find_classes(criterion, asked, floor, candidates=(BY_NAME[MAGNETISM],), few=3)
@@ -69,10 +69,11 @@ def test_beside_dry_friction_a_doubtful_name_goes_to_one_that_the_screen_hardly_
         criterion.close()
 
     assert doubtful
-    assert true.loglik - rubs.loglik > 50.0 * shown[MAGNETISM]
+    assert true.loglik - rubs.loglik > 50.0 * scores[MAGNETISM].gain
     assert MAGNETISM not in spared.causes
     assert asked.causes == [FRICTION, MAGNETISM]
-    assert asked.fit.loglik > true.loglik - settings.EQUIVALENT_GAIN
+    # The likelihood of dry friction has kinks, at which a climb may end.
+    assert asked.fit.loglik > true.loglik - 0.02 * (true.loglik - rubs.loglik)
     assert asked.fit.theta.value("residual-magnetism.i_r_a") == pytest.approx(0.04, rel=0.03)
 
 
