@@ -6,8 +6,8 @@ K_A max(u_c - u_0, 0)
 from __future__ import annotations
 
 from twin.compiled import kernel
-from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
-from twin.model.causes.corner import behind_corner
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.corner import ROUNDED, behind_corner, rounding
 from twin.model.causes.instruments import CLAMP_METER
 
 WIDTH, ROUNDING = 4, 33
@@ -24,17 +24,7 @@ CAUSE = Cause(
         CauseParameter(
             name="width_v", symbol="u_0", unit="V", place=WIDTH, neutral=0.0, low=0.0, high=2.0, probes=(0.05, 0.2)
         ),
-        CauseParameter(
-            name="rounding",
-            symbol="r",
-            unit="",
-            place=ROUNDING,
-            neutral=0.0,
-            low=0.0,
-            high=1.5,
-            probes=(0.1,),
-            spread=0.5,
-        ),
+        rounding(ROUNDING),
     ),
     signature="i_c is 0 up to some u_c and a straight line from there, which misses the origin",
     shows_in=("amplifier-steps", "lift-off"),
@@ -47,13 +37,7 @@ CAUSE = Cause(
     at_rest="amplifier",
     added_a=lambda width_v, K_A: -K_A * width_v,
     usual="sharp corner",
-    forms=(
-        Form(
-            name="rounded corner",
-            values={"rounding": 0.4},
-            source="P. R. Gray, R. G. Meyer, Analysis and Design of Analog Integrated Circuits: class B stages",
-        ),
-    ),
+    forms=(ROUNDED,),
 )
 
 

@@ -6,8 +6,8 @@ K_A u_c + i_offset, not below 0: one below 0 has a corner there, sharp or rounde
 from __future__ import annotations
 
 from twin.compiled import kernel
-from twin.model.causes.cause import Cause, CauseParameter, Form, Vector
-from twin.model.causes.corner import behind_corner
+from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.corner import ROUNDED, behind_corner, rounding
 from twin.model.causes.instruments import CLAMP_METER, UNPLUGGED
 
 OFFSET, ROUNDING = 5, 42
@@ -25,17 +25,7 @@ CAUSE = Cause(
         CauseParameter(
             name="offset_a", symbol="i_offset", unit="A", place=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
         ),
-        CauseParameter(
-            name="rounding",
-            symbol="r",
-            unit="",
-            place=ROUNDING,
-            neutral=0.0,
-            low=0.0,
-            high=1.5,
-            probes=(0.1,),
-            spread=0.5,
-        ),
+        rounding(ROUNDING),
     ),
     signature="i_c is not 0 at u_c = 0 (or begins late), and the coil does pull then",
     shows_in=("rest", "amplifier-steps"),
@@ -49,13 +39,7 @@ CAUSE = Cause(
     at_rest="amplifier",
     added_a=lambda offset_a, K_A: offset_a,
     usual="sharp corner",
-    forms=(
-        Form(
-            name="rounded corner",
-            values={"rounding": 0.4},
-            source="P. R. Gray, R. G. Meyer, Analysis and Design of Analog Integrated Circuits: class B stages",
-        ),
-    ),
+    forms=(ROUNDED,),
 )
 
 

@@ -5,19 +5,33 @@ from __future__ import annotations
 import math
 
 from twin.compiled import kernel
+from twin.model.causes.cause import CauseParameter, Form
+
+ROUNDED = Form(
+    name="rounded corner",
+    values={"rounding": 0.4},
+    source="P. R. Gray, R. G. Meyer, Analysis and Design of Analog Integrated Circuits: class B stages",
+)
+
+
+def rounding(place: int) -> CauseParameter:
+    """The shape of a corner: over how much of the threshold it is rounded."""
+    return CauseParameter(
+        name="rounding", symbol="r", unit="", place=place, neutral=0.0, low=0.0, high=1.5, probes=(0.1,), spread=0.5
+    )
 
 
 @kernel
-def behind_corner(value: float, threshold: float, rounding: float) -> float:
+def behind_corner(value: float, threshold: float, share: float) -> float:
     """What is above the threshold, not negative; both in one unit.
 
     Args:
         value: what goes in.
         threshold: positive.
-        rounding: over how much of the threshold the corner is rounded; 0: sharp.  Without input there is no output.
+        share: over how much of the threshold the corner is rounded; 0: sharp.  Without input there is no output.
     """
-    if rounding == 0.0 or value <= 0.0:
+    if share == 0.0 or value <= 0.0:
         return max(value - threshold, 0.0)
-    corner = rounding * threshold
+    corner = share * threshold
     at_zero = math.sqrt(threshold * threshold + corner * corner) - threshold
     return 0.5 * (value - threshold + math.sqrt((value - threshold) ** 2 + corner * corner) - at_zero)
