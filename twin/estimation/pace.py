@@ -11,7 +11,7 @@ from enum import Enum, auto
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.estimation.ekf.memory import states_in
+from twin.estimation.ekf.memory import active_states
 from twin.estimation.ekf.predict import amplifier_alone
 from twin.estimation.innovations import FLIES, FOLLOWS, Series
 from twin.estimation.propagate import delay_s
@@ -19,7 +19,7 @@ from twin.estimation.rollout_periodic import PHASES, has_phase
 from twin.model.causes import (
     coulomb_friction,
 )
-from twin.model.extended import PARTS, SHORT_S
+from twin.model.extended import I_C, PARTS, SHORT_S, WANDER, V, X
 
 
 class Reuse(Enum):
@@ -45,12 +45,12 @@ class Pace:
             c: the causes' parameters, shape (PLACES,).
             reuse: what the run reuses from another.
         """
-        rubs, states = c[coulomb_friction.FORCE] != 0.0, states_in(c)
+        rubs, states = c[coulomb_friction.FORCE] != 0.0, active_states(c)
         advances = 0 if reuse is Reuse.STEPS else 1
         if reuse is Reuse.NOTHING:
-            advances += states + (3 if rubs else 0)
+            advances += len(states) + (3 if rubs else 0)
         # With the amplifier of (1) the current of a held ball needs no integration.
-        linear = states == 3 and amplifier_alone(c)
+        linear = amplifier_alone(c) and all(state in (I_C, X, V) or state >= WANDER for state in states)
         pieces = 2 if delay_s(c) > 0.0 else 1
         return self.samples + pieces * (advances * self.flown + (0 if linear else 2 * self.held))
 

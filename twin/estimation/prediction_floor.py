@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from twin.compiled import kernel
 from twin.estimation.ekf.correct import position_slopes, variance
 from twin.estimation.ekf.filter import filtered
-from twin.estimation.ekf.memory import Memory, base_of, copy_square, memory_for
+from twin.estimation.ekf.memory import Memory, copy_square, memory_for, wandered
 from twin.estimation.ekf.predict import add_process_noise, carry
 from twin.estimation.structures import Results, Samples, System
 
@@ -64,5 +64,6 @@ def _carry(
             copy_square(f.F, steps.slopes[k], f.m)
             carry(f.F, f.P, f.G, f.m)
             add_process_noise(f, step[k])
-        position_slopes(base_of(f), f.c[:], steps.before[n], f.sensor, f.h_x[:])
+        wandered(f, steps.before[n])
+        position_slopes(f, steps.before[n], f.h_x[:])
         variances[n] = variance(f, f.h_x[:], f.r_x * noise_ratio[n, 1] if noise_ratio.shape[0] > 0 else f.r_x)

@@ -3,8 +3,8 @@
     u_c --delay, dead zone--> target --limits, T_A(x), emf--> i --lag, remanence, saturation--> force --> x', x
     i, x --gain, offset, bow, crosstalk, lag--> sensor readings
 
-State y, shape (7,): i_c (A), x (m), x' (m/s), field current f (A), position sensor s (m), warmth w (A^2), the
-rate of the sensor s' (m/s).
+State y, shape (STATES,): i_c (A), x (m), x' (m/s), field current f (A), position sensor s (m), warmth w (A^2), the
+rate of the sensor s' (m/s), and how far each of `OFFSETS` has wandered (in its unit; the caller adds it to c).
 
 Rule 1: with `catalogue.neutral()` the model is exactly (1) and (6), and f = i_c, s = x.
 Rule 2: within a substep the amplifier is integrated exactly (for any T_A and slew rate), and the ball by Runge-Kutta
@@ -50,10 +50,12 @@ from twin.model.causes import (
     sensor_crosstalk,
     slew_rate_limit,
 )
+from twin.model.causes.catalogue import OFFSETS
 from twin.model.causes.cause import Vector
 
 I_C, X, V, FIELD, SENSOR, WARMTH, RATE = range(7)
-STATES = 7
+WANDER = 7  # of the first of `OFFSETS`
+STATES = WANDER + len(OFFSETS)
 PARTS = (0.0625, 0.1875, 0.25, 0.5)  # substeps of an interval, as shares of it
 SHORT_S = 1e-4  # a shorter interval, as in a 25 kHz capture, is one substep
 LONGEST_STEP_S = 2e-3  # longest interval of one `advance`; the error bounds of rule 2 hold for it
@@ -172,7 +174,7 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
     Args:
         base: tuple(Base).
         c: the causes' parameters, shape (PLACES,).
-        y: the state, shape (7,).
+        y: the state, shape (STATES,).
         u: input after all delays, V.
         t: time at the beginning, s, for periodic causes.
         duration: s, at most LONGEST_STEP_S.

@@ -72,8 +72,8 @@ def diagnosis(
         sigma_i_c_a=QUIET.sigma_i_c_a,
         sigma_x_m=QUIET.sigma_x_m,
         measured=True,
-        loglik=logliks[1],
-        readings=2 * len(fit.series),
+        logliks=(0.0, logliks[1]),
+        counts=(len(fit.series), len(fit.series)),
     )
     spread = {name: 0.01 * abs(rig.value(name)) for name in coordinates_of(cause)}
     own = Trial(cause=cause, fit=after_fit, gain=logliks[1] - logliks[0])

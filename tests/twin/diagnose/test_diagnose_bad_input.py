@@ -431,7 +431,7 @@ def test_the_sensor_noise_is_found_at_rest_and_makes_the_floor(campaigns: Path) 
     assert 0.0 < error < 0.05
     assert not floor.material(floor.loglik - error * floor.readings)
     assert floor.material(floor.loglik - 4.0 * max(error, settings.NOISE_TOLERANCE) * floor.readings)
-    assert Floor(sigma_i_c_a=1.0, sigma_x_m=1.0, measured=True, loglik=0.0, readings=100).material(-3.0)
+    assert Floor(sigma_i_c_a=1.0, sigma_x_m=1.0, measured=True, counts=(50, 50)).material(-3.0)
 
 
 def test_the_stops_are_where_the_sensor_shows_them(campaigns: Path) -> None:

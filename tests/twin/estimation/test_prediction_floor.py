@@ -106,8 +106,7 @@ def test_diagnose_and_validate_print_the_same_floor(cause: str) -> None:
     """For one model with one noise, on one recording; `validate` begins its flights a tenth of a second in, too."""
     theta = QUIET if cause == NOTHING else strong(cause, EFFECTS[cause].strong, QUIET)
     evidence = flown(theta, seed=7, seconds=20.0)
-    sigma = {"sigma_i_c_a": theta.sigma_i_c_a, "sigma_x_m": theta.sigma_x_m}
-    floor = Floor(**sigma, measured=True, loglik=0.0, readings=0)
+    floor = Floor(sigma_i_c_a=theta.sigma_i_c_a, sigma_x_m=theta.sigma_x_m, measured=True)
     model = model_of(campaign(), fit_of(theta, 0.0), {}, evidence.records, 0.0, "the rig itself")
 
     judged = filtered(source_of(evidence.records[0], model), model)

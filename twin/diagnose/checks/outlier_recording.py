@@ -92,8 +92,8 @@ def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | Non
             process_i_c_a=FLOORS["process_i_c_a"],
             process_a_m_s2=FLOORS["process_a_m_s2"],
         )
-        loglik, readings = expected(alone.outputs(quiet))
-        if not adequate(alone, fit, replace(floor, loglik=loglik, readings=readings))[0]:
+        logliks, counts = expected(alone.outputs(quiet))
+        if not adequate(alone, fit, replace(floor, logliks=logliks, counts=counts))[0]:
             return None
         moves = {name: math.log(fit.theta.value(name) / agreed.theta.value(name)) for name in settings.DRIFT}
     finally:

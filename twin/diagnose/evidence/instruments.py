@@ -14,8 +14,8 @@ Rule 3: sources share a level unless they differ significantly (false in one cam
         by more than the floor's tolerance.  So a common level has its full precision.
 Rule 4: noise depends on height if it does so within flights, as significantly and as much, and if the ball at rest, as
         one more height, fits the shape of the flights.
-Rule 5: the reference level is that of the ball at rest (`sensor_noise.py`), otherwise that of the fit; the flights with
-        the nearest level are assumed to have the same.  This module gives ratios to it.
+Rule 5: the reference level is that of the ball at rest (`sensor_noise.py`), and the flights with the nearest level are
+        assumed to have the same.  Without a ball at rest it is that of the flights.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from twin.diagnose.evidence.noise_levels import Channel, Level, Noise, parts_of
 from twin.estimation.innovations import FLIES, FOLLOWS, LOST, RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN, USE_I, USE_X, Series
 from twin.estimation.prediction_floor import TOLERANCE
 from twin.estimation.record import BoolArray, FloatArray, runs
+from twin.estimation.structures import ALIKE
 
 IntArray = np.ndarray[tuple[int], np.dtype[np.int64]]
 ORDER = 5  # of the difference; the third leaves five times as much of a step of the acceleration
@@ -70,9 +71,10 @@ def instruments(evidences: Sequence[Evidence]) -> Noise:
 
 def with_noise(evidence: Evidence, noise: Noise | None) -> Evidence:
     """The evidence with the noise of each reading; unchanged if each channel has a single level."""
-    if noise is None or noise.plain:
+    if noise is None:
         return evidence
-    return replace(evidence, noise=noise, noise_ratio=noise.noise_ratio(evidence.records, evidence.series))
+    ratio = ALIKE if noise.plain else noise.noise_ratio(evidence.records, evidence.series)
+    return replace(evidence, noise=noise, noise_ratio=ratio)
 
 
 def _windows(evidences: Sequence[Evidence], names: Sequence[str], place: int) -> _Windows:
@@ -166,14 +168,17 @@ def _channel(windows: _Windows, names: Sequence[str], *, bends: bool) -> Channel
     curve = _curve(windows) if bends else Channel()
     windows = replace(windows, log=windows.log - curve.log_at(windows.height_m))
     levels: list[Level] = []
-    still: float | None = None
-    for flies in (False, True):
+    rests = bool(windows.rests.any())
+    reference = math.nan
+    for flies in (False, True) if rests else (True, False):
         own = windows.where(windows.flies == flies)
         groups = _groups(own)
         if not groups:
             continue
-        reference = _reference(groups, own, still)
-        still = still if flies else reference
+        if math.isnan(reference):
+            reference = _reference(groups, own)
+        elif rests:
+            reference = min((group.level for group in groups), key=lambda level: abs(level - reference))
         levels += [
             Level(
                 sources=tuple(names[source] for source in sorted(group.sources)),
@@ -183,13 +188,12 @@ def _channel(windows: _Windows, names: Sequence[str], *, bends: bool) -> Channel
             )
             for group in groups
         ]
-    return replace(curve, levels=tuple(levels))
+    sigma = math.nan if rests else math.exp(reference)
+    return replace(curve, levels=tuple(levels), sigma=sigma)
 
 
-def _reference(groups: Sequence[_Group], windows: _Windows, still: float | None) -> float:
-    """Logarithm of the reference level: of the ball at rest; for flights the nearest to it; else of most windows."""
-    if still is not None:
-        return min((group.level for group in groups), key=lambda level: abs(level - still))
+def _reference(groups: Sequence[_Group], windows: _Windows) -> float:
+    """Logarithm of the reference level: of the ball at rest, otherwise of most windows."""
     if windows.rests.any():
         rests = [np.count_nonzero(windows.rests & np.isin(windows.source, group.sources)) for group in groups]
         return groups[int(np.argmax(rests))].level

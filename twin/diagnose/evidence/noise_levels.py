@@ -34,6 +34,7 @@ class Channel:
     bend: tuple[float, ...] = ()  # polynomial of ln sigma over height, without the constant; 1/m, 1/m^2
     range_m: tuple[float, float] = (0.0, 0.0)  # outside of it the noise is constant
     reference: float = 0.0  # value of this polynomial for the ball at rest
+    sigma: float = math.nan  # the reference level, if no ball at rest gives it: A or m
 
     def log_at(self, height_m: FloatArray) -> FloatArray:
         """Ln of the ratio of the standard deviation at each height to that of the ball at rest, shape (n,)."""
@@ -82,7 +83,7 @@ def to_json(noise: Noise | None, sigmas: tuple[float, float]) -> dict[str, Any]:
         noise: None: each channel has a single level.
         sigmas: reference levels of i_c, A, and x, m.
     """
-    channels = noise.channels if noise is not None else (Channel(), Channel())
+    channels = noise.channels if noise is not None and not noise.plain else (Channel(), Channel())
     return {
         name: {
             "sigma": sigma,

@@ -1,25 +1,27 @@
-"""Sensor noise without a model: from the ball at rest, or clamped."""
+"""Sensor noise without a model: from the ball at rest, otherwise from the differences of the readings."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from twin.diagnose import settings
 from twin.diagnose.evidence.gather import Evidence
-from twin.estimation.contact import HELD_SAMPLES, at_converter_end, near_converter_end
-from twin.estimation.innovations import FLIES, RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN, USE_I, USE_X, Series
+from twin.estimation.contact import HELD_SAMPLES, near_converter_end
+from twin.estimation.innovations import RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN, USE_I, USE_X, Series
 from twin.estimation.record import BoolArray, FloatArray, runs
 
 _LINE = np.arange(HELD_SAMPLES) - (HELD_SAMPLES - 1) / 2.0
 
 
 def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
-    """Standard deviations (i_c in A, x in m) of the ball at rest, otherwise clamped; None with too few samples."""
+    """Standard deviations (i_c in A, x in m) of the ball at rest, else of `instruments.py`; None: too few samples."""
     squares = _rest_squares(evidence)
     result = [float(np.sqrt(total / count)) if count > 300 and total > 0 else None for total, count in squares]
-    if None in result:
-        clamped = _clamped_noise(evidence)
-        result = [here if here is not None else other for here, other in zip(result, clamped, strict=True)]
+    if evidence.noise is not None:
+        others = [one.sigma if math.isfinite(one.sigma) else None for one in evidence.noise.channels]
+        result = [here if here is not None else other for here, other in zip(result, others, strict=True)]
     return result[0], result[1]
 
 
@@ -70,30 +72,3 @@ def _not_cut(series: Series, values: FloatArray, use: int) -> BoolArray:
         own = np.flatnonzero(known & (series.recording == number))
         used[own[near_converter_end(values[own])]] = False
     return np.asarray(used)
-
-
-def _clamped_noise(evidence: Evidence) -> tuple[float | None, float | None]:
-    """`sensor_noise` from a clamped ball, for x only at heights of flight, as some sensors' noise depends on height."""
-    series = evidence.series
-    flown = series.x[series.flags & FLIES != 0]
-    amplifier_only = not any(record.has("x") for record in evidence.records)
-    if not len(flown) and not amplifier_only:
-        return None, None
-    low, high = np.quantile(flown, (0.01, 0.99)) if len(flown) else (np.inf, -np.inf)
-    needed = ("u_c", "i_c") if amplifier_only else ("u_c", "i_c", "x")
-    found: list[list[float]] = [[], []]
-    for record in evidence.records:
-        if record.kind != "amplifier-step" or not record.has(*needed):
-            continue
-        for start in range(HELD_SAMPLES, len(record.t) - HELD_SAMPLES + 1, HELD_SAMPLES):
-            window, settled = slice(start, start + HELD_SAMPLES), slice(start - HELD_SAMPLES, start + HELD_SAMPLES)
-            if np.ptp(record.u_c[settled]) != 0.0 or at_converter_end(record.i_c[window]).any():
-                continue
-            x = record.x[window]
-            for place, values in ((0, record.i_c[window]), (1, x if low <= float(np.median(x)) <= high else x[:0])):
-                if len(values) and np.isfinite(values).all():
-                    line = np.polynomial.polynomial.polyfit(_LINE, values, 1)
-                    residual = values - np.polynomial.polynomial.polyval(_LINE, line)
-                    found[place].append(float(residual @ residual) / (HELD_SAMPLES - 2))
-    result = [float(np.sqrt(np.mean(ones))) if len(ones) * HELD_SAMPLES > 300 else None for ones in found]
-    return result[0], result[1]

@@ -17,7 +17,7 @@ from twin.diagnose import settings
 from twin.diagnose.evidence.sensor_noise import noise_error, sensor_noise
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import FLOORS, Theta
-from twin.estimation.innovations import USE_X
+from twin.estimation.innovations import USE_X, whitened
 from twin.estimation.record import FloatArray
 
 
@@ -28,10 +28,25 @@ class Floor:
     sigma_i_c_a: float
     sigma_x_m: float
     measured: bool  # at rest; else the smallest that any fit has asked for
-    loglik: float  # of a right model
-    readings: int
+    logliks: tuple[float, float] = (0.0, 0.0)  # of a right model: of i_c, and of x given i_c
+    counts: tuple[int, int] = (0, 0)  # readings of i_c and x
     error: float = 0.0  # standard error of `loglik` per reading: that of the noise level
     misplaced_m: float = 0.0  # how far from its place the model has that stop which is farther off
+
+    @property
+    def loglik(self) -> float:
+        """Log-likelihood of a right model."""
+        return sum(self.logliks)
+
+    @property
+    def readings(self) -> int:
+        """Number of readings."""
+        return sum(self.counts)
+
+    @property
+    def tolerance(self) -> float:
+        """Log-likelihood per reading by which the noise level may be off."""
+        return max(settings.NOISE_TOLERANCE, settings.NOISE_ERRORS * self.error)
 
     def excess(self, loglik: float) -> float:
         """Log-likelihood that a model lacks compared with the floor."""
@@ -49,9 +64,9 @@ class Floor:
 
     def under(self, criterion: Criterion, theta: Theta) -> Floor:
         """The floor of another model: the spread of the innovations depends on its slope of the force."""
-        loglik, readings = expected(criterion.outputs(self.quiet(theta)))
+        logliks, counts = expected(criterion.outputs(self.quiet(theta)))
         misplaced_m = max(abs(theta.stop_low_m), abs(theta.stop_high_m))
-        return replace(self, loglik=loglik, readings=readings, misplaced_m=misplaced_m)
+        return replace(self, logliks=logliks, counts=counts, misplaced_m=misplaced_m)
 
     def material(self, loglik: float) -> bool:
         """Whether the excess is more than the uncertainty of the noise level, or a stop is misplaced."""
@@ -59,7 +74,16 @@ class Floor:
 
     def above_noise(self, loglik: float) -> bool:
         """Whether the excess is more than the uncertainty of the noise level."""
-        return self.excess(loglik) > max(settings.NOISE_TOLERANCE, settings.NOISE_ERRORS * self.error) * self.readings
+        return self.excess(loglik) > self.tolerance * self.readings
+
+    def lacking(self, logliks: FloatArray) -> FloatArray:
+        """The excess of each channel, shape (2,); inf where it is within the uncertainty of the noise level.
+
+        Args:
+            logliks: of i_c, and of x given i_c, under the model of this floor (`by_channel`).
+        """
+        excess = np.array(self.logliks) - logliks
+        return np.where(excess > self.tolerance * np.array(self.counts), excess, np.inf)
 
 
 def floor_of(criterion: Criterion, theta: Theta) -> Floor:
@@ -71,18 +95,27 @@ def floor_of(criterion: Criterion, theta: Theta) -> Floor:
         sigma_i_c_a=sigma_i or theta.sigma_i_c_a,
         sigma_x_m=sigma_x or theta.sigma_x_m,
         measured=measured,
-        loglik=0.0,
-        readings=0,
         error=noise_error(criterion.evidence) if measured else 0.0,
     )
     return floor.under(criterion, theta)
 
 
-def expected(out: FloatArray) -> tuple[float, int]:
-    """(log-likelihood of innovations that are as large as the filter says, number of readings)."""
-    has_i, has_x = np.isfinite(out[:, 2]), np.isfinite(out[:, 4])
-    both = has_i & has_x
-    total = float(np.sum(np.log(out[both, 2] * out[both, 4] - out[both, 3] ** 2)))
-    total += float(np.sum(np.log(out[has_i & ~has_x, 2]))) + float(np.sum(np.log(out[has_x & ~has_i, 4])))
-    readings = int(has_i.sum() + has_x.sum())
-    return -0.5 * (total + readings), readings
+def expected(out: FloatArray) -> tuple[tuple[float, float], tuple[int, int]]:
+    """(log-likelihood of innovations that are as large as the filter says, number of readings), each of i_c and x."""
+    logs = _log_variances(out)
+    counts = np.isfinite(logs).sum(axis=0)
+    i_c, x = (-0.5 * (np.nansum(logs, axis=0) + counts)).tolist()
+    return (i_c, x), (int(counts[0]), int(counts[1]))
+
+
+def by_channel(out: FloatArray) -> FloatArray:
+    """Log-likelihood of the innovations of i_c, and of x given i_c, shape (2,)."""
+    return np.asarray(-0.5 * (np.nansum(_log_variances(out), axis=0) + np.nansum(whitened(out) ** 2, axis=0)))
+
+
+def _log_variances(out: FloatArray) -> FloatArray:
+    """Logarithm of the variance of each innovation of i_c, and of x given i_c, shape (n, 2); NaN without one."""
+    both = np.isfinite(out[:, 2])
+    given = out[:, 4] - np.where(both, out[:, 3] ** 2 / out[:, 2], 0.0)
+    with np.errstate(invalid="ignore"):
+        return np.log(np.column_stack([out[:, 2], given]))

@@ -7,10 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+
 from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.noise_floor import Floor
+from twin.diagnose.inference.noise_floor import Floor, by_channel
 from twin.diagnose.search import periodic
 from twin.diagnose.search.candidate_fits import Trial, fitted, inside, rises
 from twin.diagnose.search.prediction_benefit import removed
@@ -32,7 +34,7 @@ class Round:
     trials: tuple[Trial, ...]  # best first
     taken: str  # "" where none was
     best: Trial | None = None  # what was judged; None where nothing was fitted
-    share: float = 1.0  # of the excess, that the best explains
+    share: float = 1.0  # of what is missing, that the best explains (`_share`)
     refusal: Refusal = ""  # of the best
     instead: bool = False  # taken on trial in the place of one that gains more
 
@@ -81,7 +83,8 @@ def forward(
     say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
     names = ", ".join(score.cause for score in worth)
     with criterion.budget.question(f"the fit of {len(worth)} candidates ({names})"):
-        trials = fitted(criterion, at, worth, least * excess if material else 0.0, _pays(least))
+        lacking = min(excess, *floor.lacking(by_channel(criterion.outputs(at.theta)))) if material else 0.0
+        trials = fitted(criterion, at, worth, least * lacking, _pays(least))
         if trials and any(name == periodic.AMPLITUDE for name, _ in at.theta.causes):
             # A cause that delays the response also shifts the phase of the periodic force: fit the phase again.
             fit = periodic.rephased(criterion, trials[0].fit, settings.PASSES)
@@ -102,10 +105,10 @@ def decided(
     """Decide whether the best trial is selected; `floor` is that of the model without it."""
     if not trials:
         return Round(scores=tuple(scores), trials=(), taken="")
-    excess, pays = floor.excess(at.loglik), _pays(least)
+    pays = _pays(least)
     possible = [trial for trial in trials if inside(trial)]
     best = (possible or trials)[0]
-    share = best.gain / excess if excess > 0.0 else 1.0
+    share = _share(criterion, at, floor, best)
     refusal: Refusal = ""
     if best.gain < settings.LEAST_GAIN:
         refusal = "chance"
@@ -127,6 +130,21 @@ def decided(
         share=share,
         refusal=refusal,
     )
+
+
+def _share(criterion: Criterion, at: Fit, floor: Floor, best: Trial) -> float:
+    """Share of what is missing that the best explains, in the channel in which it gains most.
+
+    What is missing in the other channel says nothing against it; where this one lacks nothing, both count together.
+    """
+    before, after = (by_channel(out) for out in criterion.several([at.theta, best.fit.theta]))
+    gains = after - before
+    place = int(np.argmax(gains))
+    lacking = floor.lacking(before)[place]
+    if np.isfinite(lacking):
+        return float(gains[place] / lacking)
+    excess = floor.excess(at.loglik)
+    return best.gain / excess if excess > 0.0 else 1.0
 
 
 def _pays_off(criterion: Criterion, at: Fit, best: Trial, pays: float) -> bool:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from twin.compiled import Packed, inlined, kernel
-from twin.estimation.ekf.memory import Floats, Memory, base_of
+from twin.compiled import inlined, kernel
+from twin.estimation.ekf.memory import Floats, Memory, base_of, wandered
 from twin.estimation.innovations import SPEED_STD_M_S
 from twin.model.causes import position_sensor_lag
+from twin.model.causes.wander import MINUTE_S
 from twin.model.extended import (
     FIELD,
     I_C,
@@ -50,6 +51,11 @@ def measure_current(f: Memory, reading: float) -> None:
     _forget(f, 0)
     f.y[I_C] = current_of_reading(f.c[:], reading)
     f.P[0, 0] = f.r_i / (f.h_i[0] * f.h_i[0])
+    if f.i_offset >= 0:
+        f.P[0, 0] += f.P[f.i_offset, f.i_offset] / (f.h_i[0] * f.h_i[0])
+        for k in range(1, f.m):
+            f.P[0, k] = -f.P[f.i_offset, k] / f.h_i[0]
+            f.P[k, 0] = f.P[0, k]
 
 
 @kernel
@@ -62,6 +68,10 @@ def start_recording(f: Memory, reads: bool, reading: float, u: float) -> None:
         reading: of i_c, A.
         u: u_c, V.
     """
+    for k in range(f.wandering, f.m):
+        _forget(f, k)
+        f.y[f.places[k]], f.P[k, k] = 0.0, f.q_w[k - f.wandering] * MINUTE_S
+    wandered(f, f.y)
     if reads:
         measure_current(f, reading)
     else:
@@ -77,9 +87,8 @@ def start_recording(f: Memory, reads: bool, reading: float, u: float) -> None:
 def start_flight(f: Memory, reading: float) -> None:
     """Initialise the position at the first reading of a flight, m, with unknown speed."""
     p, c, y, P = Base(*base_of(f)), f.c[:], f.y[:], f.P
-    for k in range(f.m):
-        if k != 0 and k != f.warmth:
-            _forget(f, k)
+    for k in range(1, f.lasting):
+        _forget(f, k)
     y[X], y[V] = position_of_reading(p, c, reading, y[I_C]), 0.0
     y[SENSOR], y[RATE] = reading, 0.0
     f.in_flight, f.readings = True, 0
@@ -90,9 +99,22 @@ def start_flight(f: Memory, reading: float) -> None:
         P[f.field, f.field] = P[0, 0]
         P[0, f.field] = P[0, 0]
         P[f.field, 0] = P[0, 0]
-    for k in (0, f.field, f.warmth):
+        for k in range(f.lasting, f.m):
+            P[k, f.field] = P[0, k]
+            P[f.field, k] = P[0, k]
+    for k in (0, f.field):
         if k >= 0:
             P[1, k] = -shown * P[0, k]
+            P[k, 1] = P[1, k]
+    for k in range(f.lasting, f.m):
+        P[1, k] = -shown * P[0, k]
+        P[k, 1] = P[1, k]
+    if f.x_offset >= 0:
+        P[1, 1] += P[f.x_offset, f.x_offset] + 2.0 * shown * P[0, f.x_offset]
+        P[1, 0] -= P[f.x_offset, 0]
+        P[0, 1] = P[1, 0]
+        for k in range(f.lasting, f.m):
+            P[1, k] -= P[f.x_offset, k]
             P[k, 1] = P[1, k]
     if f.sensor >= 0:
         # Behind a lagging sensor the position depends on the unknown speed.
@@ -123,10 +145,11 @@ def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x
         use_i: whether i is used.
         use_x: whether x is used; only in flight.
     """
+    wandered(f, f.y)
     P, m = f.P, f.m
     n_i, n_x = i - current_reading(f.c[:], f.y[I_C]), 0.0
     if use_x:
-        n_x = x - position_slopes(base_of(f), f.c[:], f.y[:], f.sensor, f.h_x[:])
+        n_x = x - position_slopes(f, f.y[:], f.h_x[:])
         # The first readings of a flight determine the initial speed and the state of the sensor, so they are not
         # counted as predicted: a model with a smaller initial variance (friction, a settled field) would seem better.
         if f.readings >= TELLING_READINGS:
@@ -135,6 +158,8 @@ def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x
                 s_ix = 0.0
                 for a in range(m):
                     s_ix += f.h_i[0] * P[0, a] * f.h_x[a]
+                    if f.i_offset >= 0:
+                        s_ix += P[f.i_offset, a] * f.h_x[a]
                 out[3] = s_ix
         f.readings += 1
     if use_i:
@@ -159,14 +184,16 @@ def compare_at_stop(f: Memory, out: Floats, x: float, stop_m: float, use_i: bool
 
 
 @inlined
-def position_slopes(base: Packed, c: Floats, y: Floats, sensor: int, h: Floats) -> float:
-    """The reading of x in state y, m; h, shape (m,) or longer, receives its derivatives; `sensor` as in `Memory`."""
+def position_slopes(f: Memory, y: Floats, h: Floats) -> float:
+    """The reading of x in state y, m; h, shape (m,) or longer, receives its derivatives; c of f is that of y."""
     for a in range(len(h)):
         h[a] = 0.0
-    if sensor >= 0:
-        h[sensor] = 1.0
+    if f.sensor >= 0:
+        h[f.sensor] = 1.0
         return float(y[SENSOR])
-    p = Base(*base)
+    p, c = Base(*base_of(f)), f.c[:]
+    if f.x_offset >= 0:
+        h[f.x_offset] = 1.0
     shown = position_reading(p, c, y[X], y[I_C])
     h[0] = (position_reading(p, c, y[X], y[I_C] + 1e-3) - shown) / 1e-3
     h[1] = (position_reading(p, c, y[X] + 1e-6, y[I_C]) - shown) / 1e-6
@@ -187,7 +214,7 @@ def variance(f: Memory, h: Floats, r: float) -> float:
 def correct(f: Memory, h: Floats, r: float, innovation: float) -> float:
     """Correct state and covariance by one reading; returns the variance of its innovation; f.K is the Kalman gain.
 
-    If the ball is held, only current and warmth are corrected.
+    If the ball is held, only the current and the lasting states are corrected.
     """
     P, K, m = f.P, f.K, f.m
     s = r
@@ -200,7 +227,7 @@ def correct(f: Memory, h: Floats, r: float, innovation: float) -> float:
     for a in range(m):
         K[a] /= s
     for a in range(m):
-        if a == 0 or f.in_flight or a == f.warmth:
+        if a == 0 or f.in_flight or a >= f.lasting:
             f.y[f.places[a]] += K[a] * innovation
     for a in range(m):
         for b in range(a, m):

@@ -32,7 +32,7 @@ from twin.estimation.ekf.correct import (
     start_recording,
     take_readings,
 )
-from twin.estimation.ekf.memory import Memory, base_of, copy_square, memory_for, states_in
+from twin.estimation.ekf.memory import Memory, base_of, copy_square, memory_for, states_in, wandered
 from twin.estimation.ekf.predict import (
     add_process_noise,
     advance,
@@ -92,6 +92,7 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
         if noise_ratio.shape[0] > 0:
             f.r_i, f.r_x = r_i * noise_ratio[n, 0], r_x * noise_ratio[n, 1]
         follows, flies = flags[n] & FOLLOWS != 0 and n > 0, flags[n] & FLIES != 0
+        wandered(f, f.y)
         use_i, use_x = flags[n] & USE_I != 0, flags[n] & USE_X != 0
         f.in_flight = f.in_flight and flies and follows
         if f.in_flight:

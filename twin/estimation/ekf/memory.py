@@ -14,18 +14,38 @@ from numpy.typing import NDArray
 
 from twin.compiled import Packed, inlined
 from twin.estimation.structures import System
-from twin.model.causes import amplifier_gain_drift, current_sensor_gain, eddy_current_lag, position_sensor_lag
-from twin.model.causes.catalogue import neutral
-from twin.model.extended import FIELD, I_C, RATE, SENSOR, STATES, WARMTH, Base, V, X
+from twin.model.causes import (
+    amplifier_gain_drift,
+    amplifier_offset,
+    current_sensor_gain,
+    current_sensor_offset,
+    eddy_current_lag,
+    position_sensor_lag,
+    position_sensor_offset,
+)
+from twin.model.causes.catalogue import OFFSETS
+from twin.model.causes.cause import PLACES
+from twin.model.causes.wander import MINUTE_S
+from twin.model.extended import FIELD, I_C, RATE, SENSOR, STATES, WANDER, WARMTH, Base, V, X
 
 Floats = NDArray[np.float64]
+_WANDERS = {offset: WANDER + k for k, (offset, _) in enumerate(OFFSETS)}
+_NAMED = {
+    "field": FIELD,
+    "sensor": SENSOR,
+    "rate": RATE,
+    "warmth": WARMTH,
+    "drive_offset": _WANDERS[amplifier_offset.OFFSET],
+    "x_offset": _WANDERS[position_sensor_offset.OFFSET],
+    "i_offset": _WANDERS[current_sensor_offset.OFFSET],
+}
 
 
 class Memory(Protocol):
     """A model, its noise, and the memory of the filter; m states are in the covariance."""
 
     base: Floats  # tuple(Base), shape (8,)
-    c: Floats  # the causes' parameters, shape (PLACES,)
+    c: Floats  # the causes' parameters with what has wandered so far (`wandered`), shape (PLACES,)
     closed_form: bool  # as in `System`
     moments: Floats  # of `transition.py`, shape (9,)
     moments_s: float  # interval that the moments are for, s
@@ -37,21 +57,29 @@ class Memory(Protocol):
     high_m: float  # at the upper stop
     m: int
     places: NDArray[np.int64]  # indices of the m states in the state, I_C, X, V first
-    field: int  # place in the covariance; -1: not in it (likewise the next three)
+    field: int  # place in the covariance; -1: not in it (likewise the next six)
     sensor: int
-    warmth: int
     rate: int
+    warmth: int
+    drive_offset: int  # of the states that wander
+    x_offset: int
+    i_offset: int
+    lasting: int  # place of the first state that a flight leaves as it is: warmth and what wanders
+    wandering: int  # place of the first that wanders
+    usual: Floats  # c without what has wandered, shape (PLACES,)
+    offsets: NDArray[np.int64]  # place in c of each state that wanders
+    q_w: Floats  # of the wandering, in the square of its unit per s
     first: int  # first sample of this chain
     in_flight: bool
     readings: int  # of x in this flight, after the first
-    y: Floats  # the state, shape (7,)
+    y: Floats  # the state, shape (STATES,)
     here: Floats  # the state at the previous sample
     moved: Floats  # working array
     back: Floats  # working array
     K: Floats  # Kalman gain
     h_i: Floats  # derivatives of the reading of i_c
     h_x: Floats  # derivatives of the reading of x
-    P: Floats  # covariance, shape (7, 7)
+    P: Floats  # covariance, shape (STATES, STATES)
     F: Floats  # Jacobian d state / d previous state
     G: Floats  # working array
 
@@ -66,8 +94,9 @@ def active_states(c: Floats) -> list[int]:
     own = (
         (FIELD, c[eddy_current_lag.TAU] > 0.0),
         (SENSOR, c[position_sensor_lag.TAU] > 0.0),
-        (WARMTH, c[amplifier_gain_drift.LOSS] != 0.0),
         (RATE, c[position_sensor_lag.TAU] > 0.0 and c[position_sensor_lag.SECOND] > 0.0),
+        (WARMTH, c[amplifier_gain_drift.LOSS] != 0.0),
+        *((WANDER + k, c[wander] > 0.0) for k, (_, wander) in enumerate(OFFSETS)),
     )
     return [I_C, X, V, *(state for state, lives in own if lives)]
 
@@ -76,11 +105,11 @@ def active_states(c: Floats) -> list[int]:
 def _fields() -> np.dtype[np.void]:
     one, square = (STATES,), (STATES, STATES)
     numbers = ("moments_s", "r_i", "r_x", "q_i", "q_a", "low_m", "high_m")
-    counts = ("m", "field", "sensor", "warmth", "rate", "first", "readings")
+    counts = ("m", *_NAMED, "lasting", "wandering", "first", "readings")
     vectors = ("y", "here", "moved", "back", "K", "h_i", "h_x")
-    fields: list[Any] = [("base", float, (len(Base._fields),)), ("c", float, (len(neutral()),))]
+    fields: list[Any] = [("base", float, (len(Base._fields),)), *((name, float, (PLACES,)) for name in ("c", "usual"))]
     fields += [(name, float) for name in numbers] + [(name, np.int64) for name in counts]
-    fields += [("places", np.int64, one), ("moments", float, (9,))]
+    fields += [("places", np.int64, one), ("offsets", np.int64, one), ("q_w", float, one), ("moments", float, (9,))]
     fields += [(name, np.bool_) for name in ("closed_form", "in_flight")]
     fields += [(name, float, one) for name in vectors] + [(name, float, square) for name in ("P", "F", "G")]
     return np.dtype(fields, align=True)
@@ -91,7 +120,8 @@ def memory_for(system: System) -> Memory:
     records = np.zeros(1, _fields())
     record: Any = records[0]
     c, noise, places = system.c, system.noise, active_states(system.c)
-    record["base"], record["c"], record["closed_form"] = system.base, c, system.closed_form
+    record["base"], record["closed_form"] = system.base, system.closed_form
+    record["c"] = record["usual"] = c
     record["r_i"], record["r_x"] = noise.sigma_i_c_a * noise.sigma_i_c_a, noise.sigma_x_m * noise.sigma_x_m
     record["q_i"], record["q_a"] = (
         noise.process_i_c_a * noise.process_i_c_a / noise.tick_s,
@@ -100,10 +130,25 @@ def memory_for(system: System) -> Memory:
     record["low_m"], record["high_m"] = system.stops.low_m, record["base"][-1] + system.stops.high_m
     record["m"] = len(places)
     record["places"][: len(places)] = places
-    for name, state in (("field", FIELD), ("sensor", SENSOR), ("warmth", WARMTH), ("rate", RATE)):
+    for name, state in _NAMED.items():
         record[name] = places.index(state) if state in places else -1
+    record["wandering"] = sum(state < WANDER for state in places)
+    record["lasting"] = record["wandering"] - (WARMTH in places)
+    for k, state in enumerate(places[record["wandering"] :]):
+        offset, wander = OFFSETS[state - WANDER]
+        record["offsets"][k], record["q_w"][k] = offset, c[wander] ** 2 / MINUTE_S
     record["h_i"][0] = c[current_sensor_gain.GAIN]
+    if record["i_offset"] >= 0:
+        record["h_i"][record["i_offset"]] = 1.0
     return cast(Memory, records.view(np.recarray)[0])
+
+
+@inlined
+def wandered(f: Memory, y: Floats) -> None:
+    """Set c to what the causes are in state y."""
+    for k in range(f.wandering, f.m):
+        place = f.offsets[k - f.wandering]
+        f.c[place] = f.usual[place] + y[f.places[k]]
 
 
 @inlined

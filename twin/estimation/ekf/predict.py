@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.compiled import inlined, kernel
-from twin.estimation.ekf.memory import Floats, Memory, base_of
+from twin.estimation.ekf.memory import Floats, Memory, base_of, wandered
 from twin.estimation.ekf.transition import moments, transit
 from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, current_held, propagate
 from twin.model.causes import (
@@ -18,15 +18,17 @@ from twin.model.causes import (
     position_dependent_inductance,
     slew_rate_limit,
 )
+from twin.model.causes.catalogue import OFFSETS
 from twin.model.extended import FIELD, I_C, RATE, SENSOR, WARMTH, Base, V, X
 
-_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5])  # differences of the states for the Jacobian
+_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5] + [1e-6] * len(OFFSETS))  # for the Jacobian
 
 
 @inlined
 def advance(f: Memory, y: Floats, inputs: Floats, n: int, t: float, T_s: float, stops: bool) -> None:
     """Advance the state y from n - 1 to n in place, in closed form if the model has one; arguments as `propagate`."""
     if not f.closed_form:
+        wandered(f, y)
         propagate(base_of(f), f.c[:], y, inputs, n, f.first, t, T_s, stops)
         return
     p = Base(*base_of(f))
@@ -46,8 +48,8 @@ def step_along(f: Memory, slopes: Floats, before: Floats, after: Floats) -> None
     Args:
         f: with the state at n - 1 in `here`.
         slopes: Jacobian of that step, shape (m, m).
-        before: the state at which that step ended, before the correction, shape (7,).
-        after: the state at which that step began, after the correction, shape (7,).
+        before: the state at which that step ended, before the correction, shape (STATES,).
+        after: the state at which that step began, after the correction, shape (STATES,).
     """
     for row in range(f.m):
         total = before[f.places[row]]
@@ -114,11 +116,20 @@ def add_process_noise(f: Memory, T_s: float) -> None:
     P[1, 2] += 0.5 * a2 * T_s**3
     P[2, 1] = P[1, 2]
     P[2, 2] += a2 * T_s**2
+    wander_on(f, T_s)
+
+
+@inlined
+def wander_on(f: Memory, T_s: float) -> None:
+    """Add to the covariance how far the offsets wander in an interval."""
+    for k in range(f.wandering, f.m):
+        f.P[k, k] += f.q_w[k - f.wandering] * T_s
 
 
 @kernel
 def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: float) -> None:
     """Add to the covariance the effect of the unknown u_c of the sample `lost`; other arguments as `propagate`."""
+    wandered(f, f.here)
     moved, K = f.moved[:], f.K
     inputs[lost] += INPUT_DELTA_V
     copy(moved, f.here[:])
@@ -134,7 +145,8 @@ def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: flo
 @kernel
 def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, reading: float) -> None:
     """Predict current and warmth with the ball held at its last `reading`, m; other arguments as `propagate`."""
-    base, c, y, P, moved, warm = base_of(f), f.c[:], f.y[:], f.P, f.moved[:], f.warmth
+    wandered(f, f.y)
+    base, c, y, P, moved = base_of(f), f.c[:], f.y[:], f.P, f.moved[:]
     p = Base(*base)
     held = min(max(reading, 0.0), p.travel_m)
     copy(moved, y)
@@ -142,7 +154,7 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
     if f.closed_form:
         f_ii = math.exp(-T_s / p.T_A)
         y[I_C] = p.K_A * inputs[n - 1] + (y[I_C] - p.K_A * inputs[n - 1]) * f_ii
-    elif amplifier_alone(c) and f.m == 3:
+    elif amplifier_alone(c) and f.wandering == 3:
         y[I_C] = current_held(base, c, y[I_C], inputs, n, f.first, T_s, y[WARMTH])
         f_ii = math.exp(-T_s / p.T_A)
     else:
@@ -155,15 +167,23 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
         propagate(held_base, c, y, inputs, n, f.first, t, T_s, False)
         c[coulomb_friction.FORCE] = rubs
         f_ii = (moved[I_C] - y[I_C]) / _DELTA[I_C]
-    if warm >= 0:
-        f_iw = -p.K_A * c[amplifier_gain_drift.LOSS] * inputs[n - 1] * (1.0 - f_ii)
-        P[0, 0] = f_ii * f_ii * P[0, 0] + f_iw * f_iw * P[warm, warm]
-        P[0, 0] += 2.0 * f_ii * f_iw * P[0, warm]
-        P[0, warm] = f_ii * P[0, warm] + f_iw * P[warm, warm]
-        P[warm, 0] = P[0, warm]
-    else:
-        P[0, 0] = f_ii * f_ii * P[0, 0]
-    P[0, 0] += f.q_i * T_s
+    P[0, 0] = f_ii * f_ii * P[0, 0] + f.q_i * T_s
+    for k in range(f.lasting, f.m):
+        P[0, k] *= f_ii
+        P[k, 0] = P[0, k]
+    for k in range(f.lasting, f.m):
+        by = 0.0  # of the current at n, by that state
+        if k == f.warmth:
+            by = -p.K_A * c[amplifier_gain_drift.LOSS] * inputs[n - 1] * (1.0 - f_ii)
+        elif k == f.drive_offset:
+            by = 1.0 - f_ii
+        if by == 0.0:
+            continue
+        P[0, 0] += 2.0 * by * P[0, k] + by * by * P[k, k]
+        for other in range(f.lasting, f.m):
+            P[0, other] += by * P[k, other]
+            P[other, 0] = P[0, other]
+    wander_on(f, T_s)
 
 
 @kernel

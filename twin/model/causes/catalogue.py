@@ -70,6 +70,8 @@ CATALOGUE: tuple[Cause, ...] = (
     lost_samples.CAUSE,
 )
 BY_NAME = {cause.name: cause for cause in CATALOGUE}
+# (place of an offset, place of its wander) for each offset that may wander.
+OFFSETS = tuple((cause.strength.place, one.place) for cause in CATALOGUE for one in cause.shapes if one.walks)
 
 
 def neutral() -> NDArray[np.float64]:

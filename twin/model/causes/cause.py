@@ -22,7 +22,7 @@ Trait = Literal[
 ]
 FoundBy = Literal["score-test", "spectral-line", "gaps"]  # in innovations, in their spectrum, in the times of samples
 AtRest = Literal["", "balance", "amplifier"]
-PLACES = 47
+PLACES = 51
 
 
 class Vector(Protocol):
@@ -45,6 +45,7 @@ class CauseParameter:
     probes: tuple[float, ...]  # where the screen looks: small, no rounding error; larger where the signature bends
     # Of a shape, which the data often leave open: the standard deviation of its prior about neutral; inf: none.
     spread: float = math.inf
+    walks: bool = False  # the strength is a random walk, and this its standard deviation after a minute
 
     def coordinate(self, value: float) -> float:
         """The number that the estimator moves."""

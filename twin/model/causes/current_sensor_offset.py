@@ -1,4 +1,4 @@
-"""current-sensor-offset: i_c reads too high by a constant.
+"""current-sensor-offset: i_c reads too high by a constant, or by an amount that wanders.
 
 i_measured = i_c + offset
 """
@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
+from twin.model.causes.wander import wander, wandering
 
-OFFSET = 24
+OFFSET, WANDER = 24, 47
 
 CAUSE = Cause(
     name="current-sensor-offset",
@@ -23,12 +24,15 @@ CAUSE = Cause(
         CauseParameter(
             name="offset_a", symbol="offset", unit="A", place=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
         ),
+        wander(WANDER, unit="A", high=0.3, probe=0.02),
     ),
     signature="i_c is not 0 with the coil off, and the coil does not pull then",
     shows_in=("rest", "holds"),
     confirm="read i_c with the coil unplugged",
     cure="zero the sensor with the coil off, before each run",
     at_rest="balance",
+    usual="constant",
+    forms=(wandering("A", 0.02),),
 )
 
 

@@ -1,4 +1,4 @@
-"""position-sensor-offset: x reads too high by a constant.
+"""position-sensor-offset: x reads too high by a constant, or by an amount that wanders.
 
 x_measured = x + offset
 """
@@ -8,8 +8,9 @@ from __future__ import annotations
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 from twin.model.causes.instruments import SHIM
+from twin.model.causes.wander import wander, wandering
 
-OFFSET = 19
+OFFSET, WANDER = 19, 48
 
 CAUSE = Cause(
     name="position-sensor-offset",
@@ -31,6 +32,7 @@ CAUSE = Cause(
             high=0.002,
             probes=(0.0001,),
         ),
+        wander(WANDER, unit="m", high=0.001, probe=0.00005),
     ),
     signature="x is not 0 with the ball on its rest, and off by the same at the top stop",
     shows_in=("rest", "lift-off"),
@@ -42,6 +44,8 @@ CAUSE = Cause(
     },
     traits=frozenset({"displaces"}),
     at_rest="balance",
+    usual="constant",
+    forms=(wandering("m", 0.00005),),
 )
 
 

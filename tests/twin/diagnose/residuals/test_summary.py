@@ -19,7 +19,7 @@ from twin.diagnose.residuals.step_response import Steps, step_responses
 from twin.diagnose.residuals.summary import Show, shown, to_dict
 
 GAP_M = 5e-4
-FLOOR = Floor(sigma_i_c_a=QUIET.sigma_i_c_a, sigma_x_m=QUIET.sigma_x_m, measured=True, loglik=0.0, readings=1)
+FLOOR = Floor(sigma_i_c_a=QUIET.sigma_i_c_a, sigma_x_m=QUIET.sigma_x_m, measured=True, counts=(0, 1))
 
 
 @cache

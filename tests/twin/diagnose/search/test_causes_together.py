@@ -146,9 +146,7 @@ def test_a_ball_that_is_held_is_well_predicted_and_that_proves_no_friction(monke
         base = fitted(criterion, THETA)
         rubs = fitted(criterion, rig, "coulomb-friction")
         excess = rubs.loglik - base.loglik
-        floor = Floor(sigma_i_c_a=2e-3, sigma_x_m=5e-6, measured=True, loglik=0.0, readings=0).under(
-            criterion, base.theta
-        )
+        floor = Floor(sigma_i_c_a=2e-3, sigma_x_m=5e-6, measured=True).under(criterion, base.theta)
         floor_excess = floor.excess(base.loglik)
         trial = Trial(cause="coulomb-friction", fit=rubs, gain=0.1 * floor_excess)
         held = forward.decided(criterion, base, floor, [], [trial], 0.0, settings.LEAST_SHARE)
