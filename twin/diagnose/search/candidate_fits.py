@@ -151,6 +151,8 @@ def inside(trial: Trial) -> bool:
             return False
         span = parameter.high - parameter.low
         ends = [end for end in (parameter.low, parameter.high) if end != parameter.neutral]
-        if any(abs(value - end) < 1e-6 * span for end in ends) and name == coordinates_of(trial.cause)[0]:
+        if any(abs(value - end) < 1e-6 * span for end in ends) and (
+            parameter.walks or name == coordinates_of(trial.cause)[0]
+        ):
             return False
     return True

@@ -27,7 +27,7 @@ CAUSE = Cause(
             name="offset_a", symbol="i_offset", unit="A", place=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
         ),
         rounding(ROUNDING),
-        wander(WANDER, unit="A", high=0.3, probe=0.02),
+        wander(WANDER, unit="A", high=0.1, probe=0.02),
     ),
     signature="i_c is not 0 at u_c = 0 (or begins late), and the coil does pull then",
     shows_in=("rest", "amplifier-steps"),

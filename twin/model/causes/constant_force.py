@@ -24,7 +24,7 @@ CAUSE = Cause(
         CauseParameter(
             name="force_n", symbol="F_0", unit="N", place=FORCE, neutral=0.0, low=-0.05, high=0.05, probes=(0.001,)
         ),
-        wander(WANDER, unit="N", high=0.05, probe=0.002),
+        wander(WANDER, unit="N", high=0.01, probe=0.002),
     ),
     signature="free fall is slower or faster than g, by the same at every height",
     shows_in=("prbs-open-loop", "holds"),

@@ -24,7 +24,7 @@ CAUSE = Cause(
         CauseParameter(
             name="offset_a", symbol="offset", unit="A", place=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
         ),
-        wander(WANDER, unit="A", high=0.3, probe=0.02),
+        wander(WANDER, unit="A", high=0.1, probe=0.02),
     ),
     signature="i_c is not 0 with the coil off, and the coil does not pull then",
     shows_in=("rest", "holds"),

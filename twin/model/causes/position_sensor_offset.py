@@ -32,7 +32,7 @@ CAUSE = Cause(
             high=0.002,
             probes=(0.0001,),
         ),
-        wander(WANDER, unit="m", high=0.001, probe=0.00005),
+        wander(WANDER, unit="m", high=0.0002, probe=0.00005),
     ),
     signature="x is not 0 with the ball on its rest, and off by the same at the top stop",
     shows_in=("rest", "lift-off"),
