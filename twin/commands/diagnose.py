@@ -13,6 +13,7 @@ import sys
 import time
 from pathlib import Path
 
+from twin.diagnose import settings
 from twin.diagnose.inference.budget import FULL, MILLION, QUICK
 from twin.live.shell import check_options, configure_live, give_to_twin, record_live
 
@@ -39,10 +40,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--share",
         type=float,
-        default=0.2,
+        default=settings.LEAST_SHARE,
         metavar="S",
-        help="least part of what is left that a cause must explain (0.2); less, down to 0.01, lists smaller ones beside"
-        " a rest that nothing explains: confidence is not calibrated then",
+        help="least part of what is left in a channel that a cause must explain (%(default)s); less, down to 0.01,"
+        " lists smaller ones beside a rest that nothing explains: confidence is not calibrated then",
     )
     parser.add_argument(
         "--next-experiment",

@@ -146,7 +146,7 @@ def told(
         fine=done.fine,
         finished=finished,
         gain=at_20_ms,
-        leading=any(account.leads(name) for name in found.causes),
+        leading=(done.fine and lost is not None) or any(account.leads(name) for name in found.causes),
     )
     findings = _findings(found, account, spread, proposals, verdict, asked.quick, lost)
     if done.change is not None:
@@ -266,7 +266,12 @@ def _findings(
                 sentence=finding_sentence(cause, parameters),
                 form=form_of(BY_NAME[cause], parameters),
                 parameters=parameters,
-                confidence=confidence_of(found, cause, verdict if account.leads(cause) else "unknown-cause", quick),
+                confidence=confidence_of(
+                    found,
+                    cause,
+                    verdict if verdict == "causes-found" or account.leads(cause) else "unknown-cause",
+                    quick,
+                ),
                 indistinguishable_from=tuple(_member(trial) for trial in near),
                 share_of_excess_explained=account.by_cause[cause],
                 loglik_gain=account.gains[cause],

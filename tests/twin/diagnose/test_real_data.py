@@ -14,6 +14,7 @@ import pytest
 from board51 import main
 from protocol.campaign import load
 from twin.diagnose.evidence.gather import Evidence, gather
+from twin.diagnose.evidence.instruments import instruments, with_noise
 from twin.diagnose.evidence.sensor_noise import sensor_noise
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import Theta
@@ -95,8 +96,10 @@ def test_balls_on_platforms_give_currents_and_no_stops() -> None:
 
 
 @needs_inteco
-def test_noise_of_a_clamped_ball_is_what_the_rig_is_known_for() -> None:
-    sigma_i, sigma_x = sensor_noise(inteco())
+def test_noise_without_a_ball_at_rest_is_what_the_rig_is_known_for() -> None:
+    evidence = inteco()
+
+    sigma_i, sigma_x = sensor_noise(with_noise(evidence, instruments([evidence])))
 
     assert sigma_x is not None
     assert 12e-6 <= sigma_x <= 90e-6  # its authors' range over the gap

@@ -47,7 +47,7 @@ def flight(theta: Theta, name: str, wander: float, seed: int) -> Record:
         rows[k] = u, shown_i, shown_x, wanted
         advance(tuple(base), c, y, u, 0.0, TICK_S, False)
         c[offset] += by * rng.normal()
-    t = np.arange(n) * TICK_S
+    t = TICK_S * np.arange(n, dtype=np.float64)
     return replace(
         steps(theta, seed=1, seconds=0.5), t=t, u_c=rows[:, 0], i_c=rows[:, 1], x=rows[:, 2], x_ref=rows[:, 3]
     )

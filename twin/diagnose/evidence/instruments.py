@@ -169,14 +169,15 @@ def _channel(windows: _Windows, names: Sequence[str], *, bends: bool) -> Channel
     windows = replace(windows, log=windows.log - curve.log_at(windows.height_m))
     levels: list[Level] = []
     rests = bool(windows.rests.any())
-    reference = math.nan
+    reference = sigma = math.nan
     for flies in (False, True) if rests else (True, False):
         own = windows.where(windows.flies == flies)
         groups = _groups(own)
         if not groups:
             continue
         if math.isnan(reference):
-            reference = _reference(groups, own)
+            group = _reference(groups, own)
+            reference, sigma = group.level, group.sigma
         elif rests:
             reference = min((group.level for group in groups), key=lambda level: abs(level - reference))
         levels += [
@@ -188,16 +189,15 @@ def _channel(windows: _Windows, names: Sequence[str], *, bends: bool) -> Channel
             )
             for group in groups
         ]
-    sigma = math.nan if rests else math.exp(reference)
-    return replace(curve, levels=tuple(levels), sigma=sigma)
+    return replace(curve, levels=tuple(levels), sigma=math.nan if rests else sigma)
 
 
-def _reference(groups: Sequence[_Group], windows: _Windows) -> float:
-    """Logarithm of the reference level: of the ball at rest, otherwise of most windows."""
+def _reference(groups: Sequence[_Group], windows: _Windows) -> _Group:
+    """The group of the reference level: that of the ball at rest, otherwise of most windows."""
     if windows.rests.any():
         rests = [np.count_nonzero(windows.rests & np.isin(windows.source, group.sources)) for group in groups]
-        return groups[int(np.argmax(rests))].level
-    return groups[0].level
+        return groups[int(np.argmax(rests))]
+    return groups[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,6 +214,11 @@ class _Group:
     @cached_property
     def error(self) -> float:
         return float(np.std(self.log, ddof=1)) / math.sqrt(len(self.log))
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation; the mean of the logarithms is 5 % below it, the same for all groups."""
+        return float(np.sqrt(np.mean(np.exp(2.0 * self.log))))
 
     def apart(self, other: _Group) -> float:
         """Difference of the levels in standard errors."""

@@ -71,7 +71,7 @@ class Noise:
             level.error * np.count_nonzero(used[own] & (flies[own] == level.flies))
             for name, own in parts_of(records, series)
             for level in self.channels[place].levels
-            if level.ratio != 1.0 and name in level.sources
+            if name in level.sources and (level.ratio != 1.0 or math.isfinite(self.channels[place].sigma))
         )
         return float(total) / max(int(np.count_nonzero(used)), 1)
 

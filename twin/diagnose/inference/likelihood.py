@@ -236,8 +236,14 @@ class Criterion:
     def _residuals(self, theta: Theta) -> FloatArray:
         """Of the stops, the static points and the causes' shapes, in standard errors."""
         stops = [theta.stop_low_m / settings.STOP_STD_M, theta.stop_high_m / settings.STOP_STD_M]
-        statics = [self._static(theta, point) for point in self.evidence.statics]
-        return np.concatenate([stops, statics, shape_residuals(theta)])
+        return np.concatenate([stops, self._statics(theta), shape_residuals(theta)])
+
+    def points(self, theta: Theta) -> float:
+        """Log-likelihood of the lift-off points and equilibria."""
+        return -0.5 * float(np.sum(self._statics(theta) ** 2))
+
+    def _statics(self, theta: Theta) -> FloatArray:
+        return np.array([self._static(theta, point) for point in self.evidence.statics])
 
     def _static(self, theta: Theta, point: LiftOff) -> float:
         p, c = theta.base(self.plant), theta.vector()

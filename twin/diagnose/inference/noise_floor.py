@@ -76,14 +76,15 @@ class Floor:
         """Whether the excess is more than the uncertainty of the noise level."""
         return self.excess(loglik) > self.tolerance * self.readings
 
-    def lacking(self, logliks: FloatArray) -> FloatArray:
-        """The excess of each channel, shape (2,); inf where it is within the uncertainty of the noise level.
+    def lacking(self, logliks: FloatArray, points: int) -> FloatArray:
+        """The excess of each part of `by_part`, shape (3,); inf where it is within the uncertainty of the noise.
 
         Args:
-            logliks: of i_c, and of x given i_c, under the model of this floor (`by_channel`).
+            logliks: of the parts, under the model of this floor.
+            points: number of lift-off points and equilibria.
         """
-        excess = np.array(self.logliks) - logliks
-        return np.where(excess > self.tolerance * np.array(self.counts), excess, np.inf)
+        excess = np.array([*self.logliks, -0.5 * points]) - logliks
+        return np.where(excess > [*(self.tolerance * np.array(self.counts)), settings.LEAST_GAIN], excess, np.inf)
 
 
 def floor_of(criterion: Criterion, theta: Theta) -> Floor:
@@ -108,9 +109,15 @@ def expected(out: FloatArray) -> tuple[tuple[float, float], tuple[int, int]]:
     return (i_c, x), (int(counts[0]), int(counts[1]))
 
 
-def by_channel(out: FloatArray) -> FloatArray:
-    """Log-likelihood of the innovations of i_c, and of x given i_c, shape (2,)."""
-    return np.asarray(-0.5 * (np.nansum(_log_variances(out), axis=0) + np.nansum(whitened(out) ** 2, axis=0)))
+def by_part(criterion: Criterion, *thetas: Theta) -> list[FloatArray]:
+    """Log-likelihood of i_c, of x given i_c, and of the points (lift-off, equilibria), shape (3,), for each model."""
+    return [
+        np.append(
+            -0.5 * (np.nansum(_log_variances(out), axis=0) + np.nansum(whitened(out) ** 2, axis=0)),
+            criterion.points(theta),
+        )
+        for theta, out in zip(thetas, criterion.several(thetas), strict=True)
+    ]
 
 
 def _log_variances(out: FloatArray) -> FloatArray:

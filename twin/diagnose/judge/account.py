@@ -16,8 +16,9 @@ Rule 4: on the judge recordings the quantity is the error of x 20 ms ahead compa
 Rule 5: names hold in part if the rest on the judge recordings is smaller than the noise there and half of what was
         above the noise is gone.  Otherwise they may imitate an unknown cause: those for the spring of a wire left 2.4
         times the noise and removed 9 % of what was above it.
-Rule 6: beside a rest that is more than noise a name holds that explains more than the rest is; one that explains less
-        may only correct the form of another, and is a candidate.
+Rule 6: where that is all, a name holds that alone explains more than what is left and what several explain jointly;
+        one that explains less may only correct the form of another, and is a candidate.  Three causes with two thirds
+        of their gain in common imitated the spring of a wire.
 """
 
 from __future__ import annotations
@@ -49,8 +50,8 @@ class Account:
     unexplained: float
 
     def leads(self, cause: str) -> bool:
-        """Whether a cause explains at least as much as is left."""
-        return self.by_cause.get(cause, 0.0) >= self.unexplained
+        """Whether a cause alone explains at least as much as is left and as several explain jointly."""
+        return self.by_cause.get(cause, 0.0) >= self.unexplained + self.jointly
 
 
 def account_of(found: Selection, lacks: float, fine: bool) -> Account:
@@ -99,13 +100,13 @@ def verdict_of(*, named: bool, fine: bool, gain: Gain | None, finished: bool = T
         fine: whether what is left of the recordings for fitting is noise.
         gain: on the judge recordings, 20 ms ahead.
         finished: whether the search examined all that it was asked for.
-        leading: whether a cause explains more than what is left.
+        leading: whether a cause leads the account.
     """
     if not finished:
         return "unfinished"
     if fine and not beyond_floor(gain):
         return "causes-found" if named else "model-adequate"
-    return "partly-explained" if named and (fine or leading) and _holds(gain) else "unknown-cause"
+    return "partly-explained" if named and leading and _holds(gain) else "unknown-cause"
 
 
 def _holds(gain: Gain | None) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.noise_floor import Floor, by_channel
+from twin.diagnose.inference.noise_floor import Floor, by_part
 from twin.diagnose.search import periodic
 from twin.diagnose.search.candidate_fits import Trial, fitted, inside, rises
 from twin.diagnose.search.prediction_benefit import removed
@@ -83,8 +83,8 @@ def forward(
     say("screen: " + (", ".join(f"{score.cause} {score.gain:.0f}" for score in worth) or "nothing"))
     names = ", ".join(score.cause for score in worth)
     with criterion.budget.question(f"the fit of {len(worth)} candidates ({names})"):
-        lacking = min(excess, *floor.lacking(by_channel(criterion.outputs(at.theta)))) if material else 0.0
-        trials = fitted(criterion, at, worth, least * lacking, _pays(least))
+        parts = floor.lacking(by_part(criterion, at.theta)[0], len(criterion.evidence.statics))
+        trials = fitted(criterion, at, worth, least * min(excess, *parts) if material else 0.0, _pays(least))
         if trials and any(name == periodic.AMPLITUDE for name, _ in at.theta.causes):
             # A cause that delays the response also shifts the phase of the periodic force: fit the phase again.
             fit = periodic.rephased(criterion, trials[0].fit, settings.PASSES)
@@ -133,14 +133,14 @@ def decided(
 
 
 def _share(criterion: Criterion, at: Fit, floor: Floor, best: Trial) -> float:
-    """Share of what is missing that the best explains, in the channel in which it gains most.
+    """Share of what is missing that the best explains, in the part of the data in which it gains most.
 
-    What is missing in the other channel says nothing against it; where this one lacks nothing, both count together.
+    What is missing in the other parts says nothing against it; where this one lacks nothing, all count together.
     """
-    before, after = (by_channel(out) for out in criterion.several([at.theta, best.fit.theta]))
+    before, after = by_part(criterion, at.theta, best.fit.theta)
     gains = after - before
     place = int(np.argmax(gains))
-    lacking = floor.lacking(before)[place]
+    lacking = floor.lacking(before, len(criterion.evidence.statics))[place]
     if np.isfinite(lacking):
         return float(gains[place] / lacking)
     excess = floor.excess(at.loglik)

@@ -98,7 +98,7 @@ def test_a_part_that_two_causes_take_jointly_is_neither_s() -> None:
     ],
 )
 def test_the_verdict_is_what_both_kinds_of_recordings_say(named: bool, fine: bool, low: float, verdict: str) -> None:
-    assert verdict_of(named=named, fine=fine, gain=judged(low, low + 0.1)) == verdict
+    assert verdict_of(named=named, fine=fine, leading=fine, gain=judged(low, low + 0.1)) == verdict
     assert verdict_of(named=named, fine=fine, gain=None) in ("causes-found", "model-adequate", "unknown-cause")
 
 
@@ -111,9 +111,22 @@ def test_beside_a_rest_a_name_holds_that_explains_more_than_the_rest() -> None:
     assert [account.leads(name) for name in ("a", "b", "c")] == [True, False, False]
 
 
+def test_names_that_explain_most_of_it_jointly_may_imitate_another() -> None:
+    account = account_of(searched(900.0, a=250.0, b=100.0), 0.0, True)
+
+    assert account.jointly == pytest.approx(550.0 / 900.0)
+    assert not account.leads("a")
+    assert verdict_of(named=True, fine=True, leading=False, gain=judged(1.15, 1.25)) == "unknown-cause"
+
+
 def test_names_that_take_less_than_half_on_the_judge_recordings_may_only_be_confounders() -> None:
-    assert verdict_of(named=True, fine=True, gain=judged(1.15, 1.25, baseline_m=1.6e-5)) == "partly-explained"
-    assert verdict_of(named=True, fine=True, gain=judged(1.15, 1.25, baseline_m=1.3e-5)) == "unknown-cause"
+    assert (
+        verdict_of(named=True, fine=True, leading=True, gain=judged(1.15, 1.25, baseline_m=1.6e-5))
+        == "partly-explained"
+    )
+    assert (
+        verdict_of(named=True, fine=True, leading=True, gain=judged(1.15, 1.25, baseline_m=1.3e-5)) == "unknown-cause"
+    )
 
 
 def test_a_cause_takes_no_more_than_all_of_them_gain() -> None:
@@ -143,7 +156,7 @@ def partly() -> Diagnosis:
     cause = replace(cause, confidence=MOST["partly-explained"])
     found = replace(
         found,
-        verdict=verdict_of(named=True, fine=True, gain=above_floor),
+        verdict=verdict_of(named=True, fine=True, leading=True, gain=above_floor),
         gain=above_floor,
         gains=gains,
         causes=(cause,),
