@@ -229,20 +229,20 @@ def _gains(
 
     # The longest first, as it takes most time.
     horizons = sorted({max(round(horizon / tick_s), 1) for horizon in HORIZONS_S}, reverse=True)
-    horizons = _affordable(horizons, judge, (before, after), tick_s, asked.budget)
+    horizons = _affordable(horizons, judge, (before, after), plant, tick_s, asked.budget)
     with ThreadPoolExecutor(max_workers=asked.workers) as pool:
         found = [one for one in pool.map(at, horizons) if one is not None]
     return found[::-1]
 
 
 def _affordable(
-    horizons: Sequence[int], judge: Evidence, thetas: Sequence[Theta], tick_s: float, budget: Budget
+    horizons: Sequence[int], judge: Evidence, thetas: Sequence[Theta], plant: Plant, tick_s: float, budget: Budget
 ) -> list[int]:
     """The horizons within the budget; that of the answer has priority."""
     pace, paid = pace_of(judge.series), set()
     for samples in sorted(horizons, key=lambda samples: abs(samples * tick_s - settings.BENEFIT_HORIZON_S)):
         with suppress(Spent), budget.question(f"the error of x {1e3 * samples * tick_s:.0f} ms ahead"):
-            budget.take(sum(pace.steps_ahead(theta.vector(), samples) for theta in thetas))
+            budget.take(sum(pace.steps_ahead(theta.base(plant), theta.vector(), samples) for theta in thetas))
             paid.add(samples)
     return [samples for samples in horizons if samples in paid]
 

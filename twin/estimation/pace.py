@@ -5,6 +5,7 @@ A substep takes 60 to 80 ns, and 125 ns with `motional-emf`, the most expensive 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum, auto
 
@@ -12,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.estimation.ekf.memory import active_states
-from twin.estimation.ekf.predict import amplifier_alone
 from twin.estimation.innovations import FLIES, FOLLOWS, Series
 from twin.estimation.propagate import delay_s
 from twin.estimation.rollout_periodic import PHASES, has_phase
 from twin.model.causes import (
     coulomb_friction,
 )
-from twin.model.extended import I_C, PARTS, SHORT_S, WANDER, V, X
+from twin.model.extended import I_C, PARTS, SHORT_S, WANDER, Base, V, X, amplifier_alone, short
 
 
 class Reuse(Enum):
@@ -35,13 +35,15 @@ class Pace:
     """Counts of one series that determine the cost of a run."""
 
     samples: int
-    flown: int  # substeps with the ball in flight
-    held: int  # substeps with the ball held
+    flown: tuple[int, int]  # with the ball in flight: samples, and substeps where they are shorter
+    held: tuple[int, int]  # the same with the ball held
+    step_s: float  # the usual interval in flight
 
-    def steps(self, c: NDArray[np.float64], reuse: Reuse) -> float:
+    def steps(self, base: Base, c: NDArray[np.float64], reuse: Reuse) -> float:
         """Filter steps of a run.
 
         Args:
+            base: the paper's parameters and the plant.
             c: the causes' parameters, shape (PLACES,).
             reuse: what the run reuses from another.
         """
@@ -49,22 +51,28 @@ class Pace:
         advances = 0 if reuse is Reuse.STEPS else 1
         if reuse is Reuse.NOTHING:
             advances += len(states) + (3 if rubs else 0)
-        # With the amplifier of (1) the current of a held ball needs no integration.
-        linear = amplifier_alone(c) and all(state in (I_C, X, V) or state >= WANDER for state in states)
+        # The current of a held ball alone needs less, and with the amplifier of (1) no integration.
+        alone = all(state in (I_C, X, V) or state >= WANDER for state in states)
+        held = 2.0 if not alone else 0.0 if amplifier_alone(c) else 0.5
         pieces = 2 if delay_s(c) > 0.0 else 1
-        return self.samples + pieces * (advances * self.flown + (0 if linear else 2 * self.held))
+        fine = 0 if short(base, c, self.step_s) else 1
+        return self.samples + pieces * (advances * self.flown[fine] + held * self.held[fine])
 
-    def steps_ahead(self, c: NDArray[np.float64], samples: int) -> float:
+    def steps_ahead(self, base: Base, c: NDArray[np.float64], samples: int) -> float:
         """Filter steps of `measure.predictions`, `samples` ahead; a periodic force takes a run for each phase."""
-        return (PHASES if has_phase(c) else 1) * (self.steps(c, Reuse.NOTHING) + samples * self.flown)
+        return (PHASES if has_phase(c) else 1) * (
+            self.steps(base, c, Reuse.NOTHING) + samples * self.flown[0 if short(base, c, self.step_s) else 1]
+        )
 
 
 def pace_of(series: Series) -> Pace:
     """The pace of a run along a series."""
     follows, flies = series.flags & FOLLOWS != 0, series.flags & FLIES != 0
     substeps = np.where(series.step < SHORT_S, 1, len(PARTS))
+    flown, held = follows & flies, follows & ~flies
     return Pace(
         samples=len(series),
-        flown=int(substeps[follows & flies].sum()),
-        held=int(substeps[follows & ~flies].sum()),
+        flown=(int(flown.sum()), int(substeps[flown].sum())),
+        held=(int(held.sum()), int(substeps[held].sum())),
+        step_s=float(np.median(series.step[flown])) if flown.any() else math.inf,
     )

@@ -6,14 +6,12 @@ Rule 2: the u_c of a lost sample is estimated from the next reading of i_c.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.compiled import Packed, inlined, kernel
 from twin.model.causes import actuation_delay, sampling_delay
-from twin.model.extended import I_C, Base, current_reading, drive, over
+from twin.model.extended import I_C, Base, current_reading, held_current, over
 
 INPUT_DELTA_V = 1e-3
 UNKNOWN_INPUT_V = 1.0  # standard deviation of a lost u_c about the previous one
@@ -70,18 +68,24 @@ def propagate(
 
 @kernel
 def current_held(
-    base: Packed, c: NDArray[np.float64], i: float, u: NDArray[np.float64], n: int, first: int, T_s: float, w: float
+    base: Packed,
+    c: NDArray[np.float64],
+    i: float,
+    u: NDArray[np.float64],
+    n: int,
+    first: int,
+    T_s: float,
+    w: float,
+    x: float,
 ) -> float:
-    """The current at sample n by (1) with the ball held, A, from i at n - 1; w: the warmth; others as `propagate`."""
+    """The current at sample n with the ball held at x, A, from i at n - 1; w: the warmth; others as `propagate`."""
     p = Base(*base)
     delay = delay_s(c)
     whole = int(delay / T_s)
     part = delay - whole * T_s
     if part > 0.0:
-        target = drive(p, c, u[max(n - 2 - whole, first)], w)
-        i = target + (i - target) * math.exp(-part / p.T_A)
-    target = drive(p, c, u[max(n - 1 - whole, first)], w)
-    return target + (i - target) * math.exp(-(T_s - part) / p.T_A)
+        i = held_current(p, c, i, w, x, u[max(n - 2 - whole, first)], part)
+    return held_current(p, c, i, w, x, u[max(n - 1 - whole, first)], T_s - part)
 
 
 @kernel

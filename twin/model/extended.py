@@ -58,6 +58,7 @@ WANDER = 7  # of the first of `OFFSETS`
 STATES = WANDER + len(OFFSETS)
 PARTS = (0.0625, 0.1875, 0.25, 0.5)  # substeps of an interval, as shares of it
 SHORT_S = 1e-4  # a shorter interval, as in a 25 kHz capture, is one substep
+SLOW_SHARE = 1.0 / 16.0  # of T_A: within a shorter interval the current hardly bends, and it is one substep, too
 LONGEST_STEP_S = 2e-3  # longest interval of one `advance`; the error bounds of rule 2 hold for it
 INSTANT_S = 1e-9  # a shorter interval is a rounding error
 GAP_MIN_SHARE = 0.01  # of the travel: smallest gap at which (3) is evaluated
@@ -189,7 +190,7 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         or c[slew_rate_limit.RATE] < math.inf
     )
     rubs = c[coulomb_friction.FORCE] != 0.0
-    coarse = duration < SHORT_S
+    coarse = short(p, c, duration)
     for part in range(1 if coarse else len(PARTS)):
         h = duration if coarse else duration * PARTS[part]
         i, x, v, f, s = y[I_C], y[X], y[V], y[FIELD], y[SENSOR]
@@ -247,6 +248,51 @@ def advance(base: Packed, c: Vector, y: NDArray[np.float64], u: float, t: float,
         y[WARMTH] += h * amplifier_gain_drift.warmth_rate(c, i, y[WARMTH])
         y[I_C], y[X], y[V], y[FIELD] = i_next, x_next, v_next, f_next
         t += h
+
+
+@kernel
+def short(p: Base, c: Vector, duration: float) -> bool:
+    """Whether an interval is one substep; not for a ball that may stick, which has to be seen when it stops."""
+    return duration < SHORT_S or (duration < SLOW_SHARE * p.T_A and c[coulomb_friction.FORCE] == 0.0)
+
+
+@kernel
+def amplifier_alone(c: Vector) -> bool:
+    """Whether the current of a held ball responds as a first-order lag, so that it needs no integration."""
+    straight = c[slew_rate_limit.RATE] == math.inf and c[position_dependent_inductance.GROWTH] == 0.0
+    return straight and c[freewheel_diode.DROP] == 0.0
+
+
+@kernel
+def held_current(p: Base, c: Vector, i: float, w: float, x: float, u: float, duration: float) -> float:
+    """The current after `duration` s with the ball held, A: that of `over` for the same u_c, without the ball.
+
+    Args:
+        p: the paper's parameters and the plant.
+        c: the causes' parameters, shape (PLACES,).
+        i: at the beginning, A.
+        w: warmth, A^2.
+        x: where the ball is, m.
+        u: input after all delays, V.
+        duration: s.
+    """
+    if amplifier_alone(c):
+        target = drive(p, c, u, w)
+        return target + (i - target) * math.exp(-duration / p.T_A)
+    plane = air_gap_offset.gap_m(c, p.x_max_m)
+    gap = max(plane - x, GAP_MIN_SHARE * p.travel_m)
+    T_A = position_dependent_inductance.time_constant(c, p.T_A, gap, plane, p.x_max_m - 0.5 * p.travel_m)
+    steps = max(math.ceil(duration / LONGEST_STEP_S - 0.01), 1)
+    coarse = short(p, c, duration / steps)
+    for _ in range(steps):
+        for part in range(1 if coarse else len(PARTS)):
+            h = duration / steps if coarse else duration / steps * PARTS[part]
+            target = drive(p, c, u, w) - p.K_A * freewheel_diode.lost_v(c, u, i, p.K_A)
+            if c[freewheel_diode.DROP] == 0.0:
+                target = max(target, 0.0)
+            for _ in range(2):
+                i = current_limit.limited(c, slew_rate_limit.relaxed(c, i, target, T_A, 0.5 * h))
+    return i
 
 
 @kernel

@@ -94,7 +94,7 @@ class Criterion:
             Spent: they are not affordable.
         """
         each = zip(thetas, reuse or [Reuse.NOTHING] * len(thetas), strict=True)
-        self.budget.take(sum(self.pace.steps(theta.vector(), ask) for theta, ask in each))
+        self.budget.take(sum(self.pace.steps(theta.base(self.plant), theta.vector(), ask) for theta, ask in each))
 
     def close(self) -> None:
         """Stop the worker threads."""

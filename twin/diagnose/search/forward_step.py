@@ -41,11 +41,11 @@ class Round:
 
 def forward(
     criterion: Criterion,
+    base: Fit,
     at: Fit,
     floor: Floor,
     candidates: Sequence[Cause],
     few: int,
-    gained: float,
     least: float,
     say: Say,
 ) -> Round:
@@ -53,11 +53,11 @@ def forward(
 
     Args:
         criterion: of the recordings for fitting.
+        base: the model without causes.
         at: the model so far, at its best.
         floor: noise floor of the log-likelihood.
         candidates: the causes to try.
         few: number of candidates to fit.
-        gained: gain of log-likelihood of the causes selected so far.
         least: share of the unexplained rest that a cause must explain.
         say: takes lines of progress.
     """
@@ -67,7 +67,7 @@ def forward(
             scores = _with_line(criterion, at, scores)
         scores = _with_dead_time(criterion, at, scores)
         floor = floor.under(criterion, at.theta)
-    excess, material = floor.excess(at.loglik), floor.material(at.loglik)
+    excess, material, gained = floor.excess(at.loglik), floor.material(at.loglik), at.loglik - base.loglik
     # Candidates that cannot reach the required share are not fitted.
     wanted = (min(settings.MINOR_SHARE, least) if material else settings.MINOR_SHARE_AT_NOISE) * gained
     if least > settings.LEAST_SHARE and material:
@@ -89,26 +89,26 @@ def forward(
             # A cause that delays the response also shifts the phase of the periodic force: fit the phase again.
             fit = periodic.rephased(criterion, trials[0].fit, settings.PASSES)
             trials[0] = replace(trials[0], fit=fit, gain=trials[0].gain + fit.loglik - trials[0].fit.loglik)
-        step = decided(criterion, at, floor, scores, trials, gained, least)
+        step = decided(criterion, base, at, floor, scores, trials, least)
     return step
 
 
 def decided(
     criterion: Criterion,
+    base: Fit,
     at: Fit,
     floor: Floor,
     scores: Sequence[Score],
     trials: list[Trial],
-    gained: float,
     least: float,
 ) -> Round:
-    """Decide whether the best trial is selected; `floor` is that of the model without it."""
+    """Decide whether the best trial is selected; `base`: no causes, `at`: those so far, `floor` is that of `at`."""
     if not trials:
         return Round(scores=tuple(scores), trials=(), taken="")
-    pays = _pays(least)
+    gained, pays = at.loglik - base.loglik, _pays(least)
     possible = [trial for trial in trials if inside(trial)]
     best = (possible or trials)[0]
-    share = _share(criterion, at, floor, best)
+    share = _share(criterion, base, at, floor, best)
     refusal: Refusal = ""
     if best.gain < settings.LEAST_GAIN:
         refusal = "chance"
@@ -132,17 +132,20 @@ def decided(
     )
 
 
-def _share(criterion: Criterion, at: Fit, floor: Floor, best: Trial) -> float:
+def _share(criterion: Criterion, base: Fit, at: Fit, floor: Floor, best: Trial) -> float:
     """Share of what is missing that the best explains, in the part of the data in which it gains most.
 
-    What is missing in the other parts says nothing against it; where this one lacks nothing, all count together.
+    What is missing in the other parts says nothing against it.  Where this one hardly lacks more than noise, it is all
+    of it, unless it is a minor effect beside what was found there.
     """
-    before, after = by_part(criterion, at.theta, best.fit.theta)
+    none, before, after = by_part(criterion, base.theta, at.theta, best.fit.theta)
     gains = after - before
     place = int(np.argmax(gains))
     lacking = floor.lacking(before, len(criterion.evidence.statics))[place]
     if np.isfinite(lacking):
         return float(gains[place] / lacking)
+    if gains[place] > settings.MINOR_SHARE_AT_NOISE * (before - none)[place]:
+        return 1.0
     excess = floor.excess(at.loglik)
     return best.gain / excess if excess > 0.0 else 1.0
 

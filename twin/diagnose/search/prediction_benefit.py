@@ -30,7 +30,7 @@ def removed(criterion: Criterion, before: Theta, after: Theta) -> float:
 
 def _square_errors(criterion: Criterion, theta: Theta) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     ahead = max(round(settings.BENEFIT_HORIZON_S / criterion.tick_s), 1)
-    criterion.budget.take(criterion.pace.steps_ahead(theta.vector(), ahead))
+    criterion.budget.take(criterion.pace.steps_ahead(theta.base(criterion.plant), theta.vector(), ahead))
     samples = criterion.evidence.samples
     x_hat = predict_ahead(theta.system(criterion.plant, criterion.tick_s), samples, ahead)
     return np.asarray((x_hat - samples.x) ** 2)

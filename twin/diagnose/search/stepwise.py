@@ -126,11 +126,10 @@ def _add(
     If the best explains too small a share of much that is missing in one channel, the others have their turn: they may
     explain what is missing elsewhere.
     """
-    gained = found.fit.loglik - found.base.loglik
     steps: list[Round] = []
     for _ in range(turns):
         with whole(found):
-            steps.append(forward(criterion, found.fit, floor, candidates, few, gained, least, say))
+            steps.append(forward(criterion, found.base, found.fit, floor, candidates, few, least, say))
         best = steps[-1].best
         if steps[-1].refusal != "small share" or best is None:
             break
@@ -167,6 +166,8 @@ def _together(
     Two causes of similar size mask each other: without the second, the first may explain only a tenth.
     """
     refused = found.rounds[-1]
+    if len(found.causes) >= settings.MOST_TOGETHER:
+        return found
     excess = floor.under(criterion, found.fit.theta).excess(found.fit.loglik)
     if not refused.trials or refused.trials[0].gain < settings.LEAST_SHARE_TOGETHER * excess:
         return found
@@ -213,9 +214,8 @@ def _asked_again(criterion: Criterion, found: Selection, floor: Floor, refused: 
         for trial in refused.trials
     ]
     trials.sort(key=lambda trial: -trial.gain)
-    gained = found.fit.loglik - found.base.loglik
     under = floor.under(criterion, found.fit.theta)
-    return decided(criterion, found.fit, under, refused.scores, trials, gained, least)
+    return decided(criterion, found.base, found.fit, under, refused.scores, trials, least)
 
 
 def backward(criterion: Criterion, found: Selection, floor: Floor, say: Say, passes: int) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.compiled import inlined, kernel
 from twin.estimation.ekf.memory import Floats, Memory, base_of, wandered
@@ -14,12 +13,9 @@ from twin.estimation.propagate import INPUT_DELTA_V, UNKNOWN_INPUT_V, copy, curr
 from twin.model.causes import (
     amplifier_gain_drift,
     coulomb_friction,
-    freewheel_diode,
-    position_dependent_inductance,
-    slew_rate_limit,
 )
 from twin.model.causes.catalogue import OFFSETS
-from twin.model.extended import FIELD, I_C, RATE, SENSOR, WARMTH, Base, V, X
+from twin.model.extended import FIELD, I_C, RATE, SENSOR, WARMTH, Base, V, X, amplifier_alone
 
 _DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5] + [1e-6] * len(OFFSETS))  # for the Jacobian
 
@@ -154,9 +150,14 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
     if f.closed_form:
         f_ii = math.exp(-T_s / p.T_A)
         y[I_C] = p.K_A * inputs[n - 1] + (y[I_C] - p.K_A * inputs[n - 1]) * f_ii
-    elif amplifier_alone(c) and f.wandering == 3:
-        y[I_C] = current_held(base, c, y[I_C], inputs, n, f.first, T_s, y[WARMTH])
-        f_ii = math.exp(-T_s / p.T_A)
+    elif f.wandering == 3:
+        i = y[I_C]
+        y[I_C] = current_held(base, c, i, inputs, n, f.first, T_s, y[WARMTH], held)
+        if amplifier_alone(c):
+            f_ii = math.exp(-T_s / p.T_A)
+        else:
+            moved_i = current_held(base, c, i + _DELTA[I_C], inputs, n, f.first, T_s, y[WARMTH], held)
+            f_ii = (moved_i - y[I_C]) / _DELTA[I_C]
     else:
         # A huge mass without gravity keeps the ball in place within the interval.
         held_base = (p.K_A, p.T_A, p.K_c, p.b, 1e12, 0.0, p.x_max_m, p.travel_m)
@@ -184,10 +185,3 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
             P[0, other] += by * P[k, other]
             P[other, 0] = P[0, other]
     wander_on(f, T_s)
-
-
-@kernel
-def amplifier_alone(c: NDArray[np.float64]) -> bool:
-    """Whether the current responds as a first-order lag, so that it needs no integration while the ball is held."""
-    straight = c[slew_rate_limit.RATE] == math.inf and c[position_dependent_inductance.GROWTH] == 0.0
-    return bool(straight and c[freewheel_diode.DROP] == 0.0)

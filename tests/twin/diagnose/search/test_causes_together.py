@@ -148,9 +148,9 @@ def test_a_ball_that_is_held_is_well_predicted_and_that_proves_no_friction(monke
         # Sensors ten times better than those of the rig: much is left that no cause explains.
         floor = Floor(sigma_i_c_a=2e-4, sigma_x_m=5e-7, measured=True).under(criterion, base.theta)
         trial = Trial(cause="coulomb-friction", fit=rubs, gain=rubs.loglik - base.loglik)
-        held = forward.decided(criterion, base, floor, [], [trial], 0.0, settings.LEAST_SHARE)
+        held = forward.decided(criterion, base, base, floor, [], [trial], settings.LEAST_SHARE)
         monkeypatch.setattr(forward, "HOLDS", frozenset())
-        other = forward.decided(criterion, base, floor, [], [trial], 0.0, settings.LEAST_SHARE)
+        other = forward.decided(criterion, base, base, floor, [], [trial], settings.LEAST_SHARE)
     finally:
         criterion.close()
 

@@ -53,7 +53,7 @@ def test_a_delay_is_found_behind_the_time_constant_that_stood_in_for_it(late: li
     floor = floor_of(criterion, base.theta)
     by_slope = {score.cause: score.gain for score in screen(criterion, base.theta, base.free, DELAYS)}
 
-    step = forward(criterion, base, floor, DELAYS, 3, 0.0, settings.LEAST_SHARE, lambda line: None)
+    step = forward(criterion, base, base, floor, DELAYS, 3, settings.LEAST_SHARE, lambda line: None)
 
     assert base.theta.T_A > 4.0 * FAST.T_A
     assert step.taken == "actuation-delay"
