@@ -72,14 +72,13 @@ LEAST_SHARE_TOGETHER = 0.05
 LEAST_SHARE_LAST = 0.8
 # Tuned.  A smaller share is enough for a cause that removes this much of the mean square error of x, BENEFIT_HORIZON_S
 # ahead, over at least BENEFIT_PREDICTIONS predictions.
-LEAST_BENEFIT = 0.3
+LEAST_BENEFIT = 0.5
 BENEFIT_HORIZON_S = 0.02
 BENEFIT_PREDICTIONS = 200
 # Tuned.  Share of what the causes gain together, below which a gain corrects their form and is no cause of its own.
 MINOR_SHARE = 0.005
 # Tuned.  The same once hardly more than noise is left.
 MINOR_SHARE_AT_NOISE = 0.015
-TURNS = 3  # effort: of the candidates after one that explains too small a share
 # Reasoned.  Causes in one answer; causes that are asked to explain together what none explains alone.
 MOST_CAUSES = 6
 MOST_TOGETHER = 3

@@ -84,8 +84,8 @@ def _search(
     most = settings.MOST_CAUSES if share >= settings.LEAST_SHARE else len(candidates)
     thorough = share == settings.LEAST_SHARE and not quick
     for _ in range(settings.ROUND_TRIPS if thorough and classes else 1):
-        passes, turns = (settings.PASSES_QUICK, 1) if quick else (settings.PASSES, settings.TURNS)
-        while len(found.causes) < most and _add(criterion, found, floor, candidates, few, share, say, passes, turns):
+        passes = settings.PASSES_QUICK if quick else settings.PASSES
+        while len(found.causes) < most and _add(criterion, found, floor, candidates, few, share, say, passes):
             pass
         # `_together` continues from a refused step; with MOST_CAUSES there is none.
         if thorough and len(found.causes) < most and material(criterion, found, floor):
@@ -119,23 +119,11 @@ def _add(
     least: float,
     say: Say,
     passes: int = settings.PASSES,
-    turns: int = 1,
 ) -> bool:
-    """Make a forward step, then remove causes that are no longer needed; False if no cause is selected.
-
-    If the best explains too small a share of much that is missing in one channel, the others have their turn: they may
-    explain what is missing elsewhere.
-    """
-    steps: list[Round] = []
-    for _ in range(turns):
-        with whole(found):
-            steps.append(forward(criterion, found.base, found.fit, floor, candidates, few, least, say))
-        best = steps[-1].best
-        if steps[-1].refusal != "small share" or best is None:
-            break
-        refused = best.cause
-        candidates = [cause for cause in candidates if cause.name != refused]
-    return _taken(criterion, found, floor, steps[-1] if steps[-1].taken else steps[0], say, passes)
+    """Make a forward step, then remove causes that are no longer needed; False if no cause is selected."""
+    with whole(found):
+        step = forward(criterion, found.base, found.fit, floor, candidates, few, least, say)
+    return _taken(criterion, found, floor, step, say, passes)
 
 
 def _taken(criterion: Criterion, found: Selection, floor: Floor, step: Round, say: Say, passes: int) -> bool:

@@ -31,7 +31,7 @@ from twin.diagnose.search.stepwise import select
 from twin.estimation.pace import Reuse, pace_of
 from twin.model.causes.catalogue import BY_NAME
 
-SHORT = 12.0 * MILLION  # the rounds of the small foreign campaign take more
+SHORT = 6 * MILLION
 LAG, FORCE = "position-sensor-lag", "constant-force"
 
 
@@ -119,7 +119,7 @@ def without_budget(data: dict[str, Any]) -> str:
 def test_the_command_line_says_that_the_search_ended_by_its_budget(
     foreign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code = main(["diagnose", str(foreign), "--quick", "--budget", "12", "--out", str(tmp_path)])
+    code = main(["diagnose", str(foreign), "--quick", "--budget", "6", "--out", str(tmp_path)])
 
     told = capsys.readouterr()
     data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
@@ -131,10 +131,10 @@ def test_the_command_line_says_that_the_search_ended_by_its_budget(
     assert "3 candidates" in told.out
     assert " %  " in told.err  # progress
     report = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "The budget of 12 million filter steps ended first" in report
+    assert "The budget of 6 million filter steps ended first" in report
 
 
-@pytest.mark.parametrize(("supplied", "said"), [("1", "does not fit even the paper's model"), ("0", "--budget is 0")])
+@pytest.mark.parametrize(("supplied", "said"), [("0.3", "does not fit even the paper's model"), ("0", "--budget is 0")])
 def test_a_budget_that_is_none_is_refused(
     foreign: Path, supplied: str, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
