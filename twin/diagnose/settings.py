@@ -64,9 +64,10 @@ LEAST_INFORMATION = 1.0
 
 # Level.  Gain of log-likelihood: z = 4.5, two-sided 7.7e-6 for one cause, 2.3e-4 for the best of thirty.
 LEAST_GAIN = 10.0
-# Tuned.  Share of what is missing that a cause must explain while more than noise is missing: a significant but minor
-# effect beside a large unexplained rest is how a false name looks.
-LEAST_SHARE = 0.1
+# Tuned.  Share of what is missing, in the part of the data where it gains most (i_c, x, points of rest), that a cause
+# must explain while more than noise is missing: a significant but minor effect beside a large unexplained rest is how a
+# false name looks.
+LEAST_SHARE = 0.2
 # Tuned.  The same for a cause that leaves, together with others, nothing but noise; and for the last of them.
 LEAST_SHARE_TOGETHER = 0.05
 LEAST_SHARE_LAST = 0.8
@@ -80,7 +81,7 @@ MINOR_SHARE = 0.005
 # Tuned.  The same once hardly more than noise is left.
 MINOR_SHARE_AT_NOISE = 0.015
 # Reasoned.  Causes in one answer; causes that are asked to explain together what none explains alone.
-MOST_CAUSES = 6
+MOST_CAUSES = 4
 MOST_TOGETHER = 3
 
 # --- Equivalence classes: which other cause would do as well? ---

@@ -22,8 +22,6 @@ from twin.model.extended import I_C, V, X, advance, current_reading, position_re
 
 # The wander after a minute, large enough to show within half a minute.
 WANDERS = {
-    "amplifier-offset.wander_a": 0.05,
-    "constant-force.wander_n": 0.004,
     "position-sensor-offset.wander_m": 0.0002,
     "current-sensor-offset.wander_a": 0.05,
 }

@@ -16,7 +16,6 @@ from twin.compiled import Packed, inlined
 from twin.estimation.structures import System
 from twin.model.causes import (
     amplifier_gain_drift,
-    amplifier_offset,
     current_sensor_gain,
     current_sensor_offset,
     eddy_current_lag,
@@ -35,7 +34,6 @@ _NAMED = {
     "sensor": SENSOR,
     "rate": RATE,
     "warmth": WARMTH,
-    "drive_offset": _WANDERS[amplifier_offset.OFFSET],
     "x_offset": _WANDERS[position_sensor_offset.OFFSET],
     "i_offset": _WANDERS[current_sensor_offset.OFFSET],
 }
@@ -57,12 +55,11 @@ class Memory(Protocol):
     high_m: float  # at the upper stop
     m: int
     places: NDArray[np.int64]  # indices of the m states in the state, I_C, X, V first
-    field: int  # place in the covariance; -1: not in it (likewise the next six)
+    field: int  # place in the covariance; -1: not in it (likewise the next five)
     sensor: int
     rate: int
     warmth: int
-    drive_offset: int  # of the states that wander
-    x_offset: int
+    x_offset: int  # of the states that wander
     i_offset: int
     lasting: int  # place of the first state that a flight leaves as it is: warmth and what wanders
     wandering: int  # place of the first that wanders

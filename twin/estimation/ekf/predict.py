@@ -169,19 +169,12 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
         c[coulomb_friction.FORCE] = rubs
         f_ii = (moved[I_C] - y[I_C]) / _DELTA[I_C]
     P[0, 0] = f_ii * f_ii * P[0, 0] + f.q_i * T_s
+    f_iw = -p.K_A * c[amplifier_gain_drift.LOSS] * inputs[n - 1] * (1.0 - f_ii)
+    if f.warmth >= 0:
+        P[0, 0] += f_iw * f_iw * P[f.warmth, f.warmth] + 2.0 * f_ii * f_iw * P[0, f.warmth]
     for k in range(f.lasting, f.m):
         P[0, k] *= f_ii
+        if f.warmth >= 0:
+            P[0, k] += f_iw * P[f.warmth, k]
         P[k, 0] = P[0, k]
-    for k in range(f.lasting, f.m):
-        by = 0.0  # of the current at n, by that state
-        if k == f.warmth:
-            by = -p.K_A * c[amplifier_gain_drift.LOSS] * inputs[n - 1] * (1.0 - f_ii)
-        elif k == f.drive_offset:
-            by = 1.0 - f_ii
-        if by == 0.0:
-            continue
-        P[0, 0] += 2.0 * by * P[0, k] + by * by * P[k, k]
-        for other in range(f.lasting, f.m):
-            P[0, other] += by * P[k, other]
-            P[other, 0] = P[0, other]
     wander_on(f, T_s)

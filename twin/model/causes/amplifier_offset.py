@@ -9,9 +9,8 @@ from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
 from twin.model.causes.corner import ROUNDED, behind_corner, rounding
 from twin.model.causes.instruments import CLAMP_METER, UNPLUGGED
-from twin.model.causes.wander import wander, wandering
 
-OFFSET, ROUNDING, WANDER = 5, 42, 49
+OFFSET, ROUNDING = 5, 42
 
 CAUSE = Cause(
     name="amplifier-offset",
@@ -27,7 +26,6 @@ CAUSE = Cause(
             name="offset_a", symbol="i_offset", unit="A", place=OFFSET, neutral=0.0, low=-0.3, high=0.3, probes=(0.01,)
         ),
         rounding(ROUNDING),
-        wander(WANDER, unit="A", high=0.1, probe=0.02),
     ),
     signature="i_c is not 0 at u_c = 0 (or begins late), and the coil does pull then",
     shows_in=("rest", "amplifier-steps"),
@@ -41,7 +39,7 @@ CAUSE = Cause(
     at_rest="amplifier",
     added_a=lambda offset_a, K_A: offset_a,
     usual="sharp corner",
-    forms=(ROUNDED, wandering("A", 0.02)),
+    forms=(ROUNDED,),
 )
 
 

@@ -22,7 +22,7 @@ Trait = Literal[
 ]
 FoundBy = Literal["score-test", "spectral-line", "gaps"]  # in innovations, in their spectrum, in the times of samples
 AtRest = Literal["", "balance", "amplifier"]
-PLACES = 51
+PLACES = 49
 
 
 class Vector(Protocol):

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from twin.compiled import kernel
 from twin.model.causes.cause import Cause, CauseParameter, Vector
-from twin.model.causes.wander import wander, wandering
 
-FORCE, WANDER = 16, 50
+FORCE = 16
 
 CAUSE = Cause(
     name="constant-force",
@@ -24,15 +23,12 @@ CAUSE = Cause(
         CauseParameter(
             name="force_n", symbol="F_0", unit="N", place=FORCE, neutral=0.0, low=-0.05, high=0.05, probes=(0.001,)
         ),
-        wander(WANDER, unit="N", high=0.01, probe=0.002),
     ),
     signature="free fall is slower or faster than g, by the same at every height",
     shows_in=("prbs-open-loop", "holds"),
     confirm="weigh the ball; let it drop with the coil off and time it",
     cure="the right mass in [plant]; level the rig",
     at_rest="balance",
-    usual="constant",
-    forms=(wandering("N", 0.002),),
 )
 
 
