@@ -16,7 +16,7 @@ import numpy as np
 from protocol.campaign import CHANNELS, Campaign, Channel, Column, Recording
 from protocol.errors import DataError
 from protocol.files import open_regular
-from protocol.table_file import LONGEST_LINE, REMEDY, check_mat, check_table, read_csv_bytes
+from protocol.table_file import LONGEST_LINE, REMEDY, check_mat, check_table, is_number, read_csv_bytes
 from twin.estimation.record import Capture, FloatArray, Record
 
 _HEAD = 4096  # bytes in which a file is recognised as text
@@ -103,6 +103,11 @@ def _csv_columns(path: Path) -> dict[str, FloatArray]:
     separator = max(",;\t", key=header.count)
     names = [cell.strip().strip('"') for cell in header.split(separator)]
     row = data[end + 1 : end + 1 + LONGEST_LINE].lstrip().partition(b"\n")[0].decode("utf-8", errors="replace")
+    if len(names) > 1 and all(is_number(name) for name in names):
+        raise DataError(
+            f"{path}, line 1 holds numbers where the names of the columns belong",
+            remedy=f"Write a line of {len(names)} names above it, such as t,u_c,i_c,x",
+        )
     check_table(path, names, row.replace('"', "").split(separator))
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
@@ -208,6 +213,11 @@ def _from_columns(
         if mapping.column in columns:
             channels[channel] = _convert(mapping, columns[mapping.column])
             bad = int(np.count_nonzero(~np.isfinite(channels[channel])))
+            if channel == "t" and bad == len(channels[channel]):
+                raise DataError(
+                    f"{path}: no cell of column {mapping.column!r}, mapped to t, is a number",
+                    remedy="Give the time in seconds with a decimal point, 0.002; convert dates and clock times",
+                )
             if bad:
                 notes.append(f"{recording.file}: {bad} cells of {mapping.column} are not numbers and were left out")
         elif channel in recording.columns or channel in _NEEDED[recording.kind]:

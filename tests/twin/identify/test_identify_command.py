@@ -134,6 +134,8 @@ BAD: dict[str, tuple[str | bytes, str]] = {
     "no rows": ("t,u_c,i_c,x\n", "holds no rows"),
     "no column": ("t,u,i_c,x\n0,1,2,3\n1,1,2,3\n", "has no column 'u_c'"),
     "twice": ("t,t,i_c,x\n0,1,2,3\n", "twice"),
+    "no names": ("0,1,2,3\n1,1,2,3\n", "line 1 holds numbers where the names"),
+    "clock times": ("t,u_c,i_c,x\n12:00:01,1,2,3\n12:00:02,1,2,3\n", "no cell of column 't', mapped to t, is a number"),
     "cut off": ("t,u_c,i_c,x\n0,1,2\n", "not a table"),
     "not text": (b"\xff\xfe\x00\x01" * 20, "not text"),
     "broken gzip": (b"\x1f\x8b\x08\x00rubbish", "damaged"),

@@ -134,7 +134,8 @@ def _position(record: Record, plant: Plant) -> None:
         if 0.15 * scale < reach / travel < 1.5 * scale:
             raise DataError(
                 f"{record.name}: x reaches {reach:.4g} m in a travel of {travel:g} m; it looks like {unit}",
-                remedy=f"Write x = {{ column = ..., scale = {1 / scale:g} }}",
+                remedy=f"Write x = {{ column = ..., scale = {1 / scale:g} }}; for a sensor's voltage measure "
+                "heights and write table = [[V, m], ...]",
             )
     if high < 0.1 * travel and low < -0.15 * travel and -low < 1.5 * travel:
         raise DataError(
