@@ -23,6 +23,8 @@ from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint, refused_by_r
 from protocol.bus.identity import HELP, Identity
 
 JUST_STARTED_S = 2.0  # longer than a new gateway refuses commands that may be older than itself (access/authorize.py)
+STOP_PATIENCE_S = 10.0  # STOP is repeated for so long
+STOP_WAIT_S = 2.0  # for each answer
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
@@ -106,6 +108,19 @@ def send(
             return _unanswered(command, f"{site}/{board}", guarded=identity is not None, typed=typed)
         if not is_new or answer.reason != "not-fresh" or time.monotonic() >= end_s:
             return answer
+        time.sleep(0.1)
+
+
+def send_stop(
+    session: zenoh.Session, site: str, board: str, who: str, *, identity: Identity | None = None
+) -> tuple[pb.Command, pb.CommandReply]:
+    """Send new STOPs until one is accepted, for STOP_PATIENCE_S; returns the last with its reply."""
+    end_s = time.monotonic() + STOP_PATIENCE_S
+    while True:
+        command = pb.Command(who=who, stop=pb.Stop())
+        reply = send(session, site, board, command, timeout_s=STOP_WAIT_S, identity=identity)
+        if reply.accepted or time.monotonic() > end_s:
+            return command, reply
         time.sleep(0.1)
 
 
