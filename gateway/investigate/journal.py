@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from gateway.campaign.folder import Folder
 from gateway.investigate.answer import Answer, read_answer
 from gateway.investigate.decide import Finish, Known
+from protocol.checked import Flag, Number, RuleError, Whole, checked, key
 from protocol.errors import DataError, UsageError
 from protocol.files import make_folder, parse_json, read_small, writing
 
@@ -31,7 +31,7 @@ class Performed:
 
     why: str
     standings: dict[str, str]  # by experiment, of `campaign run`
-    rig_s: float  # time on the rig
+    rig_s: Number  # time on the rig
 
 
 @dataclass(slots=True, kw_only=True)
@@ -39,9 +39,26 @@ class Diagnosed:
     """A diagnosis."""
 
     why: str
-    thorough: bool
+    thorough: Flag
     recordings: list[str]
     found: dict[str, Any]  # the part of diagnosis.json for `read_answer`
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Step:
+    performed: Performed | None = None
+    diagnosed: Diagnosed | None = None
+
+    def __post_init__(self) -> None:
+        if (self.performed is None) == (self.diagnosed is None):
+            raise RuleError(" is not one of performed | diagnosed", remedy=_REMEDY)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _File:
+    format: Annotated[Whole, key("format of the file", FORMAT, FORMAT)]
+    board: str
+    steps: tuple[_Step, ...]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -129,19 +146,10 @@ def open_journal(folder: Path, board: str) -> Journal:
     if not path.exists():
         return Journal(folder=folder, board=board)
     table = parse_json(read_small(path, remedy=_REMEDY), where=str(path), remedy=_REMEDY)
-    try:
-        if table["format"] != FORMAT:
-            raise DataError(f"{path} has format {table['format']}, this is {FORMAT}", remedy=_REMEDY)
-        journal = Journal(folder=folder, board=str(table["board"]), steps=[_step(one) for one in table["steps"]])
-    except (KeyError, TypeError, AttributeError) as error:
-        raise DataError(f"{path} cannot be read ({error!r})", remedy=_REMEDY) from None
+    file: _File = checked(_File, table, where=str(path), error=DataError, remedy=_REMEDY)
+    steps = [step for one in file.steps for step in (one.performed, one.diagnosed) if step is not None]
+    journal = Journal(folder=folder, board=file.board, steps=steps)
     if journal.board != board:
         raise UsageError(f"{folder} is an investigation of {journal.board}, not of {board}", remedy="Give a new --out")
     journal.answer()  # raises for a damaged answer before the ball moves
     return journal
-
-
-def _step(table: Mapping[str, Any]) -> Performed | Diagnosed:
-    if "performed" in table:
-        return Performed(**table["performed"])
-    return Diagnosed(**table["diagnosed"])
