@@ -8,7 +8,6 @@ Rule 3: a folder is for one rig and one plan.  Another board, plant, law or plan
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -23,7 +22,7 @@ from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recor
 from protocol.campaign_text import emit
 from protocol.checked import Number, Whole, checked, key
 from protocol.errors import DataError, ServiceError, UsageError
-from protocol.files import parse_json, read_small
+from protocol.files import parse_json, read_small, replace_text
 
 RUN_FILE = "run.json"
 _READABLE = "Give a new folder; the recordings here stay readable"
@@ -216,13 +215,8 @@ class Folder:
         return emit(whole, comments=comments)
 
     def _write(self, name: str, text: str) -> None:
-        beside = self.path / f".{name}.part"
         try:
-            with beside.open("w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            beside.replace(self.path / name)
+            replace_text(self.path / name, text)
         except OSError as error:
             raise ServiceError(
                 f"{self.path / name} cannot be written: {error.strerror}",

@@ -7,7 +7,6 @@ Rule: after each step it is written to a temporary file, synced and renamed.  Th
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +16,7 @@ from gateway.investigate.answer import Answer, read_answer
 from gateway.investigate.decide import Finish, Known
 from protocol.checked import Flag, Number, RuleError, Whole, checked, key
 from protocol.errors import DataError, UsageError
-from protocol.files import make_folder, parse_json, read_small, writing
+from protocol.files import make_folder, parse_json, read_small, replace_text, writing
 
 FILE = "investigation.json"
 FORMAT = 1
@@ -126,13 +125,8 @@ class Journal:
     def save(self) -> None:
         """Write the file.  Raises UsageError if that is not possible."""
         make_folder(self.folder)
-        beside = self.folder / f".{FILE}.part"
         with writing(self.folder / FILE):
-            with beside.open("w", encoding="utf-8") as file:
-                file.write(json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n")
-                file.flush()
-                os.fsync(file.fileno())
-            beside.replace(self.folder / FILE)
+            replace_text(self.folder / FILE, json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n")
 
 
 def open_journal(folder: Path, board: str) -> Journal:

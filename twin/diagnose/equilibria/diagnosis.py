@@ -89,11 +89,6 @@ class StaticDiagnosis:
     warnings: tuple[str, ...]
 
 
-def is_static(records: Sequence[Record]) -> bool:
-    """Whether these recordings are points of rest alone."""
-    return bool(records) and all(record.kind == "equilibria" for record in records)
-
-
 def diagnose_points(
     campaign: Campaign,
     records: Sequence[Record],
