@@ -208,7 +208,7 @@ class Folder:
         comments = ["Made by `board51 campaign run`.  run.json beside it says how."]
         if plant == CE152:
             comments += [
-                "[plant]: the published constants of a CE 152; nobody measured this rig.  x_max = travel puts the",
+                "[plant]: the published constants of a CE 152; this rig was not measured.  x_max = travel puts the",
                 "coil's plane at the top stop; correct x_max_m if you know better.",
             ]
         whole = Campaign(where="", folder=self.path, plant=plant, controller=controller, recordings=recordings)

@@ -91,7 +91,7 @@ def diagnose(
     if not records:
         raise DataError(
             f'{campaign.where}: no recording has use = "fit"',
-            remedy='Give at least one [[recording]] with use = "fit"; choosing on judge recordings would spoil them',
+            remedy='Give at least one [[recording]] with use = "fit"; judge recordings cannot also choose the model',
         )
     return diagnose_records(
         campaign,

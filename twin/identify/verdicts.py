@@ -193,7 +193,7 @@ def drag(
     """
     joint = intervals.get("b")
     if flying and found is not None and joint is None and ball is not None:
-        why = "because the likelihood asks for an impossible drag: the model lacks something that acts faster"
+        why = "because the best fit has an impossible drag: the model lacks something that acts faster"
         if found.point.b == 0.0:
             return replace(_absent("b", 0.0, []), method=f"placeholder, {why}; board51 diagnose looks for it")
         std = ball.d_std * plant.mass_kg

@@ -255,7 +255,8 @@ def _remarks(points: Points, computed: float | None, members: Sequence[Explanati
         )
     if len(points) - 2 < 5:
         remarks.append(
-            f"{len(points)} points leave {len(points) - 2} for doubt beside K_c and one cause: a second cannot be shown"
+            f"{len(points)} points leave {len(points) - 2} degrees of freedom beside K_c and one cause: too few for a"
+            " second"
         )
     return remarks
 
@@ -263,7 +264,7 @@ def _remarks(points: Points, computed: float | None, members: Sequence[Explanati
 def _judge_points(judges: Sequence[Record], plant: Plant, warnings: list[str]) -> Points | None:
     still = [record for record in judges if record.kind == "equilibria"]
     if len(still) < len(judges):
-        warnings.append("judge recordings with motion are not used: points of rest know nothing of T_A and b")
+        warnings.append("judge recordings with motion are not used: points of rest do not show T_A and b")
     if not still:
         return None
     try:

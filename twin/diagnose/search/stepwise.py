@@ -69,7 +69,7 @@ def select(
 
 
 def _confounders_asked(causes: Sequence[str]) -> str:
-    return f"whether others could stand in for {' or '.join(causes)}"
+    return f"whether other causes explain as much as {' or '.join(causes)}"
 
 
 def _search(
@@ -114,7 +114,7 @@ def _settled(criterion: Criterion, found: Selection, thorough: bool) -> Selectio
     """Fit the phases of a periodic force together with all other causes."""
     if not thorough or periodic.CAUSE.name not in found.causes:
         return found
-    with criterion.budget.question("how the periodic force stands beside the others"):
+    with criterion.budget.question("which phases the periodic force has beside the others"):
         return replace(found, fit=periodic.settled(criterion, found.fit, settings.PASSES))
 
 
@@ -146,7 +146,7 @@ def _taken(
     gains = {**found.gains, step.taken: first.gain}
     yield (found := replace(found, causes=(*found.causes, step.taken), fit=first.fit, gains=gains))
     if periodic.CAUSE.name in found.causes:
-        with criterion.budget.question("how the periodic force stands beside the others"):
+        with criterion.budget.question("which phases the periodic force has beside the others"):
             found = replace(found, fit=periodic.rephased(criterion, found.fit, settings.PASSES))
     yield (found := found.knowing([found.fit]))
     say(f"taken: {step.taken} (log-likelihood +{first.gain:.0f})")
