@@ -23,7 +23,6 @@ from twin.diagnose import settings
 from twin.diagnose.equilibria.points import (
     Points,
     StaticFit,
-    added_current,
     computed_current,
     f_test,
     fit_static,
@@ -40,7 +39,7 @@ from twin.diagnose.inference.theta import Theta
 from twin.estimation.record import FloatArray, Record
 from twin.model import parameters as file
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
-from twin.model.extended import current_of_reading, magnetic_force, position_of_reading
+from twin.model.linear import linearised
 from twin.model.nominal import nominal
 
 _METHOD = "least squares in i_c over the points of rest"
@@ -163,13 +162,13 @@ def diagnose_points(
 
 
 def pole(theta: Theta, plant: Plant, reading_m: float) -> float:
-    """The unstable pole of the ball at rest where x is read, 1/s: (14) without drag; NaN where it is stable."""
-    p, c = theta.base(plant), theta.vector()
-    i_read = float(holding_currents(theta, plant, np.array([reading_m]))[0])
-    i = float(current_of_reading(c, i_read + added_current(theta)))
-    x = position_of_reading(p, c, reading_m, i)
-    slope = (magnetic_force(p, c, i, x + 1e-6) - magnetic_force(p, c, i, x - 1e-6)) / 2e-6
-    return math.sqrt(slope / plant.mass_kg) if slope > 0.0 else math.nan
+    """The unstable pole (14) of the ball where x is read, at constant current, 1/s; NaN if it is stable or none rests.
+
+    With the current held, the matrix of (14) has the rows and columns of x and its speed alone.
+    """
+    mechanics = linearised(theta.base(plant), theta.vector(), reading_m)[0][1:3, 1:3]
+    fastest = float(np.linalg.eigvals(mechanics).real.max()) if np.isfinite(mechanics).all() else math.nan
+    return fastest if fastest > 0.0 else math.nan
 
 
 def rounding_of(points: Points, computed_a_v: float | None) -> float:
