@@ -7,7 +7,6 @@ that the client has no rights; it is reported as "not delivered".
 from __future__ import annotations
 
 import argparse
-import getpass
 import time
 import uuid
 from collections.abc import Iterator
@@ -142,11 +141,3 @@ def _unanswered(command: pb.Command, board: str, *, guarded: bool, typed: bool) 
         text += options[0] if guarded else options[1]
     text += " Had one received the command before it ended, it may have acted."
     return pb.CommandReply(id=command.id, refused_by="link", reason="not-delivered", text=text)
-
-
-def login_name() -> str:
-    """Name of the user who runs this process."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a user of a container may have no name
-        return "unknown"

@@ -22,7 +22,7 @@ from google.protobuf.message import Message
 
 from gateway.client import commands
 from gateway.client.commands import HostLoss, Law, Mode, OperatingPoint, Shape
-from gateway.client.connection import ask, login_name, open_bus, send, send_stop
+from gateway.client.connection import ask, open_bus, send, send_stop
 from gateway.client.errors import accepted
 from gateway.client.feed import CAPACITY, Feed, check_topic
 from gateway.client.recording import Recording
@@ -31,7 +31,7 @@ from gateway.client.values import Capture, Reply, Samples
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
-from protocol.bus.identity import Identity, find_identity
+from protocol.bus.identity import Identity, find_identity, login_name
 from protocol.errors import ServiceError, UsageError
 
 SILENCE_S = 3.0  # longest time without a sample; a gateway reconnects a port and reads a board again within it
