@@ -76,6 +76,8 @@ def checked(
     key: str = "",
     error: type[ConfigError] | type[DataError] = ConfigError,
     from_text: bool = False,
+    remedy: str = "",
+    quote: Callable[[object], str] = shown,
 ) -> Any:
     """Validate data that was parsed from TOML or JSON, and return it as `kind`.
 
@@ -86,6 +88,8 @@ def checked(
         key: Path of `data` in it; empty for the whole file.
         error: Class of the error to raise.
         from_text: `data` is a text that may stand for a number, such as the value of an environment variable.
+        remedy: What to do about any error, for a file that a program wrote; empty: what to write at the key.
+        quote: How the error shows a value; a file with passwords shows none.
 
     Raises:
         ConfigError, DataError: a value is invalid; the message names place, key and value, and the allowed values.
@@ -95,8 +99,8 @@ def checked(
         return adapter.validate_strings(data) if from_text else adapter.validate_python(data)
     except ValidationError as failed:
         found = failed.errors(include_url=False)
-    problem, remedy = _told(kind, data, found, key, toml=error is ConfigError)
-    raise error(f"{where}{': ' if problem[0].isalnum() else ''}{problem}", remedy=remedy)
+    problem, correction = _told(kind, data, found, key, toml=error is ConfigError, quote=quote)
+    raise error(f"{where}{': ' if problem[0].isalnum() else ''}{problem}", remedy=remedy or correction)
 
 
 def keys_of(kind: Any) -> dict[str, Any]:
@@ -123,7 +127,9 @@ def bounds(kind: Any) -> tuple[float | None, float | None]:
     return ends.get("ge"), ends.get("le")
 
 
-def _told(kind: Any, data: object, found: list[ErrorDetails], path: str, *, toml: bool) -> tuple[str, str]:
+def _told(
+    kind: Any, data: object, found: list[ErrorDetails], path: str, *, toml: bool, quote: Callable[[object], str]
+) -> tuple[str, str]:
     """Return (problem, remedy) of the first error."""
     first, hint, keys, value = found[0], kind, {}, data
     mistake, place = first["type"], first["loc"]
@@ -147,7 +153,7 @@ def _told(kind: Any, data: object, found: list[ErrorDetails], path: str, *, toml
         objection = first["ctx"]["error"]
         return f"{path}{objection.problem}".removeprefix("."), objection.remedy
     if mistake == _UNKNOWN:
-        return f"{path} = {shown(value)} is not a key", _nearest(name, list(keys))
+        return f"{path} = {quote(value)} is not a key", _nearest(name, list(keys))
     add = (
         {"a table": f"Add [{path}]", "a list of tables": f"Add at least one [[{name}]]"}.get(wanted)
         if path and toml
@@ -159,7 +165,7 @@ def _told(kind: Any, data: object, found: list[ErrorDetails], path: str, *, toml
             f"{other} is not a key; its unit is the end of {name}" for other in others if _stem(other) == _stem(name)
         ]
         return f"{path} is missing ({about or wanted})", (*near, add or f"Add {name}")[0]
-    told, range_ = f"{path} = {shown(value if place else first['input'])} is not", _range(hint)
+    told, range_ = f"{path} = {quote(value if place else first['input'])} is not", _range(hint)
     remedy = f"Give {range_ or wanted}" + (f": {about}" if about else "")
     if mistake in ("greater_than_equal", "less_than_equal"):
         return f"{told} {'in ' * ('..' in range_)}{range_}", f"{remedy}; check the unit and the power of ten"
@@ -180,18 +186,18 @@ def _expected(hint: Any) -> str:
     options = get_args(plain)
     if options and isinstance(options[0], str):
         return f"one of {' | '.join(options)}"
-    if get_origin(plain) is not tuple:
+    if get_origin(plain) not in (tuple, list):
         return "a table"
     item = _expected(options[0])
     items = {"text": "texts", "a table": "tables"}.get(item, "lists" if item.startswith("a list") else "numbers")
     least = max((getattr(one, "min_length", 0) for one in FieldInfo.from_annotation(hint).metadata), default=0)
-    count = "" if Ellipsis in options else f"{len(options)} "
+    count = f"{len(options)} " if len(options) > 1 and Ellipsis not in options else ""
     return f"a list of {f'at least {least} ' if least > 1 else count}{items}"
 
 
 def _range(hint: Any) -> str:
     low, high = (end if isinstance(end, int | None) else f"{end:g}" for end in bounds(hint))
-    return "" if low is None else f"at least {low}" if high is None else f"{low} .. {high}"
+    return "" if low is None else f"at least {low}" if high is None else f"{low} .. {high}" if low != high else f"{low}"
 
 
 def _nearest(key: str, keys: list[str]) -> str:

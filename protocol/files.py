@@ -91,6 +91,16 @@ def writing(path: Path) -> Iterator[None]:
         ) from None
 
 
+def replace_text(path: Path, text: str) -> None:
+    """Write a text file so that it is the old one or the new one at any time; raises OSError."""
+    part = path.with_name(f".{path.name}.part")
+    with part.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    part.replace(path)
+
+
 def make_folder(path: Path, *, mode: int = 0o777) -> None:
     """Create the folder `path` and its parents if absent; raise UsageError if that is impossible."""
     with writing(path):

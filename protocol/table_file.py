@@ -8,13 +8,14 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 from protocol.errors import DataError
 from protocol.files import open_regular
 
+T = TypeVar("T")
 LARGEST_TABLE = 500_000_000  # bytes, unpacked: four hours at 500 Hz
 LONGEST_LINE = 100_000  # bytes; below the largest cell of Python's csv
 REMEDY = "Name a CSV file (also .gz), a MATLAB or an MCAP file"
@@ -71,6 +72,39 @@ def is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def read_mat(
+    path: Path, collect: Callable[[str, Any, dict[str, T], dict[str, str]], None], *, squeeze: bool
+) -> tuple[dict[str, T], dict[str, str]]:
+    """Return the columns of a .mat file up to version 7, and why its other variables are no columns.
+
+    Args:
+        path: Path of the file.
+        collect: Takes the name and value of a variable, and puts it into the columns or the others.
+        squeeze: Whether arrays lose their dimensions of length 1.
+
+    Raises:
+        DataError: the file is absent, too large, not a MATLAB file, of version 7.3, or without vectors.
+    """
+    from scipy.io import loadmat
+
+    check_mat(path)
+    try:
+        content = loadmat(path, squeeze_me=squeeze, struct_as_record=False)
+    except NotImplementedError:
+        raise DataError(f"{path} is a MATLAB 7.3 file", remedy="Save it again with: save(name, '-v7')") from None
+    except Exception as error:  # scipy raises many types for a damaged file, KeyError and zlib.error among them
+        raise DataError(f"{path} is not a MATLAB file, or is cut off: {error}", remedy="Save it again") from None
+    columns: dict[str, T] = {}
+    unusable: dict[str, str] = {}
+    for name, value in content.items():
+        if not name.startswith("__"):
+            collect(name, value, columns, unusable)
+    if not columns:
+        others = "".join(f"; {name}: {why}" for name, why in unusable.items())
+        raise DataError(f"{path} holds no numeric vectors{others}", remedy="Save t, x, ... as vectors of equal length")
+    return columns, unusable
 
 
 def check_mat(path: Path) -> None:

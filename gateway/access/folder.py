@@ -39,6 +39,12 @@ _SERVERS = {"bus/router": (), "opcua/server": (OPCUA_URI,), "hmi/server": ()}
 
 
 @dataclass(frozen=True, slots=True)
+class _Settings:
+    site: str
+    hosts: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class SecurityFolder:
     """The security folder: paths, creation, changes and checks."""
 
@@ -111,7 +117,7 @@ class SecurityFolder:
     def renew(self, *, now: datetime | None = None, days: float = DAYS) -> None:
         """Issue new certificates for all servers, services and users; names, roles and passwords stay the same."""
         now = datetime.now(UTC) if now is None else now
-        authority, (_, hosts) = self._authority(), self._settings()
+        authority, hosts = self._authority(), self._settings().hosts
         for stem, uris in _SERVERS.items():
             issued = authority.issue(stem.replace("/", "-"), now=now, hosts=hosts, uris=uris, days=days)
             self._write(self.path / f"{stem}.pem", issued)
@@ -157,7 +163,7 @@ class SecurityFolder:
     @property
     def site(self) -> str:
         """First chunk of the keys."""
-        return self._settings()[0]
+        return self._settings().site
 
     def check(self, *, now: datetime | None = None) -> dict[str, float]:
         """Check the folder; returns the days for which each certificate is still valid.
@@ -196,7 +202,6 @@ class SecurityFolder:
             name: identity for that router.
             wait_for_router: see `zenoh_config`.
         """
-        site, _ = self._settings()
         certificate, key = self.server("bus")
         config = json.loads(
             zenoh_config(
@@ -215,18 +220,17 @@ class SecurityFolder:
             "close_link_on_expiration": True,
         }
         transport["link"]["rx"] = {"max_message_size": LARGEST_MESSAGE}
-        config["access_control"] = access_control(site, self.people())
-        config["low_pass_filter"] = size_limits(site)
+        config["access_control"] = access_control(self.site, self.people())
+        config["low_pass_filter"] = size_limits(self.site)
         return json.dumps(config, indent=2)
 
-    def _settings(self) -> tuple[str, list[str]]:
+    def _settings(self) -> _Settings:
+        from protocol.checked import checked
+
         path = self.path / "security.toml"
         text = read_small(path, remedy="Make the folder with `board51 security init DIR`", error=ConfigError)
-        table = parse_toml(text, where=str(path), remedy="Correct the file")
-        try:
-            return str(table["site"]), [str(host) for host in table["hosts"]]
-        except (KeyError, TypeError) as error:
-            raise ConfigError(f"{path} lacks site or hosts: {error}", remedy="Correct it") from None
+        settings: _Settings = checked(_Settings, parse_toml(text, where=str(path)), where=str(path))
+        return settings
 
     def _authority(self) -> Authority:
         key = read_private(self.path / "ca-key.pem", what="The authority's key")

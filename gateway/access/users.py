@@ -14,10 +14,9 @@ tries.py limits the rate of password attempts.
 from __future__ import annotations
 
 import logging
-import re
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from gateway.access.passwords import NOBODY, hash_password, is_line, matches
@@ -28,6 +27,11 @@ from protocol.errors import ConfigError
 from protocol.files import parse_toml
 
 _logger = logging.getLogger("gateway.access")
+_KEYS = {"extra": "forbid"}  # `checked.KEYS`, without waiting for pydantic
+_REMEDY = (
+    f"Write each user as [users.NAME] with role = {' | '.join(ROLE_WORDS)}, and set the password with"
+    " `board51 security add-user DIR NAME:ROLE`"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,8 +44,17 @@ class User:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Entry:
-    role: Role
+    __pydantic_config__ = _KEYS
+
+    role: str
     password: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _File:
+    __pydantic_config__ = _KEYS
+
+    users: dict[str, _Entry] = field(default_factory=dict)
 
 
 class Users:
@@ -58,7 +71,7 @@ class Users:
         """Read the file.
 
         Raises:
-            ConfigError: the file is missing, open to others or not valid; the message names the line.
+            ConfigError: the file is missing, open to others or not valid; the message names the key.
         """
         return cls(path)
 
@@ -68,20 +81,20 @@ class Users:
             self._refresh()
             entry = self._entries.get(name)
         right = matches(password, entry.password if entry is not None else NOBODY)  # outside the lock
-        return User(name=name, role=entry.role) if right and entry is not None else None
+        return _user(name, entry) if right and entry is not None else None
 
     def find(self, name: str) -> User | None:
         """The user of that name in the current file, or None; sessions use it to notice a change of role."""
         with self._lock:
             self._refresh()
             entry = self._entries.get(name)
-        return None if entry is None else User(name=name, role=entry.role)
+        return None if entry is None else _user(name, entry)
 
     def names(self) -> Mapping[str, Role]:
         """The role of each user, by name."""
         with self._lock:
             self._refresh()
-            return {name: entry.role for name, entry in self._entries.items()}
+            return {name: _user(name, entry).role for name, entry in self._entries.items()}
 
     def _refresh(self) -> None:
         stamp = self._file_stamp()
@@ -103,6 +116,10 @@ class Users:
         return status.st_mtime_ns, status.st_size, status.st_ino
 
 
+def _user(name: str, entry: _Entry) -> User:
+    return User(name=name, role=Role[entry.role.upper()])
+
+
 def set_user(path: Path, user: User, password: str) -> None:
     """Add a user, or give an existing one a new role and password.
 
@@ -112,7 +129,7 @@ def set_user(path: Path, user: User, password: str) -> None:
     """
     check_name(user.name, what="user")
     entries = _read(path) if path.exists() else {}
-    entries[user.name] = _Entry(role=user.role, password=hash_password(password))
+    entries[user.name] = _Entry(role=user.role.word, password=hash_password(password))
     _write(path, entries)
 
 
@@ -128,62 +145,25 @@ def remove_user(path: Path, name: str) -> bool:
 def _write(path: Path, entries: Mapping[str, _Entry]) -> None:
     lines = ["# Logins of OPC UA and the web page; `board51 security add-user` writes this file.\n"]
     lines += [
-        f'[users.{name}]\nrole = "{entry.role.word}"\npassword = "{entry.password}"\n'
+        f'[users.{name}]\nrole = "{entry.role}"\npassword = "{entry.password}"\n'
         for name, entry in sorted(entries.items())
     ]
     write_private(path, "\n".join(lines).encode())
 
 
 def _read(path: Path) -> dict[str, _Entry]:
+    from protocol.checked import checked
+
     data = read_private(path, what="The user file")
     try:
         text = data.decode()
     except UnicodeDecodeError:
         raise ConfigError(f"{path} is not UTF-8 text", remedy="Correct the file") from None
     table = parse_toml(text, where=str(path), remedy="Correct the file")
-    unknown = next((key for key in table if key != "users"), None)
-    if unknown is not None:
-        raise ConfigError(
-            f"{path} line {_line(text, unknown)}: unknown key {unknown!r}", remedy="Write each user as [users.NAME]"
-        )
-    users = table.get("users", {})
-    if not isinstance(users, dict):
-        raise ConfigError(f"{path}: users is not a table", remedy="Write each user as [users.NAME]")
-    return {name: _entry(path, text, name, fields) for name, fields in users.items()}
-
-
-def _entry(path: Path, text: str, name: str, fields: object) -> _Entry:
-    where = f"{path} line {_line(text, name)}: user {name}"
-    check_name(name, what=f"{path} line {_line(text, name)}: user")
-    if not isinstance(fields, dict):
-        raise ConfigError(f"{where} is not a table", remedy=f"Write it as [users.{name}]")
-    for key in fields:
-        if key not in ("role", "password"):
-            raise ConfigError(
-                f"{path} line {_line(text, name, key)}: user {name}: unknown key {key!r}",
-                remedy="Known: role, password",
-            )
-    role, password = fields.get("role"), fields.get("password")
-    if not isinstance(role, str):
-        raise ConfigError(f"{where} has no role", remedy=f'Write role = "..." with one of {", ".join(ROLE_WORDS)}')
-    if not isinstance(password, str) or not is_line(password):
-        raise ConfigError(
-            f"{where} has no usable password", remedy="Set one with `board51 security add-user DIR NAME:ROLE`"
-        )
-    return _Entry(
-        role=parse_role(role, where=f"{path} line {_line(text, name, 'role')}: user {name}"), password=password
-    )
-
-
-def _line(text: str, name: str, key: str = "") -> int:
-    """The line number of `[users.name]`, or of a key in it, which the TOML parser does not give."""
-    lines = text.splitlines()
-    header = re.compile(rf"""\[\s*(users\s*\.\s*)?["']?{re.escape(name)}["']?\s*\]|{re.escape(name)}\s*=""")
-    start = next((n for n, line in enumerate(lines) if header.match(line.strip())), 0)
-    if key:
-        for n in range(start + 1, len(lines)):
-            if re.match(rf"{re.escape(key)}\s*=", lines[n].strip()):
-                return n + 1
-            if lines[n].lstrip().startswith("["):
-                break
-    return start + 1
+    entries: dict[str, _Entry] = checked(_File, table, where=str(path), remedy=_REMEDY, quote=lambda value: "...").users
+    for name, entry in entries.items():
+        check_name(name, what=f"{path}: user")
+        parse_role(entry.role, where=f"{path}: user {name}")
+        if not is_line(entry.password):
+            raise ConfigError(f"{path}: user {name} has no usable password", remedy=_REMEDY)
+    return entries

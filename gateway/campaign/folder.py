@@ -8,11 +8,10 @@ Rule 3: a folder is for one rig and one plan.  Another board, plant, law or plan
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from gateway.campaign.menu import BY_NAME, MENU, Experiment
 from gateway.campaign.plan import CommandLimits
@@ -21,8 +20,9 @@ from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recording
 from protocol.campaign_text import emit
+from protocol.checked import Number, Whole, checked, key
 from protocol.errors import DataError, ServiceError, UsageError
-from protocol.files import parse_json, read_small
+from protocol.files import parse_json, read_small, replace_text
 
 RUN_FILE = "run.json"
 _READABLE = "Give a new folder; the recordings here stay readable"
@@ -35,11 +35,19 @@ CE152 = Plant(name="ce152", mass_kg=8.28e-3, travel_m=5.7e-3, x_max_m=5.7e-3, gr
 class Retained:
     """One recording of the folder."""
 
-    bytes: int
-    seconds: float
-    attempts: int
+    bytes: Whole
+    seconds: Number
+    attempts: Whole
     plan: dict[str, Any]  # of `plan_of`
     said: list[str] = field(default_factory=list)  # problems of earlier attempts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _File:
+    format: Annotated[Whole, key("format of the file", FORMAT, FORMAT)]
+    identity: dict[str, dict[str, Any]]
+    lift_off_v: Number | None
+    recordings: dict[str, Retained]
 
 
 def identity_of(board: str, parameters: pb.Parameters, plant: Plant) -> dict[str, Any]:
@@ -96,17 +104,10 @@ class Folder:
 
     def _load(self) -> None:
         file = self.path / RUN_FILE
-        try:
-            table = parse_json(read_small(file, remedy=_READABLE), where=str(file), remedy=_READABLE)
-            if table["format"] != FORMAT:
-                raise DataError(f"{file} has format {table['format']}, this is {FORMAT}", remedy="Give a new folder")
-            self.lift_off_v = table["lift_off_v"]
-            self._identity = table["identity"]
-            self.retained = {
-                name: Retained(**values) for name, values in table["recordings"].items() if name in BY_NAME
-            }
-        except (KeyError, TypeError) as error:
-            raise DataError(f"{file} cannot be read ({error})", remedy=_READABLE) from None
+        table = parse_json(read_small(file, remedy=_READABLE), where=str(file), remedy=_READABLE)
+        known: _File = checked(_File, table, where=str(file), error=DataError, remedy=_READABLE)
+        self.lift_off_v, self._identity = known.lift_off_v, known.identity
+        self.retained = {name: retained for name, retained in known.recordings.items() if name in BY_NAME}
 
     def claim(self, identity: Mapping[str, Any]) -> None:
         """Create the folder for this rig, or check that it is of this rig.
@@ -207,20 +208,15 @@ class Folder:
         comments = ["Made by `board51 campaign run`.  run.json beside it says how."]
         if plant == CE152:
             comments += [
-                "[plant]: the published constants of a CE 152; nobody measured this rig.  x_max = travel puts the",
+                "[plant]: the published constants of a CE 152; this rig was not measured.  x_max = travel puts the",
                 "coil's plane at the top stop; correct x_max_m if you know better.",
             ]
         whole = Campaign(where="", folder=self.path, plant=plant, controller=controller, recordings=recordings)
         return emit(whole, comments=comments)
 
     def _write(self, name: str, text: str) -> None:
-        beside = self.path / f".{name}.part"
         try:
-            with beside.open("w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            beside.replace(self.path / name)
+            replace_text(self.path / name, text)
         except OSError as error:
             raise ServiceError(
                 f"{self.path / name} cannot be written: {error.strerror}",
@@ -231,7 +227,7 @@ class Folder:
 def _difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
     if old.get("seed") != new["seed"]:
         return f"--seed was {old.get('seed')}, is {new['seed']}"
-    for key, value in new["limits"].items():
-        if old.get("limits", {}).get(key) != value:
-            return f"the limit {key} was {old.get('limits', {}).get(key, float('nan')):.4g}, is {value:.4g}"
+    for limit, value in new["limits"].items():
+        if old.get("limits", {}).get(limit) != value:
+            return f"the limit {limit} was {old.get('limits', {}).get(limit, float('nan')):.4g}, is {value:.4g}"
     return "its steps differ (with and without --quick, or another version of the menu)"

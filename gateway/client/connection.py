@@ -7,7 +7,6 @@ that the client has no rights; it is reported as "not delivered".
 from __future__ import annotations
 
 import argparse
-import getpass
 import time
 import uuid
 from collections.abc import Iterator
@@ -23,6 +22,8 @@ from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint, refused_by_r
 from protocol.bus.identity import HELP, Identity
 
 JUST_STARTED_S = 2.0  # longer than a new gateway refuses commands that may be older than itself (access/authorize.py)
+STOP_PATIENCE_S = 10.0  # STOP is repeated for so long
+STOP_WAIT_S = 2.0  # for each answer
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
@@ -109,6 +110,19 @@ def send(
         time.sleep(0.1)
 
 
+def send_stop(
+    session: zenoh.Session, site: str, board: str, who: str, *, identity: Identity | None = None
+) -> tuple[pb.Command, pb.CommandReply]:
+    """Send new STOPs until one is accepted, for STOP_PATIENCE_S; returns the last with its reply."""
+    end_s = time.monotonic() + STOP_PATIENCE_S
+    while True:
+        command = pb.Command(who=who, stop=pb.Stop())
+        reply = send(session, site, board, command, timeout_s=STOP_WAIT_S, identity=identity)
+        if reply.accepted or time.monotonic() > end_s:
+            return command, reply
+        time.sleep(0.1)
+
+
 def ask(
     session: zenoh.Session, key: str, command: pb.Command | pb.TwinCommand, timeout_s: float
 ) -> pb.CommandReply | None:
@@ -127,11 +141,3 @@ def _unanswered(command: pb.Command, board: str, *, guarded: bool, typed: bool) 
         text += options[0] if guarded else options[1]
     text += " Had one received the command before it ended, it may have acted."
     return pb.CommandReply(id=command.id, refused_by="link", reason="not-delivered", text=text)
-
-
-def login_name() -> str:
-    """Name of the user who runs this process."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a user of a container may have no name
-        return "unknown"

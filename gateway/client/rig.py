@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
 import uuid
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
@@ -23,8 +22,8 @@ from google.protobuf.message import Message
 
 from gateway.client import commands
 from gateway.client.commands import HostLoss, Law, Mode, OperatingPoint, Shape
-from gateway.client.connection import ask, login_name, open_bus, send
-from gateway.client.errors import CommandNotDeliveredError, accepted
+from gateway.client.connection import ask, open_bus, send, send_stop
+from gateway.client.errors import accepted
 from gateway.client.feed import CAPACITY, Feed, check_topic
 from gateway.client.recording import Recording
 from gateway.client.sample_stream import SampleStream
@@ -32,12 +31,10 @@ from gateway.client.values import Capture, Reply, Samples
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
-from protocol.bus.identity import Identity, find_identity
+from protocol.bus.identity import Identity, find_identity, login_name
 from protocol.errors import ServiceError, UsageError
 
 SILENCE_S = 3.0  # longest time without a sample; a gateway reconnects a port and reads a board again within it
-STOP_PATIENCE_S = 10.0  # STOP is repeated for so long
-STOP_WAIT_S = 2.0  # for each answer
 NEWEST_WAIT_S = 8.0  # periodic messages are sent at least every 5 s
 CAPTURE_WAIT_S = 10.0  # reading 2000 samples takes 63 answers of the board
 _AT_REST = frozenset({"stop", "ping", "mark", "acknowledge", "set_stream", "set_host_loss"})  # move nothing
@@ -278,15 +275,7 @@ class Rig:
         return self._stop_through(self._open)
 
     def _stop_through(self, session: zenoh.Session) -> Reply:
-        end_s = time.monotonic() + STOP_PATIENCE_S
-        while True:
-            command = commands.stop()
-            reply = self._send(session, command, STOP_WAIT_S)
-            if reply.accepted:
-                return Reply.of(reply)
-            if time.monotonic() > end_s:
-                raise CommandNotDeliveredError(command, reply)
-            time.sleep(0.1)
+        return accepted(*send_stop(session, self.site, self.board, self.who, identity=self.identity))
 
     def send(self, command: pb.Command, *, timeout_s: float | None = None) -> pb.CommandReply:
         """Send any command and return its reply; a refusal is not an exception here.

@@ -107,7 +107,7 @@ def _demo(out: Path, effects: list[str]) -> int:
         refused, lines = call(out, "identify", str(campaign), "--out", str(model), good=NOT_ALL)
         _show_model(model)
         if refused:
-            _say("      identify itself calls this model not usable; the twin shows what it is worth:")
+            _say("      identify itself calls this model not usable; the twin shows how wrong it is:")
             for line in lines:
                 if line.startswith("! "):
                     _wrap(line)

@@ -59,7 +59,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="what the rig does beyond the model; repeatable",
     )
-    parser.add_argument("--secret", type=int, metavar="SEED", help="draw effects from SEED and tell nobody")
+    parser.add_argument("--secret", type=int, metavar="SEED", help="draw hidden effects from SEED")
     parser.add_argument("--sealed", type=Path, metavar="FILE", help="with --secret: where to write them, sealed")
     parser.add_argument("--fault", action="append", default=[], metavar="FAULT", help="what goes wrong; repeatable")
     parser.add_argument("--seed", type=int, default=0, help="of noise and faults; board n takes SEED + n (default: 0)")
@@ -130,7 +130,7 @@ def _check(args: argparse.Namespace) -> None:
     if (args.secret is None) != (args.sealed is None):
         raise UsageError("--secret and --sealed belong together", remedy="Give both, or --effect instead")
     if args.secret is not None and args.effect:
-        raise UsageError("--effect beside --secret would tell a part of it", remedy="Give one of the two")
+        raise UsageError("--effect with --secret would reveal a part of it", remedy="Give one of the two")
 
 
 def _address(args: argparse.Namespace) -> tuple[str, int]:

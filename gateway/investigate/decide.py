@@ -27,7 +27,7 @@ JUDGES = ("wide-steps-judge", "multisine-judge")
 ENOUGH_Z = 3.0  # from this z on, the diagnosis does not put two causes into one equivalence class (9 = 2 * 4.5)
 SURE_Z = 5.0
 SURE = 0.9  # confidence
-_TO_STAND = "before it stands, the answer is asked of all recordings and every candidate"
+_TO_STAND = "the answer is confirmed with all recordings and every candidate"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,7 +98,7 @@ def next_action(known: Known, menu: Mapping[str, Offer]) -> Action:
         return Finish(stands=False, why="no flight could be recorded on this rig")
     if known.answer is None or known.asked_of != known.there:
         if known.quick or not known.there & set(JUDGES):
-            why = "never thorough, as asked" if known.quick else "to choose the next experiment, quick suffices"
+            why = "not thorough, as requested" if known.quick else "to choose the next experiment, quick suffices"
             return Diagnose(thorough=False, why=f"there is {', '.join(sorted(known.there))}; {why}")
         return Diagnose(thorough=True, why=_TO_STAND)
     action = _after(known, known.answer, menu)

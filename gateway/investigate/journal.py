@@ -7,17 +7,16 @@ Rule: after each step it is written to a temporary file, synced and renamed.  Th
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from gateway.campaign.folder import Folder
 from gateway.investigate.answer import Answer, read_answer
 from gateway.investigate.decide import Finish, Known
+from protocol.checked import Flag, Number, RuleError, Whole, checked, key
 from protocol.errors import DataError, UsageError
-from protocol.files import make_folder, parse_json, read_small, writing
+from protocol.files import make_folder, parse_json, read_small, replace_text, writing
 
 FILE = "investigation.json"
 FORMAT = 1
@@ -31,7 +30,7 @@ class Performed:
 
     why: str
     standings: dict[str, str]  # by experiment, of `campaign run`
-    rig_s: float  # time on the rig
+    rig_s: Number  # time on the rig
 
 
 @dataclass(slots=True, kw_only=True)
@@ -39,9 +38,26 @@ class Diagnosed:
     """A diagnosis."""
 
     why: str
-    thorough: bool
+    thorough: Flag
     recordings: list[str]
     found: dict[str, Any]  # the part of diagnosis.json for `read_answer`
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Step:
+    performed: Performed | None = None
+    diagnosed: Diagnosed | None = None
+
+    def __post_init__(self) -> None:
+        if (self.performed is None) == (self.diagnosed is None):
+            raise RuleError(" is not one of performed | diagnosed", remedy=_REMEDY)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _File:
+    format: Annotated[Whole, key("format of the file", FORMAT, FORMAT)]
+    board: str
+    steps: tuple[_Step, ...]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -109,13 +125,8 @@ class Journal:
     def save(self) -> None:
         """Write the file.  Raises UsageError if that is not possible."""
         make_folder(self.folder)
-        beside = self.folder / f".{FILE}.part"
         with writing(self.folder / FILE):
-            with beside.open("w", encoding="utf-8") as file:
-                file.write(json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n")
-                file.flush()
-                os.fsync(file.fileno())
-            beside.replace(self.folder / FILE)
+            replace_text(self.folder / FILE, json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n")
 
 
 def open_journal(folder: Path, board: str) -> Journal:
@@ -129,19 +140,10 @@ def open_journal(folder: Path, board: str) -> Journal:
     if not path.exists():
         return Journal(folder=folder, board=board)
     table = parse_json(read_small(path, remedy=_REMEDY), where=str(path), remedy=_REMEDY)
-    try:
-        if table["format"] != FORMAT:
-            raise DataError(f"{path} has format {table['format']}, this is {FORMAT}", remedy=_REMEDY)
-        journal = Journal(folder=folder, board=str(table["board"]), steps=[_step(one) for one in table["steps"]])
-    except (KeyError, TypeError, AttributeError) as error:
-        raise DataError(f"{path} cannot be read ({error!r})", remedy=_REMEDY) from None
+    file: _File = checked(_File, table, where=str(path), error=DataError, remedy=_REMEDY)
+    steps = [step for one in file.steps for step in (one.performed, one.diagnosed) if step is not None]
+    journal = Journal(folder=folder, board=file.board, steps=steps)
     if journal.board != board:
         raise UsageError(f"{folder} is an investigation of {journal.board}, not of {board}", remedy="Give a new --out")
     journal.answer()  # raises for a damaged answer before the ball moves
     return journal
-
-
-def _step(table: Mapping[str, Any]) -> Performed | Diagnosed:
-    if "performed" in table:
-        return Performed(**table["performed"])
-    return Diagnosed(**table["diagnosed"])

@@ -23,7 +23,6 @@ from protocol.log.reader import LogReader, RawLogRecord
 
 SESSIONS_PER_PASS = 100_000  # --loop: passes are not continuous, so each pass has its own session numbers
 DEFAULT_TOPICS = tuple(topic.name for topic in topics.TOPICS if topic.bus and topic.logged and topic.by == "gateway")
-BUS_TOPICS = tuple(topic.name for topic in topics.TOPICS if topic.bus and topic.logged)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

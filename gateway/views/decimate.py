@@ -134,31 +134,3 @@ class Decimator:
         self._done.append(closed)
         self._samples = 0
         self._slot = -1
-
-
-def merge(bins: Sequence[Bin]) -> Bin:
-    """Merge consecutive bins of one session into one.
-
-    Raises:
-        ValueError: no bins, or bins of different sessions.
-    """
-    if not bins or any(b.session != bins[0].session for b in bins):
-        raise ValueError("bins of exactly one session can be merged")
-    first, last = bins[0], bins[-1]
-    return Bin(
-        session=first.session,
-        first_tick=first.first_tick,
-        last_tick=last.last_tick,
-        t_s=last.t_s,
-        host_time_ns=last.host_time_ns,
-        samples=sum(b.samples for b in bins),
-        lost=sum(b.lost for b in bins),
-        low={name: _least([b.low[name] for b in bins]) for name in first.low},
-        high={name: -_least([-b.high[name] for b in bins]) for name in first.high},
-        last=last.last,
-        message=last.message,
-    )
-
-
-def _least(values: list[float]) -> float:
-    return min((value for value in values if value == value), default=math.nan)  # value == value: not NaN

@@ -165,11 +165,6 @@ class BoardFeed:
             self._taps.setdefault(message.DESCRIPTOR.full_name, []).append(tap)
         return tap
 
-    def untap(self, tap: TopicBins) -> None:
-        """Remove a tap."""
-        with self._lock:
-            self._taps[tap.message.DESCRIPTOR.full_name].remove(tap)
-
     def take(self, message: Message, now_ns: int) -> None:
         """Process one message from the bus; the caller holds the feed's lock."""
         name = message.DESCRIPTOR.full_name

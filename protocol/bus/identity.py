@@ -11,6 +11,7 @@ The folder may be copied to the machine that needs it.  `--identity FOLDER` name
 
 from __future__ import annotations
 
+import getpass
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -62,6 +63,14 @@ class Identity:
                 f"The identity {self.folder} expired on {self.valid_until:%Y-%m-%d}",
                 remedy="Renew it with `board51 security renew DIR`, and copy the folder again",
             )
+
+
+def login_name(otherwise: str = "unknown") -> str:
+    """Return the name of the user who runs this process; the user of a container may have none."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return otherwise
 
 
 def find_identity(folder: Path | str | None, environment: Mapping[str, str] = os.environ) -> Identity | None:

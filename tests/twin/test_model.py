@@ -7,15 +7,16 @@ import csv
 import json
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from statistics import linear_regression
 from typing import Any
 
 import numpy as np
 import pytest
 
 from protocol.errors import DataError
-from twin.model.nominal import force_constant, lift_off_current, nominal
+from twin.model.nominal import nominal
 from twin.model.parameters import SHIPPED, load_model, model_from_dict, model_to_dict
 
 DATA = Path(os.environ.get("BOARD51_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -91,6 +92,25 @@ def test_a_model_survives_its_own_json(name: str) -> None:
     again = model_from_dict(json.loads(json.dumps(model_to_dict(model))), where="again")
 
     assert again == model
+
+
+def lift_off_current(gap_m: Sequence[float], i_c_a: Sequence[float], at_gap_m: float) -> float:
+    """Current that just carries the ball at `at_gap_m`, A, by linear regression through measured equilibria.
+
+    By (6) at rest i = sqrt(m g / K_c) * gap, so equilibria lie on a line for any origin of the gap.
+
+    Args:
+        gap_m: gaps of the equilibria, m, shape (n,).
+        i_c_a: their coil currents, A, shape (n,).
+        at_gap_m: gap of the ball at its lower stop, m.
+    """
+    slope, intercept = linear_regression(gap_m, i_c_a)
+    return slope * at_gap_m + intercept
+
+
+def force_constant(*, mass_kg: float, gravity_m_s2: float, gap_m: float, lift_off_a: float) -> float:
+    """K_c of (8): m g gap^2 / i^2 at the instant of lift-off, N m^2/A^2."""
+    return mass_kg * gravity_m_s2 * gap_m**2 / lift_off_a**2
 
 
 def test_nominal_force_constant_follows_from_the_measured_equilibria() -> None:

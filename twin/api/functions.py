@@ -123,8 +123,7 @@ def diagnose(
         UsageError: `share` or `budget` is out of range.
     """
     from twin.diagnose import pipeline
-    from twin.diagnose.equilibria.run import diagnose_static, rests_alone
-    from twin.diagnose.equilibria.to_json import sentence_of
+    from twin.diagnose.equilibria.run import rests_alone
     from twin.diagnose.inference.budget import MILLION
     from twin.diagnose.residuals.summary import shown
 
@@ -135,17 +134,7 @@ def diagnose(
     where = campaign.where if isinstance(campaign, Campaign) else str(campaign)
     campaign, reference = _campaign(campaign), None if model is None else _model(model)
     if rests_alone(campaign):
-        rest = diagnose_static(campaign, data=data, model=reference, say=say)
-        return Diagnosed(
-            verdict=rest.verdict,
-            sentence=sentence_of(rest),
-            causes=tuple(member.name for member in rest.members),
-            extended=rest.extended,
-            warnings=tuple(rest.warnings),
-            details=rest,
-            residuals=None,
-            where=where,
-        )
+        return _diagnosed_at_rest(campaign, reference, data, where, say)
     found = pipeline.diagnose(
         campaign,
         data=data,
@@ -167,6 +156,25 @@ def diagnose(
         warnings=found.warnings,
         details=found,
         residuals=shown(found, campaign.controller, quick=quick, seed=seed),
+        where=where,
+    )
+
+
+def _diagnosed_at_rest(
+    campaign: Campaign, reference: Model | None, data: Path | None, where: str, say: Say
+) -> Diagnosed:
+    from twin.diagnose.equilibria.run import diagnose_static
+    from twin.diagnose.equilibria.to_json import sentence_of
+
+    rest = diagnose_static(campaign, data=data, model=reference, say=say)
+    return Diagnosed(
+        verdict=rest.verdict,
+        sentence=sentence_of(rest),
+        causes=tuple(member.name for member in rest.members),
+        extended=rest.extended,
+        warnings=tuple(rest.warnings),
+        details=rest,
+        residuals=None,
         where=where,
     )
 

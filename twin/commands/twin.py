@@ -8,7 +8,6 @@ from the next sample on.  With --log it runs over a log instead and prints a sum
 from __future__ import annotations
 
 import argparse
-import getpass
 import json
 import logging
 import math
@@ -21,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
-from protocol.bus.identity import HELP, find_identity
+from protocol.bus.identity import HELP, find_identity, login_name
 from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.errors import UsageError
 from twin.mirror.settings import Settings
@@ -139,7 +138,7 @@ def _hand_over(args: argparse.Namespace, endpoints: tuple[str, ...]) -> int:
     from twin.mirror.bus.client import hand_over
     from twin.mirror.bus.handover import MAX_WORD, believe
 
-    who = args.who or _login()
+    who = args.who or login_name()
     for what, word in (("--who", who), ("--id", args.id)):
         if len(word) > MAX_WORD or not word.isprintable():
             raise UsageError(
@@ -174,13 +173,6 @@ def _hand_over(args: argparse.Namespace, endpoints: tuple[str, ...]) -> int:
                 f"{where}: {reply.text}{since}" if reply.accepted else f"{where}: refused: {reply.reason}: {reply.text}"
             )
     return 0 if all(one.reply.accepted for one in answers) else 1
-
-
-def _login() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a user of a container may have no name
-        return "unknown"
 
 
 def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints: tuple[str, ...]) -> int:

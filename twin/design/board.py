@@ -27,7 +27,7 @@ class Converters:
         for name in ("i_lsb_a", "x_lsb_m", "u_lsb_v"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
-                raise UsageError(f"{name} = {value:g}", remedy="Give what one count is worth, a positive number")
+                raise UsageError(f"{name} = {value:g}", remedy="Give the size of one count, a positive number")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -100,7 +100,7 @@ def _parameters(session: zenoh.Session, site: str, board: str) -> pb.Parameters:
         return heard.get(timeout=PARAMETERS_WAIT_S)
     except queue.Empty:
         raise ServiceError(
-            f"nothing heard of {site}/{board} within {PARAMETERS_WAIT_S:g} s",
+            f"no message from {site}/{board} within {PARAMETERS_WAIT_S:g} s",
             remedy="Check the name of the board and that its gateway runs; `board51 watch` lists what is there",
         ) from None
 

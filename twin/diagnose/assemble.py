@@ -131,9 +131,7 @@ def told(
         account = account_of(found, under.excess(found.fit.loglik), done.fine)
         where = "" if done.fine else where_left(criterion, found.fit, under)
         spread = spreads(criterion, found.fit)
-        warnings += [contradiction_sentence(one) for one in contradictions(criterion, found.fit)]
-        always = [name for name in found.causes if BY_NAME[name].found_by != "spectral-line" and done.change is None]
-        warnings += [beginning_sentence(late) for late in beginnings(criterion, found.fit, always)]
+        warnings += _inconsistent(done)
     with timed(stages, "next experiments"):
         proposals = _proposals(criterion, found, campaign, asked) if asked.experiments else {}
     with timed(stages, "gain"):
@@ -141,21 +139,13 @@ def told(
         at_20_ms = worth.at_20_ms
         warnings += [worth.off] if worth.off else []
     lost = lost_samples([*records, *judges])
-    verdict = verdict_of(
-        named=bool(found.causes) or lost is not None,
-        fine=done.fine,
-        finished=finished,
-        gain=at_20_ms,
-        leading=(done.fine and lost is not None) or any(account.leads(name) for name in found.causes),
-    )
+    verdict = _verdict(done, account, lost, at_20_ms, finished=finished)
     findings = _findings(found, account, spread, proposals, verdict, asked.quick, lost)
     if done.change is not None:
         findings = [_late(one, done.change) for one in findings]
-    if not done.fine:
-        warnings.append(done.why_not)
-    elif at_20_ms is not None and beyond_floor(at_20_ms):
+    if done.fine and at_20_ms is not None and beyond_floor(at_20_ms):
         where = beyond_sentence(at_20_ms)
-        warnings.append(f"not all is explained {where}")
+    warnings += [f"not all is explained {where}"] * bool(where) if done.fine else [done.why_not]
     minor_effects = tuple(minor_effects_of(criterion, found)) if done.fine and done.change is None else ()
     diagnosis = Diagnosis(
         verdict=verdict,
@@ -188,6 +178,25 @@ def told(
     )
     return replace(
         diagnosis, sentence=answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=worth.off)
+    )
+
+
+def _inconsistent(done: Searched) -> list[str]:
+    """Warnings about effects that are not the same in all recordings, or begin in the middle of one."""
+    criterion, fit = done.criterion, done.found.fit
+    always = [name for name in done.found.causes if BY_NAME[name].found_by != "spectral-line" and done.change is None]
+    return [contradiction_sentence(one) for one in contradictions(criterion, fit)] + [
+        beginning_sentence(late) for late in beginnings(criterion, fit, always)
+    ]
+
+
+def _verdict(done: Searched, account: Account, lost: Lost | None, at_20_ms: Gain | None, *, finished: bool) -> Verdict:
+    return verdict_of(
+        named=bool(done.found.causes) or lost is not None,
+        fine=done.fine,
+        finished=finished,
+        gain=at_20_ms,
+        leading=(done.fine and lost is not None) or any(account.leads(name) for name in done.found.causes),
     )
 
 

@@ -91,7 +91,7 @@ def diagnose(
     if not records:
         raise DataError(
             f'{campaign.where}: no recording has use = "fit"',
-            remedy='Give at least one [[recording]] with use = "fit"; choosing on judge recordings would spoil them',
+            remedy='Give at least one [[recording]] with use = "fit"; judge recordings cannot also choose the model',
         )
     return diagnose_records(
         campaign,
@@ -127,7 +127,6 @@ def diagnose_records(
 
     With `look_for_outlier`, a recording that contradicts all others is left out.  Raises DataError.
     """
-    plant = campaign.plant
     budget = budget or Budget()
     asked = Asked(
         model=model,
@@ -139,11 +138,21 @@ def diagnose_records(
         budget=budget,
         say=_with_share(say, budget),
     )
-    say = asked.say
-    if model is not None:
-        check_plant(model, plant)
-    everything = records
-    records, warnings = _prepared(campaign, records, quick)
+    return _diagnosed(campaign, records, judges, asked, look_for_outlier=look_for_outlier)
+
+
+def _diagnosed(
+    campaign: Campaign,
+    everything: Sequence[Record],
+    judges: Sequence[Record],
+    asked: Asked,
+    *,
+    look_for_outlier: bool,
+) -> Diagnosis:
+    plant, budget = campaign.plant, asked.budget
+    if asked.model is not None:
+        check_plant(asked.model, plant)
+    records, warnings = _prepared(campaign, everything, asked.quick)
     stages: dict[str, float] = {}
     with timed(stages, "evidence"):
         evidence, judge, noise = _evidence(records, judges, plant)
@@ -151,29 +160,22 @@ def diagnose_records(
     warnings += _missing(records, judges)
     start = no_better(start_theta(records, plant), evidence)
     enough(evidence)
-    criterion = Criterion(evidence, plant, tick_of(records), workers=workers, budget=budget)
+    criterion = Criterion(evidence, plant, tick_of(records), workers=asked.workers, budget=budget)
     with ExitStack() as closing:
         closing.callback(criterion.close)
         done = _search(criterion, start, records, asked, stages)
-        if not done.fine and quick:
+        if not done.fine and asked.quick:
             warnings.append(UNASKED)
         outlier = _outlier(criterion, done) if look_for_outlier and not done.fine else None
         if outlier is not None:
-            say(f"{outlier.name} contradicts the others: once more without it")
+            asked.say(f"{outlier.name} contradicts the others: once more without it")
             (left,) = budget.shares(1)
-            rest = diagnose_records(
+            rest = _diagnosed(
                 campaign,
                 [record for place, record in enumerate(everything) if place != outlier.recording],
                 judges,
-                model=model,
-                quick=quick,
-                share=share,
-                experiments=experiments,
-                seed=seed,
-                workers=workers,
-                budget=left,
+                replace(asked, budget=left, say=_with_share(asked.say, left)),
                 look_for_outlier=False,
-                say=say,
             )
             budget.settle([left])
             if rest.verdict == "unfinished":

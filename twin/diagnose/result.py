@@ -133,7 +133,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "minor_effects": [
             {
                 "name": minor_effect.name,
-                "parameters": _parameters(minor_effect.parameters),
+                "parameters": parameters_json(minor_effect.parameters),
                 "log_likelihood_gain": _number(minor_effect.loglik_gain),
             }
             for minor_effect in found.minor_effects
@@ -164,12 +164,12 @@ def _finding(cause: Finding) -> dict[str, Any]:
     return {
         "name": cause.name,
         "sentence": cause.sentence,
-        "parameters": _parameters(cause.parameters),
+        "parameters": parameters_json(cause.parameters),
         "form": cause.form or None,
         "confidence": round(cause.confidence, 3),
         "indistinguishable_from": [member.name for member in cause.indistinguishable_from],
         "alternatives": [
-            {"name": member.name, "parameters": _parameters(member.parameters)}
+            {"name": member.name, "parameters": parameters_json(member.parameters)}
             for member in cause.indistinguishable_from
         ],
         "share_of_excess_explained": _number(cause.share_of_excess_explained),
@@ -219,7 +219,8 @@ def fit_parameters(fit: Fit, cause: str, std: Mapping[str, float]) -> dict[str, 
     return found
 
 
-def _parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+def parameters_json(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+    """Parameters as in diagnosis.json."""
     return {
         name: {"value": p.value, "unit": p.unit, "std": p.std, "ci95": list(p.ci95) if p.ci95 else None}
         for name, p in parameters.items()

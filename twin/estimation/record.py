@@ -7,7 +7,7 @@ Rule 2: u_c of sample k is in force from sample k to k+1 (protocol/README.md, ru
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,11 @@ class Record:
     instrument: str = ""  # the instrument, if the campaign file names it
     lsb: tuple[float, float] = (0.0, 0.0)  # one count of i_c in A and of x in m, if the log contains it
     notes: tuple[str, ...] = field(default=())
+
+    def part(self, which: slice | BoolArray) -> Record:
+        """The same with some of the samples; views for a slice."""
+        channels = ("t", "u_c", "i_c", "x", "x_ref")
+        return replace(self, **{channel: getattr(self, channel)[which] for channel in channels})
 
     def has(self, *channels: str) -> bool:
         """Whether each of these channels holds at least one number."""

@@ -170,8 +170,8 @@ def _possible_drag(likelihood: Likelihood, found: Fit, ball: BallStart | None, w
     possible = ball is not None and 0.0 <= ball.d <= most_drag(plant)
     steady = ball.d * plant.mass_kg if ball is not None and possible else 0.0
     warnings.append(
-        f"the likelihood asks for more drag than b/m = {most_drag(plant):.0f} 1/s, the unstable pole: no ball "
-        "in air has that, it stands for what (6) lacks. "
+        f"the best fit has more drag than b/m = {most_drag(plant):.0f} 1/s, the unstable pole: no ball "
+        "in air has so much: it makes up for an effect that (6) lacks. "
         + ("b is from a regression over 60 ms windows instead" if possible else "b is left at 0, a placeholder")
         + "; board51 diagnose looks for the reason"
     )
@@ -183,7 +183,7 @@ def _misfit(
 ) -> Horizon | None:
     """The prediction error of a model with coloured residuals; `warnings` receives sentences."""
     warnings.append(
-        f"the residuals are not white (autocorrelation up to {white.worst:.2f}): the model is not the whole story. "
+        f"the residuals are not white (autocorrelation up to {white.worst:.2f}): the model does not explain all. "
         "The intervals are those of its best approximation, and b is the first to be wrong; board51 diagnose looks "
         "for the cause"
     )

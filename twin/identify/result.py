@@ -137,7 +137,7 @@ def table(found: Identification) -> str:
     if found.whiteness is not None:
         w = found.whiteness
         colour = (
-            "white" if w.white else f"coloured (autocorrelation up to {w.worst:.2f}): the model is not the whole story"
+            "white" if w.white else f"coloured (autocorrelation up to {w.worst:.2f}): the model does not explain all"
         )
         lines.append(f"innovations: chi2 {w.chi2_x:.2f} (x), {w.chi2_i:.2f} (i_c), {colour}")
     lines += [f"! {warning}" for warning in found.warnings]

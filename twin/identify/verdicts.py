@@ -15,10 +15,12 @@ from twin.identify.starting.regression import BallStart
 from twin.model.parameters import PARAMETERS, Parameter, Verdict
 
 IDENTIFIED, WEAK = 0.25, 1.0  # half width of the 95 % interval over the value
-_INPUT_HELP = "record steps of u_c with two or more steady levels (kind amplifier-step)"
-_TIME_HELP = "capture a step of u_c at 25 kHz (board51 send capture; kind amplifier-step)"
-_FORCE_HELP = "record a slow sawtooth to lift-off (kind sawtooth) or a closed-loop run"
-_DRAG_HELP = "record closed loop with wide, fast reference changes (multisine), several minutes: drag shows in speed"
+_HELP = {
+    "K_A": "record steps of u_c with two or more steady levels (kind amplifier-step)",
+    "T_A": "capture a step of u_c at 25 kHz (board51 send capture; kind amplifier-step)",
+    "K_c": "record a slow sawtooth to lift-off (kind sawtooth) or a closed-loop run",
+    "b": "record closed loop with wide, fast reference changes (multisine), several minutes: drag shows in speed",
+}
 _INFINITE = 1e6  # relative width that stands for an infinite one
 
 
@@ -68,22 +70,12 @@ def gain(
                 warnings.append(
                     f"K_A is {levels.K_A:.5g} A/V by steady levels and {found.point.K_A:.5g} A/V by the joint fit"
                 )
-            return _parameter(
-                "K_A",
-                levels.K_A,
-                levels.K_A_std,
-                levels.K_A - 1.96 * levels.K_A_std,
-                levels.K_A + 1.96 * levels.K_A_std,
-                f"line through {len(levels.levels)} steady levels",
-                "(1)",
-                _INPUT_HELP,
-            )
+            through = f"line through {len(levels.levels)} steady levels"
+            return _parameter("K_A", levels.K_A, levels.K_A_std, through, "(1)")
     if found is None or joint is None:
-        return _absent("K_A", 1.0, _INPUT_HELP, warnings)
+        return _absent("K_A", 1.0, warnings)
     how = "steady levels, refined by innovations likelihood" if levels is not None else "innovations likelihood"
-    return _parameter(
-        "K_A", found.point.K_A, joint.std, joint.low, joint.high, f"{how}; {joint.method}", "(1), (7)", _INPUT_HELP
-    )
+    return _parameter("K_A", found.point.K_A, joint, how, "(1), (7)")
 
 
 def time_constant(
@@ -101,11 +93,8 @@ def time_constant(
             "T_A",
             shape.T_A,
             std,
-            shape.T_A - 1.96 * std,
-            shape.T_A + 1.96 * std,
             f"best first-order response to {shape.steps} steps, which are not first order (residual {shape.said})",
             "(1)",
-            _TIME_HELP,
         )
     if shape is not None and (
         found is None
@@ -114,32 +103,14 @@ def time_constant(
         or abs(found.point.T_A - shape.T_A) > settings.AGREEMENT_ERRORS * math.hypot(joint.std, shape.T_A_std)
     ):
         # Each step has its own levels, so an offset, which (1) does not have, cannot bias T_A.
-        return _parameter(
-            "T_A",
-            shape.T_A,
-            shape.T_A_std,
-            shape.T_A - 1.96 * shape.T_A_std,
-            shape.T_A + 1.96 * shape.T_A_std,
-            f"first-order response to {shape.steps} steps",
-            "(1)",
-            _TIME_HELP,
-        )
+        return _parameter("T_A", shape.T_A, shape.T_A_std, f"first-order response to {shape.steps} steps", "(1)")
     if found is None or joint is None:
-        return _absent("T_A", 0.15 * tick_s, _TIME_HELP, warnings)
-    parameter = _parameter(
-        "T_A",
-        found.point.T_A,
-        joint.std,
-        joint.low,
-        joint.high,
-        f"innovations likelihood; {joint.method}",
-        "(1), (7)",
-        _TIME_HELP,
-    )
+        return _absent("T_A", 0.15 * tick_s, warnings)
+    parameter = _parameter("T_A", found.point.T_A, joint, "innovations likelihood", "(1), (7)")
     if parameter.verdict != "identified":
         warnings.append(
             f"T_A is {parameter.verdict}: samples every {tick_s * 1e3:g} ms see little of "
-            f"{found.point.T_A * 1e3:.3g} ms. To know it, {_TIME_HELP}"
+            f"{found.point.T_A * 1e3:.3g} ms. To know it, {_HELP['T_A']}"
         )
     return parameter
 
@@ -185,16 +156,7 @@ def force_constant(
                 f"K_c is {force.K_c:.4g} by (8) and {found.point.K_c:.4g} N m^2/A^2 in flight: no single K_c explains "
                 "both. (3) does not hold over the whole travel; board51 diagnose looks for the reason"
             )
-        parameter = _parameter(
-            "K_c",
-            found.point.K_c,
-            joint.std,
-            joint.low,
-            joint.high,
-            f"innovations likelihood over all flights; {joint.method}",
-            "(6), (7)",
-            _FORCE_HELP,
-        )
+        parameter = _parameter("K_c", found.point.K_c, joint, "innovations likelihood over all flights", "(6), (7)")
         if force is None or not differ or abs(force.K_c / found.point.K_c - 1.0) < settings.K_C_DIFFERENT:
             return parameter
         # Two precise but different values: neither interval is that of K_c.
@@ -204,23 +166,14 @@ def force_constant(
         return replace(parameter, method=method)
     if force is not None:
         kind = "lift-offs" if force.points[0].t_s != 0 and len(force.points) else "equilibria"
-        return _parameter(
-            "K_c",
-            force.K_c,
-            force.std,
-            force.K_c - 1.96 * force.std,
-            force.K_c + 1.96 * force.std,
-            f"median of {len(force.points)} {kind}",
-            "(8)",
-            _FORCE_HELP,
-        )
+        return _parameter("K_c", force.K_c, force.std, f"median of {len(force.points)} {kind}", "(8)")
     if ball is not None and ball.k > 0:
         value = ball.k * plant.mass_kg
-        warnings.append("K_c comes from a regression without error: u_c is missing. " + _FORCE_HELP.capitalize())
+        warnings.append("K_c comes from a regression without error: u_c is missing. " + _HELP["K_c"].capitalize())
         return Parameter(
             value=value, unit=PARAMETERS["K_c"][0], verdict="weak", method="modulating functions", equation="(6)"
         )
-    return _absent("K_c", 1e-6, _FORCE_HELP, warnings)
+    return _absent("K_c", 1e-6, warnings)
 
 
 def drag(
@@ -240,11 +193,9 @@ def drag(
     """
     joint = intervals.get("b")
     if flying and found is not None and joint is None and ball is not None:
-        why = "because the likelihood asks for an impossible drag: the model lacks something that acts faster"
+        why = "because the best fit has an impossible drag: the model lacks something that acts faster"
         if found.point.b == 0.0:
-            return replace(
-                _absent("b", 0.0, _DRAG_HELP, []), method=f"placeholder, {why}; board51 diagnose looks for it"
-            )
+            return replace(_absent("b", 0.0, []), method=f"placeholder, {why}; board51 diagnose looks for it")
         std = ball.d_std * plant.mass_kg
         return Parameter(
             value=found.point.b,
@@ -256,7 +207,7 @@ def drag(
             equation="(5), (6)",
         )
     if not flying or found is None or joint is None:
-        return _absent("b", 0.0, _DRAG_HELP, warnings)
+        return _absent("b", 0.0, warnings)
     value = found.point.b
     if joint.high <= 0.0:
         warnings.append(
@@ -272,16 +223,7 @@ def drag(
             method=f"innovations likelihood, at its bound (unbounded {value:.3g}); {joint.method}",
             equation="(5), (7)",
         )
-    parameter = _parameter(
-        "b",
-        max(value, 0.0),
-        joint.std,
-        max(joint.low, 0.0),
-        joint.high,
-        f"innovations likelihood over all flights; {joint.method}",
-        "(5), (7)",
-        _DRAG_HELP,
-    )
+    parameter = _parameter("b", max(value, 0.0), joint, "innovations likelihood over all flights", "(5), (7)")
     if coloured and parameter.verdict == "identified":
         return replace(
             parameter,
@@ -292,15 +234,18 @@ def drag(
         lower = "which includes 0" if joint.low <= 0.0 else "wide"
         warnings.append(
             f"b is {parameter.verdict}: 95 % interval {max(joint.low, 0.0):.3g} to {joint.high:.3g} N s/m, {lower}. "
-            f"To know it, {_DRAG_HELP}"
+            f"To know it, {_HELP['b']}"
         )
     return parameter
 
 
-def _parameter(
-    name: str, value: float, std: float, low: float, high: float, method: str, equation: str, remedy: str
-) -> Parameter:
+def _parameter(name: str, value: float, spread: Interval | float, method: str, equation: str) -> Parameter:
+    """Of a value with its interval, or with its standard error."""
     unit, lowest, highest = PARAMETERS[name]
+    if isinstance(spread, Interval):
+        std, low, high, method = spread.std, spread.low, spread.high, f"{method}; {spread.method}"
+    else:
+        std, low, high = spread, value - 1.96 * spread, value + 1.96 * spread
     least = settings.LEAST_RELATIVE_ERROR * abs(value)  # without noise the standard error would be 0
     std, low, high = max(std, least), min(low, value - 1.96 * least), max(high, value + 1.96 * least)
     bounded = min(max(value, lowest), highest)
@@ -312,7 +257,7 @@ def _parameter(
         verdict = "not-identifiable"
         method += f"; at its bound (unbounded {value:.3g})"
     if verdict != "identified":
-        method += f"; to know it, {remedy}"
+        method += f"; to know it, {_HELP[name]}"
     return Parameter(
         value=bounded,
         unit=unit,
@@ -324,7 +269,8 @@ def _parameter(
     )
 
 
-def _absent(name: str, value: float, remedy: str, warnings: list[str]) -> Parameter:
+def _absent(name: str, value: float, warnings: list[str]) -> Parameter:
+    remedy = _HELP[name]
     warnings.append(
         f"{name} is not identifiable from these recordings: {remedy}. The {value:g} in the model is a placeholder"
     )

@@ -56,7 +56,7 @@ def write(heard: Heard, pieces: Sequence[Piece], plant: Plant, out: Path, *, sit
     )
     comments = [f"Made by `board51 diagnose --live` from {heard.where}, board {site}/{board}."]
     if campaign.controller is None:
-        comments.append("No [controller]: the board's gains changed, or were not heard.")
+        comments.append("No [controller]: the board's gains changed, or did not arrive.")
     (folder / "campaign.toml").write_text(emit(campaign, comments=comments), encoding="utf-8")
     return folder
 

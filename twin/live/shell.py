@@ -88,7 +88,7 @@ def record_live(args: argparse.Namespace, say: Callable[[str], None]) -> tuple[P
     listed = ", ".join(f"{piece.name} {piece.duration_s:.0f} s" for piece in pieces)
     say(f"{args.site}/{board}, from {heard.where}: {listed}")
     if not moves(pieces):
-        say("! the reference hardly moves: force and drag are told from noise alone; fly steps of it")
+        say("! the reference hardly moves: force and drag are estimated from noise alone; fly steps of it")
     say(f"recordings in {folder}")
     return folder, board
 

@@ -16,7 +16,7 @@ import numpy as np
 from protocol.campaign import CHANNELS, Campaign, Channel, Column, Recording
 from protocol.errors import DataError
 from protocol.files import open_regular
-from protocol.table_file import LONGEST_LINE, REMEDY, check_mat, check_table, is_number, read_csv_bytes
+from protocol.table_file import LONGEST_LINE, REMEDY, check_table, is_number, read_csv_bytes, read_mat
 from twin.estimation.record import Capture, FloatArray, Record
 
 _HEAD = 4096  # bytes in which a file is recognised as text
@@ -61,24 +61,7 @@ def _skip(record: Record, skip_s: float) -> Record:
             f"{record.name}: skip_s = {skip_s:g} leaves nothing of {record.t[-1] - record.t[0]:.3g} s",
             remedy="Give a smaller skip_s",
         )
-    return _replace(record, keep)
-
-
-def _replace(record: Record, keep: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Record:
-    return Record(
-        name=record.name,
-        kind=record.kind,
-        use=record.use,
-        t=record.t[keep],
-        u_c=record.u_c[keep],
-        i_c=record.i_c[keep],
-        x=record.x[keep],
-        x_ref=record.x_ref[keep],
-        captures=record.captures,
-        instrument=record.instrument,
-        lsb=record.lsb,
-        notes=record.notes,
-    )
+    return record.part(keep)
 
 
 # ---- tables
@@ -158,24 +141,7 @@ def _number(cell: object) -> float:
 
 
 def _mat_columns(path: Path) -> tuple[dict[str, FloatArray], dict[str, str]]:
-    from scipy.io import loadmat
-
-    check_mat(path)
-    try:
-        content = loadmat(path, squeeze_me=True, struct_as_record=False)
-    except NotImplementedError:
-        raise DataError(f"{path} is a MATLAB 7.3 file", remedy="Save it again with: save(name, '-v7')") from None
-    except Exception as error:  # scipy raises many types for a damaged file, KeyError and zlib.error among them
-        raise DataError(f"{path} is not a MATLAB file, or is cut off: {error}", remedy="Save it again") from None
-    columns: dict[str, FloatArray] = {}
-    unusable: dict[str, str] = {}
-    for name, value in content.items():
-        if not name.startswith("__"):
-            _collect(name, value, columns, unusable)
-    if not columns:
-        others = "".join(f"; {name}: {why}" for name, why in unusable.items())
-        raise DataError(f"{path} holds no numeric vectors{others}", remedy="Save t, x, ... as vectors of equal length")
-    return columns, unusable
+    return read_mat(path, _collect, squeeze=True)
 
 
 def _collect(name: str, value: object, columns: dict[str, FloatArray], unusable: dict[str, str]) -> None:

@@ -19,9 +19,7 @@ REALISATIONS = 8  # of the sensor noise added to (1)
 FLAT_SHARE = 2e-3  # of the range of u_c: a smaller change does not end a level
 # name: (title, unit, factor from SI)
 CURRENT_FIGURES: dict[str, tuple[str, str, float]] = {
-    "rise_s": ("rise time 10-90 %", "ms", 1e3),
-    "settling_s": ("settling time", "ms", 1e3),
-    "overshoot": ("overshoot", "%", 100.0),
+    **{name: FIGURES[name] for name in ("rise_s", "settling_s", "overshoot")},
     "iae_m_s": ("IAE to the final level", "mA s", 1e3),
 }
 

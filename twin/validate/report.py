@@ -12,6 +12,7 @@ import numpy as np
 from twin.estimation.record import FloatArray
 from twin.estimation.step_figures import FIGURES, Alone, Compared, definition
 from twin.page.figures import Picture, inline
+from twin.page.plain import plain
 from twin.page.render import Mark, render, yes_or_no
 from twin.validate import figures
 from twin.validate.amplifier import CURRENT_FIGURES
@@ -56,9 +57,7 @@ def to_dict(result: Validation) -> dict[str, Any]:
             "pace": result.pace(),
         },
     }
-    cleaned = _clean(parts)
-    assert isinstance(cleaned, dict)
-    return cleaned
+    return plain(parts)
 
 
 def to_html(result: Validation, *, title: str) -> str:
@@ -178,15 +177,3 @@ def _step_row(row: Compared, figures: Mapping[str, tuple[str, str, float]]) -> l
 
 def _why(reason: str) -> dict[str, Any]:
     return {"not_testable": reason}
-
-
-def _clean(value: object) -> object:
-    if isinstance(value, dict):
-        return {key: _clean(entry) for key, entry in value.items()}
-    if isinstance(value, np.ndarray | list | tuple):
-        return [_clean(entry) for entry in value]
-    if isinstance(value, np.bool_):
-        return bool(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value

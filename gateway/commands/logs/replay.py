@@ -112,7 +112,7 @@ def _bus(args: argparse.Namespace, stop: threading.Event) -> int:
         while not replay.matched() and time.monotonic() < deadline_s and not stop.is_set():
             stop.wait(0.02)
         if not replay.matched() and not args.json:
-            print("nobody subscribes yet", file=sys.stderr)
+            print("no subscriber yet", file=sys.stderr)
         stop.wait(SETTLE_S)
         progress = _Progress(quiet=args.json)
 

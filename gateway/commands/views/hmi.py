@@ -34,7 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_view_arguments(
         parser,
         "hmi",
-        security="https, logins, and who the page is on the bus",
+        security="https, logins, and the page's identity on the bus",
         insecure="listen beyond loopback without --security",
     )
     parser.add_argument("--users", type=Path, metavar="FILE", help="logins alone, without https: on loopback only")

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gateway.record.tables.table import FloatArray, Table
+from protocol import table_file
 from protocol.errors import DataError
-from protocol.table_file import check_mat
 
 
 def read_mat(path: Path) -> Table:
@@ -21,25 +21,10 @@ def read_mat(path: Path) -> Table:
         DataError: the file is absent, not a MATLAB file, of version 7.3, without vectors, or with vectors of different
             lengths.
     """
-    from scipy.io import loadmat
-
-    check_mat(path)
-    try:
-        content: dict[str, Any] = loadmat(path, squeeze_me=False, struct_as_record=False)
-    except NotImplementedError:
-        raise DataError(f"{path} is a MATLAB 7.3 file", remedy="Save it again with: save(name, '-v7')") from None
-    except Exception as error:  # scipy passes on any error of its parser, including KeyError and zlib.error
-        raise DataError(f"{path} is not a MATLAB file, or is cut off: {error}", remedy="Save it again") from None
-    columns: dict[str, FloatArray] = {}
-    unusable: dict[str, str] = {}
-    for name, value in content.items():
-        if not name.startswith("__"):
-            _collect(name, value, columns, unusable)
+    columns: dict[str, FloatArray]
+    columns, unusable = table_file.read_mat(path, _collect, squeeze=False)
     # A scalar beside vectors (a sample time, a mass) is not a column.
     columns = {name: column for name, column in columns.items() if len(column) > 1} or columns
-    if not columns:
-        others = "".join(f"; {name}: {why}" for name, why in unusable.items())
-        raise DataError(f"{path} holds no numeric vectors{others}", remedy="Save t, x, ... as vectors of equal length")
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {length}" for name, length in lengths.items())

@@ -117,7 +117,7 @@ class Actions:
 
     def _sent(self, session: LoginSession, board: str, send: Callable[[str, str], pb.CommandReply]) -> pb.CommandReply:
         if self.feed.board(board) is None:
-            return _refusal("no-board", f"Nothing has been heard of a board {board[:32]!r}.")
+            return _refusal("no-board", f"No message has come from a board {board[:32]!r}.")
         try:
             return send(session.name, self.role(session).word)
         except Exception as error:  # a bus that closed under us must not look like an accepted command
@@ -197,7 +197,7 @@ class Actions:
         if refused is not None:
             return refused
         if board != "*" and self.feed.board(board) is None:
-            return _refusal("no-board", f"Nothing has been heard of a board {board[:32]!r}.")
+            return _refusal("no-board", f"No message has come from a board {board[:32]!r}.")
         try:
             if kind != "replay":
                 self._data.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import getpass
 import signal
 import socket
 import time
@@ -35,6 +34,7 @@ from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import STUCK_S, Live, Snapshots
 from gateway.views.hmi.requests import Requests
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
+from protocol.bus.identity import login_name
 from protocol.errors import ServiceError
 
 STATIC = Path(__file__).parent / "static"
@@ -155,11 +155,7 @@ def _recorded(settings: HmiSettings) -> dict[str, Path]:
 
 def _local(sessions: LoginSessions) -> LoginSession:
     """Open a session for the user of this machine, as `board51 send` does."""
-    try:
-        name = getpass.getuser()
-    except (KeyError, OSError):  # a container's user need not have a name
-        name = "local operator"
-    return sessions.open(name, Role.ENGINEER, time.monotonic())
+    return sessions.open(login_name("local operator"), Role.ENGINEER, time.monotonic())
 
 
 def listen(host: str, port: int) -> socket.socket:

@@ -60,7 +60,7 @@ class Jobs:
     """
 
     def __init__(self, environment: Mapping[str, str] | None = None) -> None:
-        # Who a job is on the bus is said by its options; that of this process must not stand in for it.
+        # Who a job is on the bus is said by its options; that of this process must not replace it.
         supplied = os.environ if environment is None else environment
         self._environment = {name: value for name, value in supplied.items() if name != IDENTITY_VARIABLE}
         self._jobs: dict[tuple[str, str], Job] = {}

@@ -29,7 +29,6 @@ from gateway.views.opcua.security import Security
 from gateway.views.opcua.sessions import GuardedServer, Reception
 from protocol.errors import ServiceError
 
-DEFAULT_LISTEN = "127.0.0.1:4840"
 APPLICATION_URI = "urn:board51:gateway:opcua"
 NAMESPACE = "urn:board51:{site}"
 POLICIES = (

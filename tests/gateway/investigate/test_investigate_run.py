@@ -155,10 +155,14 @@ def test_a_gateway_that_is_not_there_is_one_line_and_nothing_is_lost(
     ("text", "said"),
     [
         ("{", "investigation.json, line 1: not JSON"),
-        ('{"format": 7, "board": "rig", "steps": []}', "has format 7, this is 1"),
-        ('{"format": 1, "board": "rig"}', "cannot be read (KeyError('steps'))"),
-        ('{"format": 1, "board": "rig", "steps": [{"diagnosed": {"why": ""}}]}', "cannot be read"),
-        ('{"format": 1, "board": "rig", "steps": ["x"]}', "cannot be read"),
+        ('{"format": 7, "board": "rig", "steps": []}', "investigation.json: format = 7 is not 1"),
+        ('{"format": 1, "board": "rig"}', "investigation.json: steps is missing"),
+        (
+            '{"format": 1, "board": "rig", "steps": [{"diagnosed": {"why": ""}}]}',
+            "steps 1.diagnosed.thorough is",
+        ),
+        ('{"format": 1, "board": "rig", "steps": ["x"]}', "steps 1 = 'x' is not a table"),
+        ('{"format": 1, "board": "rig", "steps": [{}]}', "steps 1 is not one of performed | diagnosed"),
         ('{"format": 1, "board": "other", "steps": []}', "is an investigation of other, not of rig"),
     ],
 )

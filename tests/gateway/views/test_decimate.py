@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.views.decimate import Bin, Decimator, merge
+from gateway.views.decimate import Bin, Decimator
 
 
 def push(decimator: Decimator, tick: int, *values: float, session: int = 1, lost: int = 0) -> None:
@@ -77,16 +76,3 @@ def test_an_unread_decimator_keeps_the_newest_bins_and_counts_the_rest() -> None
 
     assert [b.first_tick for b in decimator.take()] == [5, 6, 7, 8]
     assert decimator.dropped == 5
-
-
-def test_merged_bins_keep_the_extremes() -> None:
-    decimator = Decimator(["v"], 2)
-    for tick, value in enumerate([1.0, math.nan, -4.0, 2.0, math.nan, math.nan]):
-        push(decimator, tick, value)
-
-    merged = merge(decimator.take(unfinished=True))
-
-    assert (merged.low["v"], merged.high["v"], merged.samples) == (-4.0, 2.0, 6)
-    assert math.isnan(merged.last["v"])
-    with pytest.raises(ValueError, match="session"):
-        merge([])

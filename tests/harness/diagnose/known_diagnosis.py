@@ -83,9 +83,9 @@ def diagnosis(
     selection = Selection(
         base=before_fit,
         fit=after_fit,
-        causes=[cause] if extended else [],
+        causes=(cause,) if extended else (),
         gains={cause: own.gain},
-        rounds=[Round(scores=(score,), trials=(own,), taken=cause if extended else "", best=own)],
+        rounds=(Round(scores=(score,), trials=(own,), taken=cause if extended else "", best=own),),
     )
     account = account_of(selection, floor.excess(logliks[1]), extended)
     records = fit.records

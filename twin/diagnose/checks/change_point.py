@@ -141,7 +141,7 @@ def find_change(
         if criterion.budget.closed:
             raise Spent
         if chosen.causes and adequate(switched, chosen.fit, floor.under(switched, chosen.fit.theta))[0]:
-            find_classes(switched, chosen, candidates=candidates, few=few, quick=True, say=say)
+            chosen = find_classes(switched, chosen, candidates=candidates, few=few, quick=True, say=say)
             always = climb(criterion, chosen.fit.theta, chosen.fit.free, passes=settings.PASSES)
             gain = chosen.fit.loglik - max(always.loglik, found.fit.loglik)
             if gain > settings.CHANGE_GAIN:

@@ -23,7 +23,6 @@ from twin.diagnose import settings
 from twin.diagnose.equilibria.points import (
     Points,
     StaticFit,
-    added_current,
     computed_current,
     f_test,
     fit_static,
@@ -40,7 +39,7 @@ from twin.diagnose.inference.theta import Theta
 from twin.estimation.record import FloatArray, Record
 from twin.model import parameters as file
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
-from twin.model.extended import current_of_reading, magnetic_force, position_of_reading
+from twin.model.linear import linearised
 from twin.model.nominal import nominal
 
 _METHOD = "least squares in i_c over the points of rest"
@@ -87,11 +86,6 @@ class StaticDiagnosis:
     judge: tuple[FloatArray, FloatArray] | None  # i_c measured - predicted on judge points, before and after, A
     extended: file.Model
     warnings: tuple[str, ...]
-
-
-def is_static(records: Sequence[Record]) -> bool:
-    """Whether these recordings are points of rest alone."""
-    return bool(records) and all(record.kind == "equilibria" for record in records)
 
 
 def diagnose_points(
@@ -168,13 +162,13 @@ def diagnose_points(
 
 
 def pole(theta: Theta, plant: Plant, reading_m: float) -> float:
-    """The unstable pole of the ball at rest where x is read, 1/s: (14) without drag; NaN where it is stable."""
-    p, c = theta.base(plant), theta.vector()
-    i_read = float(holding_currents(theta, plant, np.array([reading_m]))[0])
-    i = float(current_of_reading(c, i_read + added_current(theta)))
-    x = position_of_reading(p, c, reading_m, i)
-    slope = (magnetic_force(p, c, i, x + 1e-6) - magnetic_force(p, c, i, x - 1e-6)) / 2e-6
-    return math.sqrt(slope / plant.mass_kg) if slope > 0.0 else math.nan
+    """The unstable pole (14) of the ball where x is read, at constant current, 1/s; NaN if it is stable or none rests.
+
+    With the current held, the matrix of (14) has the rows and columns of x and its speed alone.
+    """
+    mechanics = linearised(theta.base(plant), theta.vector(), reading_m)[0][1:3, 1:3]
+    fastest = float(np.linalg.eigvals(mechanics).real.max()) if np.isfinite(mechanics).all() else math.nan
+    return fastest if fastest > 0.0 else math.nan
 
 
 def rounding_of(points: Points, computed_a_v: float | None) -> float:
@@ -260,7 +254,8 @@ def _remarks(points: Points, computed: float | None, members: Sequence[Explanati
         )
     if len(points) - 2 < 5:
         remarks.append(
-            f"{len(points)} points leave {len(points) - 2} for doubt beside K_c and one cause: a second cannot be shown"
+            f"{len(points)} points leave {len(points) - 2} degrees of freedom beside K_c and one cause: too few for a"
+            " second"
         )
     return remarks
 
@@ -268,7 +263,7 @@ def _remarks(points: Points, computed: float | None, members: Sequence[Explanati
 def _judge_points(judges: Sequence[Record], plant: Plant, warnings: list[str]) -> Points | None:
     still = [record for record in judges if record.kind == "equilibria"]
     if len(still) < len(judges):
-        warnings.append("judge recordings with motion are not used: points of rest know nothing of T_A and b")
+        warnings.append("judge recordings with motion are not used: points of rest do not show T_A and b")
     if not still:
         return None
     try:

@@ -89,7 +89,7 @@ def points_of(records: Sequence[Record], plant: Plant, fewest: int = settings.ST
             )
         if np.isfinite(i[row]) and i[row] <= 0.0:
             raise DataError(
-                f"{name}: i_c is {i[row]:.4g} A, which holds no ball", remedy="Write i_c in A, positive upwards"
+                f"{name}: i_c is {i[row]:.4g} A, which cannot hold the ball", remedy="Write i_c in A, positive upwards"
             )
     good = np.isfinite(x) & np.isfinite(i)
     if good.sum() < fewest or (fewest > 1 and np.ptp(x[good]) < 0.05 * plant.travel_m):

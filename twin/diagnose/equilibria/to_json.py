@@ -11,6 +11,7 @@ from twin.diagnose import settings
 from twin.diagnose.equilibria.diagnosis import Explanation, StaticDiagnosis, parameters_of, proposal_for
 from twin.diagnose.equilibria.points import StaticFit
 from twin.diagnose.report.sentences import quantity
+from twin.diagnose.result import parameters_json
 from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 
@@ -106,13 +107,13 @@ def _cause(found: StaticDiagnosis, first: Explanation, share: float) -> dict[str
     return {
         "name": first.name,
         "sentence": named(first),
-        "parameters": _numbers(first),
+        "parameters": parameters_json(parameters_of(first)),
         "confidence": round(found.confidence, 3),
         "indistinguishable_from": [other.name for other in others],
         "alternatives": [
             {
                 "name": other.name,
-                "parameters": _numbers(other),
+                "parameters": parameters_json(parameters_of(other)),
                 "rms_a": rms(other.fit.residual_a),
                 "unstable_pole_per_s": other.pole_per_s,
                 "told_apart_by": {"what": what, "separation_z": z, "command": command},
@@ -186,13 +187,6 @@ def named(one: Explanation) -> str:
     return (
         f"{BY_NAME[one.name].title}: {size} ({quantity(one.low, strength.unit)} to {quantity(one.high, strength.unit)})"
     )
-
-
-def _numbers(one: Explanation) -> dict[str, Any]:
-    return {
-        name: {"value": p.value, "unit": p.unit, "std": p.std, "ci95": list(p.ci95) if p.ci95 else None}
-        for name, p in parameters_of(one).items()
-    }
 
 
 def _best_proposal(proposals: Sequence[tuple[str, float, str]]) -> dict[str, Any] | None:

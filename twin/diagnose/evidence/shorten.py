@@ -6,7 +6,6 @@ With very many flights it is less of each, as the budget of `--quick` is for a s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from twin.estimation.record import Record
 
@@ -22,16 +21,8 @@ def shortened(records: Sequence[Record]) -> tuple[list[Record], str]:
     most = FLIGHT_SAMPLES if sum(flights) <= ALL_SAMPLES else ALL_SAMPLES // len(flights)
     for record in records:
         if record.kind in _LONG and len(record.t) > most:
-            retained = slice(0, most)
             cut += 1
-            record = replace(
-                record,
-                t=record.t[retained],
-                u_c=record.u_c[retained],
-                i_c=record.i_c[retained],
-                x=record.x[retained],
-                x_ref=record.x_ref[retained],
-            )
+            record = record.part(slice(0, most))
         result.append(record)
     said = f"--quick: only the first {most} samples of {cut} recordings were used for choosing" if cut else ""
     return result, said

@@ -88,9 +88,7 @@ def _banners(found: Diagnosis, show: Show) -> list[str]:
         rest = "; ".join(found.budget.unanswered)
         lines.append(f"The budget of {millions(found.budget.limit)} ended first. Not examined: {rest}.")
     if not show.judged:
-        lines.append(
-            "No recording was left to judge by. Errors below are of the recordings that were fitted: they flatter."
-        )
+        lines.append("No recording was left to judge by. The errors below are those of the fit: they are too small.")
     return lines
 
 

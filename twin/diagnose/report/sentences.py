@@ -208,8 +208,8 @@ def summary_sentence(found: Diagnosis) -> str:
     nearest = _named(found.causes, whole=False)
     nearest = nearest[:1].lower() + nearest[1:] if nearest.startswith("The ") else nearest
     return (
-        "The model is wrong, and the known causes do not explain all of it. What comes nearest may only stand in for "
-        f"what nobody knows: {nearest}{_apart(found.causes)}{rest}{worth}"
+        "The model is wrong, and the known causes do not explain all of it. What comes nearest may only "
+        f"imitate an unknown cause: {nearest}{_apart(found.causes)}{rest}{worth}"
     )
 
 

@@ -55,7 +55,7 @@ def step_responses(
     if not flown:
         return "no recording in closed loop has x and x_ref"
     if controller is None:
-        return "the campaign has no [controller]: nobody knows the law that ran on the board"
+        return "the campaign has no [controller]: the law that ran on the board is unknown"
     sigma = floor.sigma_x_m
     rigs = [
         replace(

@@ -27,6 +27,7 @@ from twin.diagnose.residuals.state_map import Correction, correction
 from twin.diagnose.residuals.step_response import Steps, step_responses
 from twin.estimation.record import FloatArray, runs
 from twin.model.extended import V
+from twin.page.plain import plain
 
 if TYPE_CHECKING:
     from twin.diagnose.result import Diagnosis
@@ -125,21 +126,7 @@ def to_dict(show: Show) -> dict[str, Any]:
         parts["steps"] = {"count": show.steps.count, "baseline_and_extended": figures}
     else:
         parts["steps"] = {"not_testable": show.steps}
-    cleaned = _clean(parts)
-    assert isinstance(cleaned, dict)
-    return cleaned
-
-
-def _clean(value: object) -> object:
-    if isinstance(value, dict):
-        return {key: _clean(entry) for key, entry in value.items()}
-    if isinstance(value, np.ndarray | list | tuple):
-        return [_clean(entry) for entry in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, float | np.floating):
-        return float(f"{value:.6g}") if math.isfinite(value) else None
-    return value
+    return plain(parts, 6)
 
 
 def _models(found: Diagnosis, evidence: Evidence, plant: Plant) -> tuple[Filtered, Filtered]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit, climb
@@ -35,7 +36,7 @@ def find_classes(
     few: int = settings.CANDIDATES,
     quick: bool = False,
     say: Say = lambda line: None,
-) -> None:
+) -> Selection:
     """Find the class of each selected cause and the best candidate outside it; the arguments are those of `select`.
 
     With `floor`, if several causes leave more than noise, one of them may be false: the last is examined first, and
@@ -46,21 +47,27 @@ def find_classes(
     def doubtful() -> bool:
         return floor is not None and len(found.causes) > 1 and material(criterion, found, floor)
 
-    found.classes, found.runner_up = {}, {}
+    found = replace(found, classes={}, runner_up={})
     if 1 < len(found.causes) <= settings.MOST_TOGETHER and not quick:
-        criterion.each(lambda cause: without(criterion, found, cause), found.causes)
-    for cause in found.causes[::-1] if doubtful() else list(found.causes):
+        found = found.knowing(criterion.each(partial(without, criterion, found), found.causes))
+    for cause in found.causes[::-1] if doubtful() else found.causes:
         if quick and len(found.causes) > 1:
-            found.runner_up[cause] = found.gains[cause]
             own = Trial(cause=cause, fit=found.fit, gain=found.gains[cause])
             same = same_as(cause) & {entry.name for entry in candidates}
-            found.classes[cause] = tuple(renamed(own, other) for other in sorted(same))
-        elif _class_of(criterion, found, floor, cause, candidates, few, doubtful(), say):
+            found = replace(
+                found,
+                classes={**found.classes, cause: tuple(renamed(own, other) for other in sorted(same))},
+                runner_up={**found.runner_up, cause: found.gains[cause]},
+            )
+            continue
+        found, changed = _class_of(criterion, found, floor, cause, candidates, few, doubtful(), say)
+        if changed:
             return find_classes(criterion, found, floor, candidates=candidates, few=few, say=say)
+    return found
 
 
-def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Trial, say: Say) -> bool:
-    """Let `trial` replace `cause` and a second cause if it explains as much as both together; True if it does.
+def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Trial, say: Say) -> Selection | None:
+    """Let `trial` replace `cause` and a second cause if it explains as much as both together; None if it does not.
 
     Two causes that imitate a third are never found superfluous one by one.
     """
@@ -77,12 +84,11 @@ def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Tria
                 say(f"dropped: {other} ({cause} explains it)")
             else:
                 say(f"{trial.cause} explains as much as {cause} and {other} together: it takes their place")
-            found.causes = [trial.cause if name == cause else name for name in found.causes if name != other]
-            found.fit, gain = fit, fit.loglik - found.base.loglik
-            found.gains = {name: found.gains.get(name, gain) for name in found.causes}
-            found.remember(fit)
-            return True
-    return False
+            causes = tuple(trial.cause if name == cause else name for name in found.causes if name != other)
+            gain = fit.loglik - found.base.loglik
+            gains = {name: found.gains.get(name, gain) for name in causes}
+            return replace(found, causes=causes, fit=fit, gains=gains).knowing([fit])
+    return None
 
 
 def _class_of(
@@ -94,26 +100,25 @@ def _class_of(
     few: int,
     everyone: bool,
     say: Say,
-) -> bool:
+) -> tuple[Selection, bool]:
     """Find the class of `cause` with the other causes fixed; a candidate that explains more takes its place.
 
     With `everyone`, candidates are fitted whatever their score.
 
-    Returns True if two causes were replaced by one or if `cause` is superfluous; then all classes are found again.
+    Returns the selection, and True if two causes were replaced by one or if `cause` is superfluous; then all classes
+    are found again.
     """
     stood = cause
     if len(found.causes) == 1:
         at, known = found.base, {trial.cause: trial for trial in found.rounds[0].trials}
     else:
         at, known = without(criterion, found, cause), {}
+        found = found.knowing([at])
     own = Trial(cause=cause, fit=found.fit, gain=found.fit.loglik - at.loglik)
     needless = own.gain < settings.LEAST_GAIN if floor is None else superfluous(criterion, found, floor, at)
     if needless and len(found.causes) > 1:
-        found.causes.remove(cause)
-        found.gains.pop(cause)
-        found.fit = at
         say(f"dropped: {cause} (the others explain it)")
-        return True
+        return found.dropping(cause, at), True
     others = [entry for entry in candidates if entry.name not in found.causes]
     scores = screen(criterion, at.theta, at.free, [*others, BY_NAME[cause]])
     shown = {score.cause: score.gain for score in scores}
@@ -140,24 +145,30 @@ def _class_of(
     trials.sort(key=lambda trial: -trial.gain)
     if trials and trials[0].gain > own.gain + settings.EQUIVALENT_GAIN:
         own = _again(criterion, trials[0], own)
-        found.fit = own.fit
+        found = replace(found, fit=own.fit)
     if trials and trials[0].gain > own.gain + settings.EQUIVALENT_GAIN:
         say(f"{trials[0].cause} explains more than {cause} beside the others: it takes its place")
         best = trials[0]
-        found.causes[found.causes.index(cause)] = best.cause
-        found.fit, found.gains[best.cause] = best.fit, best.gain
-        if periodic.CAUSE.name in found.causes:
-            found.fit = periodic.rephased(criterion, found.fit, settings.PASSES)
-        found.gains.pop(cause, None)
+        causes = tuple(best.cause if name == cause else name for name in found.causes)
+        rephased = periodic.CAUSE.name in causes
+        fit = periodic.rephased(criterion, best.fit, settings.PASSES) if rephased else best.fit
+        gains = {name: gain for name, gain in {**found.gains, best.cause: best.gain}.items() if name != cause}
+        found = replace(found, causes=causes, fit=fit, gains=gains)
         trials = [own, *trials[1:]]
         own, cause = best, best.cause
     near = tuple(trial for trial in trials if own.gain - trial.gain < settings.EQUIVALENT_GAIN)
     far = [trial.gain for trial in trials if own.gain - trial.gain >= settings.EQUIVALENT_GAIN]
-    found.classes[cause] = near
-    found.runner_up[cause] = own.gain - max(far, default=0.0)
-    found.gains[cause] = own.gain
-    news = [trial for trial in (own, *near) if trial.cause not in (stood, *same)]
-    return any(_one_for_two(criterion, found, cause, trial, say) for trial in news)
+    found = replace(
+        found,
+        classes={**found.classes, cause: near},
+        runner_up={**found.runner_up, cause: own.gain - max(far, default=0.0)},
+        gains={**found.gains, cause: own.gain},
+    )
+    for trial in (own, *near):
+        less = None if trial.cause in (stood, *same) else _one_for_two(criterion, found, cause, trial, say)
+        if less is not None:
+            return less, True
+    return found, False
 
 
 def _rephase(criterion: Criterion, own: Trial, trials: list[Trial], alike: set[str], shaken: float) -> None:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from twin.diagnose import settings
-from twin.diagnose.inference.budget import Spent
 from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
@@ -17,27 +15,22 @@ from twin.diagnose.search.candidate_fits import Trial
 from twin.diagnose.search.forward_step import Round
 
 
-@dataclass(slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """The causes in the order in which they were taken, and everything that was tried."""
+    """The causes in the order in which they were taken, and everything that was tried; each step makes a new one."""
 
     base: Fit
     fit: Fit
-    causes: list[str] = field(default_factory=list)
-    gains: dict[str, float] = field(default_factory=dict)
-    classes: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # confounders within EQUIVALENT_GAIN
-    runner_up: dict[str, float] = field(default_factory=dict)  # lead over the best confounder outside the class
-    rounds: list[Round] = field(default_factory=list)
-    smaller: dict[frozenset[str], Fit] = field(default_factory=dict)  # models of fewer causes, by what is free in them
+    causes: tuple[str, ...] = ()
+    gains: Mapping[str, float] = field(default_factory=dict)
+    classes: Mapping[str, tuple[Trial, ...]] = field(default_factory=dict)  # confounders within EQUIVALENT_GAIN
+    runner_up: Mapping[str, float] = field(default_factory=dict)  # lead over the best confounder outside the class
+    rounds: tuple[Round, ...] = ()
+    smaller: Mapping[frozenset[str], Fit] = field(default_factory=dict)  # fits of fewer causes, by what is free in them
 
-    def become(self, other: Selection) -> None:
-        """Take over everything from `other`."""
-        for one in fields(self):
-            setattr(self, one.name, getattr(other, one.name))
-
-    def remember(self, fit: Fit) -> None:
-        """Keep a fit for `recall`."""
-        self.smaller[frozenset(fit.free)] = fit
+    def knowing(self, fits: Iterable[Fit]) -> Selection:
+        """The same with fits for `recall`."""
+        return replace(self, smaller={**self.smaller, **{frozenset(fit.free): fit for fit in fits}})
 
     def recall(self, free: Sequence[str]) -> Fit | None:
         """The fit with these free parameters if one is known and has the present phases; None otherwise."""
@@ -45,17 +38,11 @@ class Selection:
         stale = fit and periodic.AMPLITUDE in free and fit.theta.phases_s != self.fit.theta.phases_s
         return None if stale else fit
 
-
-@contextmanager
-def whole(found: Selection) -> Iterator[None]:
-    """Make a step of the search, or undo it completely if it exceeds the budget."""
-    before = replace(found, causes=[*found.causes], gains={**found.gains})
-    before.rounds = [*found.rounds]
-    try:
-        yield
-    except Spent:
-        found.become(before)
-        raise
+    def dropping(self, cause: str, fit: Fit) -> Selection:
+        """The same without a cause; `fit` is of the others."""
+        causes = tuple(name for name in self.causes if name != cause)
+        gains = {name: gain for name, gain in self.gains.items() if name != cause}
+        return replace(self, causes=causes, gains=gains, fit=fit)
 
 
 def material(criterion: Criterion, found: Selection, floor: Floor) -> bool:
@@ -73,12 +60,10 @@ def superfluous(criterion: Criterion, found: Selection, floor: Floor, smaller: F
 
 
 def without(criterion: Criterion, found: Selection, cause: str, passes: int = settings.PASSES) -> Fit:
-    """Fit the model without one of its causes, or return the fit if it is known already."""
+    """Fit the model without one of its causes, or return the fit if `found` knows it already."""
     free = tuple(name for name in found.fit.free if not name.startswith(cause + "."))
     known = found.recall(free)
     if known is not None and (known.converged or known.ahead < settings.EQUIVALENT_GAIN):
         return known
     start = reinitialised(found.fit.theta.without(cause)) if known is None else known.theta
-    fit = climb(criterion, start, free, passes=passes)
-    found.remember(fit)
-    return fit
+    return climb(criterion, start, free, passes=passes)

@@ -7,13 +7,14 @@ Rule 1: a cause is selected if it raises the log-likelihood by more than LEAST_G
         physical range, and, while more than noise is unexplained, if it explains a fair share of that.  A significant
         but minor effect beside a large unexplained rest is typical of a false name.
 Rule 2: the judge recordings are not used here.
-Rule 3: a step that exceeds the budget is undone completely, and the search ends with it.
+Rule 3: a step that exceeds the budget makes no new selection, and the search ends with the one before it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 from twin.diagnose import settings
 from twin.diagnose.inference.budget import Spent
@@ -24,7 +25,7 @@ from twin.diagnose.search import periodic
 from twin.diagnose.search.candidate_fits import climbed, inside, worth_the_whole
 from twin.diagnose.search.equivalence import find_classes
 from twin.diagnose.search.forward_step import Round, Say, decided, forward
-from twin.diagnose.search.state import Selection, material, superfluous, whole, without
+from twin.diagnose.search.state import Selection, material, superfluous, without
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
 
@@ -58,7 +59,8 @@ def select(
     found = Selection(base=base, fit=base)
     unanswered = criterion.budget.unanswered
     try:
-        _search(criterion, found, floor, candidates, few, quick, share, classes, say)
+        for after in _search(criterion, found, floor, candidates, few, quick, share, classes, say):
+            found = after
     except Spent:
         rest = [cause for cause in found.causes if cause not in found.classes]
         if classes and rest and _confounders_asked(rest) not in unanswered:
@@ -67,7 +69,7 @@ def select(
 
 
 def _confounders_asked(causes: Sequence[str]) -> str:
-    return f"whether others could stand in for {' or '.join(causes)}"
+    return f"whether other causes explain as much as {' or '.join(causes)}"
 
 
 def _search(
@@ -80,34 +82,40 @@ def _search(
     share: float,
     classes: bool,
     say: Say,
-) -> None:
+) -> Iterator[Selection]:
+    """Yield the selection after each step."""
     most = settings.MOST_CAUSES if share >= settings.LEAST_SHARE else len(candidates)
     thorough = share == settings.LEAST_SHARE and not quick
     for _ in range(settings.ROUND_TRIPS if thorough and classes else 1):
         passes = settings.PASSES_QUICK if quick else settings.PASSES
-        while len(found.causes) < most and _add(criterion, found, floor, candidates, few, share, say, passes):
-            pass
+        while len(found.causes) < most:
+            for after in _add(criterion, found, floor, candidates, few, share, say, passes):
+                yield (found := after)
+            if not found.rounds[-1].taken:
+                break
         # `_together` continues from a refused step; with MOST_CAUSES there is none.
         if thorough and len(found.causes) < most and material(criterion, found, floor):
-            found.become(_together(criterion, found, floor, candidates, few, say))
+            yield (found := _together(criterion, found, floor, candidates, few, say))
         if not classes:
             break
         before = set(found.causes)
-        _settle(criterion, found, thorough)
-        with whole(found), criterion.budget.question(_confounders_asked(found.causes)):
+        yield (found := _settled(criterion, found, thorough))
+        with criterion.budget.question(_confounders_asked(found.causes)):
             doubt = floor if thorough else None
-            find_classes(criterion, found, doubt, candidates=candidates, few=few, quick=quick, say=say)
-        _settle(criterion, found, thorough)
+            found = find_classes(criterion, found, doubt, candidates=candidates, few=few, quick=quick, say=say)
+        yield found
+        yield (found := _settled(criterion, found, thorough))
         # A cause that was refused beside a false name may be needed beside the right one.
         if set(found.causes) == before or not material(criterion, found, floor):
             break
 
 
-def _settle(criterion: Criterion, found: Selection, thorough: bool) -> None:
+def _settled(criterion: Criterion, found: Selection, thorough: bool) -> Selection:
     """Fit the phases of a periodic force together with all other causes."""
-    if thorough and periodic.CAUSE.name in found.causes:
-        with whole(found), criterion.budget.question("how the periodic force stands beside the others"):
-            found.fit = periodic.settled(criterion, found.fit, settings.PASSES)
+    if not thorough or periodic.CAUSE.name not in found.causes:
+        return found
+    with criterion.budget.question("which phases the periodic force has beside the others"):
+        return replace(found, fit=periodic.settled(criterion, found.fit, settings.PASSES))
 
 
 def _add(
@@ -119,37 +127,39 @@ def _add(
     least: float,
     say: Say,
     passes: int = settings.PASSES,
-) -> bool:
-    """Make a forward step, then remove causes that are no longer needed; False if no cause is selected."""
-    with whole(found):
-        step = forward(criterion, found.base, found.fit, floor, candidates, few, least, say)
-    return _taken(criterion, found, floor, step, say, passes)
+) -> Iterator[Selection]:
+    """Make a forward step, then remove causes that are no longer needed; yields the selection after each part."""
+    step = forward(criterion, found.base, found.fit, floor, candidates, few, least, say)
+    yield from _taken(criterion, found, floor, step, say, passes)
 
 
-def _taken(criterion: Criterion, found: Selection, floor: Floor, step: Round, say: Say, passes: int) -> bool:
-    """Apply the result of a forward step; False if it selected nothing."""
-    found.rounds.append(step)
+def _taken(
+    criterion: Criterion, found: Selection, floor: Floor, step: Round, say: Say, passes: int
+) -> Iterator[Selection]:
+    """Apply the result of a forward step; yields the selection after each part, unchanged if it selected nothing."""
+    found = replace(found, rounds=(*found.rounds, step))
     if not step.taken:
         say("none taken" + (f": {step.best.cause}, +{step.best.gain:.1f}, {step.refusal}" if step.best else ""))
-        return False
-    found.causes.append(step.taken)
-    found.fit = step.trials[0].fit
-    found.gains[step.taken] = step.trials[0].gain
+        yield found
+        return
+    first = step.trials[0]
+    gains = {**found.gains, step.taken: first.gain}
+    yield (found := replace(found, causes=(*found.causes, step.taken), fit=first.fit, gains=gains))
     if periodic.CAUSE.name in found.causes:
-        with whole(found), criterion.budget.question("how the periodic force stands beside the others"):
-            found.fit = periodic.rephased(criterion, found.fit, settings.PASSES)
-    found.remember(found.fit)
-    say(f"taken: {step.taken} (log-likelihood +{step.trials[0].gain:.0f})")
+        with criterion.budget.question("which phases the periodic force has beside the others"):
+            found = replace(found, fit=periodic.rephased(criterion, found.fit, settings.PASSES))
+    yield (found := found.knowing([found.fit]))
+    say(f"taken: {step.taken} (log-likelihood +{first.gain:.0f})")
     if len(found.causes) > 1:
-        with whole(found), criterion.budget.question("whether each cause is needed beside the later ones"):
-            backward(criterion, found, floor, say, passes)
-    return True
+        with criterion.budget.question("whether each cause is needed beside the later ones"):
+            found = backward(criterion, found, floor, say, passes)
+        yield found
 
 
 def _together(
     criterion: Criterion, found: Selection, floor: Floor, candidates: Sequence[Cause], few: int, say: Say
 ) -> Selection:
-    """Add causes that explain too little alone but leave only noise together; otherwise return `found` unchanged.
+    """Add causes that explain too little alone but leave only noise together; otherwise return `found`.
 
     Two causes of similar size mask each other: without the second, the first may explain only a tenth.
     """
@@ -160,20 +170,22 @@ def _together(
     if not refused.trials or refused.trials[0].gain < settings.LEAST_SHARE_TOGETHER * excess:
         return found
     say("too little alone; does it, with others, leave nothing but noise?")
-    with whole(found), criterion.budget.question("whether several causes explain together what none does"):
+    with criterion.budget.question("whether several causes explain together what none does"):
         again = _asked_again(criterion, found, floor, refused)
         for first in _firsts(again):
-            more = replace(found, causes=[*found.causes], gains={**found.gains}, rounds=found.rounds[:-1])
-            goes_on = _taken(criterion, more, floor, first, say, settings.PASSES)
-            while goes_on and len(more.causes) < settings.MOST_TOGETHER and material(criterion, more, floor):
+            *_, more = _taken(criterion, replace(found, rounds=found.rounds[:-1]), floor, first, say, settings.PASSES)
+            while (
+                more.rounds[-1].taken and len(more.causes) < settings.MOST_TOGETHER and material(criterion, more, floor)
+            ):
                 least = (
                     settings.LEAST_SHARE_TOGETHER
                     if len(more.causes) < settings.MOST_TOGETHER - 1
                     else settings.LEAST_SHARE_LAST
                 )
-                goes_on = _add(criterion, more, floor, candidates, few, least, say)
+                *_, more = _add(criterion, more, floor, candidates, few, least, say)
             if not material(criterion, more, floor):
                 return more
+            found = replace(found, smaller=more.smaller)
     return found
 
 
@@ -206,15 +218,16 @@ def _asked_again(criterion: Criterion, found: Selection, floor: Floor, refused: 
     return decided(criterion, found.base, found.fit, under, refused.scores, trials, least)
 
 
-def backward(criterion: Criterion, found: Selection, floor: Floor, say: Say, passes: int) -> None:
+def backward(criterion: Criterion, found: Selection, floor: Floor, say: Say, passes: int) -> Selection:
     """Remove each cause that would no longer be selected beside the later ones."""
-    criterion.each(lambda cause: without(criterion, found, cause, passes), found.causes[:-1])
-    for cause in found.causes[:-1]:
+    earlier = found.causes[:-1]
+    found = found.knowing(criterion.each(partial(without, criterion, found, passes=passes), earlier))
+    for cause in earlier:
         smaller = without(criterion, found, cause, passes)
+        found = found.knowing([smaller])
         if superfluous(criterion, found, floor, smaller):
-            found.causes.remove(cause)
-            found.gains.pop(cause, None)
-            found.fit = smaller
+            found = found.dropping(cause, smaller)
             say(f"dropped: {cause} (the others explain it)")
         else:
-            found.gains[cause] = found.fit.loglik - smaller.loglik
+            found = replace(found, gains={**found.gains, cause: found.fit.loglik - smaller.loglik})
+    return found

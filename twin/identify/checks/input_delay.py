@@ -26,16 +26,7 @@ def input_delay(record: Record, plant: Plant) -> int:
     """Delay of u_c against its record, samples; 0 if it cannot be determined, as in a ramp."""
     if record.kind in ("equilibria", "sawtooth") or not record.has("u_c", "i_c") or len(record.t) < 100:
         return 0
-    piece = slice(0, _SAMPLES)
-    part = replace(
-        record,
-        t=record.t[piece],
-        u_c=record.u_c[piece],
-        i_c=record.i_c[piece],
-        x=record.x[piece],
-        x_ref=record.x_ref[piece],
-        captures=(),
-    )
+    part = replace(record, captures=()).part(slice(0, _SAMPLES))
     values = []
     for samples in range(settings.DELAY_SAMPLES + 1):
         late = delayed(part, samples)

@@ -176,7 +176,7 @@ def _idle(record: Record, plant: Plant) -> list[str]:
     said = []
     if record.kind in FLYING and not at_rest(record) and record.has("x") and not flights(record, plant):
         said.append(
-            f"{record.name}: the ball never leaves its stops, so it says nothing of K_c and b. Raise the amplitude"
+            f"{record.name}: the ball never leaves its stops, so it does not show K_c and b. Raise the amplitude"
         )
     if record.kind == "sawtooth" and record.has("x", "i_c") and not lift_offs([record], plant):
         said.append(

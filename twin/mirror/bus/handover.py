@@ -91,7 +91,9 @@ def read_command(payload: bytes) -> pb.TwinCommand | pb.CommandReply:
         )
     if not (len(command.who) <= MAX_WORD and command.who.isprintable()):
         return refusal(
-            "bad-who", f"The who is not printable, or longer than {MAX_WORD} characters.", command_id=command.id
+            "bad-who",
+            f"The sender's name is not printable, or longer than {MAX_WORD} characters.",
+            command_id=command.id,
         )
     if command.WhichOneof("what") is None:
         return refusal(

@@ -270,7 +270,7 @@ class TwinService:
         meant = {key + suffix: one for key, one in own.items() if boards.intersects(zenoh.KeyExpr(key))}
         everybody = boards.includes(self._commands)
         if not meant and not everybody:
-            text = f"Not a board of this twin; it has {', '.join(sorted(self.boards)) or 'heard of none yet'}."
+            text = f"Not a board of this twin; it has {', '.join(sorted(self.boards)) or 'none seen yet'}."
             return [(asked, refusal("unknown-board", text, command_id=command.id))]
         belief = read_model(command)
         if isinstance(belief, pb.CommandReply):
@@ -280,7 +280,7 @@ class TwinService:
             replies = [(key, one.use(belief)) for key, one in meant.items()]
             if everybody and all(reply.accepted for _, reply in replies):
                 self._belief = belief
-                text = f"will run on {belief.title}; no board was heard of yet"
+                text = f"will run on {belief.title}; no board has been seen yet"
                 replies = replies or [(asked, pb.CommandReply(id=command.id, accepted=True, text=text, attempts=1))]
         self._answered.keep(asked, command, replies)
         return replies

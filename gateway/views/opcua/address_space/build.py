@@ -19,7 +19,6 @@ from gateway.views.opcua.address_space.values import data_value
 READ = 1 << ua.AccessLevel.CurrentRead
 WRITE = 1 << ua.AccessLevel.CurrentWrite
 HISTORY = 1 << ua.AccessLevel.HistoryRead
-RANGE_TYPE = ua.NodeId(ua.ObjectIds.Range)
 _SEVERAL = 1  # value rank of an array
 
 

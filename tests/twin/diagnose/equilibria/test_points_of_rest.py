@@ -202,7 +202,7 @@ def test_the_extended_model_runs_and_says_what_was_not_measured(tmp_path: Path) 
     [
         ([1e-3, 2e-3], [0.5, 0.4], "too few"),
         ([1.0, 2.0, 3.0], [0.5, 0.4, 0.3], "x is"),
-        ([1e-3, 2e-3, 3e-3], [0.5, -0.4, 0.3], "holds no ball"),
+        ([1e-3, 2e-3, 3e-3], [0.5, -0.4, 0.3], "cannot hold the ball"),
         ([1e-3, 1.01e-3, 1.02e-3], [0.5, 0.5, 0.5], "too few"),
     ],
 )

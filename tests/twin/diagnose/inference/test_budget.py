@@ -189,7 +189,7 @@ def test_wherever_a_budget_ends_what_is_known_by_then_is_sound(lagging: tuple[Cr
 
         assert budget.spent <= budget.limit
         assert budget.unanswered
-        find_classes = " ".join(question for question in budget.unanswered if "stand in" in question)
+        find_classes = " ".join(question for question in budget.unanswered if "explain as much" in question)
         assert all(cause in find_classes for cause in found.causes if cause not in found.classes)
         assert set(found.gains) == set(found.causes)
         with criterion.free():

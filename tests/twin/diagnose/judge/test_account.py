@@ -32,7 +32,7 @@ def searched(explained: float, **gains: float) -> Selection:
     return Selection(
         base=fit_of(QUIET, 0.0),
         fit=fit_of(QUIET, explained),
-        causes=list(gains),
+        causes=tuple(gains),
         gains={name: gains[name] for name in gains},
     )
 

@@ -50,7 +50,7 @@ def refused() -> Iterator[tuple[Criterion, Selection]]:
     both = fitted(criterion, rig, "constant-force", "position-sensor-lag")
     trial = Trial(cause="position-sensor-lag", fit=replace(both, converged=True), gain=both.loglik - one.loglik)
     last = Round(scores=(), trials=(trial,), taken="")
-    found = Selection(base=base, fit=one, causes=["constant-force"], gains={"constant-force": 1.0}, rounds=[last])
+    found = Selection(base=base, fit=one, causes=("constant-force",), gains={"constant-force": 1.0}, rounds=(last,))
     yield criterion, found
     criterion.close()
 
@@ -64,8 +64,8 @@ def test_what_chance_makes_what_is_confounded_and_what_belongs_to_another_model_
     def listed(**changes: object) -> list[str]:
         return [one.name for one in minor_effects_of(criterion, replace(found, **changes))]  # type: ignore[arg-type]  # one helper
 
-    def after(last: Round) -> list[Round]:
-        return [last]
+    def after(last: Round) -> tuple[Round, ...]:
+        return (last,)
 
     assert trial.gain > 2.0 * settings.LEAST_GAIN
     assert listed() == ["position-sensor-lag"]

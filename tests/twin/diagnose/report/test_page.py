@@ -128,7 +128,7 @@ def test_names_beside_an_unknown_cause_are_said_to_be_confounders() -> None:
     text = summary_sentence(found)
 
     assert text.startswith("The model is wrong, and the known causes do not explain all of it.")
-    assert "may only stand in for what nobody knows: the coil sits" in text
+    assert "may only imitate an unknown cause: the coil sits" in text
     assert "What is left is largest at rest: the model needs a stop elsewhere." in text
 
 
@@ -153,7 +153,7 @@ def test_quick_says_that_it_is_not_calibrated_and_draws_less() -> None:
 
 
 def test_without_judge_recordings_the_page_says_that_errors_flatter() -> None:
-    assert "they flatter" in page(diagnosis("air-gap-offset", 5e-4, judged=False, quick=True))
+    assert "they are too small" in page(diagnosis("air-gap-offset", 5e-4, judged=False, quick=True))
 
 
 def test_the_same_diagnosis_gives_the_same_bytes() -> None:

@@ -79,7 +79,7 @@ def test_what_does_the_same_is_fitted_once_and_named_twice(late: list[Record]) -
     assert both[1].fit.free[-1] == "sampling-delay.delay_s"
     assert criterion.value(both[1].fit.theta) == pytest.approx(both[0].fit.loglik, abs=1e-6)
     found = select(criterion, base, floor_of(criterion, base.theta), candidates=DELAYS)
-    assert found.causes == ["actuation-delay"]
+    assert found.causes == ("actuation-delay",)
     assert [trial.cause for trial in found.classes["actuation-delay"]] == ["sampling-delay"]
     criterion.close()
 

@@ -127,11 +127,10 @@ def test_a_confounder_has_the_phases_that_belong_to_it(monkeypatch: pytest.Monke
         false = settled(criterion, rephased(criterion, climb(criterion, start, free), settings.PASSES), settings.PASSES)
         for most in (0, 2):
             monkeypatch.setattr(settings, "PHASE_CANDIDATES", most)
-            causes = [CAUSE.name, sensor]
+            causes = (CAUSE.name, sensor)
             gained = dict.fromkeys(causes, false.loglik - base.loglik)
             found = Selection(base=base, fit=false, causes=causes, gains=gained)
-            confounders.find_classes(criterion, found, candidates=(BY_NAME[field],), few=3)
-            answers[most] = found
+            answers[most] = confounders.find_classes(criterion, found, candidates=(BY_NAME[field],), few=3)
     finally:
         criterion.close()
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
@@ -26,19 +24,19 @@ def test_a_minor_effect_beside_a_later_cause_goes_if_noise_remains(strength: flo
     try:
         base, both = fitted(criterion, THETA), fitted(criterion, rig, FIRST, LATER)
         alone = fitted(criterion, strong(LATER, 6e-4), LATER)
-        found = Selection(base=base, fit=both, causes=[FIRST, LATER], gains={FIRST: 1e3, LATER: 1e3})
-        found.rounds.append(Round(scores=(), trials=(), taken=LATER))
+        last = Round(scores=(), trials=(), taken=LATER)
+        gains = {FIRST: 1e3, LATER: 1e3}
+        at_first = Selection(base=base, fit=both, causes=(FIRST, LATER), gains=gains, rounds=(last,))
 
         floor = floor_of(criterion, rig)
-        asked = replace(found, causes=[*found.causes], gains={**found.gains})
-        select.backward(criterion, found, floor, lambda line: None, settings.PASSES)
-        find_classes(criterion, asked, floor, candidates=(BY_NAME["quadratic-drag"],), few=3)
+        found = select.backward(criterion, at_first, floor, lambda line: None, settings.PASSES)
+        asked = find_classes(criterion, at_first, floor, candidates=(BY_NAME["quadratic-drag"],), few=3)
     finally:
         criterion.close()
 
     loss, gained = both.loglik - alone.loglik, both.loglik - base.loglik
     assert loss > settings.LEAST_GAIN  # no question of chance
     assert (loss > settings.MINOR_SHARE_AT_NOISE * gained) == retained
-    assert found.causes == ([FIRST, LATER] if retained else [LATER])
+    assert found.causes == ((FIRST, LATER) if retained else (LATER,))
     assert (found.fit is both) == retained
     assert asked.causes == found.causes, "nor is what an exchange has left next to nothing"
