@@ -36,7 +36,7 @@ from twin.diagnose.inference.fisher_scoring import climb
 from twin.diagnose.inference.initial_guess import no_better, start_theta
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import floor_of
-from twin.diagnose.inference.theta import BASE, STOPS, Theta
+from twin.diagnose.inference.theta import BASE, STOPS, Theta, parameter_of
 from twin.diagnose.judge.reference_model import check_plant
 from twin.diagnose.report.sentences import change_sentence, outlier_sentence
 from twin.diagnose.result import Diagnosis
@@ -166,7 +166,9 @@ def _diagnosed(
         done = _search(criterion, start, records, asked, stages)
         if not done.fine and asked.quick:
             warnings.append(UNASKED)
-        outlier = _outlier(criterion, done) if look_for_outlier and not done.fine else None
+        # An offset that wanders from recording to recording also explains one of another rig.
+        wanders = _wanders(done.found.fit.theta)
+        outlier = _outlier(criterion, done) if look_for_outlier and (wanders or not done.fine) else None
         if outlier is not None:
             asked.say(f"{outlier.name} contradicts the others: once more without it")
             (left,) = budget.shares(1)
@@ -180,7 +182,7 @@ def _diagnosed(
             budget.settle([left])
             if rest.verdict == "unfinished":
                 budget.unanswered.append(f"whether the others agree without {outlier.name}")
-            elif rest.verdict != "unknown-cause":
+            elif rest.verdict != "unknown-cause" and not _wanders(rest.after):
                 return without_outlier(replace(rest, budget=budget), outlier)
         if (change := done.change) is not None:
             closing.callback(done.criterion.close)
@@ -224,6 +226,10 @@ def _outlier(criterion: Criterion, done: Searched) -> Outlier | None:
     with suppress(Spent), criterion.budget.question("whether one recording contradicts all others"):
         return find_outlier(criterion, done.base, done.floor)
     return None
+
+
+def _wanders(theta: Theta) -> bool:
+    return any(parameter_of(name).walks and value > 0.0 for name, value in theta.causes)
 
 
 def _prepared(campaign: Campaign, records: Sequence[Record], quick: bool) -> tuple[list[Record], list[str]]:

@@ -1,6 +1,7 @@
 """An outlying recording: one of another rig, or of another day, among recordings that agree.
 
-It is looked for only if neither a cause nor a change between recordings leaves just noise.
+It is looked for if neither a cause nor a change between recordings leaves just noise, or if an offset wanders: that may
+be another offset in one recording.
 
 Rule 1: a recording is an outlier if the paper's model with other parameters, x_max included, explains it down to its
         noise, and if these differ by more than a drift.  A recording with an unknown effect is not an outlier: no
