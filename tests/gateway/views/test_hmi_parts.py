@@ -261,14 +261,14 @@ def test_wrong_options_are_one_clear_line(
     assert error.count("\n") == 1
 
 
-def test_a_role_with_a_typo_names_its_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_role_with_a_typo_names_its_user(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "users.toml"
     path.write_text('[users.ana]\nrole = "enginer"\npassword = "x"\n')
     path.chmod(0o600)
 
     assert board51.main(["hmi", "--users", str(path)]) == 2
 
-    assert "line" in capsys.readouterr().err
+    assert "user ana: 'enginer' is not a role. Write one of viewer, operator, engineer" in capsys.readouterr().err
 
 
 def test_a_port_in_use_is_told(capsys: pytest.CaptureFixture[str]) -> None:
