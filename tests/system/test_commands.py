@@ -166,10 +166,11 @@ def line(tmp_path: Path) -> Iterator[str]:
         try:
             yield endpoint
         finally:
+            said = []
             for process in (gateway, router):
                 process.send_signal(signal.SIGTERM)
-                process.communicate(timeout=HANG_S)
-    assert (gateway.returncode, router.returncode) == (0, 0)
+                said.append(process.communicate(timeout=HANG_S)[1])
+    assert (gateway.returncode, router.returncode) == (0, 0), said
 
 
 def test_send_and_watch_through_a_standalone_router(line: str, tmp_path: Path) -> None:

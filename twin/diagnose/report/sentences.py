@@ -92,7 +92,13 @@ def finding_sentence(cause: str, parameters: Mapping[str, Parameter]) -> str:
     _, interval = measured(strength.value, strength.ci95, known.strength.unit)
     form = form_of(known, parameters)
     size = f"{known.strength.symbol} = {interval}, 95 %" if interval else ""
-    details = "; ".join(part for part in (size, f"nearest form: {form}" if form else "") if part)
+    walks = [
+        measured(parameters[one.name].value, parameters[one.name].ci95, one.unit)[0]
+        for one in known.shapes
+        if one.walks
+    ]
+    shape = f"wanders by {walks[0]} in a minute" if walks and form else f"nearest form: {form}" if form else ""
+    details = "; ".join(part for part in (size, shape) if part)
     return f"{text} ({details})" if details else text
 
 
