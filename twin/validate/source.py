@@ -9,6 +9,7 @@ Rule 3: the law of a log is the one that its board announced, otherwise the camp
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from twin.control import LawNumbers, law_numbers
 from twin.estimation.ekf.filter import filtered as along
 from twin.estimation.innovations import FLIES, USE_I, USE_X, Series, whitened
 from twin.estimation.prepare import flights, prepare
+from twin.estimation.propagate import delay_s
 from twin.estimation.record import FloatArray, Record, runs
 from twin.estimation.structures import System
 from twin.identify.checks.control_law import WIDE_V, numbers_of
@@ -121,7 +123,9 @@ def source_of(
     if record.kind in FLYING:
         late = input_delay(record, model.plant)
         known = min(late, _known_late(model))
-        source = replace(source, late=known, unknown_late=late - known)
+        # Its causes may have the rest.
+        own = math.ceil(delay_s(system_of(model, record).c) / record.interval_s) if late > known else 0
+        source = replace(source, late=known, unknown_late=max(late - known - own, 0))
     return source
 
 

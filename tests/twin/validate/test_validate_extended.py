@@ -10,9 +10,13 @@ from typing import Any
 import pytest
 
 import board51
+from tests.harness.diagnose import known_diagnosis
 from tests.harness.diagnose.hidden_campaign import draw_rig, make_campaign
+from tests.harness.diagnose.simulated_rig import THETA, strong
 from tests.harness.twin.true_model import true_model
+from twin.diagnose.report.model_file import model_of
 from twin.model.parameters import model_to_dict
+from twin.validate.source import source_of
 
 SEED = 3
 EFFECTS = {"air-gap-offset": 3e-4, "actuation-delay": 1e-3, "amplifier-offset": 0.03}
@@ -47,3 +51,13 @@ def test_a_model_with_the_causes_of_the_rig_passes_where_one_without_fails(
     assert code == 0, capsys.readouterr().out
     assert all(row["ratio"] < 1.1 for row in extended["ahead"])
     assert extended["amplifier"]["rmse_a"] < 0.5 * plain["amplifier"]["rmse_a"]
+
+
+@pytest.mark.parametrize(("known", "unknown"), [(True, 0), (False, 1)])
+def test_a_delay_among_the_causes_of_the_model_is_known(known: bool, unknown: int) -> None:
+    late = strong("actuation-delay", 2.5e-3)
+    record = known_diagnosis.steps(late, seed=1, seconds=6.0)
+    fit = known_diagnosis.fit_of(late if known else THETA, 0.0)
+    model = model_of(known_diagnosis.campaign(), fit, {}, [record], 0.0, "the rig itself")
+
+    assert source_of(record, model).unknown_late == unknown

@@ -225,6 +225,17 @@ def test_a_sign_changes_the_words_and_not_the_number() -> None:
     assert offset(-1.2e-4).startswith("x reads 0.1200 mm too low (offset = -0.1210 to -0.1190 mm")
 
 
+def test_a_sentence_says_how_far_an_offset_wanders() -> None:
+    offset = Parameter(value=0.017, unit="A", std=0.013, ci95=(-0.009, 0.043))
+    wander = Parameter(value=0.039, unit="A", std=0.003, ci95=(0.033, 0.045))
+
+    assert "wanders by 39 mA in a minute" in finding_sentence(
+        "current-sensor-offset", {"offset_a": offset, "wander_a": wander}
+    )
+    still = replace(wander, value=0.001)
+    assert "wanders" not in finding_sentence("current-sensor-offset", {"offset_a": offset, "wander_a": still})
+
+
 def test_numbers_have_the_digits_that_their_interval_leaves() -> None:
     assert measured(2.4003e-3, (2.21e-3, 2.59e-3), "m") == ("2.40 mm", "2.21 to 2.59 mm")
     assert measured(99.98, (99.9, 100.06), "A/s") == ("99.98 A/s", "99.90 to 100.06 A/s")
