@@ -175,4 +175,8 @@ def test_the_whole_rig_is_not_explained_and_said_so(tmp_path: Path) -> None:
     first = found["candidates"][0]
     assert {first["name"], *first["indistinguishable_from"]} >= {"actuation-delay", "sampling-delay"}
     assert first["parameters"]["delay_s"]["value"] == pytest.approx(1.45e-3, abs=5e-5)
-    assert found["unexplained"]["share_of_excess"] > 0.3
+    assert {"force-exponent", "current-sensor-offset"} <= {candidate["name"] for candidate in found["candidates"]}
+    assert found["unexplained"]["share_of_excess"] > 0.1
+    judge = found["gain"]["judge"]
+    assert judge["extended_rmse_m"] < 0.4 * judge["baseline_rmse_m"]
+    assert judge["ci95_over_floor"][0] > 1.5
