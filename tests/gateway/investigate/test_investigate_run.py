@@ -104,8 +104,8 @@ def test_a_class_that_the_logged_flight_cannot_tell_apart_is_split(
         line.assert_parked()
 
     said = capsys.readouterr()
-    table = json.loads(said.out)
     assert code == 0, said.err
+    table = json.loads(said.out)
     first = steps_of(table, "diagnosed")[0]
     assert first["recordings"] == ["steps"], "what is logged is looked at first"
     (class_,) = first["found"]["causes"]
