@@ -111,5 +111,5 @@ def room_for(n: int, m: int, *, state: bool = False, spread: bool = False, steps
         innovations=np.empty((n, OUT_COLUMNS)),
         state=np.empty((n, STATES)) if state else _NO_STATE,
         spread=np.empty((n, m, m)) if spread else _NO_MATRIX,
-        steps=Steps(np.zeros((n, m, m)), np.empty((n, STATES)), np.empty((n, STATES))) if steps else NO_STEPS,
+        steps=Steps(np.zeros((n, m, m)), np.zeros((n, STATES)), np.zeros((n, STATES))) if steps else NO_STEPS,
     )

@@ -95,7 +95,7 @@ def finding_sentence(cause: str, parameters: Mapping[str, Parameter]) -> str:
     walks = [
         measured(parameters[one.name].value, parameters[one.name].ci95, one.unit)[0]
         for one in known.shapes
-        if one.walks
+        if one.walks and one.name in parameters
     ]
     shape = f"wanders by {walks[0]} in a minute" if walks and form else f"nearest form: {form}" if form else ""
     details = "; ".join(part for part in (size, shape) if part)
