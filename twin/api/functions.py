@@ -92,6 +92,7 @@ def diagnose(
     quick: bool = False,
     share: float = SHARE,
     experiments: bool | None = None,
+    free_form: bool | None = None,
     seed: int = 0,
     workers: int = 2,
     budget: float | None = None,
@@ -108,6 +109,7 @@ def diagnose(
         share: smallest part of the deviance above the noise floor that a cause must explain, 0 to 1.
         experiments: whether to find the experiment that distinguishes the causes of an equivalence class; None: if not
             `quick`.
+        free_form: whether to model what is left by smooth curves; None: where more than noise is left, if not `quick`.
         seed: of the random generator for the bootstrap.
         workers: threads; the result does not depend on it.
         budget: largest amount of computation, millions of filter steps; the answer is the same on any machine.
@@ -142,6 +144,7 @@ def diagnose(
         quick=quick,
         share=share,
         experiments=experiments,
+        free_form=free_form,
         seed=seed,
         workers=workers,
         budget=None if budget is None else budget * MILLION,

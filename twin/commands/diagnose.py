@@ -51,6 +51,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="with --quick, too: which experiment tells the causes of a class apart",
     )
     parser.add_argument(
+        "--free-form",
+        action="store_true",
+        help="model what is left by smooth curves also with --quick, and where it looks like noise",
+    )
+    parser.add_argument(
         "--budget",
         type=float,
         metavar="M",
@@ -87,6 +92,7 @@ def run(args: argparse.Namespace) -> int:
         quick=args.quick,
         share=args.share,
         experiments=args.next_experiment or None,
+        free_form=args.free_form or None,
         seed=args.seed,
         workers=args.workers,
         budget=args.budget,

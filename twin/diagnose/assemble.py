@@ -27,8 +27,10 @@ from twin.diagnose.inference.theta import Theta
 from twin.diagnose.judge.account import Account, Verdict, account_of, beyond_floor, verdict_of
 from twin.diagnose.judge.prediction_gain import HORIZONS_S, Gain, gain
 from twin.diagnose.judge.reference_model import off_sentence, theta_of
+from twin.diagnose.remainder.remainder import Remainder, remainder_of
 from twin.diagnose.report.model_file import model_of
 from twin.diagnose.report.other_causes import minor_effects_of, missing_channels, not_testable, ruled_out
+from twin.diagnose.report.page_remainder import remainder_sentence
 from twin.diagnose.report.sentences import (
     answer_sentence,
     beginning_sentence,
@@ -76,6 +78,7 @@ class Asked:
     quick: bool
     share: float
     experiments: bool  # whether to find experiments that split equivalence classes
+    free_form: bool | None  # whether to model what is left; None: if more than noise is, and not with `quick`
     seed: int
     workers: int
     budget: Budget
@@ -138,6 +141,11 @@ def told(
         worth = _worth(done, judge, campaign.plant, asked)
         at_20_ms = worth.at_20_ms
         warnings += [worth.off] if worth.off else []
+    with timed(stages, "remainder"):
+        remainder = _remainder(done, records, judge, at_20_ms, asked)
+    final, final_spread = found.fit, spread
+    if remainder is not None and remainder.fit is not found.fit:
+        final, final_spread = remainder.fit, spreads(criterion, remainder.fit)
     lost = lost_samples([*records, *judges])
     verdict = _verdict(done, account, lost, at_20_ms, finished=finished)
     findings = _findings(found, account, spread, proposals, verdict, asked.quick, lost)
@@ -162,7 +170,7 @@ def told(
         gain=at_20_ms,
         baseline=asked.model or _paper(campaign, done, records, under),
         extended=model_of(
-            campaign, found.fit, spread, records, under.excess(found.fit.loglik), "extended by board51 diagnose"
+            campaign, final, final_spread, records, under.excess(final.loglik), "extended by board51 diagnose"
         ),
         warnings=tuple(dict.fromkeys(warnings)),
         quick=asked.quick or asked.share < settings.LEAST_SHARE,
@@ -174,11 +182,14 @@ def told(
         before=worth.before,
         after=found.fit.theta,
         tick_s=criterion.tick_s,
+        remainder=remainder,
         budget=asked.budget,
     )
-    return replace(
-        diagnosis, sentence=answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=worth.off)
-    )
+    sentence = answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=worth.off)
+    if remainder is not None:
+        parameters = {one.name: one.parameters for one in diagnosis.extended.causes}
+        sentence = f"{sentence} {remainder_sentence(remainder, parameters)}"
+    return replace(diagnosis, sentence=sentence)
 
 
 def _inconsistent(done: Searched) -> list[str]:
@@ -198,6 +209,22 @@ def _verdict(done: Searched, account: Account, lost: Lost | None, at_20_ms: Gain
         gain=at_20_ms,
         leading=(done.fine and lost is not None) or any(account.leads(name) for name in done.found.causes),
     )
+
+
+def _remainder(
+    done: Searched, records: Sequence[Record], judge: Evidence | None, at_20_ms: Gain | None, asked: Asked
+) -> Remainder | None:
+    """What is left, modelled; None where nothing is, nobody asked, or there is nothing to choose by."""
+    more = not done.fine or (at_20_ms is not None and beyond_floor(at_20_ms))
+    wanted = more and not asked.quick if asked.free_form is None else asked.free_form
+    if not wanted or judge is None or at_20_ms is None or done.change is not None:
+        return None
+    asked.say("what is left, as a curve?")
+    with suppress(Spent), asked.budget.question("what is left, as a curve"):
+        candidates = testable_causes(records)
+        paper = done.base if more else None
+        return remainder_of(done.criterion, done.found.fit, paper, judge, done.floor, candidates, seed=asked.seed)
+    return None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

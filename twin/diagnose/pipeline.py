@@ -60,6 +60,7 @@ def diagnose(
     quick: bool = False,
     share: float = settings.LEAST_SHARE,
     experiments: bool | None = None,
+    free_form: bool | None = None,
     seed: int = 0,
     workers: int = 2,
     budget: float | None = None,
@@ -77,6 +78,7 @@ def diagnose(
             confidence is not calibrated.
         experiments: whether to find the experiment that distinguishes the causes of an equivalence class; None: if not
             `quick`.
+        free_form: whether to model what is left by curves; None: where more than noise is, if not `quick`.
         seed: of the bootstrap.
         workers: threads.
         budget: filter steps (`twin/diagnose/inference/budget.py`); None: QUICK or FULL.
@@ -101,6 +103,7 @@ def diagnose(
         quick=quick,
         share=share,
         experiments=experiments,
+        free_form=free_form,
         seed=seed,
         workers=workers,
         budget=Budget(budget or (QUICK if quick else FULL), RESERVED),
@@ -117,6 +120,7 @@ def diagnose_records(
     quick: bool = False,
     share: float = settings.LEAST_SHARE,
     experiments: bool | None = None,
+    free_form: bool | None = None,
     seed: int = 0,
     workers: int = 2,
     budget: Budget | None = None,
@@ -133,6 +137,7 @@ def diagnose_records(
         quick=quick,
         share=share,
         experiments=not quick if experiments is None else experiments,
+        free_form=free_form,
         seed=seed,
         workers=workers,
         budget=budget,

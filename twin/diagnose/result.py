@@ -16,6 +16,7 @@ from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import Theta
 from twin.diagnose.judge.account import Account, Verdict
 from twin.diagnose.judge.prediction_gain import Gain
+from twin.diagnose.remainder.remainder import Remainder
 from twin.diagnose.search.state import Selection
 from twin.model.parameters import Model, Parameter
 
@@ -111,6 +112,7 @@ class Diagnosis:
     before: Theta
     after: Theta
     tick_s: float
+    remainder: Remainder | None = None  # what is left, modelled; `extended` has it
     budget: Budget = field(default_factory=Budget)
     extra: Mapping[str, Any] = field(default_factory=dict)
 
@@ -147,6 +149,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             "left": _number(found.account.left),
         },
         "noise": noise_json(found.fit_evidence.noise, (found.floor.sigma_i_c_a, found.floor.sigma_x_m)),
+        "remainder": None if found.remainder is None else _remainder(found.remainder, found.extended),
         "gain": _gain(found.gain),
         "gains": [_gain(gain) for gain in found.gains],
         "warnings": list(found.warnings),
@@ -200,7 +203,7 @@ def fit_parameters(fit: Fit, cause: str, std: Mapping[str, float]) -> dict[str, 
     found = {}
     for parameter in BY_NAME[cause].parameters:
         value = fit.theta.value(f"{cause}.{parameter.name}")
-        spread = std[f"{cause}.{parameter.name}"]
+        spread = std.get(f"{cause}.{parameter.name}", math.nan)
         known = math.isfinite(spread) and spread > 0.0
         found[parameter.name] = Parameter(
             value=float(value),
@@ -241,6 +244,50 @@ def _gain(gain: Gain | None) -> dict[str, Any] | None:
             "noise_floor_m": _number(gain.floor_m),
             "excess_removed": _number(gain.removed),
             "samples": gain.count,
+        },
+    }
+
+
+def _remainder(found: Remainder, extended: Model) -> dict[str, Any]:
+    worth = found.worth
+    return {
+        "beside": found.beside,
+        "curves": [
+            {
+                "name": shape.curve.name,
+                "title": shape.curve.title,
+                "share": shape.curve.acts_on,
+                "at_unit": shape.curve.parameters[0].unit,
+                "at": shape.at.tolist(),
+                "mean": shape.share.tolist(),
+                "ci95": [shape.low.tolist(), shape.high.tolist()],
+            }
+            for shape in found.shapes
+        ],
+        "proposed": [
+            {"name": cause.name, "parameters": parameters_json(cause.parameters)}
+            for cause in extended.causes
+            if cause.name in found.proposed
+        ],
+        "tried": [
+            {
+                "name": one.name,
+                "beside": one.beside,
+                "log_likelihood_gain": _number(one.loglik_gain),
+                "rmse_m": _number(one.rmse_m),
+                "form_absorbed": _number(one.absorbed),
+            }
+            for one in found.tried
+        ],
+        "judge": {
+            "horizon_s": worth.horizon_s,
+            "causes_rmse_m": worth.causes_rmse_m,
+            "extended_rmse_m": worth.extended_rmse_m,
+            "ci95_ratio": [_number(end) for end in worth.ci95_ratio],
+            "noise_floor_m": _number(worth.floor_m),
+            "excess_removed": _number(worth.removed),
+            "flexible_rmse_m": _number(worth.flexible_rmse_m),
+            "samples": worth.count,
         },
     }
 

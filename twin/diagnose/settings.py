@@ -163,6 +163,24 @@ ERROR_BLOCKS = 10
 # a right model has such a group: it is a hint where to look, and decides nothing.
 WORSE_LEVEL = 0.005
 
+# --- The remainder: curves through what is left ---
+
+# Effort.  Curves that are fitted in a round, the best by the score test; rounds.
+CURVES_FITTED = 3
+MOST_CURVES = 2
+# Effort.  Passes of such a fit, at most, and the step in standard errors at which it ends: its error tells it from
+# others long before its maximum is known.
+CURVE_PASSES = 30
+CURVE_DONE = 0.2
+# Reasoned.  A curve is taken if the error of x surely (95 %) falls below this share of what it was.
+CURVE_RATIO = 0.95
+# Reasoned.  A cause has the form of a curve that takes up so much of what the recordings could show of it, if it gains
+# at least this share of what the curve gains; the simpler of two models is preferred if its error is at most so many
+# times as large (errors of a right model differ by 5 %).
+LIKE_SHARE = 0.5
+LIKE_GAIN = 0.3
+LIKE_ERROR = 1.05
+
 # --- Experiments and reference model ---
 
 # Reasoned.  Of an experiment's samples at a stop: with more, the loop does not hold the ball and nothing is proposed.

@@ -35,6 +35,7 @@ from twin.model.causes import (
     current_limit,
     current_sensor_gain,
     current_sensor_offset,
+    curve,
     eddy_current_lag,
     force_exponent,
     freewheel_diode,
@@ -81,7 +82,15 @@ class Base(NamedTuple):
 def drive(p: Base, c: Vector, u: float, w: float) -> float:
     """Steady-state current of the amplifier under u_c = u, A: K_A u of (1) with the amplifier's causes."""
     target = p.K_A * amplifier_gain_drift.gain(c, w) * amplifier_dead_zone.effective_input(c, u)
+    if c[curve.DRIVE_OVER_U + 1] > c[curve.DRIVE_OVER_U]:
+        target += mid_current(p) * curve.value(c, curve.DRIVE_OVER_U, u)
     return current_limit.aimed_at(c, amplifier_offset.shifted(c, target))
+
+
+@kernel
+def mid_current(p: Base) -> float:
+    """The current that holds the ball in the middle of the travel by (6), A: i_0 of the curves."""
+    return math.sqrt(p.mass_kg * p.gravity_m_s2 / p.K_c) * (p.x_max_m - 0.5 * p.travel_m)
 
 
 @kernel
@@ -89,7 +98,9 @@ def magnetic_force(p: Base, c: Vector, field: float, x: float) -> float:
     """F_m of (3), N."""
     i = core_saturation.field(c, residual_magnetism.field(c, field))
     gap = max(air_gap_offset.gap_m(c, p.x_max_m - x), GAP_MIN_SHARE * p.travel_m)
-    return p.K_c * i * i / (gap * gap) * force_exponent.factor(c, gap, p.x_max_m - 0.5 * p.travel_m)
+    factor = force_exponent.factor(c, gap, p.x_max_m - 0.5 * p.travel_m)
+    factor *= (1.0 + curve.value(c, curve.PULL_OVER_X, x)) * (1.0 + curve.value(c, curve.PULL_OVER_I, field))
+    return p.K_c * i * i / (gap * gap) * factor
 
 
 @kernel
@@ -97,13 +108,14 @@ def acceleration(p: Base, c: Vector, field: float, x: float, v: float, t: float)
     """Acceleration x'' of (6) away from the stops and without dry friction, m/s^2."""
     force = magnetic_force(p, c, field, x) - p.b * v - quadratic_drag.drag_n(c, v)
     force += constant_force.force_n(c) + periodic_disturbance.force_n(c, t)
-    return force / p.mass_kg - p.gravity_m_s2
+    weights = curve.value(c, curve.FORCE_OVER_X, x) + curve.value(c, curve.FORCE_OVER_V, v) - 1.0
+    return force / p.mass_kg + p.gravity_m_s2 * weights
 
 
 @kernel
 def position_reading(p: Base, c: Vector, x: float, i: float) -> float:
     """Steady-state reading of the position sensor, m."""
-    bent = position_sensor_nonlinearity.bent(c, x, p.travel_m)
+    bent = position_sensor_nonlinearity.bent(c, x, p.travel_m) + p.travel_m * curve.value(c, curve.SENSOR_OVER_X, x)
     shifted = position_sensor_offset.shifted(c, position_sensor_gain.scaled(c, bent))
     return sensor_crosstalk.disturbed(c, shifted, i)
 

@@ -74,7 +74,7 @@ def flown() -> Criterion:
 
 
 def test_every_parameter_has_a_place_of_its_own() -> None:
-    places = [parameter.place for cause in CATALOGUE for parameter in cause.parameters]
+    places = [parameter.place for cause in BY_NAME.values() for parameter in cause.parameters]
 
     assert sorted(places) == list(range(PLACES))
 

@@ -18,7 +18,7 @@ from protocol.campaign import Plant
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import NOISES as NOISES
 from twin.estimation.structures import NoiseLevels, Stops, System
-from twin.model.causes.catalogue import BY_NAME, CATALOGUE, neutral
+from twin.model.causes.catalogue import BY_NAME, neutral
 from twin.model.causes.cause import CauseParameter
 from twin.model.extended import Base
 
@@ -117,7 +117,7 @@ def coordinates_of(cause: str) -> tuple[str, ...]:
     return tuple(f"{cause}.{entry.name}" for entry in BY_NAME[cause].parameters)
 
 
-_SHAPES = tuple(one for cause in CATALOGUE for one in cause.shapes)
+_SHAPES = tuple(one for cause in BY_NAME.values() for one in cause.shapes)
 _PLACES = np.array([one.place for one in _SHAPES], np.intp)
 _NEUTRAL = np.array([one.neutral for one in _SHAPES])
 _SPREAD = np.array([one.spread for one in _SHAPES])

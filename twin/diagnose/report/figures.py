@@ -15,10 +15,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from twin.diagnose.remainder.remainder import Shape
 from twin.diagnose.residuals.force import Curve
 from twin.diagnose.residuals.regimes import Estimate, Regime
 from twin.diagnose.residuals.spectrum import Spectrum
-from twin.diagnose.residuals.state_map import Correction
 from twin.diagnose.residuals.step_response import Steps
 from twin.diagnose.residuals.summary import Ahead, Piece
 from twin.diagnose.search.forward_step import Round
@@ -204,15 +204,18 @@ def round_figure(step: Round, number: int, threshold: float) -> Figure:
 
 
 @styled
-def correction_figure(found: Correction) -> Figure:
-    """The mean error that is taken off, over position and speed."""
+def shape_figure(shape: Shape) -> Figure:
+    """A curve through what is left, with its 95 % band."""
     figure, ax = _panel()
-    limit = max(float(np.abs(found.offset_m).max()) * 1e6, 1e-3)
-    x, v = found.x_edges_m * 1e3, found.v_edges_m_s * 1e3
-    image = ax.pcolormesh(v, x, found.offset_m * 1e6, cmap="RdBu_r", vmin=-limit, vmax=limit)
-    figure.colorbar(image, ax=ax, label="taken off [µm]")
-    ax.set_xlabel("speed x' [mm/s]")
-    ax.set_ylabel("position x [mm]")
+    known = shape.curve.parameters[0]
+    factor, unit = _SCALES.get(known.unit, (1.0, known.unit))
+    at = shape.at * factor
+    ax.axhline(0.0, color="black", lw=0.6)
+    ax.fill_between(at, 100.0 * shape.low, 100.0 * shape.high, color=EXTENDED, alpha=0.2, lw=0, label="95 % band")
+    ax.plot(at, 100.0 * shape.share, color=EXTENDED, lw=1.3, label="estimate")
+    ax.set_xlabel(f"{known.symbol.removeprefix('from ')} [{unit}]")
+    ax.set_ylabel(f"% {shape.curve.acts_on}")
+    ax.legend()
     return figure
 
 

@@ -18,6 +18,7 @@ from twin.diagnose.report import figures
 from twin.diagnose.report.page_causes import causes
 from twin.diagnose.report.page_errors import errors
 from twin.diagnose.report.page_noise import instruments
+from twin.diagnose.report.page_remainder import remainder
 from twin.diagnose.report.sentences import measured, quantity
 from twin.diagnose.residuals.regimes import Estimate
 from twin.diagnose.residuals.summary import HORIZON_S, Ahead, Show
@@ -74,6 +75,7 @@ def to_html(found: Diagnosis, show: Show, *, campaign: Path, out: Path) -> str:
         causes_title="The causes, and what to do" if sure else "Candidates: none of them is sure to be a cause",
         commands=_commands(found, campaign, out),
         **errors(found, show),
+        **remainder(found),
         **causes(found),
     )
 

@@ -8,7 +8,6 @@ from typing import Any
 from twin.diagnose.judge.account import beyond_floor
 from twin.diagnose.report import figures
 from twin.diagnose.report.sentences import LACKED, WHERE_JUDGED, capital, percent
-from twin.diagnose.residuals.state_map import Correction
 from twin.diagnose.residuals.step_response import Steps
 from twin.diagnose.residuals.summary import Show
 from twin.diagnose.result import Diagnosis
@@ -52,18 +51,6 @@ def errors(found: Diagnosis, show: Show) -> dict[str, Any]:
         ],
         "rest": _rest(found) if found.verdict in _UNEXPLAINED else "",
         "largest": _largest(show) if found.verdict in _UNEXPLAINED else [],
-        "correction": None if show.correction is None else _correction(show.correction),
-    }
-
-
-def _correction(found: Correction) -> dict[str, Any]:
-    low, high = found.ratio.low, found.ratio.high
-    return {
-        "picture": inline(figures.correction_figure(found), "For prediction only, not a cause"),
-        "helps": "It helps" if high < 1.0 else "It does not help" if low > 1.0 else "It hardly matters",
-        "before": f"{found.extended_rmse_m * 1e6:.3g}",
-        "after": f"{found.corrected_rmse_m * 1e6:.3g}",
-        "factor": f"{low:.2f} .. {high:.2f}",
     }
 
 

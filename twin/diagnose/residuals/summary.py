@@ -18,15 +18,13 @@ import numpy as np
 
 from protocol.campaign import Controller, Plant
 from twin.diagnose.evidence.gather import Evidence
-from twin.diagnose.judge.prediction_gain import Gain, gain, predictions
+from twin.diagnose.judge.prediction_gain import Gain, gain
 from twin.diagnose.residuals.force import Curve, Filtered, current_curves, filtered, force_curves
 from twin.diagnose.residuals.groups import sorted_errors
 from twin.diagnose.residuals.regimes import Blocks, Estimate, Regime, blocks_of, estimate, means
 from twin.diagnose.residuals.spectrum import Spectrum, spectrum
-from twin.diagnose.residuals.state_map import Correction, correction
 from twin.diagnose.residuals.step_response import Steps, step_responses
 from twin.estimation.record import FloatArray, runs
-from twin.model.extended import V
 from twin.page.plain import plain
 
 if TYPE_CHECKING:
@@ -72,7 +70,6 @@ class Show:
     force: tuple[Curve, ...]
     current: tuple[Curve, ...]
     steps: Steps | str  # a string: the reason why there are none
-    correction: Correction | None
     floor_m: float  # at HORIZON_S
 
     def worse(self) -> list[str]:
@@ -86,7 +83,7 @@ def shown(found: Diagnosis, controller: Controller | None, *, quick: bool = Fals
     Args:
         found: of `diagnose`.
         controller: the law of the closed-loop recordings.
-        quick: whether to leave out closed-loop simulation and correction.
+        quick: whether to leave out the closed-loop simulation.
         seed: of the bootstrap.
     """
     plant = found.extended.plant
@@ -113,7 +110,6 @@ def shown(found: Diagnosis, controller: Controller | None, *, quick: bool = Fals
         steps="left out by --quick"
         if quick
         else step_responses(evidence.records, found.before, found.after, found.floor, plant, controller, found.tick_s),
-        correction=None if quick or not judged else _corrected(found, at_20, evidence, models[1], blocks, plant, seed),
         floor_m=at_20.floor_m if at_20 is not None else math.nan,
     )
 
@@ -206,36 +202,3 @@ def _residuals(
         force = tuple(force_curves(own, fit, blocks))
         current = tuple(current_curves(own, fit, found.tick_s, blocks))
     return {"force": force, "current": current}
-
-
-def _corrected(
-    found: Diagnosis,
-    at_20: Gain | None,
-    evidence: Evidence,
-    model: Filtered,
-    blocks: Blocks,
-    plant: Plant,
-    seed: int,
-) -> Correction | None:
-    """The correction, if the diagnosis leaves more than noise; otherwise None."""
-    if at_20 is None or found.verdict not in ("unknown-cause", "partly-explained"):
-        return None
-    fit = found.fit_evidence
-    x_hat = predictions(fit, found.after, plant, found.tick_s, at_20.samples)
-    own = filtered(fit, found.after, plant, found.tick_s)
-    return correction(
-        (x_hat - fit.series.x, *_begun(fit, own, at_20.samples)),
-        (at_20.errors_m[1], *_begun(evidence, model, at_20.samples)),
-        blocks_of(fit.series.recording, found.tick_s, seed),
-        blocks,
-    )
-
-
-def _begun(evidence: Evidence, model: Filtered, samples: int) -> tuple[FloatArray, FloatArray]:
-    """(reading in m, speed in m/s) at the start of the prediction of each sample, each of shape (n,)."""
-    nothing = np.full(samples, np.nan)
-    s = evidence.series
-    return (
-        np.concatenate((nothing, s.x[:-samples]))[: len(s)],
-        np.concatenate((nothing, model.state[:-samples, V]))[: len(s)],
-    )

@@ -39,6 +39,7 @@ from twin.model.causes import (
     slew_rate_limit,
 )
 from twin.model.causes.cause import PLACES, Cause, FoundBy, Trait
+from twin.model.causes.curve import CURVES
 
 CATALOGUE: tuple[Cause, ...] = (
     amplifier_gain_drift.CAUSE,
@@ -69,7 +70,7 @@ CATALOGUE: tuple[Cause, ...] = (
     sampling_delay.CAUSE,
     lost_samples.CAUSE,
 )
-BY_NAME = {cause.name: cause for cause in CATALOGUE}
+BY_NAME = {cause.name: cause for cause in (*CATALOGUE, *CURVES)}
 # (place of an offset, place of its wander) for each offset that may wander.
 OFFSETS = tuple((cause.strength.place, one.place) for cause in CATALOGUE for one in cause.shapes if one.walks)
 

@@ -20,9 +20,10 @@ Trait = Literal[
     "sticks",  # can hold the ball where it is, whatever the other forces do
     "warms",  # comes and goes with the warmth of the coil
 ]
-FoundBy = Literal["score-test", "spectral-line", "gaps"]  # in innovations, in their spectrum, in the times of samples
+# In innovations, in their spectrum, in the times of samples; a curve, which is no cause, in what is left.
+FoundBy = Literal["score-test", "spectral-line", "gaps", "remainder"]
 AtRest = Literal["", "balance", "amplifier"]
-PLACES = 49
+PLACES = 109
 
 
 class Vector(Protocol):

@@ -14,7 +14,6 @@ from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.residuals.force import filtered, parabola
 from twin.diagnose.residuals.regimes import blocks_of, by_edges, error_bins
 from twin.diagnose.residuals.spectrum import spectrum
-from twin.diagnose.residuals.state_map import correction
 from twin.diagnose.residuals.step_response import Steps, step_responses
 from twin.diagnose.residuals.summary import Show, shown, to_dict
 
@@ -175,24 +174,6 @@ def test_white_noise_has_a_flat_spectrum_at_its_floor_and_a_line_stands_out() ->
     assert found is not None
     assert np.median(found.extended) == pytest.approx(found.floor, rel=0.05)
     assert found.frequency_hz[int(np.argmax(found.baseline))] == pytest.approx(40.0)
-
-
-def test_a_correction_learns_what_is_a_function_of_position_and_nothing_from_noise() -> None:
-    rng = np.random.default_rng(4)
-    recording = np.zeros(20_000, np.int32)
-    blocks = blocks_of(recording, TICK_S, 0)
-
-    def data(bend: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        x, v = rng.uniform(1e-3, 4e-3, 20_000), rng.normal(0.0, 0.01, 20_000)
-        return bend * np.sin(2000.0 * x) + 1e-5 * rng.standard_normal(20_000), x, v
-
-    bent = correction(data(3e-5), data(3e-5), blocks, blocks)
-    noise = correction(data(0.0), data(0.0), blocks, blocks)
-
-    assert bent is not None
-    assert noise is not None
-    assert bent.ratio.high < 0.7
-    assert noise.ratio.value == pytest.approx(1.0, abs=0.01)
 
 
 def test_the_numbers_are_json_and_the_same_every_time() -> None:

@@ -1,0 +1,1 @@
+"""What no cause explains, modelled: curves through what is left, chosen and measured on recordings that no fit saw."""

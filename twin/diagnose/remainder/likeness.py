@@ -1,0 +1,54 @@
+"""Which cause of the catalogue would make a curve like this one?  It is proposed, with a test of its own.
+
+A curve that takes up nearly all that the recordings could show of a cause has that cause's form: with the curve free,
+the information about the cause is gone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from twin.diagnose import settings
+from twin.diagnose.inference.fisher_scoring import Fit
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.remainder.curve_fits import coefficients, ranged, visited
+from twin.diagnose.search.candidate_fits import Trial, climbed, fitted, inside
+from twin.diagnose.search.score_test import screen
+from twin.model.causes.cause import Cause
+
+MOST = 2  # causes that are fitted
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alike:
+    """A cause of the form of a curve, fitted in its place."""
+
+    trial: Trial
+    absorbed: float  # share of the information about it that the curve takes up
+
+
+def alike(criterion: Criterion, at: Fit, curve: Cause, gain: float, candidates: Sequence[Cause]) -> list[Alike]:
+    """Causes whose form the curve has, fitted beside the other causes; those that gain most first.
+
+    Args:
+        criterion: of the recordings for fitting.
+        at: the model without the curve.
+        curve: which.
+        gain: of log-likelihood, with the curve.
+        candidates: testable causes.
+    """
+    alone = {score.cause: score for score in screen(criterion, at.theta, at.free, candidates) if score.testable}
+    over = curve.parameters[0].name.removeprefix("from_")
+    theta = ranged(at.theta, curve, visited(criterion.evidence)[over])
+    beside = {score.cause: score for score in screen(criterion, theta, (*at.free, *coefficients(curve)), candidates)}
+    absorbed = {
+        name: 1.0 - beside[name].visible / score.visible
+        for name, score in alone.items()
+        if name in beside and score.gain > max(settings.LEAST_GAIN, settings.LIKE_GAIN * gain)
+    }
+    like = [alone[name] for name, share in absorbed.items() if share >= settings.LIKE_SHARE][:MOST]
+    trials = [climbed(criterion, trial) for trial in fitted(criterion, at, like)] if like else []
+    return [
+        Alike(trial=trial, absorbed=absorbed[trial.cause]) for trial in trials if inside(trial) and trial.gain > 0.0
+    ]

@@ -1,0 +1,277 @@
+"""The remainder: curves through what is left, a cause that has their form, and what they are worth.
+
+Rule 1: a curve is fitted to the recordings for fitting; which one is taken is decided by the error of x 20 ms ahead on
+        the first half of each judge recording, and what it is worth is measured on the second.
+Rule 2: a curve is taken only if that error surely falls by more than 5 %, so that noise gets none.
+Rule 3: a cause of the catalogue with the curve's form takes its place where it predicts as well: it has fewer numbers
+        and holds outside the range.  It is a candidate all the same: the search did not find enough for a name.
+Rule 4: candidates beside an unknown cause may only imitate it.  So a curve is also tried beside the paper's model
+        alone: where that predicts as well, the candidates are left out of the extended model.
+Rule 5: no verdict and no confidence follows from it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from twin.diagnose import settings
+from twin.diagnose.evidence.gather import Evidence
+from twin.diagnose.inference.fisher_scoring import Fit
+from twin.diagnose.inference.likelihood import Criterion
+from twin.diagnose.inference.noise_floor import Floor
+from twin.diagnose.inference.theta import Theta
+from twin.diagnose.judge.flexible import flexible_errors
+from twin.diagnose.judge.prediction_gain import bootstrap, predictions
+from twin.diagnose.remainder.curve_fits import CurveScore, band, fitted, scores, visited
+from twin.diagnose.remainder.likeness import Alike, alike
+from twin.estimation.pace import pace_of
+from twin.estimation.prediction_floor import floor_rmse
+from twin.estimation.record import BoolArray, FloatArray
+from twin.model.causes.cause import Cause
+from twin.model.causes.curve import CURVES
+
+POINTS = 41
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shape:
+    """A curve, over the range that was visited: about its mean there, with the ends of its 95 % band."""
+
+    curve: Cause
+    at: FloatArray  # in the unit of what it is a function of, shape (POINTS,)
+    share: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tried:
+    """A curve, or a cause in its place, beside what was there: error 20 ms ahead where the choice was made."""
+
+    name: str
+    beside: Literal["causes", "paper"]
+    loglik_gain: float
+    rmse_m: float
+    absorbed: float = math.nan  # of a cause: share of the information about it that the curve takes up
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Worth:
+    """Errors of x on the judge samples that chose nothing."""
+
+    horizon_s: float
+    causes_rmse_m: float  # of the model with its causes alone
+    extended_rmse_m: float  # with the remainder
+    ci95_ratio: tuple[float, float]  # of these two
+    floor_m: float
+    flexible_rmse_m: float  # of a regression without physics; NaN where there is none
+    count: int
+
+    @property
+    def removed(self) -> float:
+        """Share of the mean square error above the floor that the remainder removes; NaN if there was none."""
+        above = self.causes_rmse_m**2 - self.floor_m**2
+        return min((self.causes_rmse_m**2 - self.extended_rmse_m**2) / above, 1.0) if above > 0.0 else math.nan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Remainder:
+    """What is left, as curves or as causes in their place; neither where nothing predicts better."""
+
+    fit: Fit  # of the extended model
+    beside: Literal["causes", "paper"]  # what it extends: the model with its causes, or the paper's
+    shapes: tuple[Shape, ...]
+    proposed: tuple[str, ...]  # causes that took the place of a curve
+    tried: tuple[Tried, ...]
+    worth: Worth
+
+
+class _Judge:
+    """Errors of x 20 ms ahead: the first half of each recording chooses, the second measures."""
+
+    def __init__(self, criterion: Criterion, judge: Evidence, seed: int) -> None:
+        self.criterion, self.judge, self.seed = criterion, judge, seed
+        self.samples = max(round(settings.BENEFIT_HORIZON_S / criterion.tick_s), 1)
+        self.block = max(round(settings.ERROR_BLOCK_S / criterion.tick_s), 1)
+        recording = judge.series.recording
+        self.chooses: BoolArray = np.zeros(len(recording), np.bool_)
+        for number in np.unique(recording):
+            (own,) = np.nonzero(recording == number)
+            self.chooses[own[: len(own) // 2]] = True
+
+    def squares(self, theta: Theta) -> FloatArray:
+        """Square errors, shape (n,), m^2; NaN without a prediction.  Raises `Spent`."""
+        plant, tick_s = self.criterion.plant, self.criterion.tick_s
+        pace = pace_of(self.judge.series)
+        self.criterion.budget.take(pace.steps_ahead(theta.base(plant), theta.vector(), self.samples))
+        x_hat = predictions(self.judge, theta, plant, tick_s, self.samples)
+        return np.asarray((x_hat - self.judge.series.x) ** 2)
+
+    def choosing(self, squares: FloatArray) -> float:
+        """Root mean square of the half that chooses; inf where it predicts nothing."""
+        known = squares[self.chooses & np.isfinite(squares)]
+        return math.sqrt(float(known.mean())) if len(known) else math.inf
+
+    def ratio(self, before: FloatArray, after: FloatArray, where: BoolArray) -> tuple[float, float]:
+        """95 % interval of the ratio of root mean squares."""
+        both = where & np.isfinite(before) & np.isfinite(after)
+        if both.sum() < settings.ERROR_BLOCKS * self.block:
+            return math.nan, math.nan
+        return bootstrap(before[both], after[both], self.block, self.seed)
+
+    def worth(self, before: FloatArray, after: FloatArray, theta: Theta, floor: Floor) -> Worth:
+        """Errors of the half that measures."""
+        plant, tick_s = self.criterion.plant, self.criterion.tick_s
+        where = ~self.chooses & np.isfinite(before) & np.isfinite(after)
+        flexible = flexible_errors(self.criterion.evidence, self.judge, self.samples, self.seed) ** 2
+        known = where & np.isfinite(flexible)
+        quiet = floor.quiet(theta).system(plant, tick_s)
+        return Worth(
+            horizon_s=self.samples * tick_s,
+            causes_rmse_m=math.sqrt(float(before[where].mean())),
+            extended_rmse_m=math.sqrt(float(after[where].mean())),
+            ci95_ratio=self.ratio(before, after, ~self.chooses),
+            floor_m=floor_rmse(quiet, self.judge.samples, self.samples, where),
+            flexible_rmse_m=math.sqrt(float(flexible[known].mean())) if known.any() else math.nan,
+            count=int(where.sum()),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Grown:
+    """A model with curves, or causes of their form, beside what it began with."""
+
+    beside: Literal["causes", "paper"]
+    fit: Fit
+    squares: FloatArray  # errors of the judges
+    curves: tuple[Cause, ...] = ()
+    proposed: tuple[str, ...] = ()
+
+
+def remainder_of(
+    criterion: Criterion,
+    found: Fit,
+    paper: Fit | None,
+    judge: Evidence,
+    floor: Floor,
+    candidates: Sequence[Cause],
+    *,
+    seed: int,
+) -> Remainder | None:
+    """Model what `found` leaves; None where too little was flown to choose.
+
+    Args:
+        criterion: of the recordings for fitting.
+        found: the model with its causes.
+        paper: the paper's model, where the causes are not sure; else None.
+        judge: recordings that no fit saw.
+        floor: sensor noise.
+        candidates: causes that may have the form of a curve.
+        seed: of the bootstrap.
+
+    Raises:
+        Spent: the budget does not pay for it.
+    """
+    judging = _Judge(criterion, judge, seed)
+    before = judging.squares(found.theta)
+    if math.isnan(judging.ratio(before, before, judging.chooses)[0]):
+        return None
+    tried: list[Tried] = []
+    best = _Grown(beside="causes", fit=found, squares=before)
+    best = _grow(judging, best, candidates, tried, most=settings.MOST_CURVES)
+    if paper is not None and found.theta.causes:
+        bare = _Grown(beside="paper", fit=paper, squares=judging.squares(paper.theta))
+        bare = _grow(judging, bare, (), tried, most=1)
+        if judging.choosing(bare.squares) <= settings.LIKE_ERROR * judging.choosing(best.squares):
+            best = bare
+    values = visited(criterion.evidence)
+    return Remainder(
+        fit=best.fit,
+        beside=best.beside,
+        shapes=tuple(_shape(best.fit, curve, values) for curve in best.curves),
+        proposed=best.proposed,
+        tried=tuple(tried),
+        worth=judging.worth(before, best.squares, best.fit.theta, floor),
+    )
+
+
+def _grow(judging: _Judge, at: _Grown, candidates: Sequence[Cause], tried: list[Tried], *, most: int) -> _Grown:
+    """Add curves, or causes of their form, while the error falls; `tried` receives all that was tried.
+
+    Args:
+        judging: where the error falls.
+        at: the model to begin with.
+        candidates: causes that may have the form of a curve.
+        tried: receives what was tried.
+        most: curves.
+    """
+    criterion = judging.criterion
+    for _ in range(most):
+        asked = scores(criterion, at.fit, [curve for curve in CURVES if curve not in at.curves])
+        asked = [one for one in asked[: settings.CURVES_FITTED] if one.evidence > settings.LEAST_GAIN]
+        best = _best(judging, at, asked, tried)
+        if best is None or not judging.ratio(at.squares, best[2], judging.chooses)[1] < settings.CURVE_RATIO:
+            break
+        curve, fit, errors = best
+        others = [cause for cause in candidates if cause.name not in at.proposed]
+        like = alike(criterion, at.fit, curve, fit.loglik - at.fit.loglik, others) if others else []
+        instead = _instead(judging, at, errors, like, tried)
+        if instead is None:
+            at = replace(at, fit=fit, squares=errors, curves=(*at.curves, curve))
+        else:
+            at = replace(at, fit=instead[1], squares=instead[2], proposed=(*at.proposed, instead[0]))
+    return at
+
+
+def _best(
+    judging: _Judge, at: _Grown, asked: Sequence[CurveScore], tried: list[Tried]
+) -> tuple[Cause, Fit, FloatArray] | None:
+    """The curve that predicts best; adds all to `tried`."""
+    criterion = judging.criterion
+    fits = criterion.each(partial(fitted, criterion, at.fit), asked)
+    results = [(one.curve, fit, judging.squares(fit.theta)) for one, fit in zip(asked, fits, strict=True)]
+    tried += [
+        Tried(
+            name=curve.name,
+            beside=at.beside,
+            loglik_gain=fit.loglik - at.fit.loglik,
+            rmse_m=judging.choosing(errors),
+        )
+        for curve, fit, errors in results
+    ]
+    return min(results, key=lambda one: judging.choosing(one[2]), default=None)
+
+
+def _instead(
+    judging: _Judge, at: _Grown, curve: FloatArray, like: Sequence[Alike], tried: list[Tried]
+) -> tuple[str, Fit, FloatArray] | None:
+    """The cause that predicts as well as the curve; None where none does.  Adds all to `tried`."""
+    results = [(one, judging.squares(one.trial.fit.theta)) for one in like]
+    tried += [
+        Tried(
+            name=one.trial.cause,
+            beside=at.beside,
+            loglik_gain=one.trial.gain,
+            rmse_m=judging.choosing(errors),
+            absorbed=one.absorbed,
+        )
+        for one, errors in results
+    ]
+    best = min(results, key=lambda one: judging.choosing(one[1]), default=None)
+    if best is None or judging.choosing(best[1]) > settings.LIKE_ERROR * judging.choosing(curve):
+        return None
+    return best[0].trial.cause, best[0].trial.fit, best[1]
+
+
+def _shape(fit: Fit, curve: Cause, values: dict[str, FloatArray]) -> Shape:
+    low, high = (fit.theta.value(f"{curve.name}.{one.name}") for one in curve.parameters[:2])
+    at = np.linspace(low, high, POINTS)
+    over = values[curve.parameters[0].name.removeprefix("from_")]
+    share, error = band(fit, curve, at, over[np.isfinite(over)])
+    return Shape(curve=curve, at=at, share=share, low=share - 1.96 * error, high=share + 1.96 * error)

@@ -1,0 +1,150 @@
+"""What no cause explains, as smooth functions of one quantity each.
+
+    g(s) = sum over j of k_j B_j(s)    cubic B-splines, uniform knots over the range that the recordings have visited
+
+Rule 1: a curve without a range is exactly absent; the extended model is then the one with the causes alone.
+Rule 2: outside its range a curve fades to 0 within three knots: nothing is extrapolated.
+Rule 3: g is a share: of the weight, of the magnetic force, of the current that holds the ball in the middle of the
+        travel, of the travel.  So one prior serves all rigs.
+
+B-splines with a prior on their coefficients are a Gaussian process of few numbers (P. H. C. Eilers, B. D. Marx,
+Statistical Science 11(2), 1996, doi:10.1214/ss/1038425655).  A curve is no cause: it says where and how large, not why.
+"""
+
+from __future__ import annotations
+
+import math
+
+from twin.compiled import kernel
+from twin.model.causes.cause import Cause, CauseParameter, Family, Vector
+
+COEFFICIENTS = 8  # of a curve, which takes ten places with the two ends of its range
+SPREAD = 0.1  # prior of a coefficient, one standard deviation: a tenth of the weight, of the magnetic force, ...
+FIRST = 49  # place in the vector c of the first curve
+FORCE_OVER_X, FORCE_OVER_V, PULL_OVER_X, PULL_OVER_I, DRIVE_OVER_U, SENSOR_OVER_X = range(FIRST, FIRST + 60, 10)
+
+
+def _curve(
+    name: str, place: int, family: Family, title: str, over: tuple[str, str], acts_on: str, equation: str
+) -> Cause:
+    symbol, unit = over
+    ends = [
+        CauseParameter(
+            name=f"{end}_{symbol}",
+            symbol=f"{end} {symbol}",
+            unit=unit,
+            place=place + n,
+            neutral=0.0,
+            low=-1e3,
+            high=1e3,
+            probes=(1e-3,),
+        )
+        for n, end in enumerate(("from", "to"))
+    ]
+    coefficients = [
+        CauseParameter(
+            name=f"k_{j + 1}",
+            symbol=f"k_{j + 1}",
+            unit="",
+            place=place + 2 + j,
+            neutral=0.0,
+            low=-2.0,
+            high=2.0,
+            probes=(0.01,),
+            spread=SPREAD,
+        )
+        for j in range(COEFFICIENTS)
+    ]
+    return Cause(
+        name=name,
+        family=family,
+        title=title,
+        acts_on=acts_on,
+        equation=f"{equation}, g = sum of k_j B_j({symbol})",
+        source="none: a curve through what is left",
+        parameters=(*ends, *coefficients),
+        signature="what no cause of the catalogue explains",
+        shows_in=(),
+        confirm="",
+        cure="find its cause; until then the extended model carries the curve",
+        found_by="remainder",
+    )
+
+
+CURVES: tuple[Cause, ...] = (
+    _curve(
+        "force-over-height",
+        FORCE_OVER_X,
+        "force",
+        "a force that depends on the height alone",
+        ("x", "m"),
+        "of the weight",
+        "m x'' = ... + m g g(x)",
+    ),
+    _curve(
+        "force-over-speed",
+        FORCE_OVER_V,
+        "motion",
+        "a force that depends on the speed alone",
+        ("v", "m/s"),
+        "of the weight",
+        "m x'' = ... + m g g(x')",
+    ),
+    _curve(
+        "pull-over-height",
+        PULL_OVER_X,
+        "force",
+        "a share of the magnetic force that depends on the height",
+        ("x", "m"),
+        "of the magnetic force",
+        "F_m -> F_m (1 + g(x))",
+    ),
+    _curve(
+        "pull-over-current",
+        PULL_OVER_I,
+        "force",
+        "a share of the magnetic force that depends on the current",
+        ("i", "A"),
+        "of the magnetic force",
+        "F_m -> F_m (1 + g(i))",
+    ),
+    _curve(
+        "drive-over-input",
+        DRIVE_OVER_U,
+        "amplifier",
+        "a current that depends on u_c beside K_A u_c",
+        ("u", "V"),
+        "of the current that holds the ball in the middle",
+        "K_A u_c -> K_A u_c + i_0 g(u_c), i_0 holds the ball in the middle",
+    ),
+    _curve(
+        "sensor-over-height",
+        SENSOR_OVER_X,
+        "sensing",
+        "an error of the position sensor that depends on the height",
+        ("x", "m"),
+        "of the travel",
+        "x_measured = ... + l g(x)",
+    ),
+)
+
+
+@kernel
+def value(c: Vector, curve: int, at: float) -> float:
+    """The curve whose range begins at `curve` in c, at one place."""
+    low, high = c[curve], c[curve + 1]
+    if high <= low:
+        return 0.0
+    s = (at - low) / (high - low) * (COEFFICIENTS - 3)
+    if s <= -3.0 or s >= COEFFICIENTS:
+        return 0.0
+    first = math.floor(s)
+    f = s - first
+    r = 1.0 - f
+    weights = (r * r * r, (3.0 * f - 6.0) * f * f + 4.0, (3.0 * r - 6.0) * r * r + 4.0, f * f * f)
+    total = 0.0
+    for n in range(4):
+        j = int(first) + n
+        if 0 <= j < COEFFICIENTS:
+            total += weights[n] * c[curve + 2 + j]
+    return total / 6.0
