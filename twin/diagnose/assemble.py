@@ -30,7 +30,7 @@ from twin.diagnose.judge.reference_model import off_sentence, theta_of
 from twin.diagnose.remainder.remainder import Remainder, remainder_of
 from twin.diagnose.report.model_file import model_of
 from twin.diagnose.report.other_causes import minor_effects_of, missing_channels, not_testable, ruled_out
-from twin.diagnose.report.page_remainder import remainder_sentence
+from twin.diagnose.report.page_remainder import answer_with
 from twin.diagnose.report.sentences import (
     answer_sentence,
     beginning_sentence,
@@ -148,6 +148,8 @@ def told(
         final, final_spread = remainder.fit, spreads(criterion, remainder.fit)
     lost = lost_samples([*records, *judges])
     verdict = _verdict(done, account, lost, at_20_ms, finished=finished)
+    if verdict == "partly-explained" and remainder is not None and remainder.beside == "paper":
+        verdict = "unknown-cause"
     findings = _findings(found, account, spread, proposals, verdict, asked.quick, lost)
     if done.change is not None:
         findings = [_late(one, done.change) for one in findings]
@@ -186,10 +188,7 @@ def told(
         budget=asked.budget,
     )
     sentence = answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=worth.off)
-    if remainder is not None:
-        parameters = {one.name: one.parameters for one in diagnosis.extended.causes}
-        sentence = f"{sentence} {remainder_sentence(remainder, parameters)}"
-    return replace(diagnosis, sentence=sentence)
+    return replace(diagnosis, sentence=answer_with(diagnosis, sentence))
 
 
 def _inconsistent(done: Searched) -> list[str]:
@@ -220,7 +219,8 @@ def _remainder(
     if not wanted or judge is None or at_20_ms is None or done.change is not None:
         return None
     asked.say("what is left, as a curve?")
-    with suppress(Spent), asked.budget.question("what is left, as a curve"):
+    question = asked.budget.question("what is left, as a curve")
+    with suppress(Spent), question, done.criterion.charging(asked.budget):
         candidates = testable_causes(records)
         paper = done.base if more else None
         return remainder_of(done.criterion, done.found.fit, paper, judge, done.floor, candidates, seed=asked.seed)

@@ -165,8 +165,9 @@ WORSE_LEVEL = 0.005
 
 # --- The remainder: curves through what is left ---
 
-# Effort.  Curves that are fitted in a round, the best by the score test; rounds.
+# Effort.  Curves that are fitted in a round, the best by the score test.
 CURVES_FITTED = 3
+# Reasoned.  Curves beside the causes: of more the parts are not told apart.
 MOST_CURVES = 2
 # Effort.  Passes of such a fit, at most, and the step in standard errors at which it ends: its error tells it from
 # others long before its maximum is known.

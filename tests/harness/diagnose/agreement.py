@@ -97,6 +97,11 @@ def _sentence(data: Mapping[str, Any]) -> Iterator[str]:
     text, named = data["sentence"], [one for one in _listed(data) if one["share_of_excess_explained"] > 0.0]
     if "static" in data:
         return
+    if (data.get("remainder") or {}).get("beside") == "paper":  # a curve that needs none of them
+        missing = [one["name"] for one in named if one["name"] not in text]
+        if missing:
+            yield f"the sentence lacks {', '.join(missing)}: {text}"
+        named = []
     for cause in named:
         if cause["sentence"][1:] not in text or percent(cause["share_of_excess_explained"]) not in text:
             yield f"the sentence lacks {cause['name']} with its {percent(cause['share_of_excess_explained'])}: {text}"

@@ -12,7 +12,7 @@ import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import cached_property
 from typing import TypeVar
 
@@ -79,13 +79,17 @@ class Criterion:
         return getattr(self._own, "budget", self.whole)
 
     @contextmanager
-    def free(self) -> Iterator[None]:
-        """Runs inside the block are free; for work with a fixed number of passes."""
-        before, self.whole = self.whole, Budget()
+    def charging(self, budget: Budget) -> Iterator[None]:
+        """Another budget pays for the runs inside the block."""
+        before, self.whole = self.whole, budget
         try:
             yield
         finally:
             self.whole = before
+
+    def free(self) -> AbstractContextManager[None]:
+        """Runs inside the block are free; for work with a fixed number of passes."""
+        return self.charging(Budget())
 
     def pay(self, *thetas: Theta, reuse: Sequence[Reuse] = ()) -> None:
         """For a run of each; `reuse` as `beside` takes it.

@@ -5,9 +5,10 @@ Rule 1: a curve is fitted to the recordings for fitting; which one is taken is d
 Rule 2: a curve is taken only if that error surely falls by more than 5 %, so that noise gets none.
 Rule 3: a cause of the catalogue with the curve's form takes its place where it predicts as well: it has fewer numbers
         and holds outside the range.  It is a candidate all the same: the search did not find enough for a name.
-Rule 4: candidates beside an unknown cause may only imitate it.  So a curve is also tried beside the paper's model
-        alone: where that predicts as well, the candidates are left out of the extended model.
-Rule 5: no verdict and no confidence follows from it.
+Rule 4: names beside a rest may only imitate an unknown cause.  So a curve is also tried beside the paper's model alone:
+        where that predicts as well, and is at least as likely as the names are without a curve, the names are left out
+        of the extended model, and none of them holds.
+Rule 5: no other verdict and no confidence follows from it.
 """
 
 from __future__ import annotations
@@ -188,7 +189,8 @@ def remainder_of(
     if paper is not None and found.theta.causes:
         bare = _Grown(beside="paper", fit=paper, squares=judging.squares(paper.theta))
         bare = _grow(judging, bare, (), tried, most=1)
-        if judging.choosing(bare.squares) <= settings.LIKE_ERROR * judging.choosing(best.squares):
+        as_good = judging.choosing(bare.squares) <= settings.LIKE_ERROR * judging.choosing(best.squares)
+        if as_good and bare.fit.loglik >= found.loglik:
             best = bare
     values = visited(criterion.evidence)
     return Remainder(

@@ -38,8 +38,27 @@ def remainder_sentence(found: Remainder, parameters: Mapping[str, Mapping[str, P
     if not parts:
         return NOTHING + _flexible(found.worth)
     text = "; ".join(parts)
-    alone = " Beside it the candidates are not needed: they may imitate it." if found.beside == "paper" else ""
-    return f"{text[:1].upper()}{text[1:]}.{alone} {_worth(found.worth)}"
+    return f"{text[:1].upper()}{text[1:]}. {_worth(found.worth)}"
+
+
+def answer_with(found: Diagnosis, sentence: str) -> str:
+    """The answer of a diagnosis with its remainder; what leads is what the extended model says.
+
+    Args:
+        found: the diagnosis.
+        sentence: its answer without the remainder.
+    """
+    left = found.remainder
+    if left is None:
+        return sentence
+    own = remainder_sentence(left, {one.name: one.parameters for one in found.extended.causes})
+    if left.beside == "causes" or found.verdict != "unknown-cause":
+        return f"{sentence} {own}"
+    names = ", ".join(one.name for one in found.causes)
+    return (
+        f"The model is wrong, and none of the known causes explains it. {own} Beside this curve the candidates "
+        f"({names}) are not needed: they may only imitate it."
+    )
 
 
 def remainder(found: Diagnosis) -> dict[str, Any]:

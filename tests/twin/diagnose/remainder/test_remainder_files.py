@@ -1,0 +1,46 @@
+"""What is left, from the command to the model file that the other commands take: a wire that no catalogue has."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from board51 import main
+from tests.harness.diagnose.agreement import disagreements
+from tests.harness.diagnose.hidden_campaign import make_campaign
+from twin.model.parameters import load_model
+
+pytestmark = pytest.mark.slow
+
+
+def test_the_model_with_the_curve_runs_everywhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, out = tmp_path / "runs", tmp_path / "diagnosis"
+    make_campaign(folder, effects={}, outside={"wire-spring": 1.6e6}, seed=11, plant="independent", quick=True)
+
+    code = main(["diagnose", str(folder), "--quick", "--free-form", "--out", str(out), "--quiet"])
+
+    found: dict[str, Any] = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+    assert code == (1 if found["verdict"] == "unknown-cause" else 0)
+    assert not disagreements(found)
+    left = found["remainder"]
+    assert left["judge"]["extended_rmse_m"] <= left["judge"]["causes_rmse_m"]
+    (curve,) = left["curves"]
+    assert curve["name"] == "force-over-height"
+    assert np.shape(curve["at"]) == np.shape(curve["mean"]) == np.shape(curve["ci95"][0])
+    text = (out / "report.html").read_text(encoding="utf-8")
+    assert "What is left, as a curve" in text
+    model = load_model(out / "extended_model.json")
+    assert curve["name"] in {cause.name for cause in model.causes}
+    assert (not any(cause.name != curve["name"] for cause in model.causes)) == (left["beside"] == "paper")
+    capsys.readouterr()
+
+    assert (
+        main(["validate", str(folder), "--model", str(out / "extended_model.json"), "--out", str(tmp_path / "v")]) == 0
+    )
+    assert "explains these recordings" in capsys.readouterr().out
+    assert main(["design", str(out / "extended_model.json")]) == 0
+    assert "force-over-height" in capsys.readouterr().out
