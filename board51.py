@@ -52,12 +52,14 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "recover": ("gateway.commands.logs.recover", "what can be saved of a broken log"),
     "info": ("gateway.commands.logs.info", "what a log holds"),
     "plot": ("twin.commands.plot", "measured against twin, from a log, as a picture"),
+    "compile": ("twin.commands.compile", "the numerical kernels, at once instead of when they are needed"),
     "bench": ("gateway.commands.bench", "benchmarks, each against a baseline in the same run"),
 }
 
 EXTRAS = {  # what a command needs beyond the core; what is not here runs without any extra
     **dict.fromkeys(
-        ("demo", "investigate", "twin", "identify", "design", "validate", "predict", "diagnose", "plot"), "twin"
+        ("demo", "investigate", "twin", "identify", "design", "validate", "predict", "diagnose", "plot", "compile"),
+        "twin",
     ),
     **dict.fromkeys(("import", "export"), "export"),
     "emulate": "emulator",

@@ -47,7 +47,7 @@ def _compiled(function: Callable[P, R], *, forceinline: bool = False) -> Callabl
     compile_it: Any = partial(numba.njit, nogil=True, error_model="numpy", forceinline=forceinline)
     # numba reads CACHE_DIR while it decorates; what is decorated elsewhere keeps its own place.
     config: Any = numba.config
-    here, config.CACHE_DIR = config.CACHE_DIR, _folder()
+    here, config.CACHE_DIR = config.CACHE_DIR, cache_folder()
     try:
         return cast(Callable[P, R], compile_it(cache=True)(function))
     except RuntimeError:
@@ -74,7 +74,7 @@ def sources_hash(package: Path) -> str:
 
 
 @cache
-def _folder() -> str:
+def cache_folder() -> str:
     """Where the machine code of these very sources belongs."""
     package = Path(__file__).parent
     wanted = os.environ.get("NUMBA_CACHE_DIR")

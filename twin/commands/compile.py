@@ -1,0 +1,112 @@
+"""Compile the numerical kernels now, so that no later command waits for it.
+
+The first identify, validate, diagnose or twin after an installation or an update compiles what it needs, which takes up
+to half a minute.  This command does it at once: it simulates a short campaign of the nominal CE 152 and lets each of
+them run on it.  `make setup` calls it.  Done again it takes a few seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.epilog = "exit code 0: done, or there is no place for compiled code, so that each command compiles anew"
+    parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compile."""
+    from twin import compiled
+    from twin.api import functions as api
+    from twin.mirror.warm_up import compile_kernels
+    from twin.model.nominal import nominal
+
+    began = time.monotonic()
+
+    def say(line: str) -> None:
+        if not args.quiet:
+            print(f"[{time.monotonic() - began:5.1f} s] {line}", file=sys.stderr, flush=True)
+
+    if not compiled.cache_folder():
+        say("board51 compile: no folder for compiled code can be written; set NUMBA_CACHE_DIR to one")
+        return 0
+    model = nominal()
+    with tempfile.TemporaryDirectory() as folder:
+        say("a short campaign, simulated")
+        campaign = _campaign(Path(folder))
+        say("the twin")
+        compile_kernels(model)
+        say("identify, validate, predict")
+        api.identify(campaign)
+        api.validate(campaign, model)
+        api.predict(model, Path(folder) / "judge.csv", campaign=campaign)
+        say("diagnose")
+        api.diagnose(campaign, quick=True, free_form=True, experiments=True)
+        say("design")
+        api.design(model)
+    say("compiled")
+    return 0
+
+
+def _campaign(folder: Path) -> Path:
+    """A folder with flights, a step of the amplifier and the ball at rest."""
+    import numpy as np
+
+    from protocol.campaign import Campaign, Recording
+    from protocol.campaign_text import emit
+    from twin.diagnose.experiments.designed_law import designed
+    from twin.diagnose.experiments.virtual_recordings import TICK_S, Schedule, simulate
+    from twin.diagnose.inference.theta import Theta
+    from twin.model.nominal import nominal
+
+    model = nominal()
+    theta = Theta(
+        K_A=model.K_A,
+        T_A=model.T_A,
+        K_c=model.K_c,
+        b=model.b,
+        sigma_i_c_a=1e-3,
+        sigma_x_m=3e-6,
+        process_i_c_a=1e-6,
+        process_a_m_s2=1e-3,
+        causes=(("quadratic-drag.c_n_s2_m2", 0.5),),
+    )
+    middle = 0.5 * model.plant.travel_m
+    t = TICK_S * np.arange(3000)
+    steps = middle + 0.2 * middle * np.sign(np.sin(5.0 * t))
+    schedules = [
+        Schedule(name="fit.csv", kind="closed-loop", command=steps, closed_loop=True),
+        Schedule(name="judge.csv", kind="closed-loop", command=steps[::-1].copy(), closed_loop=True),
+        Schedule(name="rest.csv", kind="free", command=np.zeros(1000)),
+        Schedule(name="amplifier.csv", kind="amplifier-step", command=np.repeat((0.5, 1.5), 500)),
+    ]
+    recordings = []
+    for seed, schedule in enumerate(schedules):
+        (record,) = simulate(theta, model.plant, None, schedule, seed=seed)
+        columns = {"t": record.t, "u_c": record.u_c, "i_c": record.i_c, "x": record.x, "x_ref": record.x_ref}
+        known = {name: values for name, values in columns.items() if np.isfinite(values).any()}
+        np.savetxt(
+            folder / schedule.name,
+            np.column_stack(list(known.values())),
+            delimiter=",",
+            header=",".join(known),
+            comments="",
+        )
+        recordings.append(
+            Recording(file=schedule.name, kind=schedule.kind, use="judge" if schedule.name == "judge.csv" else "fit")
+        )
+    campaign = Campaign(
+        where=str(folder / "campaign.toml"),
+        folder=folder,
+        plant=model.plant,
+        controller=designed(theta, model.plant, TICK_S),
+        recordings=tuple(recordings),
+    )
+    (folder / "campaign.toml").write_text(emit(campaign), encoding="utf-8")
+    return folder
