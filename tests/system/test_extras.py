@@ -38,6 +38,7 @@ WITHOUT = [
     (["predict", "model.json", "run.csv", "--horizon", "10", "--out", "p.csv"], "twin"),
     (["diagnose", "campaign.toml", "--out", "d"], "twin"),
     (["plot", "run.mcap", "--out", "p.png"], "twin"),
+    (["compile"], "twin"),
     (["demo"], "twin"),
     (["investigate", "rig1"], "twin"),
     (["bench", "identify"], "all"),

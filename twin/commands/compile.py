@@ -16,7 +16,10 @@ from pathlib import Path
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    parser.epilog = "exit code 0: done, or there is no place for compiled code, so that each command compiles anew"
+    parser.epilog = (
+        "example:\n  board51 compile    after pipx install, or an update\n"
+        "\nexit code 0: done, or there is no place for compiled code, so that each command compiles anew"
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress on stderr")
 
 
@@ -63,9 +66,11 @@ def _campaign(folder: Path) -> Path:
     from twin.diagnose.experiments.designed_law import designed
     from twin.diagnose.experiments.virtual_recordings import TICK_S, Schedule, simulate
     from twin.diagnose.inference.theta import Theta
+    from twin.model.causes.catalogue import CATALOGUE
     from twin.model.nominal import nominal
 
     model = nominal()
+    hidden = next(cause for cause in CATALOGUE if cause.family == "motion")  # something to find
     theta = Theta(
         K_A=model.K_A,
         T_A=model.T_A,
@@ -75,7 +80,7 @@ def _campaign(folder: Path) -> Path:
         sigma_x_m=3e-6,
         process_i_c_a=1e-6,
         process_a_m_s2=1e-3,
-        causes=(("quadratic-drag.c_n_s2_m2", 0.5),),
+        causes=((f"{hidden.name}.{hidden.strength.name}", hidden.strength.probes[-1]),),
     )
     middle = 0.5 * model.plant.travel_m
     t = TICK_S * np.arange(3000)

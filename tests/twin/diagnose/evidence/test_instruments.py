@@ -87,6 +87,7 @@ def test_an_oscilloscope_beside_the_board_has_a_noise_of_its_own(campaign: Path,
     assert told["sigma"] == pytest.approx(I_A, rel=0.1)
 
 
+@pytest.mark.slow
 def test_judges_of_a_noisier_session_do_not_speak_against_the_cause(campaign: Path, tmp_path: Path) -> None:
     folder = copy_of(campaign, tmp_path)
     worse(folder, "closed_loop_[5-8]", i_c=Instrument(noise=I_A, lowest=NO_LESS), x=Instrument(noise=X_M))
@@ -99,6 +100,7 @@ def test_judges_of_a_noisier_session_do_not_speak_against_the_cause(campaign: Pa
     assert later.ratio == pytest.approx(math.sqrt(2.0), rel=0.1)
 
 
+@pytest.mark.slow
 def test_outliers_of_ten_times_the_noise_are_left_out(campaign: Path, tmp_path: Path) -> None:
     folder = copy_of(campaign, tmp_path)
     share = 0.005
