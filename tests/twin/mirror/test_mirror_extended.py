@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,8 @@ from tests.harness.twin.emulated_campaign import TICK_S, Lab
 from tests.harness.twin.true_model import true_model
 from twin.mirror.mirror import Mirror
 from twin.mirror.output import Output
-from twin.model.parameters import Model
+from twin.model.causes.curve import CURVES
+from twin.model.parameters import Model, ModelCause, Parameter
 from twin.model.simulate import I_READ, X_READ, hold, left_out, plant_numbers, rig_at
 
 GAINS = (0.49, 1700.0, 17.7, -17600.0)
@@ -108,6 +110,24 @@ def test_the_twin_of_a_rig_with_an_effect_is_quiet_once_its_model_has_it(name: s
     assert mean_nis(extended) == pytest.approx(2.0, abs=0.1 + 8.0 / math.sqrt(TICKS))
     # A constant on the current sensor is a constant force to the ball: the integrator and the observer hide neither.
     assert alarms(plain) != set() or mean_nis(plain) > 1.05 * mean_nis(extended)
+
+
+def test_the_twin_of_a_rig_with_an_unknown_force_is_quiet_once_its_model_has_a_curve_of_it() -> None:
+    force_n = EFFECTS["constant-force"].medium
+    parameters, states = flown({"constant-force": force_n})
+    plain = true_model()
+    share = force_n / (plain.plant.mass_kg * plain.plant.gravity_m_s2)
+    curve = next(one for one in CURVES if one.name == "force-over-height")
+    values = {"from_x": -plain.plant.travel_m, "to_x": 2.0 * plain.plant.travel_m}
+    known = {
+        one.name: Parameter(value=values.get(one.name, share), unit=one.unit, method="known")
+        for one in curve.parameters
+    }
+
+    extended = watched(replace(plain, causes=(ModelCause(name=curve.name, parameters=known),)), parameters, states)
+
+    assert alarms(extended) == set()
+    assert mean_nis(extended) == pytest.approx(2.0, abs=0.1 + 8.0 / math.sqrt(TICKS))
 
 
 def test_readings_are_compared_with_readings() -> None:
