@@ -255,6 +255,7 @@ def _remainder(found: Remainder, extended: Model) -> dict[str, Any]:
         "curves": [
             {
                 "name": shape.curve.name,
+                "in_model": in_model,
                 "title": shape.curve.title,
                 "share": shape.curve.acts_on,
                 "at_unit": shape.curve.parameters[0].unit,
@@ -262,7 +263,8 @@ def _remainder(found: Remainder, extended: Model) -> dict[str, Any]:
                 "mean": shape.share.tolist(),
                 "ci95": [shape.low.tolist(), shape.high.tolist()],
             }
-            for shape in found.shapes
+            for shapes, in_model in ((found.shapes, True), (found.replaced, False))
+            for shape in shapes
         ],
         "proposed": [
             {"name": cause.name, "parameters": parameters_json(cause.parameters)}

@@ -89,6 +89,7 @@ class Remainder:
     beside: Literal["causes", "paper"]  # what it extends: the model with its causes, or the paper's
     shapes: tuple[Shape, ...]
     proposed: tuple[str, ...]  # causes that took the place of a curve
+    replaced: tuple[Shape, ...]  # those curves
     tried: tuple[Tried, ...]
     worth: Worth
 
@@ -153,6 +154,7 @@ class _Grown:
     squares: FloatArray  # errors of the judges
     curves: tuple[Cause, ...] = ()
     proposed: tuple[str, ...] = ()
+    replaced: tuple[tuple[Cause, Fit], ...] = ()
 
 
 def remainder_of(
@@ -198,6 +200,7 @@ def remainder_of(
         beside=best.beside,
         shapes=tuple(_shape(best.fit, curve, values) for curve in best.curves),
         proposed=best.proposed,
+        replaced=tuple(_shape(fit, curve, values) for curve, fit in best.replaced),
         tried=tuple(tried),
         worth=judging.worth(before, best.squares, best.fit.theta, floor),
     )
@@ -227,7 +230,13 @@ def _grow(judging: _Judge, at: _Grown, candidates: Sequence[Cause], tried: list[
         if instead is None:
             at = replace(at, fit=fit, squares=errors, curves=(*at.curves, curve))
         else:
-            at = replace(at, fit=instead[1], squares=instead[2], proposed=(*at.proposed, instead[0]))
+            at = replace(
+                at,
+                fit=instead[1],
+                squares=instead[2],
+                proposed=(*at.proposed, instead[0]),
+                replaced=(*at.replaced, (curve, fit)),
+            )
     return at
 
 

@@ -70,9 +70,14 @@ def remainder(found: Diagnosis) -> dict[str, Any]:
         "remainder": {
             "sentence": remainder_sentence(left, {one.name: one.parameters for one in found.extended.causes}),
             "pictures": [
-                inline(figures.shape_figure(shape), f"{shape.curve.title[:1].upper()}{shape.curve.title[1:]}")
-                for shape in left.shapes
+                inline(figures.shape_figure(shape), f"{shape.curve.title[:1].upper()}{shape.curve.title[1:]}{instead}")
+                for shapes, instead in (
+                    (left.shapes, ""),
+                    (left.replaced, f"; in its place: {', '.join(left.proposed)}"),
+                )
+                for shape in shapes
             ],
+            "in_model": bool(left.shapes),
             "tried": [
                 [
                     one.name,
