@@ -47,6 +47,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--boards", type=int, default=1, metavar="N", help="how many boards (default: 1)")
     parser.add_argument("--board-id", type=int, default=1, metavar="ID", help="serial number of the first (default: 1)")
+    parser.add_argument(
+        "--firmware",
+        choices=("python", "c"),
+        default="python",
+        help="what flies: the model in Python, or firmware/ in C, which a C compiler of this machine compiles at its "
+        "first use (default: python)",
+    )
     parser.add_argument("--baud", type=int, default=115200, help="pace of the line, bits per second (default: 115200)")
     parser.add_argument(
         "--speed", type=float, default=1.0, metavar="N", help="times faster than real time; 0: as fast as possible"
@@ -79,7 +86,13 @@ def run(args: argparse.Namespace) -> int:
         commitment = secret.seal(args.sealed, strengths)
     ports = pty_ports(args.pty, args.boards) if args.pty else tcp_ports(*_address(args), args.boards)
     lines = build_lines(
-        ports, effects=strengths, faults=args.fault, seed=args.seed, baud=args.baud, board_id=args.board_id
+        ports,
+        effects=strengths,
+        faults=args.fault,
+        seed=args.seed,
+        baud=args.baud,
+        board_id=args.board_id,
+        firmware=args.firmware,
     )
     server = Server(lines, speed=args.speed)
     for number in (signal.SIGTERM, signal.SIGINT):
