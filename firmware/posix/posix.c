@@ -202,7 +202,6 @@ void posix_capture(struct posix_board *to, uint16_t i) {
 void posix_tick(struct posix_board *to, uint16_t i, uint16_t x, bool lose_state) {
     uint8_t states[STATE_DEPTH][STATE_BODY];
     struct ring ring;
-    uint32_t dropped;
 
     enter(to);
     if (here->dead_ticks != 0U) {
@@ -215,7 +214,6 @@ void posix_tick(struct posix_board *to, uint16_t i, uint16_t x, bool lose_state)
     } else {
         memcpy(states, board.queues.states, sizeof states);
         ring = board.queues.rings[0];
-        dropped = board.queues.dropped;
         here->i = i;
         here->x = x;
         here->tick_due = true;
@@ -224,8 +222,8 @@ void posix_tick(struct posix_board *to, uint16_t i, uint16_t x, bool lose_state)
             reset(RESET_COMMANDED);
         } else if (lose_state) {
             memcpy(board.queues.states, states, sizeof states);
+            board.queues.dropped -= board.queues.rings[0].first != ring.first ? 1U : 0U; /* the oldest is back, too */
             board.queues.rings[0] = ring;
-            board.queues.dropped = dropped;
         }
     }
     show();

@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import pytest
 
-from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.firmware.flash import BOOT_TICKS, CURRENT, GAINS, INPUT, LIMITS, POSITION, WATCHDOG_TICKS
 from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.codec import unpack_pair
@@ -17,6 +16,8 @@ from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import EventCode, Flag, HostLoss, Message, Mode, Reason
 from tests.harness.gateway.board_host import Bench, Host, frame, refusal
+
+pytestmark = pytest.mark.usefixtures("each_firmware")
 
 SECOND = 500  # ticks
 QUIET = {"amplitude": 0, "period": 1, "period_end": 1, "seed": 1, "duration": 0}
@@ -359,14 +360,14 @@ def test_rule_5_state_goes_first_then_answers_events_and_capture_blocks() -> Non
 
 
 def test_rule_5_a_line_that_is_not_served_loses_the_oldest_states_and_counts() -> None:
-    firmware = Firmware(Bench())
+    firmware = Host.make(Bench())
 
     for _ in range(30):
         firmware.tick()
     left = [event for event in StreamDecoder().feed(firmware.take_output()) if isinstance(event, State)]
 
     assert [state.sequence for state in left] == list(range(22, 30))
-    assert firmware.outbox.dropped == 22
+    assert firmware.dropped == 22
 
 
 # Rule 6
@@ -571,13 +572,13 @@ def test_rule_9_set_gains_takes_effect_at_one_tick_and_keeps_the_sum() -> None:
     host.ask("SET_MODE", mode=2)
     host.ask("SET_REFERENCE", x_ref=GAINS.x_0 + 50)
     host.run(40)
-    total = host.firmware.loop.law.sum
+    total = host.firmware.integral
     gains = {f"k{n}_{part}": 0 for n in range(1, 5) for part in ("mantissa", "shift")}
 
     answer = host.ask("SET_GAINS", law=0, **gains, i_0=1, x_0=2, u_0=3)
     parameters = host.ask("GET_PARAMETERS")
 
-    assert host.firmware.loop.law.sum >= total > 0
+    assert host.firmware.integral >= total > 0
     assert host.states[-1].u_c == 3
     assert parameters.int("tick") == answer.int("tick")
     assert [parameters.int(name) for name in ("i_0", "x_0", "u_0")] == [1, 2, 3]
@@ -849,7 +850,7 @@ def test_rule_13_the_ack_of_a_stop_carries_the_tick_that_comes_next() -> None:
 
     host.firmware.feed(frame("STOP", id=77), into_tick_us=700)
     answered = StreamDecoder().feed(host.firmware.take_output())
-    off = host.firmware.loop.u
+    off = host.firmware.u
     state = host.run(1)[0]
 
     (ack, changed) = [event for event in answered if isinstance(event, Message)]
