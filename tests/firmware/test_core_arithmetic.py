@@ -80,3 +80,14 @@ def test_a_signal_is_that_of_python(core: Core, signal: Signal) -> None:
 
     assert core.play(signal, 300) == expected
     assert core.c.excitation_done() == excitation.done
+
+
+def test_a_long_chirp_downwards_keeps_its_phase(core: Core) -> None:
+    """Its sweep is a quotient below 0, rounded down: rounding it up shows after some 90 000 ticks."""
+    ticks = 150_000
+    signal = Signal(
+        shape=Shape.CHIRP, target=0, amplitude=2047, offset=2048, period=3, period_end=65535, seed=1, duration=ticks
+    )
+    excitation = Excitation(signal)
+
+    assert core.play(signal, ticks) == [excitation.next() for _ in range(ticks)]

@@ -64,6 +64,16 @@ def test_the_law_is_that_of_python_over_a_million_random_ticks(core: Core) -> No
     assert 100_000 < limited < 900_000
 
 
+@pytest.mark.parametrize(("x_ref", "end"), [(0, -(1 << 23)), (4095, (1 << 23) - 1)], ids=["down", "up"])
+def test_the_integral_saturates_at_both_ends(core: Core, x_ref: int, end: int) -> None:
+    core.load(Gains(law=0, mantissas=(0, 0, 0, 0), shifts=(0, 0, 0, 0), i_0=0, x_0=0, u_0=0))
+
+    for _ in range(2500):
+        core.run(0, 4095 - x_ref, x_ref)
+
+    assert core.law.sum == end
+
+
 def test_before_rounding_the_accumulator_is_that_of_python(core: Core) -> None:
     chance = random.Random(7)
     for _ in range(5_000):

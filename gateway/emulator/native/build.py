@@ -51,9 +51,9 @@ def compile_to(target: Path, *, options: Sequence[str] = ()) -> None:
     program = compiler()
     if program is None:
         asked = os.environ.get("CC")
+        looked_for = f"CC={asked} is not" if asked else "neither cc, gcc nor clang is"
         raise InstallError(
-            f"The firmware in C needs a C compiler, and {f'CC={asked} is' if asked else 'neither cc, gcc nor clang is'}"
-            " found",
+            f"The firmware in C needs a C compiler, and {looked_for} found",
             remedy="Install one (Debian: apt-get install gcc libc6-dev), or fly the Python firmware, the default",
         )
     command = [program, *OPTIONS, *options, *map(str, sources()), *_LINK_OPTIONS, "-o", str(target)]
