@@ -85,7 +85,7 @@ uint16_t capture_u(void) {
 void capture_pack(uint16_t index, uint8_t *packed) {
     uint8_t n;
 
-    for (n = 0; n < BLOCK_SAMPLES; n += 2U) {
+    for (n = 0; n < BLOCK_SAMPLES; n = (uint8_t)(n + 2U)) {
         uint16_t pair[2] = {0, 0};
         uint8_t side;
 

@@ -22,10 +22,18 @@
 #define TICKS_PER_S (UINT32_C(1000000) / TICK_US)
 #define RESET_WAIT_TICKS (UINT32_C(50000) / TICK_US) /* rule 1: the ACK of RESET has 50 ms to leave */
 
-/* Depth of the transmit queues, in frames (rule 5; 'Timing' needs four STATEs). */
+/* Depth of the transmit queues, in frames (rule 5: at least four STATEs).  A chip with little RAM has fewer. */
+#ifndef STATE_DEPTH
 #define STATE_DEPTH 8U
+#endif
+#ifndef ANSWER_DEPTH
 #define ANSWER_DEPTH 8U
+#endif
+#ifndef EVENT_DEPTH
 #define EVENT_DEPTH 16U
+#endif
+#ifndef BLOCK_DEPTH
 #define BLOCK_DEPTH 8U
+#endif
 
 #endif

@@ -11,7 +11,7 @@ uint16_t crc_of(const uint8_t *data, uint8_t size) {
     uint8_t bit;
 
     for (n = 0; n < size; n++) {
-        crc ^= (uint16_t)(data[n] << 8);
+        crc = (uint16_t)(crc ^ (uint16_t)data[n] << 8); /* not as int, which has 16 bits on a small chip */
         for (bit = 0; bit < 8U; bit++) {
             crc = (crc & 0x8000U) != 0U ? (uint16_t)(crc << 1 ^ CRC_POLYNOMIAL) : (uint16_t)(crc << 1);
         }
@@ -28,7 +28,12 @@ uint8_t frame_encode(const uint8_t *body, uint8_t size, uint8_t *frame) {
 
     frame[0] = 0;
     for (n = 0; n < size + 2U; n++) {
-        uint8_t byte = n < size ? body[n] : n == size ? (uint8_t)(crc >> 8) : (uint8_t)crc;
+        uint8_t byte = (uint8_t)crc; /* the last one */
+        if (n < size) {
+            byte = body[n];
+        } else if (n == size) {
+            byte = (uint8_t)(crc >> 8);
+        }
         if (byte != 0U) {
             frame[out] = byte;
         } else {

@@ -124,16 +124,16 @@ static void report_limit(bool limited) {
 }
 
 static uint8_t flags(uint16_t i, uint16_t x) {
-    uint8_t set = board.loop.mode;
+    uint16_t set = board.loop.mode;
 
-    set |= (uint8_t)(board.loop.limited ? FLAG_INPUT_SATURATED : 0);
-    set |= (uint8_t)(x == 0U || x == COUNTS_MAX ? FLAG_POSITION_RANGE : 0);
-    set |= (uint8_t)(i == COUNTS_MAX ? FLAG_CURRENT_RANGE : 0);
-    set |= (uint8_t)(board.loop.overrun ? FLAG_OVERRUN : 0);
-    set |= (uint8_t)(board.loop.host_lost ? FLAG_HOST_LOST : 0);
-    set |= (uint8_t)(board.loop.fault ? FLAG_FAULT : 0);
+    set |= board.loop.limited ? FLAG_INPUT_SATURATED : 0U;
+    set |= x == 0U || x == COUNTS_MAX ? FLAG_POSITION_RANGE : 0U;
+    set |= i == COUNTS_MAX ? FLAG_CURRENT_RANGE : 0U;
+    set |= board.loop.overrun ? FLAG_OVERRUN : 0U;
+    set |= board.loop.host_lost ? FLAG_HOST_LOST : 0U;
+    set |= board.loop.fault ? FLAG_FAULT : 0U;
     board.loop.overrun = false;
-    return set;
+    return (uint8_t)set;
 }
 
 /* One tick, from the counts of current and position to the input converter; the flags of STATE. */
