@@ -68,9 +68,9 @@ bool hal_receive(uint8_t *byte) {
     return true;
 }
 
-/* One frame at a time: what comes behind its second delimiter waits for the next `posix_take_frame`. */
+/* As many bytes as the caller has room for, and one frame at a time: the next waits for the next `posix_take`. */
 bool hal_send(uint8_t byte) {
-    if (here->sent == 0 || here->delimiters == 2U) {
+    if (here->sent == 0 || here->sent_count == here->room || here->delimiters == 2U) {
         return false;
     }
     here->sent[here->sent_count++] = byte;
@@ -108,6 +108,7 @@ static void boot(uint8_t cause) {
     here->dropped += board.queues.dropped;
     here->cause = cause;
     here->hung_ticks = 0;
+    here->delimiters = 0;
     here->restart = false;
     board_boot();
 }
@@ -229,15 +230,16 @@ void posix_tick(struct posix_board *to, uint16_t i, uint16_t x, bool lose_state)
     show();
 }
 
-/* The next frame for the line, of at most MAX_FRAME bytes; its size, or 0. */
-uint8_t posix_take_frame(struct posix_board *to, uint8_t *frame) {
+/* What the transmitter takes, at most `room` bytes and at most to the end of a frame; the number of bytes. */
+uint8_t posix_take(struct posix_board *to, uint8_t *data, uint8_t room) {
     enter(to);
     if (here->dead_ticks != 0U) {
         return 0;
     }
-    here->sent = frame;
+    here->sent = data;
+    here->room = room;
     here->sent_count = 0;
-    here->delimiters = 0;
+    here->delimiters = (uint8_t)(here->delimiters % 2U);
     send_frames();
     here->sent = 0;
     show();

@@ -34,7 +34,7 @@ struct posix_board {
     uint32_t dropped; /* before the last reset */
     uint16_t i, x, u;
     uint16_t resets;
-    uint8_t cause, hung_ticks, dead_ticks, sent_count, delimiters;
+    uint8_t cause, hung_ticks, dead_ticks, room, sent_count, delimiters;
     bool tick_due, restart;
 };
 
@@ -48,7 +48,7 @@ void posix_feed(struct posix_board *board, const uint8_t *data, uint32_t count);
 void posix_pass(struct posix_board *board, uint16_t us);
 void posix_capture(struct posix_board *board, uint16_t i);
 void posix_tick(struct posix_board *board, uint16_t i, uint16_t x, bool lose_state);
-uint8_t posix_take_frame(struct posix_board *board, uint8_t *frame);
+uint8_t posix_take(struct posix_board *board, uint8_t *data, uint8_t room);
 void posix_set_tick(struct posix_board *board, uint32_t next_tick);
 
 #endif

@@ -11,9 +11,10 @@ import pytest
 from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.plant.levitation import EmulatedPlant
+from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.messages import ROWS, EventCode, Reason
 from tests.harness.firmware.random_host import Seen, play
-from tests.harness.gateway.board_host import Host, skip_without_compiler
+from tests.harness.gateway.board_host import Bench, Host, frame, skip_without_compiler
 
 MINUTE = 30_000  # ticks
 EVERYTHING = (
@@ -63,6 +64,42 @@ def test_both_fly_the_emulated_rig_along_the_same_path() -> None:
 
     assert outputs[0] == outputs[1]
     assert (plants[0].x_m, plants[0].v_m_s, plants[0].i_c_a) == (plants[1].x_m, plants[1].v_m_s, plants[1].i_c_a)
+
+
+def test_a_transmitter_that_takes_a_byte_at_a_time_gets_whole_frames_and_the_newest_state_first() -> None:
+    board = NativeFirmware(Bench())
+    board.take_output()
+    board.feed(frame("HELLO", id=1, session=1, version_min=1, version_max=1))
+    board.tick()
+    received = board.take_frame(1) + board.take_frame(1)  # of the STATE
+    for _ in range(2):
+        board.tick()
+        received += b"".join(board.take_frame(1) for _ in range(20))
+    received += b"".join(iter(lambda: board.take_frame(7), b""))
+
+    events = StreamDecoder().feed(received)
+
+    kinds = [event.sequence if isinstance(event, State) else getattr(event, "name", event) for event in events]
+    assert kinds == [0, 1, 2, "IDENTITY"]
+
+
+def test_a_reset_waits_for_the_last_byte_of_its_ack() -> None:
+    board = NativeFirmware(Bench())
+    board.feed(frame("HELLO", id=1, session=1, version_min=1, version_max=1) + frame("SET_STREAM", id=2, divider=0))
+    board.tick()
+    board.take_output()
+    board.feed(frame("RESET", id=3))
+    board.tick()
+
+    board.take_frame(5)
+    board.tick()
+    waited = board.next_tick
+    rest = board.take_frame()
+    board.tick()
+
+    assert waited == 3
+    assert len(rest) == 12 - 5
+    assert board.next_tick == 0
 
 
 def names(runs: list[Seen]) -> set[str]:

@@ -97,9 +97,9 @@ class NativeFirmware:
             lost = self._plant.drop_sample()
         self._library.posix_tick(self._board, i, x, lost)
 
-    def take_frame(self) -> bytes:
-        """Return the next frame for the line, or b""."""
-        size: int = self._library.posix_take_frame(self._board, self._frame)
+    def take_frame(self, room: int = _LONGEST_FRAME) -> bytes:
+        """Return the next frame for the line, or its next `room` bytes, or b""."""
+        size: int = self._library.posix_take(self._board, self._frame, room)
         return self._frame.raw[:size]
 
     def take_output(self) -> bytes:

@@ -74,7 +74,7 @@ _FUNCTIONS = {  # name: result, arguments behind the board
     "posix_pass": (None, (c_uint16,)),
     "posix_capture": (None, (c_uint16,)),
     "posix_tick": (None, (c_uint16, c_uint16, c_bool)),
-    "posix_take_frame": (c_uint8, (c_char_p,)),
+    "posix_take": (c_uint8, (c_char_p, c_uint8)),
     "posix_set_tick": (None, (c_uint32,)),
 }
 
