@@ -137,8 +137,8 @@ void posix_open(struct posix_board *to, const struct identity *identity, const s
 }
 
 /* Before its memory is given back. */
-void posix_close(const struct posix_board *closed) {
-    if (here == closed) {
+void posix_close(const struct posix_board *to) {
+    if (here == to) {
         here = 0;
     }
 }

@@ -39,16 +39,16 @@ struct posix_board {
 };
 
 uint32_t posix_size(void);
-void posix_open(struct posix_board *board, const struct identity *identity, const struct settings *settings);
-void posix_close(const struct posix_board *board);
-void posix_reset(struct posix_board *board, uint8_t cause);
-void posix_hang(struct posix_board *board);
-void posix_late(struct posix_board *board);
-void posix_feed(struct posix_board *board, const uint8_t *data, uint32_t count);
-void posix_pass(struct posix_board *board, uint16_t us);
-void posix_capture(struct posix_board *board, uint16_t i);
-void posix_tick(struct posix_board *board, uint16_t i, uint16_t x, bool lose_state);
-uint8_t posix_take(struct posix_board *board, uint8_t *data, uint8_t room);
-void posix_set_tick(struct posix_board *board, uint32_t next_tick);
+void posix_open(struct posix_board *to, const struct identity *identity, const struct settings *settings);
+void posix_close(const struct posix_board *to);
+void posix_reset(struct posix_board *to, uint8_t cause);
+void posix_hang(struct posix_board *to);
+void posix_late(struct posix_board *to);
+void posix_feed(struct posix_board *to, const uint8_t *data, uint32_t count);
+void posix_pass(struct posix_board *to, uint16_t us);
+void posix_capture(struct posix_board *to, uint16_t i);
+void posix_tick(struct posix_board *to, uint16_t i, uint16_t x, bool lose_state);
+uint8_t posix_take(struct posix_board *to, uint8_t *data, uint8_t room);
+void posix_set_tick(struct posix_board *to, uint32_t next_tick);
 
 #endif
