@@ -19,6 +19,13 @@
 #define STATE_MEMORY
 #endif
 
+/* Where tables lie: an AVR would copy them into its RAM (avr-gcc -std=gnu99 reads them from flash instead). */
+#ifdef __AVR__
+#define TABLE_MEMORY __flash
+#else
+#define TABLE_MEMORY
+#endif
+
 #define TICKS_PER_S (UINT32_C(1000000) / TICK_US)
 #define RESET_WAIT_TICKS (UINT32_C(50000) / TICK_US) /* rule 1: the ACK of RESET has 50 ms to leave */
 

@@ -250,8 +250,8 @@ int16_t sine_q15(uint32_t phase);
 uint16_t distance(uint16_t a, uint16_t b);
 
 /* tables.c */
-extern const int16_t SINE_Q15[257];
-extern const uint32_t MULTISINE_PEAK[128];
+extern const TABLE_MEMORY int16_t SINE_Q15[257];
+extern const TABLE_MEMORY uint32_t MULTISINE_PEAK[128];
 
 /* law.c */
 void law_reset(void);

@@ -4,17 +4,35 @@
 #define HARMONICS 8U
 #define CHIRP_TURN ((uint64_t)1 << 48)
 
+/* dividend / divisor, rounded down; dividend of 49 bits.  By shifts: sdcc has no division of 64 bits for an 8051. */
+static uint64_t quotient(uint64_t dividend, uint32_t divisor) {
+    uint64_t rest = 0;
+    uint64_t result = 0;
+    uint8_t n;
+
+    for (n = 0; n < 49U; n++) {
+        rest = rest << 1 | (dividend >> 48 & 1U);
+        dividend <<= 1;
+        result <<= 1;
+        if (rest >= divisor) {
+            rest -= divisor;
+            result |= 1U;
+        }
+    }
+    return result;
+}
+
 /* (2^48 // period_end - 2^48 // period) // duration, rounded down.  Below 0 as 2^64 minus it: only the low 48 bits of
  * the phase are looked at. */
 static uint64_t chirp_sweep(const struct signal *signal) {
-    uint64_t first = CHIRP_TURN / signal->period;
-    uint64_t last = CHIRP_TURN / signal->period_end;
+    uint64_t first = quotient(CHIRP_TURN, signal->period);
+    uint64_t last = quotient(CHIRP_TURN, signal->period_end);
     uint32_t duration = signal->duration == 0U ? 1U : signal->duration;
 
     if (last >= first) {
-        return (last - first) / duration;
+        return quotient(last - first, duration);
     }
-    return (uint64_t)0 - (first - last + duration - 1U) / duration;
+    return (uint64_t)0 - quotient(first - last + duration - 1U, duration);
 }
 
 void excitation_start(const struct signal *signal) {
@@ -26,8 +44,8 @@ void excitation_start(const struct signal *signal) {
     board.excitation.phase = 0;
     board.excitation.step = 0;
     board.excitation.sweep = 0;
-    if (signal->shape == SHAPE_CHIRP) { /* not for the others: two divisions of 64 bits take an 8051 several ms */
-        board.excitation.step = CHIRP_TURN / signal->period;
+    if (signal->shape == SHAPE_CHIRP) { /* not for the others: four long divisions take an 8051 several ticks */
+        board.excitation.step = quotient(CHIRP_TURN, signal->period);
         board.excitation.sweep = chirp_sweep(signal);
     }
     board.excitation.announced = excitation_done();

@@ -11,7 +11,7 @@ struct field {
 struct row {
     uint8_t size; /* of the body */
     uint8_t count;
-    const struct field *fields; /* behind the id */
+    const TABLE_MEMORY struct field *fields; /* behind the id */
 };
 
 #define ANY_U8 {U8, 0, 255}
@@ -22,22 +22,22 @@ struct row {
 #define SHIFT {U8, 0, 30}
 #define GAIN MANTISSA, SHIFT
 
-static const struct field HELLO_FIELDS[] = {ANY_U16, ANY_U8, ANY_U8};
-static const struct field SET_MODE_FIELDS[] = {{U8, 0, 2}};
-static const struct field SET_REFERENCE_FIELDS[] = {COUNT};
-static const struct field SET_GAINS_FIELDS[] = {{U8, 0, 1}, GAIN, GAIN, GAIN, GAIN, COUNT, COUNT, COUNT};
-static const struct field EXCITE_FIELDS[] = {{U8, 0, 6},  {U8, 0, 1}, {I16, -COUNTS_MAX, COUNTS_MAX},
+static const TABLE_MEMORY struct field HELLO_FIELDS[] = {ANY_U16, ANY_U8, ANY_U8};
+static const TABLE_MEMORY struct field SET_MODE_FIELDS[] = {{U8, 0, 2}};
+static const TABLE_MEMORY struct field SET_REFERENCE_FIELDS[] = {COUNT};
+static const TABLE_MEMORY struct field SET_GAINS_FIELDS[] = {{U8, 0, 1}, GAIN, GAIN, GAIN, GAIN, COUNT, COUNT, COUNT};
+static const TABLE_MEMORY struct field EXCITE_FIELDS[] = {{U8, 0, 6},  {U8, 0, 1}, {I16, -COUNTS_MAX, COUNTS_MAX},
                                              COUNT,       ONE_U16,    ONE_U16,
                                              ONE_U16,     {U32, 0, 0}};
-static const struct field CAPTURE_FIELDS[] = {COUNT, COUNT, {U16, 0, 2000}, {U16, 1, 2000}};
-static const struct field READ_CAPTURE_FIELDS[] = {{U16, 0, 1999}};
-static const struct field SET_STREAM_FIELDS[] = {{U16, 0, 1000}};
-static const struct field SET_HOST_LOSS_FIELDS[] = {{U8, 0, 2}, {U16, 50, 60000}};
+static const TABLE_MEMORY struct field CAPTURE_FIELDS[] = {COUNT, COUNT, {U16, 0, 2000}, {U16, 1, 2000}};
+static const TABLE_MEMORY struct field READ_CAPTURE_FIELDS[] = {{U16, 0, 1999}};
+static const TABLE_MEMORY struct field SET_STREAM_FIELDS[] = {{U16, 0, 1000}};
+static const TABLE_MEMORY struct field SET_HOST_LOSS_FIELDS[] = {{U8, 0, 2}, {U16, 50, 60000}};
 
 #define ROW(size, fields) {size, sizeof(fields) / sizeof(fields[0]), fields}
 #define ID_ONLY {2, 0, 0}
 
-static const struct row ROWS[] = {
+static const TABLE_MEMORY struct row ROWS[] = {
     /* HELLO */ ROW(6, HELLO_FIELDS),
     /* PING */ ID_ONLY,
     /* SET_MODE */ ROW(3, SET_MODE_FIELDS),
@@ -59,7 +59,7 @@ static uint16_t magnitude(int32_t bound) {
 
 /* Why a command cannot be understood, with the bound in the way; the first field that is out of range counts. */
 uint8_t fields_check(const uint8_t *body, uint8_t size, uint16_t *detail) {
-    const struct row *row;
+    const TABLE_MEMORY struct row *row;
     const uint8_t *at = body + 2;
     uint8_t n;
 
@@ -72,7 +72,7 @@ uint8_t fields_check(const uint8_t *body, uint8_t size, uint16_t *detail) {
         return BAD_LENGTH;
     }
     for (n = 0; n < row->count; n++) {
-        const struct field *field = &row->fields[n];
+        const TABLE_MEMORY struct field *field = &row->fields[n];
         int32_t value;
 
         if (field->type == U32) {
@@ -96,7 +96,7 @@ bool is_sent_by_board(uint8_t type) {
 
 /* Of a message to the host. */
 uint8_t body_size(uint8_t type) {
-    static const uint8_t SIZES[] = {STATE_BODY, ANSWER_BODY, 10, 7, 6, 40, EVENT_BODY, BLOCK_BODY};
+    static const TABLE_MEMORY uint8_t SIZES[] = {STATE_BODY, ANSWER_BODY, 10, 7, 6, 40, EVENT_BODY, BLOCK_BODY};
 
     return SIZES[type - STATE];
 }

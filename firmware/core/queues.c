@@ -9,7 +9,7 @@
 
 enum { QUEUE_STATE, QUEUE_ANSWER, QUEUE_EVENT, QUEUE_BLOCK, QUEUES }; /* highest priority first */
 
-static const uint8_t DEPTH[QUEUES] = {STATE_DEPTH, ANSWER_DEPTH, EVENT_DEPTH, BLOCK_DEPTH};
+static const TABLE_MEMORY uint8_t DEPTH[QUEUES] = {STATE_DEPTH, ANSWER_DEPTH, EVENT_DEPTH, BLOCK_DEPTH};
 
 static uint8_t queue_of(uint8_t type) {
     switch (type) {
