@@ -58,7 +58,7 @@ def test_the_state_fits_the_ram_of_an_atmega328p_with_shorter_queues(tmp_path: P
     shutil.which("avr-gcc") is None or shutil.which("simavr") is None, reason="avr-gcc or simavr is not installed"
 )
 def test_an_avr_does_what_this_machine_does_over_2000_ticks(tmp_path: Path) -> None:
-    """`int` has 16 bits there; simavr runs the instructions of an ATmega1284P, whose RAM holds the queues as they are."""
+    """`int` has 16 bits there; simavr runs an ATmega1284P, whose RAM holds the queues as they are."""
     skip_without_compiler()
     sources = [str(Path(__file__).parent / "chip" / "play.c"), *map(str, CORE)]
     include = f"-I{SOURCES / 'core'}"
