@@ -27,6 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 emulate --pty /tmp/board51\n"
         "  board51 emulate --tcp 127.0.0.1:5100 --boards 4 --effect quadratic-drag=1.0\n"
         "  board51 emulate --pty /tmp/board51 --fault flip=1e-4 --fault stall=0.5@10/30 --fault reset@60\n"
+        "  board51 emulate --pty /tmp/board51 --firmware c\n"
         "  board51 emulate --tcp 127.0.0.1:0 --secret 7 --sealed sealed.json\n\n"
         f"{faults.HELP}\n\n"
         f"effects (--effect NAME=VALUE; VALUE a number, or one of the three given here as weak | medium | strong):\n"
