@@ -10,6 +10,7 @@ COPY requirements.lock ./
 RUN pip install --no-cache-dir --disable-pip-version-check --require-hashes -r requirements.lock
 COPY pyproject.toml README.md LICENSE board51.py ./
 COPY protocol ./protocol
+COPY firmware ./firmware
 COPY gateway ./gateway
 COPY twin ./twin
 # Editable: the kernels' compiled cache and the shipped files lie beside the code, where the user may write.

@@ -27,6 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 emulate --pty /tmp/board51\n"
         "  board51 emulate --tcp 127.0.0.1:5100 --boards 4 --effect quadratic-drag=1.0\n"
         "  board51 emulate --pty /tmp/board51 --fault flip=1e-4 --fault stall=0.5@10/30 --fault reset@60\n"
+        "  board51 emulate --pty /tmp/board51 --firmware c\n"
         "  board51 emulate --tcp 127.0.0.1:0 --secret 7 --sealed sealed.json\n\n"
         f"{faults.HELP}\n\n"
         f"effects (--effect NAME=VALUE; VALUE a number, or one of the three given here as weak | medium | strong):\n"
@@ -47,6 +48,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--boards", type=int, default=1, metavar="N", help="how many boards (default: 1)")
     parser.add_argument("--board-id", type=int, default=1, metavar="ID", help="serial number of the first (default: 1)")
+    parser.add_argument(
+        "--firmware",
+        choices=("python", "c"),
+        default="python",
+        help="what flies: the model in Python, or firmware/ in C, which a C compiler of this machine compiles at its "
+        "first use (default: python)",
+    )
     parser.add_argument("--baud", type=int, default=115200, help="pace of the line, bits per second (default: 115200)")
     parser.add_argument(
         "--speed", type=float, default=1.0, metavar="N", help="times faster than real time; 0: as fast as possible"
@@ -79,7 +87,13 @@ def run(args: argparse.Namespace) -> int:
         commitment = secret.seal(args.sealed, strengths)
     ports = pty_ports(args.pty, args.boards) if args.pty else tcp_ports(*_address(args), args.boards)
     lines = build_lines(
-        ports, effects=strengths, faults=args.fault, seed=args.seed, baud=args.baud, board_id=args.board_id
+        ports,
+        effects=strengths,
+        faults=args.fault,
+        seed=args.seed,
+        baud=args.baud,
+        board_id=args.board_id,
+        firmware=args.firmware,
     )
     server = Server(lines, speed=args.speed)
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -9,15 +9,49 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Protocol
 
 from gateway.emulator.faults import EVENTS, Fault, FaultyLine
-from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.firmware.flash import T_S_US
 from gateway.emulator.firmware.uart import Pacer
 from gateway.emulator.ports import EmulatedPort
-from protocol.wire.messages import EventCode
+from protocol.wire.messages import EventCode, Mode
 
 _T_S = T_S_US * 1e-6
+
+
+class Board(Protocol):
+    """A board's firmware, in Python (`firmware/board.py`) or in C (`native/board.py`)."""
+
+    @property
+    def dropped(self) -> int:
+        """Number of frames for which the line had no time, since power-on."""
+
+    @property
+    def bad_frames(self) -> int:
+        """Number of frames rejected since the reset."""
+
+    @property
+    def mode(self) -> Mode:
+        """Mode in force."""
+
+    def feed(self, data: bytes, *, into_tick_us: int = 0) -> None:
+        """Process bytes from the host, `into_tick_us` after the last tick; never raises."""
+
+    def tick(self) -> None:
+        """Advance the plant by T_s with the input held, then run the loop once."""
+
+    def take_frame(self) -> bytes:
+        """Return the next frame for the line, or b""."""
+
+    def reset(self, cause: EventCode) -> None:
+        """Restart the board."""
+
+    def hang(self) -> None:
+        """Hang the program until the watchdog resets the board."""
+
+    def overrun(self) -> None:
+        """Let the board report the next tick as late."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +78,7 @@ class BoardLine:
     """
 
     def __init__(
-        self, firmware: Firmware, port: EmulatedPort, *, baud: int = 115200, faults: Iterable[Fault] = (), seed: int = 0
+        self, firmware: Board, port: EmulatedPort, *, baud: int = 115200, faults: Iterable[Fault] = (), seed: int = 0
     ) -> None:
         self.firmware = firmware
         self.port = port
@@ -73,7 +107,7 @@ class BoardLine:
             bytes_received=self._received,
             bytes_not_taken=self._not_taken,
             bytes_damaged=sum(wire.damaged for wire in self._wires.values()),
-            frames_dropped=self.firmware.outbox.dropped,
+            frames_dropped=self.firmware.dropped,
         )
 
     def inject(self, fault: Fault) -> None:

@@ -25,12 +25,13 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType, TracebackType
-from typing import Self
+from typing import Literal, Self
 
 from gateway.emulator.faults import Fault, parse
 from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.firmware.flash import T_S_US
-from gateway.emulator.line import BoardLine, LineCounts
+from gateway.emulator.line import Board, BoardLine, LineCounts
+from gateway.emulator.native.board import NativeFirmware
 from gateway.emulator.plant.levitation import EmulatedPlant
 from gateway.emulator.ports import EmulatedPort, PtyPort, TcpPort
 from protocol.errors import ServiceError, UsageError
@@ -39,6 +40,7 @@ _T_NS = T_S_US * 1000
 _BURST = 50  # ticks made up for at once at most
 _CATCH_UP = 2.0  # times the speed, where more is late
 _PATIENCE_S = 1.0  # speed 0: how long a host may leave its buffer full before bytes are lost
+FirmwareKind = Literal["python", "c"]
 _NO_EFFECTS: Mapping[str, float] = MappingProxyType({})
 
 
@@ -167,6 +169,10 @@ class Emulator:
         seed: Of noise and faults; board n has seed + n.
         baud: Bits per second.
         board_id: Of the first board; the others count up.
+        firmware: The firmware model in Python, or the one in C, compiled for this machine at its first use.
+
+    Raises:
+        InstallError: the firmware in C, and there is no C compiler.
     """
 
     def __init__(
@@ -182,6 +188,7 @@ class Emulator:
         seed: int = 0,
         baud: int = 115200,
         board_id: int = 1,
+        firmware: FirmwareKind = "python",
     ) -> None:
         self._folder = None
         if not tcp and pty is None:
@@ -191,7 +198,9 @@ class Emulator:
             [TcpPort("127.0.0.1", 0) for _ in range(boards)] if pty is None or tcp else list(pty_ports(pty, boards))
         )
         self._server = Server(
-            build_lines(ports, effects=effects, faults=faults, seed=seed, baud=baud, board_id=board_id),
+            build_lines(
+                ports, effects=effects, faults=faults, seed=seed, baud=baud, board_id=board_id, firmware=firmware
+            ),
             speed=None if lockstep else speed,
         )
         self._lockstep = lockstep
@@ -306,19 +315,22 @@ def build_lines(
     seed: int = 0,
     baud: int = 115200,
     board_id: int = 1,
+    firmware: FirmwareKind = "python",
 ) -> list[BoardLine]:
     """Create a board with its own plant for each port; either all ports are opened or none.
 
     Raises:
-        UsageError: an effect or fault is unknown, or a pty path is in use.
-        ServiceError: a TCP port is in use.
+        UsageError: an effect or fault is unknown, a pty path is in use, or a C compiler is asked for and missing.
+        ServiceError: a TCP port is in use, or the compiler fails.
     """
     parsed = [parse(fault) if isinstance(fault, str) else fault for fault in faults]
     lines: list[BoardLine] = []
+    make = Firmware if firmware == "python" else NativeFirmware
     try:
         for n, port in enumerate(ports):
-            firmware = Firmware(EmulatedPlant(effects=effects, seed=seed + n), board_id=board_id + n)
-            lines.append(BoardLine(firmware, port, baud=baud, faults=parsed, seed=seed + n))
+            plant = EmulatedPlant(effects=effects, seed=seed + n)
+            board: Board = make(plant, board_id=board_id + n)
+            lines.append(BoardLine(board, port, baud=baud, faults=parsed, seed=seed + n))
     except BaseException:
         for line in lines:
             line.close()

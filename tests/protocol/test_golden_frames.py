@@ -6,53 +6,13 @@ cannot hide in the file.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import pytest
 
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import BadFrame, State, StreamDecoder
 from protocol.wire.framing import MAX_ENCODED, cobs_decode, cobs_encode, crc16, encode_frame
-from protocol.wire.messages import BY_NAME, Field, Message, Value
-
-LINES = (Path(__file__).parent / "golden_frames.txt").read_text(encoding="utf-8").splitlines()
-
-
-@dataclass(frozen=True, slots=True)
-class Golden:
-    title: str  # NAME or BAD CAUSE
-    keys: dict[str, str]  # body, wire, fields, why
-
-    def hex(self, key: str) -> bytes:
-        return bytes.fromhex(self.keys[key])
-
-    def values(self) -> dict[str, Value]:
-        return {name: _value(text) for name, text in (pair.split("=") for pair in self.keys["fields"].split())}
-
-
-def _value(text: str) -> Value:
-    if text.startswith("hex:"):
-        return bytes.fromhex(text[4:])
-    return float(text) if "." in text else int(text)
-
-
-def read_golden() -> list[Golden]:
-    found: list[Golden] = []
-    for line in LINES:
-        if not line or line.startswith("#"):
-            continue
-        key, _, rest = line.partition(" ")
-        if key in ("body", "wire", "fields", "why"):
-            found[-1].keys[key] = rest
-        else:
-            found.append(Golden(line, {}))
-    return found
-
-
-GOLDEN = read_golden()
-FRAMES = [golden for golden in GOLDEN if not golden.title.startswith("BAD ")]
-BAD = [golden for golden in GOLDEN if golden.title.startswith("BAD ")]
+from protocol.wire.messages import BY_NAME, Field, Message
+from tests.harness.protocol.golden import BAD, FRAMES, GOLDEN, Golden
 
 
 def crc_by_the_page(data: bytes) -> int:

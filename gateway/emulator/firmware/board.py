@@ -119,6 +119,8 @@ class Firmware:
         """Process bytes from the host, `into_tick_us` after the last tick; never raises."""
         if self._hung_ticks or self._dead_ticks:
             return
+        if self.loop.capturing:  # its end comes before what these bytes bring
+            self._advance_to(min(into_tick_us, T_S_US) // _PLANT_STEP_US * _PLANT_STEP_US)
         for body in self._inbox.feed(data):
             self._receive(body, min(into_tick_us, T_S_US))
 
@@ -135,13 +137,13 @@ class Firmware:
                 self.reset(EventCode.RESET_WATCHDOG)
             return
         i_a, x_m = self._plant.sense()
+        # The plant is asked at every tick, not at every frame: the loss belongs to the board, not to the divider.
+        lost = self._plant.drop_sample()
         self._execute_pending()
         if self._reset_wait and self._leave():
             return
         self._watch_host()
         state = self.loop.run(CURRENT.to_count(i_a), POSITION.to_count(x_m))
-        # The plant is asked at every tick, not at every frame: the loss belongs to the board, not to the divider.
-        lost = self._plant.drop_sample()
         if self._divider and self.next_tick % self._divider == 0 and not lost:
             self._send_state(state)
         self.next_tick = self.next_tick + 1 & 0xFFFFFFFF
@@ -156,6 +158,31 @@ class Firmware:
         return b"".join(iter(self.take_frame, b""))
 
     @property
+    def u(self) -> int:
+        """Count of the input converter."""
+        return 0 if self._dead_ticks else self.loop.u
+
+    @property
+    def mode(self) -> Mode:
+        """Mode in force."""
+        return self.loop.mode
+
+    @property
+    def dropped(self) -> int:
+        """Number of frames for which the line had no time, since power-on."""
+        return self.outbox.dropped
+
+    @property
+    def integral(self) -> int:
+        """Sum of x_ref - x in the law, counts."""
+        return self.loop.law.sum
+
+    @property
+    def allowance(self) -> int:
+        """Largest jump of the reference that is accepted now, counts."""
+        return self.loop.reference.allowance
+
+    @property
     def bad_frames(self) -> int:
         """Number of frames rejected since the reset."""
         return self._inbox.bad_frames
@@ -165,7 +192,8 @@ class Firmware:
         loop = self.loop
         while self._elapsed_us < time_us:
             step_us = time_us - self._elapsed_us
-            capture = loop.capture if loop.capturing else None
+            # A program that hangs leaves u_c as it is, in a capture, too.
+            capture = loop.capture if loop.capturing and not self._hung_ticks else None
             if capture is not None:
                 if capture.time_to_sample_us() == 0:
                     capture.take(CURRENT.to_count(self._plant.sense()[0]))
@@ -194,9 +222,9 @@ class Firmware:
         elif message is None:
             refusal = refuse_range(body)
         if message is not None and message.name == "STOP":
+            self._advance_to(into_tick_us // _PLANT_STEP_US * _PLANT_STEP_US)
             # Commands that came before it are executed first, so that none of them turns the coil on again.
             self._execute_pending()
-            self._advance_to(into_tick_us - into_tick_us % _PLANT_STEP_US)
             self.loop.switch_off()
             self._answer(body, acknowledge(body[0], self.next_tick))
         elif len(self._pending) >= PENDING_COMMANDS:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from binascii import crc_hqx
 from collections import deque
+from collections.abc import Iterator
 from enum import IntEnum
 
 from protocol.wire.framing import MAX_ENCODED, cobs_decode
@@ -72,17 +73,15 @@ class Inbox:
         self._overflow = False
         self.bad_frames = 0
 
-    def feed(self, data: bytes) -> list[bytes]:
-        """Return the bodies (without CRC) that `data` completes; invalid frames are counted."""
-        bodies = []
+    def feed(self, data: bytes) -> Iterator[bytes]:
+        """Yield the bodies (without CRC) that `data` completes, each before what follows it; count invalid frames."""
         *ends, rest = data.split(b"\x00")
         for end in ends:
             self._collect(end)
             body = self._body()
             if body is not None:
-                bodies.append(body)
+                yield body
         self._collect(rest)
-        return bodies
 
     def _collect(self, part: bytes) -> None:
         self._buffer += part

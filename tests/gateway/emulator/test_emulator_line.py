@@ -7,12 +7,13 @@ from itertools import pairwise
 import pytest
 
 from gateway.emulator.faults import parse
-from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.firmware.flash import BOOT_TICKS, INPUT, WATCHDOG_TICKS
 from gateway.emulator.line import BoardLine
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
 from protocol.wire.messages import EventCode, Message, Mode
-from tests.harness.gateway.board_host import Bench, frame
+from tests.harness.gateway.board_host import Bench, Host, frame
+
+pytestmark = pytest.mark.usefixtures("each_firmware")
 
 
 class Wire:
@@ -57,7 +58,7 @@ def run(line: BoardLine, ticks: int) -> None:
 
 def on_a_line(*faults: str, baud: int = 115200, seed: int = 0) -> tuple[BoardLine, Wire, Bench]:
     wire, bench = Wire(), Bench()
-    return BoardLine(Firmware(bench), wire, baud=baud, faults=[parse(text) for text in faults], seed=seed), wire, bench
+    return BoardLine(Host.make(bench), wire, baud=baud, faults=[parse(text) for text in faults], seed=seed), wire, bench
 
 
 def states(wire: Wire) -> list[State]:
@@ -103,7 +104,7 @@ def test_bytes_to_the_board_take_their_time_too() -> None:
     wire.to_board = frame("HELLO", id=1, session=1, version_min=1, version_max=1) + frame("SET_MODE", id=2, mode=1)
 
     ticks = 0
-    while line.firmware.loop.mode == Mode.IDLE:
+    while line.firmware.mode == Mode.IDLE:
         line.step()
         ticks += 1
 

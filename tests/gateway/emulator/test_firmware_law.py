@@ -153,6 +153,7 @@ def test_the_integral_saturates_at_24_bits() -> None:
 REFERENCES_M = (2.85e-3, 1.0e-3, 3.0e-3, 4.5e-3, 2.5e-3, 1.0e-3)
 
 
+@pytest.mark.usefixtures("each_firmware")
 @pytest.mark.parametrize("law", [Law.LQI, Law.PID], ids=["lqi", "pid"])
 def test_the_ball_is_lifted_from_the_bottom_stop_and_follows_references(law: Law) -> None:
     plant = EmulatedPlant(seed=7)

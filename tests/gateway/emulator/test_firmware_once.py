@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.firmware.flash import LIMITS
+from gateway.emulator.native.build import compiler
 from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.messages import Message, Reason
-from tests.harness.gateway.board_host import Bench, Host, frame
+from tests.harness.gateway.board_host import FIRMWARES, Bench, Host, frame
+
+each_firmware = pytest.mark.usefixtures("each_firmware")
 
 # A capture is a command that shows how often it was executed: each one gives one CAPTURE_DONE.
 CAPTURE = {"u_from": 0, "u_to": 1, "pre": 0, "count": 1}
@@ -21,9 +24,11 @@ CAPTURE = {"u_from": 0, "u_to": 1, "pre": 0, "count": 1}
 class RetryingHost(RuleBasedStateMachine):
     """A host with one command outstanding, on a line that loses and doubles frames."""
 
+    board = Host
+
     def __init__(self) -> None:
         super().__init__()
-        self.host = Host()
+        self.host = self.board()
         self.id = 1
         self.wanted = 0  # distinct commands that reached the board at least once
         self.outstanding: bytes | None = None
@@ -77,10 +82,28 @@ class RetryingHost(RuleBasedStateMachine):
         assert len({(a.name, *a.values.values()) for a in answers}) <= 1
 
 
-RetryingHost.TestCase.settings = settings(max_examples=40, stateful_step_count=25, deadline=None)
+class HostOfC(Host):
+    """A host of a board with the firmware in C."""
+
+    make = FIRMWARES["c"]
+
+
+class RetryingHostOfC(RetryingHost):
+    """The same with the firmware in C."""
+
+    board = HostOfC
+
+
+RetryingHost.TestCase.settings = RetryingHostOfC.TestCase.settings = settings(
+    max_examples=40, stateful_step_count=25, deadline=None
+)
 TestRetryingHost = RetryingHost.TestCase
+TestRetryingHostOfC = pytest.mark.skipif(compiler() is None, reason="the firmware in C needs a C compiler")(
+    RetryingHostOfC.TestCase
+)
 
 
+@each_firmware
 @settings(max_examples=60, deadline=None)
 @given(
     jumps=st.lists(st.integers(-300, 300), min_size=1, max_size=12),
@@ -99,14 +122,15 @@ def test_repeated_references_use_up_the_allowance_once(jumps: list[int], repeats
         once.run(1, alive=False)
         often.run(1, alive=False)
 
-    assert once.firmware.loop.reference.allowance == often.firmware.loop.reference.allowance
+    assert once.firmware.allowance == often.firmware.allowance
     assert once.states == often.states
 
 
+@each_firmware
 @settings(max_examples=200, deadline=None)
 @given(data=st.lists(st.binary(max_size=80), max_size=8), at=st.integers(0, 2000))
 def test_no_bytes_make_the_firmware_fail_or_drive_the_coil(data: list[bytes], at: int) -> None:
-    firmware = Firmware(Bench())
+    firmware = Host.make(Bench())
 
     for piece in data:
         firmware.feed(piece, into_tick_us=at)
@@ -117,6 +141,7 @@ def test_no_bytes_make_the_firmware_fail_or_drive_the_coil(data: list[bytes], at
     assert all(isinstance(event, State | Message) for event in received)
 
 
+@each_firmware
 @settings(max_examples=50, deadline=None)
 @given(cuts=st.lists(st.integers(0, 40), max_size=6))
 def test_chunks_of_a_command_do_not_matter(cuts: list[int]) -> None:

@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import pytest
 
-from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.firmware.flash import BOOT_TICKS, CURRENT, GAINS, INPUT, LIMITS, POSITION, WATCHDOG_TICKS
 from gateway.emulator.plant.levitation import EmulatedPlant
 from protocol.wire.codec import unpack_pair
@@ -17,6 +16,8 @@ from protocol.wire.decoder import State, StreamDecoder
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import EventCode, Flag, HostLoss, Message, Mode, Reason
 from tests.harness.gateway.board_host import Bench, Host, frame, refusal
+
+pytestmark = pytest.mark.usefixtures("each_firmware")
 
 SECOND = 500  # ticks
 QUIET = {"amplitude": 0, "period": 1, "period_end": 1, "seed": 1, "duration": 0}
@@ -299,6 +300,45 @@ def test_rule_3_a_frame_whose_end_was_damaged_does_not_spoil_its_repetition() ->
     assert repeated.name == "ACK"
 
 
+def test_rule_3_an_answer_says_what_was_in_force_when_its_command_was_executed() -> None:
+    host = Host()
+    host.firmware.feed(frame("GET_PARAMETERS", id=90))
+    host.firmware.tick()  # and the line takes nothing yet
+    host.firmware.feed(frame("SET_STREAM", id=91, divider=7))
+    host.firmware.tick()
+
+    late, _ = [event for event in StreamDecoder().feed(host.firmware.take_output()) if isinstance(event, Message)]
+    repeated = host.send(frame("GET_PARAMETERS", id=90))
+
+    assert (late.name, late.int("divider")) == ("PARAMETERS", 1)
+    assert repeated == late
+
+
+def test_rule_3_a_stop_with_a_kept_id_is_the_newest_of_the_eight() -> None:
+    host = Host()
+    for n in range(101, 109):
+        host.send(frame("SET_STREAM", id=n, divider=1))
+
+    host.send(frame("STOP", id=101))
+    for n in range(109, 116):  # seven more: all but the STOP are given up
+        host.send(frame("SET_STREAM", id=n, divider=1))
+
+    assert refusal(host.send(frame("SET_STREAM", id=101, divider=1))) == (Reason.BUSY, 0)
+    assert host.send(frame("SET_STREAM", id=108, divider=1)).name == "ACK"
+
+
+def test_a_pong_counts_the_bad_frames_that_came_before_its_ping_was_executed() -> None:
+    host = Host()
+    bad = b"\x00\x01\x02\x00"
+
+    host.firmware.feed(bad + frame("PING", id=70) + bad + frame("STOP", id=71) + bad)
+    received = StreamDecoder().feed(host.firmware.take_output())
+
+    pong = next(event for event in received if isinstance(event, Message) and event.name == "PONG")
+    assert pong.int("bad_frames") == 2
+    assert host.firmware.bad_frames == 3
+
+
 # Rule 4
 
 
@@ -359,14 +399,14 @@ def test_rule_5_state_goes_first_then_answers_events_and_capture_blocks() -> Non
 
 
 def test_rule_5_a_line_that_is_not_served_loses_the_oldest_states_and_counts() -> None:
-    firmware = Firmware(Bench())
+    firmware = Host.make(Bench())
 
     for _ in range(30):
         firmware.tick()
     left = [event for event in StreamDecoder().feed(firmware.take_output()) if isinstance(event, State)]
 
     assert [state.sequence for state in left] == list(range(22, 30))
-    assert firmware.outbox.dropped == 22
+    assert firmware.dropped == 22
 
 
 # Rule 6
@@ -472,6 +512,26 @@ def test_rule_7_the_allowance_refills_exactly_once_per_tick() -> None:
         assert refusal(answer) == (Reason.SLEW, left // 1_000_000)
 
 
+def test_rule_7_the_allowance_is_kept_exactly_over_many_jumps() -> None:
+    host = Host()
+    ticks = 125
+    assert LIMITS.x_ref_slew * ticks % SECOND == 0  # so that a millionth of a count less would show
+    x_ref, left = GAINS.x_0, LIMITS.x_ref_step * SECOND
+    for n in range(ticks):
+        if n % 25 == 0:
+            jump = 700 if n else 1000
+            x_ref += jump if x_ref < GAINS.x_0 else -jump
+            assert host.ask("SET_REFERENCE", x_ref=x_ref).name == "ACK"
+            left -= jump * SECOND
+        else:
+            host.run(1)
+        left += LIMITS.x_ref_slew
+        assert left < LIMITS.x_ref_step * SECOND
+
+    far = LIMITS.x_ref_max if x_ref < GAINS.x_0 else LIMITS.x_ref_min
+    assert refusal(host.ask("SET_REFERENCE", x_ref=far)) == (Reason.SLEW, left // SECOND)
+
+
 def test_rule_7_a_jump_counts_from_what_an_excitation_shows() -> None:
     host = Host()
     host.ask("SET_MODE", mode=2)
@@ -571,13 +631,13 @@ def test_rule_9_set_gains_takes_effect_at_one_tick_and_keeps_the_sum() -> None:
     host.ask("SET_MODE", mode=2)
     host.ask("SET_REFERENCE", x_ref=GAINS.x_0 + 50)
     host.run(40)
-    total = host.firmware.loop.law.sum
+    total = host.firmware.integral
     gains = {f"k{n}_{part}": 0 for n in range(1, 5) for part in ("mantissa", "shift")}
 
     answer = host.ask("SET_GAINS", law=0, **gains, i_0=1, x_0=2, u_0=3)
     parameters = host.ask("GET_PARAMETERS")
 
-    assert host.firmware.loop.law.sum >= total > 0
+    assert host.firmware.integral >= total > 0
     assert host.states[-1].u_c == 3
     assert parameters.int("tick") == answer.int("tick")
     assert [parameters.int(name) for name in ("i_0", "x_0", "u_0")] == [1, 2, 3]
@@ -709,6 +769,21 @@ def test_rule_11_a_current_still_at_the_top_is_a_fault_again_at_the_tick_after_s
     assert host.states[-1].flags & (Flag.FAULT | 3) == Flag.FAULT
 
 
+def test_rule_11_a_closed_loop_that_was_left_and_entered_between_two_ticks_counts_anew() -> None:
+    bench = Bench(x_m=-1.0)
+    host = Host(bench)
+    host.ask("SET_MODE", mode=2)
+    host.run(498)
+
+    host.firmware.feed(frame("SET_MODE", id=201, mode=0) + frame("SET_MODE", id=202, mode=2))
+    host.run(499)
+    before = EventCode.SENSOR_FAULT in host.codes()
+    host.run(1)
+
+    assert not before
+    assert host.codes()[-2:] == [EventCode.SENSOR_FAULT, EventCode.MODE_CHANGED]
+
+
 # Rule 12
 
 
@@ -803,6 +878,35 @@ def test_rule_12_a_capture_needs_idle_or_open_loop_and_has_an_end() -> None:
     assert refusal(closed) == (Reason.WRONG_MODE, Mode.CLOSED_LOOP)
 
 
+def test_rule_12_a_capture_that_ended_before_a_stop_can_be_read() -> None:
+    host = Host()
+    host.ask("CAPTURE", u_from=0, u_to=100, pre=0, count=1)
+    host.run(10)
+
+    host.firmware.feed(frame("STOP", id=99), into_tick_us=700)  # the sample's 40 us are over
+    host.run(1, alive=False)
+
+    assert host.codes()[-1] == EventCode.CAPTURE_DONE
+    assert host.ask("READ_CAPTURE", index=0).name == "CAPTURE_BLOCK"
+
+
+def test_rule_12_a_capture_that_hangs_holds_its_input_until_the_watchdog_resets_the_board() -> None:
+    bench = Bench()
+    host = Host(bench)
+    host.ask("CAPTURE", u_from=100, u_to=200, pre=0, count=20)
+    host.run(5)
+
+    host.firmware.hang()
+    bench.inputs.clear()
+    host.run(WATCHDOG_TICKS, alive=False)
+    held = {u for u, _ in bench.inputs}
+    host.run(BOOT_TICKS + 1, alive=False)
+
+    assert held == {INPUT.to_si(100)}
+    assert EventCode.CAPTURE_DONE not in host.codes()
+    assert bench.inputs[-1][0] == 0.0
+
+
 # Rule 13
 
 
@@ -829,6 +933,19 @@ def test_rule_13_a_command_that_came_before_stop_does_not_turn_the_coil_on_again
     assert [answer.int("command") for answer in host.answers[-2:]] == [0x03, 0x07]
 
 
+def test_rule_13_a_capture_that_came_before_stop_does_not_begin() -> None:
+    bench = Bench()
+    host = Host(bench)
+    bench.inputs.clear()
+
+    host.firmware.feed(frame("CAPTURE", id=90, u_from=900, u_to=900, pre=0, count=5), into_tick_us=200)
+    host.firmware.feed(frame("STOP", id=91), into_tick_us=1000)
+    host.run(20)
+
+    assert {u for u, _ in bench.inputs} == {0.0}
+    assert EventCode.CAPTURE_DONE not in host.codes()
+
+
 def test_rule_13_stop_ends_a_capture_and_leaves_the_stream() -> None:
     host = Host()
     host.ask("SET_STREAM", divider=3)
@@ -849,7 +966,7 @@ def test_rule_13_the_ack_of_a_stop_carries_the_tick_that_comes_next() -> None:
 
     host.firmware.feed(frame("STOP", id=77), into_tick_us=700)
     answered = StreamDecoder().feed(host.firmware.take_output())
-    off = host.firmware.loop.u
+    off = host.firmware.u
     state = host.run(1)[0]
 
     (ack, changed) = [event for event in answered if isinstance(event, Message)]
@@ -957,6 +1074,20 @@ def test_what_is_no_command_is_counted_and_not_answered(junk: bytes) -> None:
     assert len(host.answers) == 1  # HELLO
 
 
+def test_the_longest_frame_is_answered_and_what_follows_it_makes_it_too_long() -> None:
+    host = Host()
+    longest = encode_frame(bytes((0x3F, 9)) + b"\x55" * 62)
+
+    answer = host.send(longest)
+    host.firmware.feed(longest[:-1] + b"\x55\x00")
+    host.run(1, alive=False)
+
+    assert len(longest) == 69
+    assert refusal(answer) == (Reason.UNKNOWN_TYPE, 0)
+    assert host.firmware.bad_frames == 1
+    assert host.answers[-1] is answer
+
+
 @pytest.mark.parametrize(
     "refused",
     [
@@ -995,6 +1126,22 @@ def test_rule_16_limit_hit_comes_at_most_once_a_second() -> None:
     assert all(b - a >= SECOND for a, b in pairwise(ticks))
     assert any(state.flags & Flag.INPUT_SATURATED for state in host.states)
     assert all(state.u_c in (0, 4095) for state in host.states if state.flags & Flag.INPUT_SATURATED)
+
+
+@pytest.mark.parametrize(("gap", "count"), [(SECOND - 1, 1), (SECOND, 2)])
+def test_rule_16_a_second_has_passed_after_as_many_ticks_as_last_one(gap: int, count: int) -> None:
+    bench = Bench()
+    host = Host(bench)
+    host.ask("SET_MODE", mode=2)
+    host.run(10)
+
+    for _ in range(2):
+        bench.x_m = 0.0
+        host.run(1)
+        bench.x_m = 2.85e-3
+        host.run(gap - 1)
+
+    assert host.codes().count(EventCode.LIMIT_HIT) == count
 
 
 def test_rule_16_events_are_numbered_without_gaps() -> None:

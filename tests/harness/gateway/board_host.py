@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
+import pytest
+
 from gateway.emulator.firmware.board import AnalogSide, Firmware
+from gateway.emulator.native.board import NativeFirmware
+from gateway.emulator.native.build import compiler
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import BadFrame, Event, State, StreamDecoder
 from protocol.wire.framing import encode_frame
 from protocol.wire.messages import EventCode, Message, Value
+
+FIRMWARES: dict[str, type[Firmware] | type[NativeFirmware]] = {"python": Firmware, "c": NativeFirmware}
+
+
+def skip_without_compiler() -> None:
+    if compiler() is None:
+        pytest.skip("the firmware in C needs a C compiler, and there is none")
 
 
 class Bench(AnalogSide):
@@ -36,9 +49,17 @@ def frame(name: str, /, **fields: Value) -> bytes:
 class Host:
     """Sends commands with fresh ids and sorts what comes back."""
 
-    def __init__(self, plant: AnalogSide | None = None, *, session: bool = True) -> None:
+    make: ClassVar[type[Firmware] | type[NativeFirmware]] = Firmware  # the fixture each_firmware changes it
+
+    def __init__(
+        self,
+        plant: AnalogSide | None = None,
+        *,
+        session: bool = True,
+        board: Firmware | NativeFirmware | None = None,
+    ) -> None:
         self.plant = Bench() if plant is None else plant
-        self.firmware = Firmware(self.plant)
+        self.firmware = self.make(self.plant) if board is None else board
         self.states: list[State] = []
         self.events: list[Message] = []
         self.answers: list[Message] = []

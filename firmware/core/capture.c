@@ -1,0 +1,102 @@
+/* A burst of i_c around a step of u_c: rule 12.
+ *
+ *     u_from for 20 ms | u_from, `pre` samples | u_to, the rest of `count` samples | as the mode says
+ *                      ^ sample 0, at `began_tick`
+ *
+ * The interrupt takes the samples and makes the step, and touches nothing else: the main loop never writes the
+ * converter of u_c while a capture is running, and reports its end.
+ */
+#include "core.h"
+
+#define SETTLE_US 20000U
+
+void capture_start(uint16_t u_from, uint16_t u_to, uint16_t pre, uint16_t count, uint32_t tick) {
+    board.capture.u_from = u_from;
+    board.capture.u_to = u_to;
+    board.capture.pre = pre;
+    board.capture.count = count;
+    board.capture.taken = 0;
+    board.capture.began_tick = tick + SETTLE_US / TICK_US;
+    board.capture.there = false;
+    board.capture.complete = false;
+    board.capture.stepped = false;
+    board.capture.step_is_next = pre == 0U;
+    board.capture.running = true;
+    hal_write_input(u_from);
+    hal_capture_timer(SETTLE_US);
+}
+
+/* Ends a capture that is running; one that is complete stays. */
+void capture_cancel(void) {
+    hal_capture_timer(0);
+    board.capture.running = false;
+}
+
+static void store(uint16_t n, uint16_t i) {
+    uint8_t *pair = &board.capture.samples[n / 2U * 3U];
+
+    if (n % 2U == 0U) {
+        pair[0] = (uint8_t)i;
+        pair[1] = (uint8_t)(i >> 8);
+        pair[2] = 0;
+    } else {
+        pair[1] = (uint8_t)(pair[1] | i << 4);
+        pair[2] = (uint8_t)(i >> 4);
+    }
+}
+
+/* Called by the target at the times of `hal_capture_timer`: a sample each, then the end of the last one's time. */
+void capture_interrupt(void) {
+    if (!board.capture.running || board.capture.complete) {
+        return;
+    }
+    if (board.capture.taken == board.capture.count) {
+        hal_capture_timer(0);
+        board.capture.complete = true;
+        return;
+    }
+    store(board.capture.taken, hal_read_current());
+    if (board.capture.step_is_next) { /* after the sample, which still shows the current before the step */
+        hal_write_input(board.capture.u_to);
+        board.capture.stepped = true;
+    }
+    board.capture.taken++;
+    board.capture.step_is_next = board.capture.taken == board.capture.pre;
+}
+
+/* Whether a capture has come to its end since the last call. */
+bool capture_completed(void) {
+    if (!board.capture.running || !board.capture.complete) {
+        return false;
+    }
+    board.capture.running = false;
+    board.capture.there = true;
+    return true;
+}
+
+/* u_c while it is running.  A step that is due at this instant counts, although its interrupt is still to be served. */
+uint16_t capture_u(void) {
+    bool stepped = board.capture.stepped || (board.capture.step_is_next && hal_capture_due());
+
+    return stepped ? board.capture.u_to : board.capture.u_from;
+}
+
+/* Up to 32 samples from index on, two in three bytes, the rest 0: 48 bytes. */
+void capture_pack(uint16_t index, uint8_t *packed) {
+    uint8_t n;
+
+    for (n = 0; n < BLOCK_SAMPLES; n = (uint8_t)(n + 2U)) {
+        uint16_t pair[2] = {0, 0};
+        uint8_t side;
+
+        for (side = 0; side < 2U; side++) {
+            uint16_t at = (uint16_t)(index + n + side);
+            if (at < board.capture.count) {
+                const uint8_t *from = &board.capture.samples[at / 2U * 3U];
+                pair[side] = at % 2U == 0U ? (uint16_t)(from[0] | (from[1] & 0x0FU) << 8)
+                                           : (uint16_t)(from[1] >> 4 | from[2] << 4);
+            }
+        }
+        put_pair(packed + n / 2U * 3U, pair[0], pair[1]);
+    }
+}

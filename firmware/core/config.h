@@ -1,0 +1,46 @@
+/* What a target may choose, each with the value of the emulated board; the rest of the numbers are the page's. */
+#ifndef BOARD51_CONFIG_H
+#define BOARD51_CONFIG_H
+
+#ifndef TICK_US
+#define TICK_US UINT32_C(2000) /* T_s */
+#endif
+#ifndef CAPTURE_US
+#define CAPTURE_US 40U /* between two samples of a capture */
+#endif
+#ifndef CAPTURE_SIZE
+#define CAPTURE_SIZE 2000U /* samples, even; 3 bytes hold two */
+#endif
+
+/* Where the state lies: external RAM on an 8051, whose 256 bytes of its own are for the stack and for variables. */
+#ifdef __SDCC_mcs51
+#define STATE_MEMORY __xdata
+#else
+#define STATE_MEMORY
+#endif
+
+/* Where tables lie: an AVR would copy them into its RAM (avr-gcc -std=gnu99 reads them from flash instead). */
+#ifdef __AVR__
+#define TABLE_MEMORY __flash
+#else
+#define TABLE_MEMORY
+#endif
+
+#define TICKS_PER_S (UINT32_C(1000000) / TICK_US)
+#define RESET_WAIT_TICKS (UINT32_C(50000) / TICK_US) /* rule 1: the ACK of RESET has 50 ms to leave */
+
+/* Depth of the transmit queues, in frames (rule 5: at least four STATEs).  A chip with little RAM has fewer. */
+#ifndef STATE_DEPTH
+#define STATE_DEPTH 8U
+#endif
+#ifndef ANSWER_DEPTH
+#define ANSWER_DEPTH 8U
+#endif
+#ifndef EVENT_DEPTH
+#define EVENT_DEPTH 16U
+#endif
+#ifndef BLOCK_DEPTH
+#define BLOCK_DEPTH 8U
+#endif
+
+#endif

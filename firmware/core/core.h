@@ -1,0 +1,332 @@
+/* The firmware of a Board51 board: types, state and functions of the core.
+ *
+ * protocol/README.md is the specification; the rules in the comments are those of its 'Behaviour of the board'.
+ * Reading order: this file, arithmetic.c, law.c, excitation.c, reference.c, capture.c, loop.c (the control loop), then
+ * frames.c, receiver.c, queues.c, fields.c, commands.c, host.c (the link), and board.c, which joins the two.
+ *
+ * All state is in one variable.  There is one board in a program, so nothing is passed by pointer: an 8051 would look
+ * up at each access which of its memories a pointer means.
+ */
+#ifndef BOARD51_CORE_H
+#define BOARD51_CORE_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "config.h"
+#include "hal.h"
+
+#define PROTOCOL_VERSION 1U
+#define COUNTS_MAX 4095
+#define FRACTION_BITS 8U /* of the law's accumulator, Q23.8 */
+
+enum { MODE_IDLE, MODE_OPEN_LOOP, MODE_CLOSED_LOOP };
+enum { LAW_LQI, LAW_PID };
+enum { SHAPE_NONE, SHAPE_STEP, SHAPE_RECTANGLE, SHAPE_SAWTOOTH, SHAPE_PRBS, SHAPE_MULTISINE, SHAPE_CHIRP };
+enum { TARGET_U, TARGET_X_REF };
+enum { HOST_LOSS_KEEP, HOST_LOSS_COIL_OFF, HOST_LOSS_HOLD };
+
+#define FLAG_INPUT_SATURATED 0x04U
+#define FLAG_POSITION_RANGE 0x08U
+#define FLAG_CURRENT_RANGE 0x10U
+#define FLAG_OVERRUN 0x20U
+#define FLAG_HOST_LOST 0x40U
+#define FLAG_FAULT 0x80U
+
+enum {
+    HELLO = 0x01,
+    PING,
+    SET_MODE,
+    SET_REFERENCE,
+    SET_GAINS,
+    EXCITE,
+    STOP,
+    CAPTURE,
+    READ_CAPTURE,
+    SET_STREAM,
+    SET_HOST_LOSS,
+    GET_PARAMETERS,
+    RESET,
+    STATE = 0x40,
+    IDENTITY,
+    PONG,
+    ACK,
+    NACK,
+    PARAMETERS,
+    EVENT,
+    CAPTURE_BLOCK
+};
+
+enum {
+    ACCEPTED = 0, /* not on the line */
+    UNKNOWN_TYPE,
+    BAD_LENGTH,
+    OUT_OF_RANGE,
+    WRONG_MODE,
+    BUSY,
+    VERSION,
+    NO_SESSION,
+    NOT_AVAILABLE,
+    FAULT_ACTIVE,
+    SLEW
+};
+
+enum {
+    RESET_POWER_ON = 1,
+    RESET_WATCHDOG,
+    RESET_COMMANDED,
+    HOST_LOST,
+    HOST_BACK,
+    OVER_CURRENT,
+    SENSOR_FAULT,
+    OVERRUN,
+    EXCITATION_DONE,
+    CAPTURE_DONE,
+    LIMIT_HIT,
+    MODE_CHANGED
+};
+
+/* Sizes in bytes of bodies and of what stands between two delimiters. */
+#define MAX_BODY 64U
+#define MAX_ENCODED 67U
+#define COMMAND_BODY 21U /* SET_GAINS, the longest command */
+#define STATE_BODY 10U
+#define ANSWER_BODY 54U /* IDENTITY, the longest answer but CAPTURE_BLOCK */
+#define EVENT_BODY 9U
+#define BLOCK_BODY 58U
+#define MAX_FRAME (BLOCK_BODY + 5U) /* the longest that the board sends */
+#define BLOCK_SAMPLES 32U
+
+/* What differs from board to board. */
+struct gains {
+    uint8_t law;
+    uint8_t shift[4];
+    int16_t mantissa[4]; /* gain n = mantissa[n] * 2^-shift[n], counts of u_c per count */
+    uint16_t i_0, x_0, u_0;
+};
+
+struct limits {
+    uint16_t x_ref_min, x_ref_max, x_ref_step;
+    uint16_t x_ref_slew; /* counts per second */
+    uint16_t u_max;
+};
+
+struct settings {
+    struct gains gains;
+    struct limits limits;
+};
+
+struct identity {
+    uint32_t board_id;
+    uint8_t firmware_major, firmware_minor;
+    uint8_t adc_bits, dac_bits;
+    uint8_t scalings[24]; /* six f32 as on the line: the core does not calculate with them */
+    uint8_t build[8];
+};
+
+/* State of each part; its file says what the fields mean to it. */
+struct law_state {
+    struct gains gains;
+    int32_t sum; /* of x_ref - x, 24 bits */
+    uint16_t x_previous;
+    bool x_known; /* false at the first tick of closed loop: the speed is taken as 0 */
+};
+
+struct reference_state {
+    uint16_t x_ref;
+    uint32_t allowance; /* millionths of a count: rule 7 keeps it exactly, and all fit 32 bits */
+};
+
+struct signal { /* the fields of EXCITE */
+    uint8_t shape, target;
+    int16_t amplitude;
+    uint16_t offset, period, period_end, seed;
+    uint32_t duration;
+};
+
+struct excitation_state {
+    struct signal signal;
+    bool active, announced;
+    uint32_t ticks;    /* since the start, saturating */
+    uint16_t in_period; /* ticks mod period */
+    uint16_t prbs;
+    uint64_t phase, step, sweep; /* of the chirp, in 2^-48 of a turn */
+};
+
+struct capture_state {
+    /* Shared with the capture interrupt: bytes that one side writes at a time, so that no read is torn. */
+    volatile bool running, stepped, step_is_next, complete;
+    bool there; /* a complete capture that can be read */
+    uint16_t u_from, u_to, pre, count, taken;
+    uint32_t began_tick;
+    uint8_t samples[CAPTURE_SIZE / 2U * 3U];
+};
+
+struct loop_state {
+    struct limits limits;
+    uint8_t mode;
+    bool fault, host_lost, overrun, limited;
+    uint16_t u;           /* what the mode says */
+    uint16_t open_loop_u;
+    uint8_t over_current_ticks;
+    uint16_t sensor_ticks;
+    uint16_t ticks_since_limit_hit; /* saturating at a second */
+    uint32_t gains_tick;
+};
+
+struct receiver_state {
+    uint8_t data[MAX_ENCODED];
+    uint8_t size;
+    bool overflow;
+    uint16_t bad_frames;
+};
+
+struct ring {
+    uint8_t first, count;
+};
+
+struct queues_state {
+    struct ring rings[4];
+    uint8_t states[STATE_DEPTH][STATE_BODY];
+    uint8_t answers[ANSWER_DEPTH][ANSWER_BODY];
+    uint8_t events[EVENT_DEPTH][EVENT_BODY];
+    uint8_t blocks[BLOCK_DEPTH][BLOCK_BODY];
+    uint32_t dropped;
+    uint8_t frame[MAX_FRAME]; /* the one that is being sent */
+    uint8_t frame_size, frame_sent;
+};
+
+struct command { /* one that waits for the next tick */
+    uint8_t body[COMMAND_BODY];
+    uint8_t reason; /* why it will be refused, or ACCEPTED */
+    uint16_t detail;
+};
+
+struct kept_answer {
+    uint8_t id, type; /* of the command */
+    uint8_t body[BLOCK_BODY];
+};
+
+struct host_state {
+    struct command pending[8];
+    uint8_t pending_count;
+    struct kept_answer kept[8];
+    uint8_t kept_order[8]; /* places in `kept`, the one taken first in front */
+    uint8_t kept_count;
+    uint8_t answer[BLOCK_BODY]; /* being composed */
+    bool session_open;
+    uint16_t session;
+    uint8_t policy;
+    uint16_t timeout_ms;
+    uint32_t silent_us;
+    uint16_t divider;
+    uint8_t reset_wait; /* ticks left for the ACK of RESET; 0: no reset is due */
+};
+
+struct board {
+    struct law_state law;
+    struct reference_state reference;
+    struct excitation_state excitation;
+    struct capture_state capture;
+    struct loop_state loop;
+    struct receiver_state receiver;
+    struct queues_state queues;
+    struct host_state host;
+    uint32_t next_tick;
+    uint8_t events; /* number of the next one */
+    uint16_t overruns;
+    uint16_t ticks_since_overrun; /* since its event; saturating at a second */
+};
+
+extern STATE_MEMORY struct board board;
+
+/* arithmetic.c */
+int32_t shift_down(int32_t value, uint8_t bits);
+int32_t saturated_sum(int32_t a, int32_t b);
+int32_t saturated_difference(int32_t a, int32_t b);
+int32_t scaled_product(int16_t mantissa, uint8_t shift, int32_t operand);
+int32_t divide_rounded(int32_t numerator, int32_t denominator);
+int16_t sine_q15(uint32_t phase);
+uint16_t distance(uint16_t a, uint16_t b);
+
+/* tables.c */
+extern const TABLE_MEMORY int16_t SINE_Q15[257];
+extern const TABLE_MEMORY uint32_t MULTISINE_PEAK[128];
+
+/* law.c */
+void law_reset(void);
+int32_t law_accumulate(uint16_t i, uint16_t x, uint16_t x_ref);
+uint16_t law_run(uint16_t i, uint16_t x, uint16_t x_ref, bool *limited);
+
+/* reference.c */
+void reference_boot(uint16_t x_ref);
+uint16_t reference_allowance(void);
+void reference_refill(void);
+void reference_jump(uint16_t x_ref);
+
+/* excitation.c */
+void excitation_start(const struct signal *signal);
+bool excitation_done(void);
+uint16_t excitation_next(void);
+
+/* capture.c */
+void capture_start(uint16_t u_from, uint16_t u_to, uint16_t pre, uint16_t count, uint32_t tick);
+void capture_cancel(void);
+void capture_interrupt(void);
+bool capture_completed(void);
+uint16_t capture_u(void);
+void capture_pack(uint16_t index, uint8_t *packed);
+
+/* loop.c */
+void loop_boot(void);
+uint16_t loop_u(void);
+void loop_set_mode(uint8_t mode);
+void loop_switch_off(void);
+void loop_end_excitation(void);
+void loop_set_reference(uint16_t x_ref);
+uint8_t loop_run(uint16_t i, uint16_t x);
+
+/* frames.c */
+uint16_t crc_of(const uint8_t *data, uint8_t size);
+uint8_t frame_encode(const uint8_t *body, uint8_t size, uint8_t *frame);
+uint8_t frame_decode(uint8_t *encoded, uint8_t size);
+
+/* receiver.c */
+uint8_t receiver_take(uint8_t byte);
+void receiver_count_bad(void);
+
+/* queues.c */
+void queue_put(const uint8_t *body);
+bool answers_have_left(void);
+void send_frames(void);
+
+/* fields.c */
+uint8_t fields_check(const uint8_t *body, uint8_t size, uint16_t *detail);
+bool is_sent_by_board(uint8_t type);
+uint8_t body_size(uint8_t type);
+uint16_t get_u16(const uint8_t *at);
+uint32_t get_u32(const uint8_t *at);
+int16_t get_i16(const uint8_t *at);
+uint8_t *put_u16(uint8_t *at, uint16_t value);
+uint8_t *put_u32(uint8_t *at, uint32_t value);
+void put_pair(uint8_t *at, uint16_t a, uint16_t b);
+
+/* commands.c: compose the answer into board.host.answer */
+uint8_t command_execute(const uint8_t *body, uint16_t *detail);
+uint8_t answer_hello(const uint8_t *body, uint16_t *detail);
+void answer_ack(const uint8_t *body);
+void answer_nack(const uint8_t *body, uint8_t reason, uint16_t detail);
+
+/* host.c */
+void host_boot(void);
+void host_receive(const uint8_t *body, uint8_t size);
+void host_execute_pending(void);
+void host_watch(void);
+
+/* board.c: what a target calls */
+void board_boot(void); /* once after a reset, when the hardware is ready */
+void board_poll(void); /* again and again: the main loop */
+void board_late(void); /* a tick took longer than T_s */
+void emit(uint8_t code, uint16_t detail);
+
+#endif

@@ -1,0 +1,134 @@
+/* Fields of bodies: the commands' lengths and ranges as a table ('Fields'), and numbers to and from bytes. */
+#include "core.h"
+
+enum { U8, U16, I16, U32 };
+
+struct field {
+    uint8_t type;
+    int32_t low, high; /* not looked at for u32, which has its whole range */
+};
+
+struct row {
+    uint8_t size; /* of the body */
+    uint8_t count;
+    const TABLE_MEMORY struct field *fields; /* behind the id */
+};
+
+#define ANY_U8 {U8, 0, 255}
+#define ANY_U16 {U16, 0, 65535}
+#define ONE_U16 {U16, 1, 65535}
+#define COUNT {U16, 0, COUNTS_MAX}
+#define MANTISSA {I16, -32767, 32767}
+#define SHIFT {U8, 0, 30}
+#define GAIN MANTISSA, SHIFT
+
+static const TABLE_MEMORY struct field HELLO_FIELDS[] = {ANY_U16, ANY_U8, ANY_U8};
+static const TABLE_MEMORY struct field SET_MODE_FIELDS[] = {{U8, 0, 2}};
+static const TABLE_MEMORY struct field SET_REFERENCE_FIELDS[] = {COUNT};
+static const TABLE_MEMORY struct field SET_GAINS_FIELDS[] = {{U8, 0, 1}, GAIN, GAIN, GAIN, GAIN, COUNT, COUNT, COUNT};
+static const TABLE_MEMORY struct field EXCITE_FIELDS[] = {{U8, 0, 6},  {U8, 0, 1}, {I16, -COUNTS_MAX, COUNTS_MAX},
+                                             COUNT,       ONE_U16,    ONE_U16,
+                                             ONE_U16,     {U32, 0, 0}};
+static const TABLE_MEMORY struct field CAPTURE_FIELDS[] = {COUNT, COUNT, {U16, 0, 2000}, {U16, 1, 2000}};
+static const TABLE_MEMORY struct field READ_CAPTURE_FIELDS[] = {{U16, 0, 1999}};
+static const TABLE_MEMORY struct field SET_STREAM_FIELDS[] = {{U16, 0, 1000}};
+static const TABLE_MEMORY struct field SET_HOST_LOSS_FIELDS[] = {{U8, 0, 2}, {U16, 50, 60000}};
+
+#define ROW(size, fields) {size, sizeof(fields) / sizeof(fields[0]), fields}
+#define ID_ONLY {2, 0, 0}
+
+static const TABLE_MEMORY struct row ROWS[] = {
+    /* HELLO */ ROW(6, HELLO_FIELDS),
+    /* PING */ ID_ONLY,
+    /* SET_MODE */ ROW(3, SET_MODE_FIELDS),
+    /* SET_REFERENCE */ ROW(4, SET_REFERENCE_FIELDS),
+    /* SET_GAINS */ ROW(21, SET_GAINS_FIELDS),
+    /* EXCITE */ ROW(18, EXCITE_FIELDS),
+    /* STOP */ ID_ONLY,
+    /* CAPTURE */ ROW(10, CAPTURE_FIELDS),
+    /* READ_CAPTURE */ ROW(4, READ_CAPTURE_FIELDS),
+    /* SET_STREAM */ ROW(4, SET_STREAM_FIELDS),
+    /* SET_HOST_LOSS */ ROW(5, SET_HOST_LOSS_FIELDS),
+    /* GET_PARAMETERS */ ID_ONLY,
+    /* RESET */ ID_ONLY,
+};
+
+static uint16_t magnitude(int32_t bound) {
+    return (uint16_t)(bound < 0 ? -bound : bound);
+}
+
+/* Why a command cannot be understood, with the bound in the way; the first field that is out of range counts. */
+uint8_t fields_check(const uint8_t *body, uint8_t size, uint16_t *detail) {
+    const TABLE_MEMORY struct row *row;
+    const uint8_t *at = body + 2;
+    uint8_t n;
+
+    *detail = 0;
+    if (body[0] < HELLO || body[0] > RESET) {
+        return UNKNOWN_TYPE;
+    }
+    row = &ROWS[body[0] - HELLO];
+    if (size != row->size) {
+        return BAD_LENGTH;
+    }
+    for (n = 0; n < row->count; n++) {
+        const TABLE_MEMORY struct field *field = &row->fields[n];
+        int32_t value;
+
+        if (field->type == U32) {
+            at += 4;
+            continue;
+        }
+        value = field->type == U8 ? *at : field->type == U16 ? (int32_t)get_u16(at) : (int32_t)get_i16(at);
+        at += field->type == U8 ? 1 : 2;
+        if (value < field->low || value > field->high) {
+            *detail = magnitude(value < field->low ? field->low : field->high);
+            return OUT_OF_RANGE;
+        }
+    }
+    return ACCEPTED;
+}
+
+/* A line with an echo must not make the board talk to itself. */
+bool is_sent_by_board(uint8_t type) {
+    return type >= STATE && type <= CAPTURE_BLOCK;
+}
+
+/* Of a message to the host. */
+uint8_t body_size(uint8_t type) {
+    static const TABLE_MEMORY uint8_t SIZES[] = {STATE_BODY, ANSWER_BODY, 10, 7, 6, 40, EVENT_BODY, BLOCK_BODY};
+
+    return SIZES[type - STATE];
+}
+
+uint16_t get_u16(const uint8_t *at) {
+    return (uint16_t)(at[0] | (uint16_t)at[1] << 8);
+}
+
+uint32_t get_u32(const uint8_t *at) {
+    return get_u16(at) | (uint32_t)get_u16(at + 2) << 16;
+}
+
+int16_t get_i16(const uint8_t *at) {
+    uint16_t value = get_u16(at);
+
+    return value < 0x8000U ? (int16_t)value : (int16_t)(-1 - (int16_t)(0xFFFFU - value));
+}
+
+/* These return where the next field begins. */
+uint8_t *put_u16(uint8_t *at, uint16_t value) {
+    at[0] = (uint8_t)value;
+    at[1] = (uint8_t)(value >> 8);
+    return at + 2;
+}
+
+uint8_t *put_u32(uint8_t *at, uint32_t value) {
+    return put_u16(put_u16(at, (uint16_t)value), (uint16_t)(value >> 16));
+}
+
+/* Two counts in three bytes: a[7:0], b[3:0] a[11:8], b[11:4]. */
+void put_pair(uint8_t *at, uint16_t a, uint16_t b) {
+    at[0] = (uint8_t)a;
+    at[1] = (uint8_t)(a >> 8 | (b & 0x0FU) << 4);
+    at[2] = (uint8_t)(b >> 4);
+}

@@ -1,0 +1,159 @@
+/* The host's commands: once each, in order, between two ticks (rules 2 to 4); what happens without it (rule 10). */
+#include <string.h>
+
+#include "core.h"
+
+#define PENDING_COMMANDS 8U
+#define RETAINED_IDS 8U
+#define HOST_LOSS_MS 500U
+
+/* After `board` was cleared. */
+void host_boot(void) {
+    board.host.divider = 1;
+    board.host.policy = HOST_LOSS_COIL_OFF;
+    board.host.timeout_ms = HOST_LOSS_MS;
+}
+
+static struct kept_answer *kept(uint8_t n) {
+    return &board.host.kept[board.host.kept_order[n]];
+}
+
+/* The place of an id in the order, or `kept_count`. */
+static uint8_t find_kept(uint8_t id) {
+    uint8_t n;
+
+    for (n = 0; n < board.host.kept_count; n++) {
+        if (kept(n)->id == id) {
+            break;
+        }
+    }
+    return n;
+}
+
+/* Keeps the answer.  A STOP takes over the place of its id; else the place that was taken first is given up. */
+static void keep(const uint8_t *body) {
+    uint8_t n = find_kept(body[1]);
+    uint8_t place;
+
+    if (n == board.host.kept_count && n < RETAINED_IDS) {
+        board.host.kept_order[n] = n; /* places are taken in their order until all are */
+        board.host.kept_count++;
+    } else if (n == board.host.kept_count) {
+        n = 0;
+    }
+    place = board.host.kept_order[n];
+    for (; n + 1U < board.host.kept_count; n++) {
+        board.host.kept_order[n] = board.host.kept_order[n + 1U];
+    }
+    board.host.kept_order[n] = place;
+    board.host.kept[place].id = body[1];
+    board.host.kept[place].type = body[0];
+    memcpy(board.host.kept[place].body, board.host.answer, body_size(board.host.answer[0]));
+}
+
+static void refuse(const uint8_t *body, uint8_t reason, uint16_t detail) {
+    answer_nack(body, reason, detail);
+    queue_put(board.host.answer);
+}
+
+static void execute(const struct command *command) {
+    const uint8_t *body = command->body;
+    uint8_t n = find_kept(body[1]);
+    uint16_t detail = 0;
+    uint8_t reason;
+
+    if (body[0] == HELLO && command->reason == ACCEPTED) { /* answered afresh each time, and not kept */
+        reason = answer_hello(body, &detail);
+        if (reason != ACCEPTED) {
+            answer_nack(body, reason, detail);
+        }
+        queue_put(board.host.answer);
+    } else if (n < board.host.kept_count && kept(n)->type == body[0]) {
+        queue_put(kept(n)->body);
+    } else if (n < board.host.kept_count) {
+        refuse(body, BUSY, 0);
+    } else if (command->reason != ACCEPTED) {
+        /* Not kept: noise may leave the CRC right and the length wrong, and the repetition must not meet it again. */
+        refuse(body, command->reason, command->detail);
+    } else if (!board.host.session_open && body[0] != PING) {
+        refuse(body, NO_SESSION, 0);
+    } else {
+        reason = command_execute(body, &detail);
+        if (reason != ACCEPTED) {
+            answer_nack(body, reason, detail);
+        }
+        keep(body);
+        queue_put(board.host.answer);
+    }
+}
+
+void host_execute_pending(void) {
+    uint8_t n;
+
+    for (n = 0; n < board.host.pending_count; n++) {
+        execute(&board.host.pending[n]);
+    }
+    board.host.pending_count = 0;
+}
+
+static void stop(const uint8_t *body) {
+    /* Commands that came before it are executed first, so that none of them turns the coil on again. */
+    host_execute_pending();
+    loop_switch_off();
+    answer_ack(body);
+    keep(body);
+    queue_put(board.host.answer);
+}
+
+static void put_pending(const uint8_t *body, uint8_t size, uint8_t reason, uint16_t detail) {
+    struct command *command = &board.host.pending[board.host.pending_count];
+
+    /* What is longer than any command is refused for it, and only its type and id are looked at again. */
+    memcpy(command->body, body, size < COMMAND_BODY ? size : COMMAND_BODY);
+    command->reason = reason;
+    command->detail = detail;
+    board.host.pending_count++;
+}
+
+/* A body with a right CRC. */
+void host_receive(const uint8_t *body, uint8_t size) {
+    uint16_t detail;
+    uint8_t reason;
+
+    if (size < 2U || body[1] == 0U || is_sent_by_board(body[0])) {
+        receiver_count_bad();
+        return;
+    }
+    board.host.silent_us = 0;
+    if (board.loop.host_lost) {
+        board.loop.host_lost = false;
+        emit(HOST_BACK, 0);
+    }
+    reason = fields_check(body, size, &detail);
+    if (body[0] == STOP && reason == ACCEPTED) {
+        stop(body);
+    } else if (board.host.pending_count >= PENDING_COMMANDS) {
+        refuse(body, BUSY, 0);
+    } else {
+        put_pending(body, size, reason, detail);
+    }
+}
+
+/* Once per tick: the policy acts at the tick at which the time-out is over. */
+void host_watch(void) {
+    uint32_t timeout_us = board.host.timeout_ms * UINT32_C(1000);
+
+    if (board.host.silent_us < timeout_us) {
+        board.host.silent_us += TICK_US;
+    }
+    if (board.loop.host_lost || board.host.silent_us < timeout_us) {
+        return;
+    }
+    board.loop.host_lost = true;
+    emit(HOST_LOST, board.host.policy);
+    if (board.host.policy == HOST_LOSS_HOLD && board.loop.mode == MODE_CLOSED_LOOP) {
+        loop_end_excitation();
+    } else if (board.host.policy != HOST_LOSS_KEEP) {
+        loop_switch_off();
+    }
+}

@@ -1,0 +1,106 @@
+/* What waits for the line, and the frame that is on it: rule 5.
+ *
+ * Bodies wait, not frames: 5 bytes less for each.  A full STATE queue loses its oldest, as the newest tells most; the
+ * others refuse the newest.  Each loss shows to the host: by sequence, by number, or by a missing answer.
+ */
+#include <string.h>
+
+#include "core.h"
+
+enum { QUEUE_STATE, QUEUE_ANSWER, QUEUE_EVENT, QUEUE_BLOCK, QUEUES }; /* highest priority first */
+
+static const TABLE_MEMORY uint8_t DEPTH[QUEUES] = {STATE_DEPTH, ANSWER_DEPTH, EVENT_DEPTH, BLOCK_DEPTH};
+
+static uint8_t queue_of(uint8_t type) {
+    switch (type) {
+        case STATE:
+            return QUEUE_STATE;
+        case EVENT:
+            return QUEUE_EVENT;
+        case CAPTURE_BLOCK:
+            return QUEUE_BLOCK;
+        default:
+            return QUEUE_ANSWER;
+    }
+}
+
+static uint8_t *place(uint8_t queue, uint8_t n) {
+    switch (queue) {
+        case QUEUE_STATE:
+            return board.queues.states[n];
+        case QUEUE_EVENT:
+            return board.queues.events[n];
+        case QUEUE_BLOCK:
+            return board.queues.blocks[n];
+        default:
+            return board.queues.answers[n];
+    }
+}
+
+static void drop_first(uint8_t queue) {
+    struct ring *ring = &board.queues.rings[queue];
+
+    ring->first = (uint8_t)((ring->first + 1U) % DEPTH[queue]);
+    ring->count--;
+}
+
+void queue_put(const uint8_t *body) {
+    uint8_t queue = queue_of(body[0]);
+    struct ring *ring = &board.queues.rings[queue];
+
+    if (ring->count >= DEPTH[queue]) {
+        board.queues.dropped++;
+        if (queue != QUEUE_STATE) {
+            return;
+        }
+        drop_first(queue);
+    }
+    memcpy(place(queue, (uint8_t)((ring->first + ring->count) % DEPTH[queue])), body, body_size(body[0]));
+    ring->count++;
+}
+
+/* Whether nothing that RESET has to wait for is waiting or on its way. */
+bool answers_have_left(void) {
+    return board.queues.rings[QUEUE_ANSWER].count == 0U && board.queues.frame_sent == board.queues.frame_size;
+}
+
+static void load_next_frame(void) {
+    uint8_t queue;
+
+    for (queue = 0; queue < QUEUES; queue++) {
+        if (board.queues.rings[queue].count != 0U) {
+            const uint8_t *body = place(queue, board.queues.rings[queue].first);
+            board.queues.frame_size = frame_encode(body, body_size(body[0]), board.queues.frame);
+            drop_first(queue);
+            return;
+        }
+    }
+}
+
+static bool is_any_waiting(void) {
+    const struct ring *rings = board.queues.rings;
+
+    return (rings[QUEUE_STATE].count | rings[QUEUE_ANSWER].count | rings[QUEUE_EVENT].count | rings[QUEUE_BLOCK].count) != 0U;
+}
+
+/* Hands the transmitter what it takes, a frame's length at most; a frame that has begun is finished first.
+ *
+ * The next frame is chosen when its delimiter was taken and not before, so that a newer STATE still goes first. */
+void send_frames(void) {
+    uint8_t n;
+
+    for (n = 0; n < MAX_FRAME; n++) {
+        if (board.queues.frame_sent < board.queues.frame_size) {
+            if (!hal_send(board.queues.frame[board.queues.frame_sent])) {
+                return;
+            }
+            board.queues.frame_sent++;
+        } else {
+            if (!is_any_waiting() || !hal_send(0)) {
+                return;
+            }
+            load_next_frame();
+            board.queues.frame_sent = 1;
+        }
+    }
+}

@@ -1,0 +1,254 @@
+/* The hardware of posix.h, and the boards that share the core. */
+#include "posix.h"
+
+#include <string.h>
+
+static struct posix_board *here; /* the board that is in the core */
+
+static void enter(struct posix_board *to) {
+    if (here == to) {
+        return;
+    }
+    if (here != 0) {
+        here->state = board;
+    }
+    board = to->state;
+    here = to;
+}
+
+static void show(void) {
+    struct posix_view *view = &here->view;
+
+    view->next_tick = board.next_tick;
+    view->dropped = here->dropped + board.queues.dropped;
+    view->allowance = board.reference.allowance;
+    view->sum = board.law.sum;
+    view->u = here->u;
+    view->bad_frames = board.receiver.bad_frames;
+    view->mode = board.loop.mode;
+    view->running = here->dead_ticks == 0U && here->hung_ticks == 0U;
+}
+
+/* The hardware, as in hal.h. */
+
+uint16_t hal_read_current(void) {
+    return here->i;
+}
+
+uint16_t hal_read_position(void) {
+    return here->x;
+}
+
+void hal_write_input(uint16_t u) {
+    here->u = u;
+    here->view.written = true;
+}
+
+bool hal_tick_due(void) {
+    bool due = here->tick_due;
+
+    here->tick_due = false;
+    return due;
+}
+
+void hal_capture_timer(uint16_t us) {
+    here->view.capture_wait_us = us == 0U ? -1 : us;
+}
+
+bool hal_capture_due(void) {
+    return here->view.capture_wait_us == 0;
+}
+
+bool hal_receive(uint8_t *byte) {
+    if (here->received_count == 0U) {
+        return false;
+    }
+    *byte = *here->received++;
+    here->received_count--;
+    return true;
+}
+
+/* As many bytes as the caller has room for, and one frame at a time: the next waits for the next `posix_take`. */
+bool hal_send(uint8_t byte) {
+    if (here->sent == 0 || here->sent_count == here->room || here->delimiters == 2U) {
+        return false;
+    }
+    here->sent[here->sent_count++] = byte;
+    here->delimiters = (uint8_t)(here->delimiters + (byte == 0U ? 1U : 0U));
+    return true;
+}
+
+/* The watchdog is not counted down: a board hangs in `posix_hang` alone, which knows when it began. */
+void hal_feed_watchdog(void) {
+}
+
+uint8_t hal_reset_cause(void) {
+    return here->cause;
+}
+
+uint16_t hal_resets(void) {
+    return here->resets;
+}
+
+void hal_restart(void) {
+    here->restart = true;
+}
+
+const struct identity *hal_identity(void) {
+    return &here->identity;
+}
+
+const struct settings *hal_settings(void) {
+    return &here->settings;
+}
+
+/* The caller's side. */
+
+static void boot(uint8_t cause) {
+    here->dropped += board.queues.dropped;
+    here->cause = cause;
+    here->hung_ticks = 0;
+    here->delimiters = 0;
+    here->restart = false;
+    board_boot();
+}
+
+static void reset(uint8_t cause) {
+    if (cause == RESET_POWER_ON) {
+        here->resets = 0;
+    } else if (here->resets < UINT16_MAX) {
+        here->resets++;
+    }
+    boot(cause);
+    here->dead_ticks = BOOT_TICKS;
+}
+
+uint32_t posix_size(void) {
+    return (uint32_t)sizeof(struct posix_board);
+}
+
+void posix_open(struct posix_board *to, const struct identity *identity, const struct settings *settings) {
+    memset(to, 0, sizeof *to);
+    to->identity = *identity;
+    to->settings = *settings;
+    enter(to);
+    boot(RESET_POWER_ON);
+    show();
+}
+
+/* Before its memory is given back. */
+void posix_close(const struct posix_board *to) {
+    if (here == to) {
+        here = 0;
+    }
+}
+
+/* A reset from outside: power, or what the caller wants to be one. */
+void posix_reset(struct posix_board *to, uint8_t cause) {
+    enter(to);
+    reset(cause);
+    show();
+}
+
+/* The program hangs: no loop, no answers, u_c as it is, until the watchdog resets the board. */
+void posix_hang(struct posix_board *to) {
+    enter(to);
+    here->hung_ticks = WATCHDOG_TICKS;
+    show();
+}
+
+void posix_late(struct posix_board *to) {
+    enter(to);
+    board_late();
+    show();
+}
+
+void posix_feed(struct posix_board *to, const uint8_t *data, uint32_t count) {
+    enter(to);
+    here->view.written = false;
+    if (here->view.running) {
+        here->received = data;
+        here->received_count = count;
+        while (here->received_count != 0U) {
+            board_poll();
+        }
+    }
+    show();
+}
+
+/* Time passes, at most until the capture interrupt is due.  The one that ends a capture is served here: it reads no
+ * converter, so it needs nothing of the caller. */
+void posix_pass(struct posix_board *to, uint16_t us) {
+    enter(to);
+    if (here->view.capture_wait_us >= 0 && here->hung_ticks == 0U) {
+        here->view.capture_wait_us -= us;
+        if (here->view.capture_wait_us == 0 && board.capture.taken == board.capture.count) {
+            capture_interrupt();
+            board_poll();
+        }
+    }
+    show();
+}
+
+/* Serves the capture interrupt, with i_c at this instant. */
+void posix_capture(struct posix_board *to, uint16_t i) {
+    enter(to);
+    here->i = i;
+    here->view.capture_wait_us = (int32_t)CAPTURE_US;
+    capture_interrupt();
+    show();
+}
+
+/* One tick, at the end of T_s.  A STATE that the board loses is taken back as if it had never been queued. */
+void posix_tick(struct posix_board *to, uint16_t i, uint16_t x, bool lose_state) {
+    uint8_t states[STATE_DEPTH][STATE_BODY];
+    struct ring ring;
+
+    enter(to);
+    if (here->dead_ticks != 0U) {
+        here->dead_ticks--;
+    } else if (here->hung_ticks != 0U) {
+        here->hung_ticks--;
+        if (here->hung_ticks == 0U) {
+            reset(RESET_WATCHDOG);
+        }
+    } else {
+        memcpy(states, board.queues.states, sizeof states);
+        ring = board.queues.rings[0];
+        here->i = i;
+        here->x = x;
+        here->tick_due = true;
+        board_poll();
+        if (here->restart) {
+            reset(RESET_COMMANDED);
+        } else if (lose_state) {
+            memcpy(board.queues.states, states, sizeof states);
+            board.queues.dropped -= board.queues.rings[0].first != ring.first ? 1U : 0U; /* the oldest is back, too */
+            board.queues.rings[0] = ring;
+        }
+    }
+    show();
+}
+
+/* What the transmitter takes, at most `room` bytes and at most to the end of a frame; the number of bytes. */
+uint8_t posix_take(struct posix_board *to, uint8_t *data, uint8_t room) {
+    enter(to);
+    if (here->dead_ticks != 0U) {
+        return 0;
+    }
+    here->sent = data;
+    here->room = room;
+    here->sent_count = 0;
+    here->delimiters = (uint8_t)(here->delimiters % 2U);
+    send_frames();
+    here->sent = 0;
+    show();
+    return here->sent_count;
+}
+
+/* As if so many ticks had passed: a wrap of the tick takes 99 days. */
+void posix_set_tick(struct posix_board *to, uint32_t next_tick) {
+    enter(to);
+    board.next_tick = next_tick;
+    show();
+}

@@ -1,0 +1,185 @@
+"""A board that runs the firmware in C: the seams of `firmware/board.py`, and its hardware around the compiled core.
+
+    firmware = NativeFirmware(EmulatedPlant(), board_id=1)
+
+What is Python here is hardware: converters, clock, and the content of the flash.  Every rule of protocol/README.md is
+in C; so the two firmwares share no code, and each is the other's test (tests/firmware).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from pathlib import Path
+
+from gateway.emulator.firmware.board import AnalogSide
+from gateway.emulator.firmware.flash import (
+    ADC_BITS,
+    BUILD,
+    CURRENT,
+    DAC_BITS,
+    FIRMWARE,
+    GAINS,
+    INPUT,
+    LIMITS,
+    POSITION,
+    T_S_US,
+)
+from gateway.emulator.native.build import library
+from gateway.emulator.native.library import CGains, CIdentity, CLimits, CSettings, CView, load
+from protocol.wire.messages import EventCode, Mode
+
+_PLANT_STEP_US = 20
+_LONGEST_FRAME = 64  # bytes
+
+
+class NativeFirmware:
+    """A board with the firmware in C, powered on.
+
+    Args:
+        plant: Analog side; the firmware advances its time.
+        board_id: Serial number in IDENTITY.
+        path: The compiled library; None: that of this machine, compiled if it is not yet.
+
+    Raises:
+        InstallError: there is no C compiler.
+        ServiceError: the compiler fails.
+    """
+
+    def __init__(self, plant: AnalogSide, *, board_id: int = 1, path: Path | None = None) -> None:
+        self._plant = plant
+        self._library = load(library() if path is None else path)
+        words = -(-self._library.posix_size() // 8)
+        self._memory = (ctypes.c_uint64 * words)()
+        self._board = ctypes.addressof(self._memory)
+        self._view = CView.from_buffer(self._memory)
+        self._frame = ctypes.create_string_buffer(_LONGEST_FRAME)
+        self._elapsed_us = 0  # plant time since the last tick
+        self._library.posix_open(self._board, ctypes.byref(_identity(board_id)), ctypes.byref(_settings()))
+
+    def __del__(self) -> None:
+        if hasattr(self, "_board"):
+            self._library.posix_close(self._board)
+
+    def reset(self, cause: EventCode) -> None:
+        """Restart: coil off, no output during the boot, then tick 0; a power cycle also clears the count of resets."""
+        self._library.posix_reset(self._board, int(cause))
+
+    def hang(self) -> None:
+        """Hang the program: no loop, no answers, u_c unchanged, until the watchdog resets the board."""
+        self._library.posix_hang(self._board)
+
+    def overrun(self) -> None:
+        """Let the board report the next tick as late."""
+        self._library.posix_late(self._board)
+
+    def feed(self, data: bytes, *, into_tick_us: int = 0) -> None:
+        """Process bytes from the host, `into_tick_us` after the last tick; never raises."""
+        if not self._view.running:
+            return
+        now_us = min(into_tick_us, T_S_US) // _PLANT_STEP_US * _PLANT_STEP_US
+        if self._view.capture_wait_us >= 0:
+            self._advance_to(now_us)
+        u = self._view.u
+        self._library.posix_feed(self._board, data, len(data))
+        if self._view.written:  # by a STOP: until its last byte the input was what it had been
+            self._advance_to(now_us, u=u)
+
+    def tick(self) -> None:
+        """Advance the plant by T_s with the input held, then run the loop once."""
+        self._advance_to(T_S_US)
+        self._elapsed_us = 0
+        i = x = 0
+        lost = False
+        if self._view.running:
+            i_a, x_m = self._plant.sense()
+            i, x = CURRENT.to_count(i_a), POSITION.to_count(x_m)
+            lost = self._plant.drop_sample()
+        self._library.posix_tick(self._board, i, x, lost)
+
+    def take_frame(self, room: int = _LONGEST_FRAME) -> bytes:
+        """Return the next frame for the line, or its next `room` bytes, or b""."""
+        size: int = self._library.posix_take(self._board, self._frame, room)
+        return self._frame.raw[:size]
+
+    def take_output(self) -> bytes:
+        """Return all waiting frames, in the order of transmission."""
+        return b"".join(iter(self.take_frame, b""))
+
+    @property
+    def u(self) -> int:
+        """Count of the input converter."""
+        return int(self._view.u)
+
+    @property
+    def mode(self) -> Mode:
+        """Mode in force."""
+        return Mode(self._view.mode)
+
+    @property
+    def dropped(self) -> int:
+        """Number of frames for which the line had no time, since power-on."""
+        return int(self._view.dropped)
+
+    @property
+    def bad_frames(self) -> int:
+        """Number of frames rejected since the reset."""
+        return int(self._view.bad_frames)
+
+    @property
+    def integral(self) -> int:
+        """Sum of x_ref - x in the law, counts."""
+        return int(self._view.sum)
+
+    @property
+    def allowance(self) -> int:
+        """Largest jump of the reference that is accepted now, counts."""
+        return int(self._view.allowance) // 1_000_000
+
+    @property
+    def next_tick(self) -> int:
+        """Number of the tick that comes next."""
+        return int(self._view.next_tick)
+
+    @next_tick.setter
+    def next_tick(self, tick: int) -> None:
+        self._library.posix_set_tick(self._board, tick)
+
+    def _advance_to(self, time_us: int, *, u: int | None = None) -> None:
+        """Advance the plant to this time after the last tick, taking capture samples on the way."""
+        view = self._view
+        while self._elapsed_us < time_us:
+            step_us = time_us - self._elapsed_us
+            if view.capture_wait_us >= 0 and view.running:
+                if view.capture_wait_us == 0:
+                    self._library.posix_capture(self._board, CURRENT.to_count(self._plant.sense()[0]))
+                step_us = min(step_us, view.capture_wait_us)
+            self._plant.advance(INPUT.to_si(view.u if u is None else u), step_us * 1e-6)
+            self._elapsed_us += step_us
+            self._library.posix_pass(self._board, step_us)
+
+
+def _identity(board_id: int) -> CIdentity:
+    scales = (CURRENT, POSITION, INPUT)
+    scalings = struct.pack("<6f", *(number for scale in scales for number in (scale.offset, scale.lsb)))
+    return CIdentity(
+        board_id,
+        *FIRMWARE,
+        ADC_BITS,
+        DAC_BITS,
+        (ctypes.c_uint8 * 24)(*scalings),
+        (ctypes.c_uint8 * 8)(*BUILD.ljust(8)[:8]),
+    )
+
+
+def _settings() -> CSettings:
+    gains = CGains(
+        GAINS.law,
+        (ctypes.c_uint8 * 4)(*GAINS.shifts),
+        (ctypes.c_int16 * 4)(*GAINS.mantissas),
+        GAINS.i_0,
+        GAINS.x_0,
+        GAINS.u_0,
+    )
+    limits = CLimits(LIMITS.x_ref_min, LIMITS.x_ref_max, LIMITS.x_ref_step, LIMITS.x_ref_slew, LIMITS.u_max)
+    return CSettings(gains, limits)

@@ -1,0 +1,93 @@
+"""Compiles the firmware's core for this machine, once for each version of its sources.
+
+Rule 1: the library lies in the user's cache, under a name made of its sources and options: a change of either compiles
+        anew, and an installation needs no compiler until somebody asks for this firmware.
+Rule 2: it is complete or it is not there: processes that compile at the same time do not see each other's half.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from protocol.errors import InstallError, ServiceError
+
+SOURCES = Path(__file__).resolve().parents[3] / "firmware"  # beside the packages, in the repository as in a wheel
+OPTIONS = ("-std=c99", "-O2", "-fPIC", "-shared")
+# Its functions call each other, whatever another library of the process has called by the same name.
+_LINK_OPTIONS = ("-Wl,-Bsymbolic",) if sys.platform == "linux" else ()
+_COMPILERS = ("cc", "gcc", "clang")
+
+
+def sources() -> list[Path]:
+    """Return the C files of the core and of its hardware on a computer."""
+    return sorted([*SOURCES.glob("core/*.c"), *SOURCES.glob("posix/*.c")])
+
+
+def compiler() -> str | None:
+    """Return the path of a C compiler: $CC, or the first of cc, gcc, clang that is there; None without one."""
+    named = os.environ.get("CC")
+    return next(filter(None, map(shutil.which, [named] if named else _COMPILERS)), None)
+
+
+def compile_to(target: Path, *, options: Sequence[str] = ()) -> None:
+    """Compile the library into `target`.
+
+    Args:
+        target: The file to write.
+        options: For the compiler, behind those that are always given.
+
+    Raises:
+        InstallError: there is no C compiler.
+        ServiceError: it fails.
+    """
+    program = compiler()
+    if program is None:
+        asked = os.environ.get("CC")
+        looked_for = f"CC={asked} is not" if asked else "neither cc, gcc nor clang is"
+        raise InstallError(
+            f"The firmware in C needs a C compiler, and {looked_for} found",
+            remedy="Install one (Debian: apt-get install gcc libc6-dev), or fly the Python firmware, the default",
+        )
+    command = [program, *OPTIONS, *options, *map(str, sources()), *_LINK_OPTIONS, "-o", str(target)]
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    if done.returncode != 0:
+        said = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip())
+        raise ServiceError(
+            f"{program} cannot compile the firmware: {said}",
+            remedy="Install a complete C compiler (Debian: apt-get install gcc libc6-dev), or fly the Python firmware",
+        )
+
+
+def library() -> Path:
+    """Return the compiled library; compile it if it is not in the cache.
+
+    Raises:
+        InstallError: there is no C compiler.
+        ServiceError: it fails, or the cache cannot be written.
+    """
+    key = hashlib.sha256(repr((OPTIONS, _LINK_OPTIONS, platform.machine())).encode())
+    for path in sorted([*sources(), *SOURCES.glob("*/*.h")]):
+        key.update(path.name.encode() + b"\0" + path.read_bytes())
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "board51"
+    target = folder / f"firmware-{key.hexdigest()[:16]}.so"
+    if target.exists():
+        return target
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder) as scratch:
+            compile_to(Path(scratch) / target.name)
+            os.replace(Path(scratch) / target.name, target)
+    except OSError as error:
+        raise ServiceError(
+            f"The compiled firmware cannot be kept in {folder}: {error.strerror or error}",
+            remedy="Set XDG_CACHE_HOME to a folder that can be written",
+        ) from None
+    return target

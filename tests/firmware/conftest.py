@@ -1,0 +1,22 @@
+"""The firmware's core, compiled as a careful engineer would: a warning is an error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gateway.emulator.native.build import compile_to
+from tests.harness.firmware.core import Core
+from tests.harness.gateway.board_host import skip_without_compiler
+
+WARNINGS = ("-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wsign-conversion", "-Wshadow", "-Werror")
+
+
+@pytest.fixture(scope="session")
+def core(tmp_path_factory: pytest.TempPathFactory) -> Core:
+    """The functions of the core."""
+    skip_without_compiler()
+    path: Path = tmp_path_factory.mktemp("core") / "core.so"
+    compile_to(path, options=WARNINGS)
+    return Core(path)

@@ -1,0 +1,85 @@
+"""The law in C against the one in Python: equal in u, in the limit and in the integral, tick by tick."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from gateway.emulator.firmware.flash import GAINS, K_PID, OPERATING_POINT, gains_in_counts
+from gateway.emulator.firmware.law import ControlLaw, Gains
+from protocol.wire.messages import Law
+from tests.harness.firmware.core import Core
+
+FLOWN = (GAINS, gains_in_counts(Law.PID, K_PID, OPERATING_POINT))
+ENDS = (-32767, -1, 0, 1, 32767)
+
+
+def any_gains(chance: random.Random) -> Gains:
+    """Gains from the whole range of SET_GAINS, its ends often among them."""
+
+    def mantissa() -> int:
+        return chance.choice(ENDS) if chance.random() < 0.2 else chance.randint(-32767, 32767)
+
+    return Gains(
+        law=chance.randrange(2),
+        mantissas=(mantissa(), mantissa(), mantissa(), mantissa()),
+        shifts=(chance.randint(0, 30), chance.randint(0, 30), chance.randint(0, 30), chance.randint(0, 30)),
+        i_0=chance.randrange(4096),
+        x_0=chance.randrange(4096),
+        u_0=chance.randrange(4096),
+    )
+
+
+def fly_both(core: Core, seed: int, ticks: int) -> tuple[int, int]:
+    """Compare tick by tick, with new gains every 500; return how many ticks were limited, and how many saturated."""
+    chance = random.Random(seed)
+    limited_ticks = saturated = 0
+    for n in range(ticks):
+        if n % 500 == 0:
+            law = ControlLaw(FLOWN[n // 500 % 2] if n % 2000 == 0 else any_gains(chance))
+            core.load(law.gains)
+            if chance.random() < 0.5:
+                law.sum = core.law.sum = chance.choice((-(1 << 23), (1 << 23) - 1, chance.randint(-(1 << 23), 1 << 22)))
+        i, x, x_ref = chance.randrange(4096), chance.randrange(4096), chance.randrange(4096)
+        u, limited = law.run(i, x, x_ref)
+        assert core.run(i, x, x_ref) == (u, limited), (seed, n, law.gains, i, x, x_ref)
+        assert core.law.sum == law.sum, (seed, n, law.gains, i, x, x_ref)
+        limited_ticks += limited
+        saturated += abs(law.sum) >= (1 << 23) - 1
+    return limited_ticks, saturated
+
+
+def test_the_law_is_that_of_python_over_random_ticks(core: Core) -> None:
+    limited, saturated = fly_both(core, 20240611, 30_000)
+
+    assert 3_000 < limited < 27_000  # both branches of the anti-windup
+    assert saturated > 100
+
+
+@pytest.mark.slow
+def test_the_law_is_that_of_python_over_a_million_random_ticks(core: Core) -> None:
+    limited, _ = fly_both(core, 20240612, 1_000_000)
+
+    assert 100_000 < limited < 900_000
+
+
+@pytest.mark.parametrize(("x_ref", "end"), [(0, -(1 << 23)), (4095, (1 << 23) - 1)], ids=["down", "up"])
+def test_the_integral_saturates_at_both_ends(core: Core, x_ref: int, end: int) -> None:
+    core.load(Gains(law=0, mantissas=(0, 0, 0, 0), shifts=(0, 0, 0, 0), i_0=0, x_0=0, u_0=0))
+
+    for _ in range(2500):
+        core.run(0, 4095 - x_ref, x_ref)
+
+    assert core.law.sum == end
+
+
+def test_before_rounding_the_accumulator_is_that_of_python(core: Core) -> None:
+    chance = random.Random(7)
+    for _ in range(5_000):
+        law = ControlLaw(any_gains(chance))
+        core.load(law.gains)
+        law.sum = core.law.sum = chance.randint(-(1 << 23), (1 << 23) - 1)
+        i, x, x_ref = chance.randrange(4096), chance.randrange(4096), chance.randrange(4096)
+
+        assert core.c.law_accumulate(i, x, x_ref) == law.accumulate(i, x, x_ref), (law.gains, i, x, x_ref)

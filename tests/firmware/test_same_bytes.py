@@ -1,0 +1,107 @@
+"""The firmware in C against the model in Python: a random host, line, rig and faults get the same bytes of both.
+
+Each kind of rule has its own directed test too, on both firmwares (tests/gateway/emulator): chance rarely meets an
+interval of a second.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from gateway.emulator.firmware.board import Firmware
+from gateway.emulator.native.board import NativeFirmware
+from gateway.emulator.plant.levitation import EmulatedPlant
+from protocol.wire.decoder import State, StreamDecoder
+from protocol.wire.messages import ROWS, EventCode, Reason
+from tests.harness.firmware.random_host import Seen, play
+from tests.harness.gateway.board_host import Bench, Host, frame, skip_without_compiler
+
+MINUTE = 30_000  # ticks
+EVERYTHING = (
+    {row.name for row in ROWS if not row.to_board and row.name != "STATE"}
+    | {code.name for code in EventCode}
+    | {reason.name for reason in Reason}
+)
+
+
+@pytest.fixture(autouse=True)
+def _compiled() -> None:
+    skip_without_compiler()
+
+
+def test_a_minute_of_anything_gives_the_same_bytes() -> None:
+    runs = [play(seed, MINUTE // 4) for seed in range(10, 14)]
+
+    assert names(runs) == EVERYTHING
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("quarter", range(4))
+def test_an_hour_of_anything_gives_the_same_bytes(quarter: int) -> None:
+    runs = [play(100 + 3 * quarter + n, 5 * MINUTE) for n in range(3)]
+
+    assert sum(run.ticks for run in runs) == 15 * MINUTE
+    assert names(runs) == EVERYTHING
+
+
+def test_both_fly_the_emulated_rig_along_the_same_path() -> None:
+    effects = {"quadratic-drag": 1.0, "lost-samples": 0.05}
+    plants = [EmulatedPlant(effects=effects, seed=3) for _ in range(2)]
+    outputs: list[bytes] = []
+    for make, plant in zip((Firmware, NativeFirmware), plants, strict=True):
+        host = Host(plant, board=make(plant))
+        host.ask("SET_MODE", mode=1)
+        host.ask("CAPTURE", u_from=300, u_to=1700, pre=50, count=400)
+        host.run(30)
+        host.ask("READ_CAPTURE", index=32)
+        host.ask("SET_MODE", mode=2)
+        for x_ref in (2034, 2600, 1500):
+            host.ask("SET_REFERENCE", x_ref=x_ref)
+            host.run(400)
+        host.ask("EXCITE", shape=4, target=1, amplitude=60, offset=1500, period=7, period_end=1, seed=77, duration=500)
+        host.run(600)
+        outputs.append(repr((host.states, host.events, host.answers)).encode())
+
+    assert outputs[0] == outputs[1]
+    assert (plants[0].x_m, plants[0].v_m_s, plants[0].i_c_a) == (plants[1].x_m, plants[1].v_m_s, plants[1].i_c_a)
+
+
+def test_a_transmitter_that_takes_a_byte_at_a_time_gets_whole_frames_and_the_newest_state_first() -> None:
+    board = NativeFirmware(Bench())
+    board.take_output()
+    board.feed(frame("HELLO", id=1, session=1, version_min=1, version_max=1))
+    board.tick()
+    received = board.take_frame(1) + board.take_frame(1)  # of the STATE
+    for _ in range(2):
+        board.tick()
+        received += b"".join(board.take_frame(1) for _ in range(20))
+    received += b"".join(iter(lambda: board.take_frame(7), b""))
+
+    events = StreamDecoder().feed(received)
+
+    kinds = [event.sequence if isinstance(event, State) else getattr(event, "name", event) for event in events]
+    assert kinds == [0, 1, 2, "IDENTITY"]
+
+
+def test_a_reset_waits_for_the_last_byte_of_its_ack() -> None:
+    board = NativeFirmware(Bench())
+    board.feed(frame("HELLO", id=1, session=1, version_min=1, version_max=1) + frame("SET_STREAM", id=2, divider=0))
+    board.tick()
+    board.take_output()
+    board.feed(frame("RESET", id=3))
+    board.tick()
+
+    board.take_frame(5)
+    board.tick()
+    waited = board.next_tick
+    rest = board.take_frame()
+    board.tick()
+
+    assert waited == 3
+    assert len(rest) == 12 - 5
+    assert board.next_tick == 0
+
+
+def names(runs: list[Seen]) -> set[str]:
+    """Every answer, event and reason of the runs."""
+    return set().union(*(run.names for run in runs))
