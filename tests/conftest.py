@@ -7,6 +7,7 @@ What is slow to make is made once, not in each process of the run: fixtures of a
 from __future__ import annotations
 
 import fcntl
+import os
 import signal
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,9 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+# Before numpy is imported, here and in what tests start.  Several processes share the cores: threads of the linear
+# algebra library would wait for each other by spinning, a fifth of the processor time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 settings.register_profile("board51", derandomize=True, deadline=None, database=None)
 settings.load_profile("board51")
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
