@@ -12,7 +12,7 @@ from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import Theta, moved, parameter_of, prior_spread
-from twin.estimation.innovations import FLIES, FOLLOWS
+from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X
 from twin.estimation.optimiser import inverse
 from twin.estimation.record import BoolArray, FloatArray
 from twin.model.causes.cause import Cause
@@ -38,22 +38,23 @@ def coefficients(curve: Cause) -> tuple[str, ...]:
 
 
 def visited(evidence: Evidence) -> dict[str, FloatArray]:
-    """x, v, i and u of the samples in flight, each of shape (n,): what curves are functions of.
+    """x, v, i and u of the samples in flight, each of shape (n,) with its own n: what curves are functions of.
 
     The speed is a difference of readings a few samples apart, where they follow one another.
     """
     series = evidence.series
     flies: BoolArray = series.flags & FLIES != 0
     follows = flies & (series.flags & FOLLOWS != 0)
+    has_x, has_i = (flies & (series.flags & flag != 0) for flag in (USE_X, USE_I))
     n, reach = len(series), _SLOPE_SAMPLES
-    inner = flies.copy()
+    inner = np.roll(has_x, reach) & np.roll(has_x, -reach)
     inner[:reach] = inner[max(n - reach, 0) :] = False
     for by in range(1 - reach, reach + 1):
         inner &= np.roll(follows, -by)
     (middle,) = np.nonzero(inner)
     duration = sum((series.step[middle + by] for by in range(1 - reach, reach + 1)), np.zeros(len(middle)))
     speed = (series.x[middle + reach] - series.x[middle - reach]) / duration
-    return {"x": series.x[flies], "v": speed, "i": series.i[flies], "u": series.u[flies]}
+    return {"x": series.x[has_x], "v": speed, "i": series.i[has_i], "u": series.u[flies]}
 
 
 def ranged(theta: Theta, curve: Cause, values: FloatArray) -> Theta:
