@@ -193,7 +193,7 @@ def test_the_whole_rig_is_not_explained_and_said_so(tmp_path: Path) -> None:
 @needs_inteco
 @pytest.mark.slow
 def test_with_the_iron_saturated_the_rig_s_own_laws_predict_to_40_micrometres() -> None:
-    """What delay, wandering offset and gap law leave is a pull that falls with the current, as saturated iron makes it."""
+    """Delay, wandering offset and gap law leave a pull that falls with the current, as saturated iron makes it."""
     campaign = load(CAMPAIGNS / "inteco-diagnosis.toml")
     records, judges = (read_campaign(campaign, use=use, data=DATA) for use in ("fit", "judge"))
     evidence = without_outliers(gather(records, campaign.plant))
