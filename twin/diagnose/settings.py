@@ -111,6 +111,11 @@ CANDIDATES = 5  # fitted in a round
 LEAST_SCORE_SHARE = 0.02  # of the best score: candidates below are not fitted
 PASSES = 30  # of a fit, at most
 PASSES_FIRST = 2  # of a candidate's first fit
+# Samples that lead a fit to where it begins, its passes over them, and how many times as many are worth the detour.
+NEAR_SAMPLES = 8000
+PASSES_NEAR = 6
+NEAR_WORTH = 1.5
+PLENTY = 200.0  # gain of a candidate over such a part that is enough to compare candidates there: known to a tenth
 PASSES_QUICK = 10  # of a model without one of its causes, with --quick
 HALVING = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))  # then: passes, least share of the best gain, most candidates
 STEEPNESS = 8.0  # a likelihood rises at most so much above what its slope promises (five times was seen)

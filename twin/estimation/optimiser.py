@@ -85,7 +85,8 @@ def climb(surface: Surface[P], start: P, free: Sequence[str], *, passes: int, do
         free: coordinates to estimate; the others stay.
         passes: largest number of passes.
         done: decrement of convergence, standard errors.
-        patience: consecutive passes with little gain after which the decrement NEAR suffices.
+        patience: consecutive passes with little gain after which the decrement NEAR suffices; after twice as many it
+            ends in any case, as slopes that promise more are those of a likelihood with kinks.
     """
     point, damping, converged = start, Damping(), False
     loglik, seen = surface.visit(start)
@@ -103,6 +104,8 @@ def climb(surface: Surface[P], start: P, free: Sequence[str], *, passes: int, do
             step, decrement = newton(slopes, active_of(surface, point, free, slopes.score), damping.value)
         if decrement < done or (slow >= patience and decrement < NEAR):
             converged = True
+            break
+        if slow >= 2 * patience:
             break
         shorter = min([1.0, *(most / np.maximum(np.abs(step), 1e-300))[physics]])
         step = np.where(physics, step * shorter, np.clip(step, -most, most))

@@ -23,7 +23,7 @@ from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import BASE, STOPS, Theta, coordinates_of
 from twin.diagnose.judge.prediction_gain import predictions
 from twin.diagnose.pipeline import tick_of
-from twin.diagnose.remainder.curve_fits import fitted, scores
+from twin.diagnose.remainder.curve_fits import begun, ended, scores
 from twin.diagnose.remainder.likeness import alike
 from twin.estimation.innovations import FLIES
 from twin.model.causes.catalogue import BY_NAME
@@ -212,7 +212,7 @@ def test_with_the_iron_saturated_the_rig_s_own_laws_predict_to_40_micrometres() 
         free = (*BASE, *STOPS, *(name for cause in names for name in coordinates_of(cause)))
         fit = climb(criterion, start, free)
         (score,) = scores(criterion, fit, [curve])
-        thetas = [fit.theta, fitted(criterion, fit, score).theta]
+        thetas = [fit.theta, ended(criterion, begun(criterion, fit, score)).theta]
         (like, *_) = alike(criterion, fit, curve, score.evidence, [BY_NAME["core-saturation"]])
         thetas.append(like.trial.fit.theta)
     finally:

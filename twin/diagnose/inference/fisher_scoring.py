@@ -13,7 +13,7 @@ from twin.diagnose import settings
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import Theta, most_step, moved, prior_spread
 from twin.estimation import optimiser
-from twin.estimation.optimiser import CLOSE, Slopes, active_of, covariance_of
+from twin.estimation.optimiser import CLOSE, NEAR, Slopes, active_of, covariance_of
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import Results
 
@@ -53,17 +53,46 @@ def spreads(criterion: Criterion, fit: Fit) -> dict[str, float]:
 
 
 def climb(
-    criterion: Criterion, start: Theta, free: Sequence[str], *, passes: int = settings.PASSES, done: float = DONE
+    criterion: Criterion,
+    start: Theta,
+    free: Sequence[str],
+    *,
+    passes: int = settings.PASSES,
+    done: float = DONE,
+    near: bool = False,
 ) -> Fit:
-    """Climb to the maximum from `start`; coordinates not in `free` stay."""
-    top = optimiser.climb(_Surface(criterion), start, free, passes=passes, done=done, patience=2)
+    """Climb to the maximum from `start`; coordinates not in `free` stay.
+
+    With `near`, not to the end: slopes that cost less say where to go, and the fit has not converged.
+    """
+    surface = _Surface(criterion, near=near)
+    top = optimiser.climb(surface, start, free, passes=passes, done=NEAR if near else done, patience=2)
     return Fit(
         theta=top.point,
         loglik=top.loglik + narrowing(free, top.covariance),
         free=tuple(free),
         covariance=top.covariance,
-        converged=top.converged,
+        converged=top.converged and not near,
         ahead=top.ahead,
+    )
+
+
+def approach(criterion: Criterion, start: Theta, free: Sequence[str]) -> Fit:
+    """Climb from `start` to near the maximum, most of the way over part of the samples.
+
+    The fit is of all samples, `ahead` is what the part leaves: the slope where it ends, and half a unit for each
+    coordinate and each further sample of a part's worth, as maxima of a part scatter.
+    """
+    part = criterion.thinner
+    if part is criterion:
+        return climb(criterion, start, free, passes=settings.PASSES_FIRST, near=True)
+    fit = climb(part, start, free, passes=settings.PASSES_NEAR, near=True)
+    covariance = part.share * fit.covariance
+    return replace(
+        fit,
+        loglik=criterion.value(fit.theta) + narrowing(free, covariance),
+        covariance=covariance,
+        ahead=fit.ahead / part.share + 0.5 * len(free) * (1.0 / part.share - 1.0),
     )
 
 
@@ -88,10 +117,15 @@ def narrowing(free: Sequence[str], covariance: FloatArray) -> float:
 
 
 class _Surface:
-    """The criterion as an optimiser's surface; far from the maximum it uses slopes that cost less."""
+    """The criterion as an optimiser's surface; far from the maximum it uses slopes that cost less.
 
-    def __init__(self, criterion: Criterion) -> None:
-        self._criterion = criterion
+    Args:
+        criterion: the likelihood.
+        near: whether near the maximum is good enough.
+    """
+
+    def __init__(self, criterion: Criterion, *, near: bool = False) -> None:
+        self._criterion, self._near = criterion, near
 
     def moved(self, point: Theta, name: str, by: float) -> Theta:
         return moved(point, name, by, self._criterion.plant)
@@ -111,7 +145,7 @@ class _Surface:
             return self._of(point, seen, free, before.retained, exact=before.exact, fresh=False)
         rough = self._criterion.mean_square(seen.innovations) < settings.EXACT_SLOPES_SQUARE
         _, change = self._criterion.derivatives(point, free, seen, rough=rough)
-        return self._of(point, seen, free, change, exact=not rough)
+        return self._of(point, seen, free, change, exact=self._near or not rough)
 
     def exact(self, point: Theta, seen: Results, free: Sequence[str]) -> Slopes:
         _, change = self._criterion.derivatives(point, free, seen)

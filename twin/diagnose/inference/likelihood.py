@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
+from copy import copy
 from functools import cached_property
 from typing import TypeVar
 
@@ -22,6 +23,7 @@ from protocol.campaign import Plant
 from twin.diagnose import settings
 from twin.diagnose.evidence.dead_time import dead_time
 from twin.diagnose.evidence.gather import Evidence
+from twin.diagnose.evidence.thinned import thinned
 from twin.diagnose.inference.budget import Budget, Spent
 from twin.diagnose.inference.theta import (
     NOISES,
@@ -34,7 +36,7 @@ from twin.diagnose.inference.theta import (
 )
 from twin.estimation.ekf.filter import fill
 from twin.estimation.ekf.memory import states_in
-from twin.estimation.innovations import FLIES, RESTS_HIGH, RESTS_LOW, information, whiten
+from twin.estimation.innovations import FLIES, RESTS_HIGH, RESTS_LOW, Series, information, whiten
 from twin.estimation.pace import Reuse, pace_of
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import NO_STEPS, Results, Steps, room_for
@@ -60,18 +62,28 @@ class Criterion:
     def __init__(
         self, evidence: Evidence, plant: Plant, tick_s: float, *, workers: int = 2, budget: Budget | None = None
     ) -> None:
-        self.evidence, self.plant, self.tick_s = evidence, plant, tick_s
-        # Recordings do not touch: where one begins in the middle, two workers share a run.
-        begins = np.flatnonzero(np.diff(evidence.series.recording, prepend=-1))
-        n = len(evidence.series)
-        middle = int(begins[np.argmin(np.abs(begins - n // 2))]) if len(begins) else 0
-        self._halves = [piece for piece in (slice(0, middle), slice(middle, n)) if piece.stop > piece.start]
+        self.plant, self.tick_s = plant, tick_s
+        self.evidence, self.pace, self.halves = evidence, pace_of(evidence.series), _halves(evidence.series)
+        self.share = 1.0  # of the samples of the campaign
         self._pool = ThreadPoolExecutor(max_workers=workers)
         self._climbers = ThreadPoolExecutor(max_workers=workers) if workers > 1 else None
         self.whole = budget or Budget()
         self._own = threading.local()
-        self.pace = pace_of(evidence.series)
         self.evaluations = 0
+
+    @cached_property
+    def _few(self) -> Evidence:
+        return thinned(self.evidence, settings.NEAR_SAMPLES / max(len(self.evidence.series), 1))
+
+    @property
+    def thinner(self) -> Criterion:
+        """The likelihood of part of the samples, for the way to where a fit begins; itself, where there are too few."""
+        if len(self.evidence.series) < settings.NEAR_WORTH * settings.NEAR_SAMPLES:
+            return self
+        other, series = copy(self), self._few.series
+        other.evidence, other.pace, other.halves = self._few, pace_of(series), _halves(series)
+        other.share = len(series) / len(self.evidence.series)
+        return other
 
     @property
     def budget(self) -> Budget:
@@ -165,7 +177,7 @@ class Criterion:
         """Innovations, with the steps that `derivatives` take over from here."""
         self.pay(theta)
         done = room_for(len(self.evidence.series), states_in(theta.vector()), steps=True)
-        list(self._pool.map(lambda part: self._fill(theta, part, done), self._halves))
+        list(self._pool.map(lambda part: self._fill(theta, part, done), self.halves))
         self.evaluations += 1
         return done
 
@@ -240,7 +252,7 @@ class Criterion:
     def _residuals(self, theta: Theta) -> FloatArray:
         """Of the stops, the static points and the causes' shapes, in standard errors."""
         stops = [theta.stop_low_m / settings.STOP_STD_M, theta.stop_high_m / settings.STOP_STD_M]
-        return np.concatenate([stops, self._statics(theta), shape_residuals(theta)])
+        return math.sqrt(self.share) * np.concatenate([stops, self._statics(theta), shape_residuals(theta)])
 
     def points(self, theta: Theta) -> float:
         """Log-likelihood of the lift-off points and equilibria."""
@@ -317,3 +329,11 @@ class Criterion:
         beside = [moved(theta, name, by, self.plant) for name, by in zip(names, steps, strict=True)]
         score, curvature = self.outside_slopes(theta, beside, steps)
         return total, each.sum(axis=0) + score, fisher + curvature
+
+
+def _halves(series: Series) -> list[slice]:
+    """Two parts of about one size: recordings do not touch, so where one begins two workers share a run."""
+    begins = np.flatnonzero(np.diff(series.recording, prepend=-1))
+    n = len(series)
+    middle = int(begins[np.argmin(np.abs(begins - n // 2))]) if len(begins) else 0
+    return [piece for piece in (slice(0, middle), slice(middle, n)) if piece.stop > piece.start]

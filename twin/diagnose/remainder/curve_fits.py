@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.diagnose import settings
 from twin.diagnose.evidence.gather import Evidence
-from twin.diagnose.inference.fisher_scoring import Fit, climb
+from twin.diagnose.inference.fisher_scoring import Fit, approach, climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import Theta, moved, parameter_of, prior_spread
 from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X
@@ -98,10 +98,14 @@ def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[Curve
     return sorted(found, key=lambda one: -one.evidence)
 
 
-def fitted(criterion: Criterion, at: Fit, score: CurveScore) -> Fit:
-    """`at` with a curve, everything fitted again."""
-    free = (*at.free, *coefficients(score.curve))
-    return climb(criterion, score.start, free, passes=settings.CURVE_PASSES, done=settings.CURVE_DONE)
+def begun(criterion: Criterion, at: Fit, score: CurveScore) -> Fit:
+    """`at` with a curve, everything fitted again, not to the end."""
+    return approach(criterion, score.start, (*at.free, *coefficients(score.curve)))
+
+
+def ended(criterion: Criterion, fit: Fit) -> Fit:
+    """The same, fitted to the end."""
+    return climb(criterion, fit.theta, fit.free, passes=settings.CURVE_PASSES, done=settings.CURVE_DONE)
 
 
 def band(fit: Fit, curve: Cause, at: FloatArray, weights_at: FloatArray) -> tuple[FloatArray, FloatArray]:

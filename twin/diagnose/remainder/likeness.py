@@ -38,10 +38,11 @@ def alike(criterion: Criterion, at: Fit, curve: Cause, gain: float, candidates: 
         gain: of log-likelihood, with the curve.
         candidates: testable causes.
     """
-    alone = {score.cause: score for score in screen(criterion, at.theta, at.free, candidates) if score.testable}
+    few = criterion.thinner
+    alone = {score.cause: score for score in screen(few, at.theta, at.free, candidates) if score.testable}
     over = curve.parameters[0].name.removeprefix("from_")
     theta = ranged(at.theta, curve, visited(criterion.evidence)[over])
-    beside = {score.cause: score for score in screen(criterion, theta, (*at.free, *coefficients(curve)), candidates)}
+    beside = {score.cause: score for score in screen(few, theta, (*at.free, *coefficients(curve)), candidates)}
     absorbed = {
         name: 1.0 - beside[name].visible / score.visible
         for name, score in alone.items()

@@ -29,7 +29,7 @@ from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import Theta
 from twin.diagnose.judge.flexible import flexible_errors
 from twin.diagnose.judge.prediction_gain import bootstrap, predictions
-from twin.diagnose.remainder.curve_fits import CurveScore, band, fitted, scores, visited
+from twin.diagnose.remainder.curve_fits import CurveScore, band, begun, ended, scores, visited
 from twin.diagnose.remainder.likeness import Alike, alike
 from twin.estimation.pace import pace_of
 from twin.estimation.prediction_floor import floor_rmse
@@ -243,10 +243,14 @@ def _grow(judging: _Judge, at: _Grown, candidates: Sequence[Cause], tried: list[
 def _best(
     judging: _Judge, at: _Grown, asked: Sequence[CurveScore], tried: list[Tried]
 ) -> tuple[Cause, Fit, FloatArray] | None:
-    """The curve that predicts best; adds all to `tried`."""
+    """The curve that predicts best, fitted to the end; adds all to `tried`."""
     criterion = judging.criterion
-    fits = criterion.each(partial(fitted, criterion, at.fit), asked)
+    fits = criterion.each(partial(begun, criterion, at.fit), asked)
     results = [(one.curve, fit, judging.squares(fit.theta)) for one, fit in zip(asked, fits, strict=True)]
+    if results:
+        place = min(range(len(results)), key=lambda n: judging.choosing(results[n][2]))
+        fit = ended(criterion, results[place][1])
+        results[place] = results[place][0], fit, judging.squares(fit.theta)
     tried += [
         Tried(
             name=curve.name,

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from twin.diagnose import settings
-from twin.diagnose.inference.fisher_scoring import Fit, climb
+from twin.diagnose.inference.fisher_scoring import Fit, approach, climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import coordinates_of, parameter_of
 from twin.diagnose.search.candidate_starts import start_of
@@ -75,22 +75,26 @@ def fitted(
             goes_on = goes_on and _promise(trial) >= beaten
             if goes_on or (stage == 0 and trial.cause in favourites):
                 going.add(trial.cause)
-        trials = criterion.each(partial(_further, criterion, going, passes), trials)
+        trials = criterion.each(partial(_further, criterion, going, passes, last), trials)
     by_name = {trial.cause: trial for trial in trials}
     trials += [renamed(by_name[one], same) for same, one in copies.items()]
     trials.sort(key=lambda trial: -trial.gain)
-    return trials
+    first = next((n for n, trial in enumerate(trials) if inside(trial)), len(trials))
+    if first < len(trials) and not trials[first].fit.converged:
+        trials[first] = climbed(criterion, trials[first])  # it may be taken: the next step begins at its maximum
+    return sorted(trials, key=lambda trial: -trial.gain)
 
 
 def _begun(criterion: Criterion, at: Fit, score: Score) -> Trial:
-    fit = climb(
-        criterion, start_of(criterion, at.theta, score), _with(at.free, score.cause), passes=settings.PASSES_FIRST
-    )
+    start = start_of(criterion.thinner, at.theta, score)
+    fit = approach(criterion, start, _with(at.free, score.cause))
     return Trial(cause=score.cause, fit=fit, gain=fit.loglik - at.loglik - score.chance)
 
 
-def _further(criterion: Criterion, going: set[str], passes: int, trial: Trial) -> Trial:
-    return climbed(criterion, trial, passes) if trial.cause in going and not trial.fit.converged else trial
+def _further(criterion: Criterion, going: set[str], passes: int, last: bool, trial: Trial) -> Trial:
+    if trial.cause not in going or trial.fit.converged:
+        return trial
+    return climbed(criterion, trial, passes, near=not last)
 
 
 def same_as(cause: str) -> set[str]:
@@ -112,9 +116,9 @@ def renamed(trial: Trial, cause: str) -> Trial:
     )
 
 
-def climbed(criterion: Criterion, trial: Trial, passes: int = settings.PASSES) -> Trial:
-    """Fit a trial further."""
-    fit = climb(criterion, trial.fit.theta, trial.fit.free, passes=passes)
+def climbed(criterion: Criterion, trial: Trial, passes: int = settings.PASSES, *, near: bool = False) -> Trial:
+    """Fit a trial further; the arguments are those of `climb`."""
+    fit = climb(criterion, trial.fit.theta, trial.fit.free, passes=passes, near=near)
     return replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
 
 

@@ -191,7 +191,7 @@ def _again(criterion: Criterion, own: Trial, confounder: Trial) -> Trial:
     """Fit a candidate that is behind once more, from the parameters found with `own`."""
     if own.gain - confounder.gain < settings.EQUIVALENT_GAIN:
         return confounder
-    start = beside(criterion, own.fit.theta, BY_NAME[own.cause], BY_NAME[confounder.cause])
+    start = beside(criterion.thinner, own.fit.theta, BY_NAME[own.cause], BY_NAME[confounder.cause])
     start = replace(start, phases_s=confounder.fit.theta.phases_s)
     if criterion.value(start) <= confounder.fit.loglik:
         return confounder

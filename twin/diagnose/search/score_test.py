@@ -61,7 +61,19 @@ class Score:
 def screen(
     criterion: Criterion, theta: Theta, free: Sequence[str], candidates: Sequence[Cause] = CATALOGUE
 ) -> list[Score]:
-    """The candidates' scores at a maximum, best first; those already in the model are left out."""
+    """The candidates' scores at a maximum, best first; those already in the model are left out.
+
+    Where part of the samples shows plenty, the part decides, and gains are those that all samples would show.
+    """
+    part = criterion.thinner
+    if part is not criterion:
+        scores = _screened(part, theta, free, candidates)
+        if scores and scores[0].gain * part.share >= settings.PLENTY:
+            return scores
+    return _screened(criterion, theta, free, candidates)
+
+
+def _screened(criterion: Criterion, theta: Theta, free: Sequence[str], candidates: Sequence[Cause]) -> list[Score]:
     present = {name.partition(".")[0] for name, _ in theta.causes}
     trials = [
         (cause, probe, shape)
@@ -106,10 +118,10 @@ def screen(
         found = Score(
             cause=cause.name,
             probe=probe,
-            gain=gain,
+            gain=gain / criterion.share,
             step=step,
-            z=slope / math.sqrt(left),
-            detectable=math.sqrt(left),
+            z=slope / math.sqrt(left * criterion.share),
+            detectable=math.sqrt(left / criterion.share),
             visible=left / own,
             beside=tuple(zip(free, (-(inner @ cross)).tolist(), strict=True)),
             others=shape,

@@ -1,0 +1,36 @@
+"""A part of the samples, spread over all recordings: enough for where a fit should begin, at a fraction of its cost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from twin.diagnose.evidence.gather import Evidence
+from twin.estimation.innovations import FOLLOWS
+from twin.estimation.structures import ALIKE
+
+BLOCK = 250  # samples that stay together: half a second of flight at 500 Hz, 30 time constants of the unstable pole
+_GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+
+
+def thinned(evidence: Evidence, share: float) -> Evidence:
+    """The evidence with about this share of the blocks of its series, each a chain of its own.
+
+    Which ones is decided by multiples of the golden ratio (H. Weyl, Mathematische Annalen 77, 1916): they are spread
+    evenly, and no rhythm of the recordings coincides with theirs.
+    """
+    series = evidence.series
+    n = np.arange(len(series))
+    begins = series.flags & FOLLOWS == 0
+    first = np.maximum.accumulate(np.where(begins, n, 0))
+    heads = (n - first) % BLOCK == 0
+    stays = np.cumsum(heads) * _GOLDEN % 1.0 < share
+    flags = np.where(heads, series.flags & np.uint8(~FOLLOWS & 0xFF), series.flags)
+    columns = {name: getattr(series, name)[stays] for name in type(series).__slots__}
+    return replace(
+        evidence,
+        series=replace(series, **(columns | {"flags": flags[stays]})),
+        t=evidence.t[stays],
+        noise_ratio=evidence.noise_ratio if evidence.noise_ratio is ALIKE else evidence.noise_ratio[stays],
+    )
