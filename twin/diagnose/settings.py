@@ -113,7 +113,7 @@ PASSES = 30  # of a fit, at most
 PASSES_FIRST = 2  # of a candidate's first fit
 # Samples that lead a fit to where it begins, its passes over them, and how many times as many are worth the detour.
 NEAR_SAMPLES = 8000
-PASSES_NEAR = 6
+PASSES_NEAR = 12
 NEAR_WORTH = 1.5
 PLENTY = 200.0  # gain of a candidate over such a part that is enough to compare candidates there: known to a tenth
 PASSES_QUICK = 10  # of a model without one of its causes, with --quick
