@@ -1,0 +1,52 @@
+/* ATmega328P at 16 MHz on an Arduino Uno with a MagnetoShield: every register that is used, clock, baud and wiring.
+ *
+ * Sections are those of the data sheet "ATmega48A/PA/88A/PA/168A/PA/328/P" (Microchip DS40002061B), figures of the
+ * converter those of "MCP4725" (Microchip DS22039D).  The wiring is that of the MagnetoShield R3 and R4 as its public
+ * page gives it (github.com/gergelytakacs/AutomationShield/wiki/MagnetoShield).
+ *
+ *     timer 1    tick, T_s                        16 (16-bit timer, CTC)     TCCR1A/B, OCR1A, TIMSK1
+ *     timer 2    capture, CAPTURE_US              18 (8-bit timer, CTC)      TCCR2A/B, OCR2A, TIMSK2, TIFR2, TCNT2
+ *     ADC        A2: coil current, A3: position   24 (ADC), 24.5 sampling    ADMUX, ADCSRA, ADC, DIDR0
+ *     TWI        u_c: MCP4725 at 0x60, 400 kHz    22 (TWI), 22.5.2 rate      TWBR, TWSR, TWCR, TWDR
+ *     USART 0    8N1, double speed                20 (USART), 20.3.1 rate    UBRR0, UCSR0A/B/C, UDR0
+ *     watchdog   system reset after 32 ms         11.8 (watchdog)            WDTCSR
+ *     reset      cause                            11.9.1                     MCUSR
+ *     sleep      idle between interrupts          10.3                       SMCR
+ *     EEPROM     identity, settings               8.4                        through avr-libc
+ */
+#ifndef BOARD51_AVR_TARGET_H
+#define BOARD51_AVR_TARGET_H
+
+#define F_CPU UINT32_C(16000000)
+
+/* The rate that the divider gives may be off by 2.5 % at most; 115200 is by 2.1 %, 250000, 500000 and 1000000 are exact. */
+#ifndef BAUD
+#define BAUD UINT32_C(115200)
+#endif
+#define UBRR_VALUE ((F_CPU + BAUD * 4U) / (BAUD * 8U) - 1U)
+#define BAUD_GIVEN (F_CPU / (8U * (UBRR_VALUE + 1U)))
+#if BAUD_GIVEN * 1000 > BAUD * 1025 || BAUD_GIVEN * 1000 < BAUD * 975 || UBRR_VALUE > 4095
+#error "BAUD cannot be made from 16 MHz within 2.5 %: take 38400, 57600, 115200, 250000"
+#endif
+
+/* Timers: 0.5 us a count for the tick, 4 us for the capture. */
+#define TICK_COUNTS (TICK_US * 2U)
+#define CAPTURE_COUNTS (CAPTURE_US / 4U)
+#if TICK_COUNTS > 65536 || CAPTURE_US % 4 != 0 || CAPTURE_US > 1024
+#error "T_s is 32 ms at most; CAPTURE_US is a multiple of 4 us, 1024 at most"
+#endif
+
+/* 250 kHz: a conversion takes 52 us, its sample is taken 6 us after its start.  Up to 200 kHz give all 10 bits. */
+#define ADC_PRESCALER ((1 << ADPS2) | (1 << ADPS1)) /* 64 */
+#define ADC_REFERENCE 0                             /* the AREF pin, which the shield drives with 3.3 V */
+#define ADC_CURRENT 2
+#define ADC_POSITION 3
+
+#define TWI_RATE UINT32_C(400000)
+#define TWI_DIVIDER ((F_CPU / TWI_RATE - 16U) / 2U)
+#define TWI_PATIENCE 250U /* looks at a byte on the bus; it takes 23 us, 50 looks */
+#define DAC_ADDRESS 0x60
+
+#define RX_RING 32U /* bytes; a power of two.  A tick of 1 ms at 250000 brings 25 */
+
+#endif
