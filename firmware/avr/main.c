@@ -143,18 +143,18 @@ bool hal_capture_due(void) {
 
 /* Converters. */
 
-/* The capture interrupt converts, too: it waits for a conversion that is under way. */
+/* The capture interrupt converts, too: it waits for a conversion that is under way.  The receiver holds two bytes. */
 static uint16_t convert(uint8_t channel) {
-    uint8_t capture = TIMSK2;
+    uint8_t flags = SREG;
     uint16_t count;
 
-    TIMSK2 = 0;
+    cli();
     ADMUX = (uint8_t)(ADC_REFERENCE | channel);
     ADCSRA |= 1 << ADSC;
     while ((ADCSRA & (1 << ADSC)) != 0) {
     }
     count = ADC;
-    TIMSK2 = capture;
+    SREG = flags;
     return (uint16_t)(count << 2 | count >> 8); /* 0 .. 1023 to 0 .. 4095 */
 }
 

@@ -4,20 +4,30 @@
 #define HARMONICS 8U
 #define CHIRP_TURN ((uint64_t)1 << 48)
 
-/* dividend / divisor, rounded down; dividend of 49 bits.  By shifts: sdcc has no division of 64 bits for an 8051. */
+/* dividend / divisor, rounded down, 16 bits at a time: the bits of the dividend leave a digit above while those of the
+ * quotient enter it below.  Without a division or a shift by one of 64 bits: sdcc has none for an 8051, and on an AVR
+ * they would take longer than a tick. */
 static uint64_t quotient(uint64_t dividend, uint32_t divisor) {
-    uint64_t rest = 0;
     uint64_t result = 0;
+    uint32_t rest = 0;
+    uint8_t digit;
     uint8_t n;
 
-    for (n = 0; n < 49U; n++) {
-        rest = rest << 1 | (dividend >> 48 & 1U);
-        dividend <<= 1;
-        result <<= 1;
-        if (rest >= divisor) {
-            rest -= divisor;
-            result |= 1U;
+    for (digit = 0; digit < 4U; digit++) {
+        uint16_t bits = (uint16_t)(dividend >> 48);
+
+        for (n = 0; n < 16U; n++) {
+            bool carry = rest >> 31 != 0U;
+
+            rest = rest << 1 | (bits >> 15 & 1U);
+            bits = (uint16_t)(bits << 1);
+            if (carry || rest >= divisor) {
+                rest -= divisor;
+                bits |= 1U;
+            }
         }
+        dividend <<= 16;
+        result = result << 16 | bits;
     }
     return result;
 }

@@ -33,6 +33,7 @@ struct chip {
     uint8_t received[2]; /* by the converter, of the message on its bus */
     avr_t *avr;
     avr_irq_t *adc, *twi, *uart;
+    avr_uart_t *line;
 };
 
 static void silent(avr_t *avr, const int level, const char *format, va_list values) {
@@ -108,6 +109,15 @@ static avr_cycle_count_t on_time(avr_t *avr, avr_cycle_count_t when, void *to) {
     return 0;
 }
 
+static avr_uart_t *find_uart(avr_t *avr) {
+    avr_io_t *io = avr->io_port;
+
+    while (strcmp(io->kind, "uart") != 0) {
+        io = io->next;
+    }
+    return (avr_uart_t *)io;
+}
+
 struct chip *chip_open(const uint8_t *code, uint32_t size) {
     struct chip *chip = calloc(1, sizeof *chip);
     uint32_t flags = 0;
@@ -127,6 +137,7 @@ struct chip *chip_open(const uint8_t *code, uint32_t size) {
     chip->adc = avr_io_getirq(chip->avr, AVR_IOCTL_ADC_GETIRQ, 0);
     chip->twi = avr_io_getirq(chip->avr, AVR_IOCTL_TWI_GETIRQ(0), 0);
     chip->uart = avr_io_getirq(chip->avr, AVR_IOCTL_UART_GETIRQ('0'), 0);
+    chip->line = find_uart(chip->avr);
     avr_ioctl(chip->avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
     avr_irq_register_notify(chip->adc + ADC_IRQ_OUT_TRIGGER, on_conversion, chip);
     avr_irq_register_notify(chip->twi + TWI_IRQ_OUTPUT, on_bus, chip);
@@ -161,6 +172,8 @@ void chip_reset(struct chip *chip, uint8_t power, uint8_t brown_out) {
 uint8_t chip_run(struct chip *chip, uint64_t until) {
     avr_t *avr = chip->avr;
 
+    /* A byte has 10 bits of 8 clocks of the divider each: simavr counts 11. */
+    chip->line->cycles_per_byte = 80U * (1U + avr->data[chip->line->ubrrl.reg]);
     chip->event = avr->cycle < until ? UINT8_MAX : TIME_IS_OVER;
     if (chip->event == UINT8_MAX) {
         avr_cycle_timer_register(avr, until - avr->cycle, on_time, chip);
