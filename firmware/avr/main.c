@@ -20,8 +20,10 @@ static uint8_t cause;
 static volatile uint8_t ticks_due;
 static volatile bool woken; /* since the main loop began its turn */
 static volatile uint16_t capture_waits; /* interrupts of timer 2 before the next one that counts */
-static volatile uint8_t ring[RX_RING];
-static volatile uint8_t ring_in, ring_out;
+static volatile uint8_t rx_ring[RX_RING];
+static volatile uint8_t rx_in, rx_out;
+static volatile uint8_t tx_ring[TX_RING];
+static volatile uint8_t tx_in, tx_out;
 
 /* Where a simulator or debugger finds what it shows. */
 extern const __flash uint16_t VIEW[];
@@ -170,38 +172,52 @@ uint16_t hal_read_position(void) {
 
 ISR(USART_RX_vect) {
     uint8_t byte = UDR0;
-    uint8_t next = (uint8_t)((ring_in + 1U) % RX_RING);
+    uint8_t next = (uint8_t)((rx_in + 1U) % RX_RING);
 
-    if (next != ring_out) { /* else it is lost, and its frame's CRC shows it */
-        ring[ring_in] = byte;
-        ring_in = next;
+    if (next != rx_out) { /* else it is lost, and its frame's CRC shows it */
+        rx_ring[rx_in] = byte;
+        rx_in = next;
     }
     woken = true;
 }
 
 bool hal_receive(uint8_t *byte) {
-    uint8_t at = ring_out;
+    uint8_t at = rx_out;
 
-    if (at == ring_in) {
+    if (at == rx_in) {
         return false;
     }
-    *byte = ring[at];
-    ring_out = (uint8_t)((at + 1U) % RX_RING);
+    *byte = rx_ring[at];
+    rx_out = (uint8_t)((at + 1U) % RX_RING);
     return true;
 }
 
+/* Wakes the main loop for more when half is gone, and at the end: not for each byte. */
 ISR(USART_UDRE_vect) {
-    UCSR0B &= (uint8_t)~(1 << UDRIE0);
-    woken = true;
+    uint8_t at = tx_out;
+    uint8_t left = (uint8_t)((tx_in - at) % TX_RING);
+
+    if (left == 0U) {
+        UCSR0B &= (uint8_t)~(1 << UDRIE0);
+    } else {
+        UDR0 = tx_ring[at];
+        tx_out = (uint8_t)((at + 1U) % TX_RING);
+        left--;
+    }
+    if (left == TX_RING / 2U || left == 0U) {
+        woken = true;
+    }
 }
 
-/* The transmitter holds two bytes; full, it wakes the main loop when there is room. */
 bool hal_send(uint8_t byte) {
-    if ((UCSR0A & (1 << UDRE0)) == 0) {
-        UCSR0B |= 1 << UDRIE0;
+    uint8_t next = (uint8_t)((tx_in + 1U) % TX_RING);
+
+    if (next == tx_out) {
         return false;
     }
-    UDR0 = byte;
+    tx_ring[tx_in] = byte;
+    tx_in = next;
+    UCSR0B |= 1 << UDRIE0;
     return true;
 }
 
@@ -219,9 +235,9 @@ uint16_t hal_resets(void) {
     return kept.resets;
 }
 
-/* The chip has no instruction for it: the watchdog does it, 16 ms later. */
+/* The chip has no instruction for it: the watchdog does it, 16 ms later.  The ACK leaves meanwhile. */
 void hal_restart(void) {
-    cli();
+    hal_capture_timer(0);
     dac_write(0);
     kept.commanded = true;
     wdt_enable(WDTO_15MS);

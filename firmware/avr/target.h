@@ -47,6 +47,8 @@
 #define TWI_PATIENCE 250U /* looks at a byte on the bus; it takes 23 us, 50 looks */
 #define DAC_ADDRESS 0x60
 
-#define RX_RING 32U /* bytes; a power of two.  A tick of 1 ms at 250000 brings 25 */
+/* Bytes, powers of two: what a tick of 1 ms brings at 250000, and what leaves during one at 115200. */
+#define RX_RING 32U
+#define TX_RING 16U
 
 #endif
