@@ -35,7 +35,7 @@ static uint64_t quotient(uint64_t dividend, uint32_t divisor) {
 /* (2^48 // period_end - 2^48 // period) // duration, rounded down.  Below 0 as 2^64 minus it: only the low 48 bits of
  * the phase are looked at. */
 static uint64_t chirp_sweep(const struct signal *signal) {
-    uint64_t first = quotient(CHIRP_TURN, signal->period);
+    uint64_t first = board.excitation.step; /* 2^48 // period */
     uint64_t last = quotient(CHIRP_TURN, signal->period_end);
     uint32_t duration = signal->duration == 0U ? 1U : signal->duration;
 
@@ -54,7 +54,7 @@ void excitation_start(const struct signal *signal) {
     board.excitation.phase = 0;
     board.excitation.step = 0;
     board.excitation.sweep = 0;
-    if (signal->shape == SHAPE_CHIRP) { /* not for the others: four long divisions take an 8051 several ticks */
+    if (signal->shape == SHAPE_CHIRP) { /* not for the others: three long divisions take an 8051 several ticks */
         board.excitation.step = quotient(CHIRP_TURN, signal->period);
         board.excitation.sweep = chirp_sweep(signal);
     }

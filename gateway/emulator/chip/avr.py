@@ -140,6 +140,10 @@ class AvrBoard:
         """Write the EEPROM; the firmware reads it after the next reset."""
         self._library.chip_store(self._chip, content, len(content))
 
+    def connect(self, plant: AnalogSide) -> None:
+        """Put another plant behind the converters."""
+        self._plant = plant
+
     def unplug_converter(self, *, unplugged: bool = True) -> None:
         """Let the converter of u_c not answer on its bus; its output stays as it is."""
         self._view.deaf = unplugged
@@ -196,6 +200,11 @@ class AvrBoard:
     def next_tick(self) -> int:
         """Number of the tick that comes next."""
         return self._number(0, 4)
+
+    @property
+    def cycle(self) -> int:
+        """Cycles since the start, as of the last event."""
+        return int(self._view.cycle)
 
     @property
     def cycles_awake(self) -> int:

@@ -29,6 +29,7 @@ class AvrHost:
         self.states: list[State] = []
         self.messages: list[Message] = []
         self.cycles: list[int] = []
+        self.bad_frames = 0
         self._decoder = StreamDecoder()
         self._id = 0
 
@@ -39,8 +40,9 @@ class AvrHost:
             self.board.tick()
             self.cycles.append(self.board.cycles_awake - before)
             for event in self._decoder.feed(self.board.take_output()):
-                assert not isinstance(event, BadFrame), event
-                if isinstance(event, State):
+                if isinstance(event, BadFrame):
+                    self.bad_frames += 1  # cut off by a reset
+                elif isinstance(event, State):
                     self.states.append(event)
                 else:
                     self.messages.append(event)
