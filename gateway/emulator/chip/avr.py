@@ -62,7 +62,8 @@ def _load(path: Path) -> ctypes.CDLL:
         ("chip_run", c_uint8, (chip, c_uint64)),
         ("chip_convert", None, (chip, c_uint8, c_uint16)),
         ("chip_receive", None, (chip, c_uint8)),
-        ("chip_jump", None, (chip, c_uint32)),
+        ("chip_jump", c_uint32, (chip, c_uint32)),
+        ("chip_go_on", None, (chip, c_uint32, c_uint32)),
         ("chip_store", None, (chip, c_char_p, c_uint16)),
         ("chip_untouched", c_uint16, (chip, c_uint16)),
     ):
@@ -110,7 +111,10 @@ class AvrBoard:
         self._plant_steps = 0
         self._u = 0  # that the plant has had so far
         self._lost: deque[int] = deque()  # ticks whose STATE the board loses
-        self._held = b""
+        self._held = b""  # of a frame that may be lost
+        self._loop = self.image.symbols["__stop_program"]  # of avr-libc: an endless loop
+        self._held_ticks = 0  # left of `overrun`
+        self._go_on_at = 0
         self.store(stored(board_id))
         self.reset(EventCode.RESET_POWER_ON)
 
@@ -120,21 +124,21 @@ class AvrBoard:
 
     def reset(self, cause: EventCode) -> None:
         """Reset the chip: power on with RAM lost and u_c at 0, or as its watchdog does it."""
-        self._library.chip_reset(self._chip, cause == EventCode.RESET_POWER_ON, 0)
-        self._held = b""
+        self._restart(power=cause == EventCode.RESET_POWER_ON, brown_out=False)
 
     def brown_out(self) -> None:
         """Reset the chip by a dip of its supply: RAM is lost, and the converter keeps its output."""
-        self._library.chip_reset(self._chip, 0, 1)
-        self._held = b""
+        self._restart(power=False, brown_out=True)
 
     def hang(self) -> None:
         """Hang the program: an endless loop, until the watchdog resets the chip."""
-        self._library.chip_jump(self._chip, self.image.symbols["__stop_program"])
+        self._library.chip_jump(self._chip, self._loop)
 
     def overrun(self) -> None:
-        """Let the board report the next tick as late: one more tick is due than it has run."""
-        self._view.memory[self.image.ram("ticks_due")] += 1
+        """Hold the program for two ticks, as work that takes too long would; interrupts are served."""
+        if not self._held_ticks:
+            self._held_ticks = 2
+            self._go_on_at = self._library.chip_jump(self._chip, self._loop)
 
     def store(self, content: bytes) -> None:
         """Write the EEPROM; the firmware reads it after the next reset."""
@@ -158,6 +162,10 @@ class AvrBoard:
         """Let T_s pass."""
         self._ticks += 1
         self._run_to(self._ticks * CYCLES_PER_TICK)
+        if self._held_ticks:
+            self._held_ticks -= 1
+            if not self._held_ticks:
+                self._library.chip_go_on(self._chip, self._loop, self._go_on_at)
 
     def take_frame(self) -> bytes:
         """Return what the chip has sent since the last call, or b""."""
@@ -215,6 +223,11 @@ class AvrBoard:
     def stack_free(self) -> int:
         """Bytes of RAM that neither variables nor the stack have used since power-on."""
         return int(self._library.chip_untouched(self._chip, self.image.ram("_end")))
+
+    def _restart(self, *, power: bool, brown_out: bool) -> None:
+        self._library.chip_reset(self._chip, power, brown_out)
+        self._held = b""
+        self._held_ticks = 0
 
     def _number(self, field: int, size: int, *, signed: bool = False) -> int:
         at = self.image.ram("board") + self._fields[field]

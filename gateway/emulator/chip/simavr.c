@@ -16,6 +16,7 @@ enum { TIME_IS_OVER, CONVERSION, INPUT_CHANGED, CRASHED };
 #define BYTE_CYCLES (9U * 40U)     /* 9 bits at 400 kHz */
 #define ADDRESS_CYCLES (11U * 40U) /* with the start condition and the stop before it */
 #define SIMAVR_BYTE_CYCLES 144U
+#define STEPS_AT_MOST 100000U      /* of a wait that is of a few hundred */
 #define OUTPUT_SIZE 4096U
 #define RAM_PATTERN 0xC5 /* what RAM holds after power-on: what the stack has not reached keeps it */
 
@@ -200,9 +201,30 @@ void chip_receive(struct chip *chip, uint8_t byte) {
     avr_raise_irq(chip->uart + UART_IRQ_INPUT, byte);
 }
 
-void chip_jump(struct chip *chip, uint32_t address) {
+/* Lets the program go on elsewhere, as soon as it admits interrupts; returns where it was. */
+uint32_t chip_jump(struct chip *chip, uint32_t address) {
+    uint32_t n;
+    uint32_t from;
+
+    for (n = 0; n < STEPS_AT_MOST && !chip->avr->sreg[S_I]; n++) {
+        chip->avr->run_cycle_count = 1;
+        avr_run(chip->avr);
+    }
+    from = chip->avr->pc;
     chip->avr->pc = address;
     chip->avr->state = cpu_Running;
+    return from;
+}
+
+/* Lets a program that was sent to an endless loop go on where it was, as soon as no interrupt is being served. */
+void chip_go_on(struct chip *chip, uint32_t loop, uint32_t address) {
+    uint32_t n;
+
+    for (n = 0; n < STEPS_AT_MOST && chip->avr->pc != loop; n++) {
+        chip->avr->run_cycle_count = 1;
+        avr_run(chip->avr);
+    }
+    chip->avr->pc = address;
 }
 
 void chip_store(struct chip *chip, const uint8_t *data, uint16_t size) {
