@@ -62,7 +62,7 @@ def capture(host: AvrHost) -> Callable[[], object]:
 
     def play() -> None:
         host.ask("SET_MODE", mode=1)
-        assert host.ask("CAPTURE", u_from=300, u_to=1700, pre=50, count=192).name == "ACK"
+        assert host.ask("CAPTURE", u_from=300, u_to=1700, pre=50, count=200).name == "ACK"
         pings(host, 30)
 
     return play
@@ -117,7 +117,9 @@ def test_readings_and_input_keep_their_times(played: tuple[AvrHost, dict[str, in
     host.board.connect(Watched())
     pings(host, 100)
 
-    phases = [cycle % CYCLES_PER_TICK for cycle in begins[::2]]  # of the current; the position follows it
+    # Of the current, against the first tick; the position follows it.
+    half = CYCLES_PER_TICK // 2
+    phases = [(cycle - begins[0] + half) % CYCLES_PER_TICK - half for cycle in begins[::2]]
     print(f"ticks begin within {(max(phases) - min(phases)) / 16:.0f} us")
     assert len(begins) == 200
     assert max(phases) - min(phases) < CYCLES_PER_TICK / 4

@@ -36,7 +36,7 @@ def test_it_lifts_the_ball_through_the_gateway_and_loses_nothing(tmp_path: Path)
         far = bus.command("f", set_reference=pb.SetReference(x_ref_m=9e-3))
         stop = bus.command("s", stop=pb.Stop())
         wait_for(lambda: bus.states()[-1].mode == pb.MODE_IDLE, "idle")
-        capture = pb.Capture(u_from_v=0.0, u_to_v=2.0, duration_s=192 * 200e-6, pre_s=4e-3)
+        capture = pb.Capture(u_from_v=0.0, u_to_v=2.0, duration_s=200 * 200e-6, pre_s=4e-3)
         assert bus.command("c", capture=capture).accepted
         (record,) = wait_for(lambda: bus.messages["rig/capture"], "capture")
         seen = len(bus.messages["rig/status"])
@@ -45,7 +45,7 @@ def test_it_lifts_the_ball_through_the_gateway_and_loses_nothing(tmp_path: Path)
 
     assert (far.accepted, far.reason) == (False, "out-of-range")
     assert stop.accepted
-    assert (len(record.i_c_a), record.step_index) == (192, 20)
+    assert (len(record.i_c_a), record.step_index) == (200, 20)
     assert max(record.i_c_a[:20]) < 0.02
     assert record.i_c_a[-1] > 0.3
     assert (status.samples_lost, status.board_bad_frames, sum(status.bad_frames.values())) == (0, 0, 0)

@@ -176,7 +176,7 @@ def test_the_identity_says_what_the_chip_has() -> None:
 
     (identity,) = [event for event in events if isinstance(event, Message) and event.name == "IDENTITY"]
     fields = ("board_id", "adc_bits", "capture_time", "capture_size", "sample_time")
-    assert [identity.int(name) for name in fields] == [77, ADC_BITS, 200, 192, 2000]
+    assert [identity.int(name) for name in fields] == [77, ADC_BITS, 200, 200, 2000]
 
 
 def command(script: Script) -> bytes:

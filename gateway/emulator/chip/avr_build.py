@@ -16,9 +16,9 @@ from pathlib import Path
 from gateway.emulator.native.build import SOURCES, compiler, kept
 from protocol.errors import InstallError, ServiceError, UsageError
 
-# 192 samples and short queues: what the 2 kB of RAM hold beside the stack.
+# 200 samples (40 ms) and short queues: what the 2 kB of RAM hold beside the stack.
 OPTIONS = (
-    "-mmcu=atmega328p -std=gnu99 -O2 -DCAPTURE_SIZE=192U -DCAPTURE_US=200U -DANSWER_DEPTH=2U -DEVENT_DEPTH=6U "
+    "-mmcu=atmega328p -std=gnu99 -O2 -DCAPTURE_SIZE=200U -DCAPTURE_US=200U -DANSWER_DEPTH=2U -DEVENT_DEPTH=6U "
     "-DBLOCK_DEPTH=1U"
 ).split()
 _SHIM = Path(__file__).with_name("simavr.c")
