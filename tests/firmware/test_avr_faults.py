@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import struct
 from binascii import crc_hqx
 from itertools import pairwise
@@ -190,6 +191,32 @@ def test_a_state_that_the_board_loses_is_missing_and_nothing_else_is(host: AvrHo
     assert begin - first in (0, 1)  # a tick may have begun
     assert answer.name == "PONG"
     assert host.bad_frames == 0
+
+
+@pytest.mark.parametrize("flood", ["noise", "zeros", "commands"])
+def test_a_line_that_is_full_of_anything_delays_no_tick_and_no_stop(host: AvrHost, flood: str) -> None:
+    """As fast as the line is: 23 bytes in a tick."""
+    chance, first = random.Random(5), host.board.next_tick
+    for n in range(1000):
+        if flood == "noise":
+            data = chance.randbytes(23)
+        elif flood == "zeros":
+            data = bytes(23)
+        else:
+            data = 2 * frame("GET_PARAMETERS", id=n % 250 + 1) + frame("PING", id=n % 249 + 1)[:7]
+        host.board.feed(data)
+        host.run()
+    ticks = host.board.next_tick - first
+    host.board.feed(bytes(2))
+    host.board.feed(frame("STOP", id=255))
+
+    ticks_until_off(host, at_most=3)
+
+    assert ticks == 1000
+    assert EventCode.OVERRUN not in host.codes()
+    assert host.bad_frames == 0
+    sequences = [state.sequence for state in host.states[-500:]]
+    assert all(b - a == 1 for a, b in pairwise(sequences))
 
 
 def test_settings_of_the_eeprom_are_in_force() -> None:
