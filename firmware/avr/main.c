@@ -195,7 +195,7 @@ bool hal_receive(uint8_t *byte) {
 /* Wakes the main loop for more when half is gone, and at the end: not for each byte. */
 ISR(USART_UDRE_vect) {
     uint8_t at = tx_out;
-    uint8_t left = (uint8_t)((tx_in - at) % TX_RING);
+    uint8_t left = (uint8_t)(tx_in - at) % TX_RING;
 
     if (left == 0U) {
         UCSR0B &= (uint8_t)~(1 << UDRIE0);

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import pytest
 
-from gateway.emulator.chip.avr import AvrBoard, stored
+from gateway.emulator.chip.avr.board import AvrBoard, stored
 from gateway.emulator.firmware.flash import GAINS, LIMITS
 from protocol.wire.messages import EventCode, Message, Mode
 from tests.harness.firmware.avr_bench import AvrHost, skip_without_avr

@@ -8,7 +8,7 @@ A chip has the seams of `gateway.emulator.line.Board`.  Its time is that of its 
 from collections.abc import Mapping
 from typing import Protocol
 
-from gateway.emulator.chip.avr import AvrBoard
+from gateway.emulator.chip.avr.board import AvrBoard
 from gateway.emulator.firmware.board import AnalogSide
 from gateway.emulator.line import Board
 

@@ -1,5 +1,5 @@
 /* An ATmega328P of libsimavr between two events: a conversion that starts, the input converter that changes, the end of
- * the time that was asked for.  What is on the other side of its pins is the caller's (avr.py).
+ * the time that was asked for.  What is on the other side of its pins is the caller's (board.py).
  */
 #include <simavr/avr_adc.h>
 #include <simavr/avr_eeprom.h>

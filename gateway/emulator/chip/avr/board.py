@@ -17,7 +17,7 @@ from ctypes import POINTER, c_char_p, c_uint8, c_uint16, c_uint32, c_uint64
 from functools import cache
 from pathlib import Path
 
-from gateway.emulator.chip.avr_build import Image, image, simulator
+from gateway.emulator.chip.avr.build import Image, image, simulator
 from gateway.emulator.firmware.board import AnalogSide
 from gateway.emulator.firmware.flash import BUILD, CURRENT, DAC_BITS, FIRMWARE, GAINS, INPUT, LIMITS, POSITION, T_S_US
 from protocol.errors import ServiceError
