@@ -26,8 +26,14 @@ static bool put(uint8_t byte) {
     return step(0);
 }
 
-/* Fast mode: two bytes, in force with the acknowledge of the second one; its EEPROM stays as it is. */
+/* Fast mode: two bytes, in force with the acknowledge of the second one; its EEPROM stays as it is.  The stop condition
+ * of a write that has just ended comes first. */
 void dac_write(uint16_t u) {
+    uint8_t patience = TWI_PATIENCE;
+
+    while ((TWCR & (1 << TWSTO)) != 0 && patience != 0U) {
+        patience--;
+    }
     if (step(1 << TWSTA) && put(DAC_ADDRESS << 1) && put((uint8_t)(u >> 8))) {
         (void)put((uint8_t)u);
     }

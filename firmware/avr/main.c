@@ -19,7 +19,7 @@ static struct {
 static uint8_t cause;
 static volatile uint8_t ticks_due;
 static volatile bool woken; /* since the main loop began its turn */
-static volatile uint16_t capture_waits; /* interrupts of timer 2 before the next one that counts */
+static volatile uint8_t capture_waits; /* interrupts of timer 2 before the next one that counts */
 static volatile uint8_t rx_ring[RX_RING];
 static volatile uint8_t rx_in, rx_out;
 static volatile uint8_t tx_ring[TX_RING];
@@ -132,7 +132,7 @@ ISR(TIMER2_COMPA_vect, ISR_NOBLOCK) {
 void hal_capture_timer(uint16_t us) {
     TIMSK2 = 0;
     if (us != 0U) {
-        capture_waits = (uint16_t)(us / CAPTURE_US - 1U);
+        capture_waits = (uint8_t)(us / CAPTURE_US - 1U);
         TCNT2 = 0;
         TIFR2 = 1 << OCF2A;
         TIMSK2 = 1 << OCIE2A;

