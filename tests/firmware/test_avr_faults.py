@@ -115,7 +115,9 @@ def test_after_a_dip_of_the_supply_the_first_thing_is_a_write_of_0(host: AvrHost
 
 def test_power_is_interrupted(host: AvrHost) -> None:
     host.board.reset(EventCode.RESET_POWER_ON)
+    shown = (host.board.mode, host.board.dropped, host.board.bad_frames, host.board.next_tick)
 
+    assert shown == (Mode.IDLE, 0, 0, 0)
     assert ticks_until_off(host, at_most=1) == 1
     host.until(EventCode.RESET_POWER_ON)
     assert host.hello().name == "IDENTITY"

@@ -31,6 +31,7 @@ _PLANT_STEP_US = 20
 _CURRENT_PIN = 2  # A2, firmware/avr/target.h
 _POSITION_PIN = 3
 _OUTPUT_SIZE = 4096
+_RAM_PATTERN = 0xC5  # after power-on, no mode
 _TIME_IS_OVER, _CONVERSION, _INPUT_CHANGED, _CRASHED = range(4)
 _STATE = BY_NAME["STATE"].type
 _LOST_FOR = 16  # ticks that a STATE may wait in its queue
@@ -133,6 +134,7 @@ class AvrBoard:
     def hang(self) -> None:
         """Hang the program: an endless loop, until the watchdog resets the chip."""
         self._library.chip_jump(self._chip, self._loop)
+        self._held_ticks = 0
 
     def overrun(self) -> None:
         """Hold the program for two ticks, as work that takes too long would; interrupts are served."""
@@ -230,7 +232,11 @@ class AvrBoard:
         self._held_ticks = 0
 
     def _number(self, field: int, size: int, *, signed: bool = False) -> int:
-        at = self.image.ram("board") + self._fields[field]
+        """A field of `struct board`; 0 until start-up has cleared the RAM."""
+        board = self.image.ram("board")
+        if self._view.memory[board + self._fields[3]] == _RAM_PATTERN:
+            return 0
+        at = board + self._fields[field]
         return int.from_bytes(bytes(self._view.memory[at : at + size]), "little", signed=signed)
 
     def _run_to(self, cycle: int) -> None:
