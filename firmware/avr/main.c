@@ -28,8 +28,9 @@ static volatile uint8_t tx_in, tx_out;
 /* Where a simulator or debugger finds what it shows. */
 extern const __flash uint16_t VIEW[];
 const __flash uint16_t VIEW[] __attribute__((used)) = {
-    offsetof(struct board, next_tick), offsetof(struct board, queues.dropped), offsetof(struct board, receiver.bad_frames),
-    offsetof(struct board, loop.mode), offsetof(struct board, law.sum)};
+    offsetof(struct board, next_tick),           offsetof(struct board, queues.dropped),
+    offsetof(struct board, receiver.bad_frames), offsetof(struct board, loop.mode),
+    offsetof(struct board, law.sum)};
 
 /* Before RAM is initialised: the converter of u_c keeps its output through a reset, and the watchdog stays on. */
 static void first(void) __attribute__((naked, used, section(".init3")));

@@ -1,25 +1,26 @@
 /* ATmega328P at 16 MHz on an Arduino Uno with a MagnetoShield: every register that is used, clock, baud and wiring.
  *
- * Sections are those of the data sheet "ATmega48A/PA/88A/PA/168A/PA/328/P" (Microchip DS40002061B), figures of the
- * converter those of "MCP4725" (Microchip DS22039D).  The wiring is that of the MagnetoShield R3 and R4 as its public
- * page gives it (github.com/gergelytakacs/AutomationShield/wiki/MagnetoShield).
+ * In quotes: sections of the data sheet "ATmega48A/PA/88A/PA/168A/PA/328/P" (Microchip DS40002061); their numbers
+ * differ between its editions.  The converter's are those of "MCP4725" (Microchip DS22039), "Write Commands": fast
+ * mode.  The wiring is that of the MagnetoShield R3 and R4
+ * (github.com/gergelytakacs/AutomationShield/wiki/MagnetoShield).
  *
- *     timer 1    tick, T_s                        16 (16-bit timer, CTC)     TCCR1A/B, OCR1A, TIMSK1
- *     timer 2    capture, CAPTURE_US              18 (8-bit timer, CTC)      TCCR2A/B, OCR2A, TIMSK2, TIFR2, TCNT2
- *     ADC        A2: coil current, A3: position   24 (ADC), 24.5 sampling    ADMUX, ADCSRA, ADC, DIDR0
- *     TWI        u_c: MCP4725 at 0x60, 400 kHz    22 (TWI), 22.5.2 rate      TWBR, TWSR, TWCR, TWDR
- *     USART 0    8N1, double speed                20 (USART), 20.3.1 rate    UBRR0, UCSR0A/B/C, UDR0
- *     watchdog   system reset after 32 ms         11.8 (watchdog)            WDTCSR
- *     reset      cause                            11.9.1                     MCUSR
- *     sleep      idle between interrupts          10.3                       SMCR
- *     EEPROM     identity, settings               8.4                        through avr-libc
+ *     tick, T_s              timer 1     "16-bit Timer/Counter1", CTC mode     TCCR1A/B, OCR1A, TIMSK1
+ *     capture, CAPTURE_US    timer 2     "8-bit Timer/Counter2", CTC mode      TCCR2A/B, OCR2A, TIMSK2, TIFR2, TCNT2
+ *     A2: i_c, A3: x         ADC         "Prescaling and Conversion Timing"    ADMUX, ADCSRA, ADC, DIDR0
+ *     u_c: 0x60, 400 kHz     TWI         "Bit Rate Generator Unit"             TWBR, TWSR, TWCR, TWDR
+ *     8N1, double speed      USART 0     "Double Speed Operation"              UBRR0, UCSR0A/B/C, UDR0
+ *     reset after 32 ms      watchdog    "Watchdog Timer"                      WDTCSR
+ *     cause of a reset                   "MCU Status Register"                 MCUSR
+ *     between interrupts                 "Idle Mode"                           SMCR
+ *     identity, settings     EEPROM      "EEPROM Data Memory"                  through avr-libc
  */
 #ifndef BOARD51_AVR_TARGET_H
 #define BOARD51_AVR_TARGET_H
 
 #define F_CPU UINT32_C(16000000)
 
-/* The rate that the divider gives may be off by 2.5 % at most; 115200 is by 2.1 %, 250000, 500000 and 1000000 are exact. */
+/* The rate that the divider gives may be off by 2.5 % at most: 115200 is by 2.1 %; 250000, 500000, 1000000 not. */
 #ifndef BAUD
 #define BAUD UINT32_C(115200)
 #endif
