@@ -4,20 +4,30 @@
 #define HARMONICS 8U
 #define CHIRP_TURN ((uint64_t)1 << 48)
 
-/* dividend / divisor, rounded down; dividend of 49 bits.  By shifts: sdcc has no division of 64 bits for an 8051. */
+/* dividend / divisor, rounded down, 16 bits at a time: the bits of the dividend leave a digit above while those of the
+ * quotient enter it below.  Without a division or a shift by one of 64 bits: sdcc has none for an 8051, and on an AVR
+ * they would take longer than a tick. */
 static uint64_t quotient(uint64_t dividend, uint32_t divisor) {
-    uint64_t rest = 0;
     uint64_t result = 0;
+    uint32_t rest = 0;
+    uint8_t digit;
     uint8_t n;
 
-    for (n = 0; n < 49U; n++) {
-        rest = rest << 1 | (dividend >> 48 & 1U);
-        dividend <<= 1;
-        result <<= 1;
-        if (rest >= divisor) {
-            rest -= divisor;
-            result |= 1U;
+    for (digit = 0; digit < 4U; digit++) {
+        uint16_t bits = (uint16_t)(dividend >> 48);
+
+        for (n = 0; n < 16U; n++) {
+            bool carry = rest >> 31 != 0U;
+
+            rest = rest << 1 | (bits >> 15 & 1U);
+            bits = (uint16_t)(bits << 1);
+            if (carry || rest >= divisor) {
+                rest -= divisor;
+                bits |= 1U;
+            }
         }
+        dividend <<= 16;
+        result = result << 16 | bits;
     }
     return result;
 }
@@ -25,7 +35,7 @@ static uint64_t quotient(uint64_t dividend, uint32_t divisor) {
 /* (2^48 // period_end - 2^48 // period) // duration, rounded down.  Below 0 as 2^64 minus it: only the low 48 bits of
  * the phase are looked at. */
 static uint64_t chirp_sweep(const struct signal *signal) {
-    uint64_t first = quotient(CHIRP_TURN, signal->period);
+    uint64_t first = board.excitation.step; /* 2^48 // period */
     uint64_t last = quotient(CHIRP_TURN, signal->period_end);
     uint32_t duration = signal->duration == 0U ? 1U : signal->duration;
 
@@ -44,7 +54,7 @@ void excitation_start(const struct signal *signal) {
     board.excitation.phase = 0;
     board.excitation.step = 0;
     board.excitation.sweep = 0;
-    if (signal->shape == SHAPE_CHIRP) { /* not for the others: four long divisions take an 8051 several ticks */
+    if (signal->shape == SHAPE_CHIRP) { /* not for the others: three long divisions take an 8051 several ticks */
         board.excitation.step = quotient(CHIRP_TURN, signal->period);
         board.excitation.sweep = chirp_sweep(signal);
     }

@@ -20,6 +20,7 @@ from protocol.errors import UsageError
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the options; the lists of effects and faults come from their tables."""
     from gateway.emulator import faults
+    from gateway.emulator.chip import CHIPS
     from gateway.emulator.plant import effects
 
     parser.epilog = (
@@ -28,6 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 emulate --tcp 127.0.0.1:5100 --boards 4 --effect quadratic-drag=1.0\n"
         "  board51 emulate --pty /tmp/board51 --fault flip=1e-4 --fault stall=0.5@10/30 --fault reset@60\n"
         "  board51 emulate --pty /tmp/board51 --firmware c\n"
+        "  board51 emulate --pty /tmp/board51 --chip avr\n"
         "  board51 emulate --tcp 127.0.0.1:0 --secret 7 --sealed sealed.json\n\n"
         f"{faults.HELP}\n\n"
         f"effects (--effect NAME=VALUE; VALUE a number, or one of the three given here as weak | medium | strong):\n"
@@ -48,12 +50,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--boards", type=int, default=1, metavar="N", help="how many boards (default: 1)")
     parser.add_argument("--board-id", type=int, default=1, metavar="ID", help="serial number of the first (default: 1)")
-    parser.add_argument(
+    flown = parser.add_mutually_exclusive_group()
+    flown.add_argument(
         "--firmware",
         choices=("python", "c"),
         default="python",
         help="what flies: the model in Python, or firmware/ in C, which a C compiler of this machine compiles at its "
         "first use (default: python)",
+    )
+    flown.add_argument(
+        "--chip",
+        choices=tuple(CHIPS),
+        help="fly firmware/ in C as the image of this chip, instruction by instruction in its simulator",
     )
     parser.add_argument("--baud", type=int, default=115200, help="pace of the line, bits per second (default: 115200)")
     parser.add_argument(
@@ -94,6 +102,7 @@ def run(args: argparse.Namespace) -> int:
         baud=args.baud,
         board_id=args.board_id,
         firmware=args.firmware,
+        chip=args.chip,
     )
     server = Server(lines, speed=args.speed)
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -23,10 +23,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Literal, Self
 
+from gateway.emulator.chip import CHIPS
 from gateway.emulator.faults import Fault, parse
 from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.firmware.flash import T_S_US
@@ -170,9 +172,10 @@ class Emulator:
         baud: Bits per second.
         board_id: Of the first board; the others count up.
         firmware: The firmware model in Python, or the one in C, compiled for this machine at its first use.
+        chip: Run the firmware in C as the image of this chip (`chip.CHIPS`) in its simulator instead.
 
     Raises:
-        InstallError: the firmware in C, and there is no C compiler.
+        InstallError: the firmware in C or a chip, and a compiler or simulator for it is missing.
     """
 
     def __init__(
@@ -189,6 +192,7 @@ class Emulator:
         baud: int = 115200,
         board_id: int = 1,
         firmware: FirmwareKind = "python",
+        chip: str | None = None,
     ) -> None:
         self._folder = None
         if not tcp and pty is None:
@@ -199,7 +203,14 @@ class Emulator:
         )
         self._server = Server(
             build_lines(
-                ports, effects=effects, faults=faults, seed=seed, baud=baud, board_id=board_id, firmware=firmware
+                ports,
+                effects=effects,
+                faults=faults,
+                seed=seed,
+                baud=baud,
+                board_id=board_id,
+                firmware=firmware,
+                chip=chip,
             ),
             speed=None if lockstep else speed,
         )
@@ -316,20 +327,24 @@ def build_lines(
     baud: int = 115200,
     board_id: int = 1,
     firmware: FirmwareKind = "python",
+    chip: str | None = None,
 ) -> list[BoardLine]:
     """Create a board with its own plant for each port; either all ports are opened or none.
 
     Raises:
-        UsageError: an effect or fault is unknown, a pty path is in use, or a C compiler is asked for and missing.
+        UsageError: an effect or fault is unknown, a pty path is in use, or a chip does not give the baud rate.
+        InstallError: a compiler or simulator is asked for and missing.
         ServiceError: a TCP port is in use, or the compiler fails.
     """
     parsed = [parse(fault) if isinstance(fault, str) else fault for fault in faults]
     lines: list[BoardLine] = []
-    make = Firmware if firmware == "python" else NativeFirmware
+    make: Callable[..., Board] = Firmware if firmware == "python" else NativeFirmware
+    if chip is not None:
+        make = partial(CHIPS[chip], baud=baud)
     try:
         for n, port in enumerate(ports):
             plant = EmulatedPlant(effects=effects, seed=seed + n)
-            board: Board = make(plant, board_id=board_id + n)
+            board = make(plant, board_id=board_id + n)
             lines.append(BoardLine(board, port, baud=baud, faults=parsed, seed=seed + n))
     except BaseException:
         for line in lines:

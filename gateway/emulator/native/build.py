@@ -14,7 +14,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from protocol.errors import InstallError, ServiceError
@@ -73,17 +73,33 @@ def library() -> Path:
         InstallError: there is no C compiler.
         ServiceError: it fails, or the cache cannot be written.
     """
-    key = hashlib.sha256(repr((OPTIONS, _LINK_OPTIONS, platform.machine())).encode())
-    for path in sorted([*sources(), *SOURCES.glob("*/*.h")]):
+    return kept("firmware.so", [*sources(), *SOURCES.glob("*/*.h")], (OPTIONS, _LINK_OPTIONS), compile_to)
+
+
+def kept(name: str, inputs: Iterable[Path], options: object, make: Callable[[Path], object]) -> Path:
+    """Return what `make` writes to the path that it is given; call it if the cache does not have its work.
+
+    Args:
+        name: Of the file in the cache; a key made of the rest stands before its ending.
+        inputs: The files of which it is made.
+        options: How it is made.
+        make: Writes it.
+
+    Raises:
+        ServiceError: the cache cannot be written.
+    """
+    key = hashlib.sha256(repr((options, platform.machine())).encode())
+    for path in sorted(inputs):
         key.update(path.name.encode() + b"\0" + path.read_bytes())
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "board51"
-    target = folder / f"firmware-{key.hexdigest()[:16]}.so"
+    stem, dot, ending = name.partition(".")
+    target = folder / f"{stem}-{key.hexdigest()[:16]}{dot}{ending}"
     if target.exists():
         return target
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder) as scratch:
-            compile_to(Path(scratch) / target.name)
+            make(Path(scratch) / target.name)
             os.replace(Path(scratch) / target.name, target)
     except OSError as error:
         raise ServiceError(

@@ -1,0 +1,45 @@
+/* The converter of u_c: an MCP4725 at the two-wire interface. */
+#include <avr/io.h>
+
+#include "avr.h"
+
+/* As it is called before RAM is initialised, it keeps no variable. */
+void dac_start(void) {
+    TWSR = 0;
+    TWBR = TWI_DIVIDER;
+    TWCR = 1 << TWEN;
+}
+
+/* One step on the bus.  The wait is bounded: a bus that is stuck must not stop the loop, which tries again. */
+static bool step(uint8_t control) {
+    uint8_t patience = TWI_PATIENCE;
+
+    TWCR = (uint8_t)((1 << TWINT) | (1 << TWEN) | control);
+    while ((TWCR & (1 << TWINT)) == 0 && patience != 0U) {
+        patience--;
+    }
+    return patience != 0U;
+}
+
+static bool put(uint8_t byte) {
+    TWDR = byte;
+    return step(0);
+}
+
+/* Fast mode: two bytes, in force with the acknowledge of the second one; its EEPROM stays as it is.  The stop condition
+ * of a write that has just ended comes first. */
+void dac_write(uint16_t u) {
+    uint8_t patience = TWI_PATIENCE;
+
+    while ((TWCR & (1 << TWSTO)) != 0 && patience != 0U) {
+        patience--;
+    }
+    if (step(1 << TWSTA) && put(DAC_ADDRESS << 1) && put((uint8_t)(u >> 8))) {
+        (void)put((uint8_t)u);
+    }
+    TWCR = (1 << TWINT) | (1 << TWEN) | (1 << TWSTO);
+}
+
+void hal_write_input(uint16_t u) {
+    dac_write(u);
+}

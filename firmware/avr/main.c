@@ -1,0 +1,247 @@
+/* Start-up, main loop, timers, converters of i_c and x, UART, watchdog and resets. */
+#include <avr/interrupt.h>
+#include <avr/io.h>
+#include <avr/sleep.h>
+#include <avr/wdt.h>
+#include <stddef.h>
+
+#include "avr.h"
+
+#define RESETS_VALID 0x5AC3U
+
+/* What start-up does not clear: random after power-on, kept by a reset. */
+static struct {
+    uint16_t valid, resets, check;
+    uint8_t flags; /* of the reset, as MCUSR had them */
+    bool commanded;
+} kept __attribute__((section(".noinit")));
+
+static uint8_t cause;
+static volatile uint8_t ticks_due;
+static volatile bool woken; /* since the main loop began its turn */
+static volatile uint8_t capture_waits; /* interrupts of timer 2 before the next one that counts */
+static volatile uint8_t rx_ring[RX_RING];
+static volatile uint8_t rx_in, rx_out;
+static volatile uint8_t tx_ring[TX_RING];
+static volatile uint8_t tx_in, tx_out;
+
+/* Where a simulator or debugger finds what it shows. */
+extern const __flash uint16_t VIEW[];
+const __flash uint16_t VIEW[] __attribute__((used)) = {
+    offsetof(struct board, next_tick),           offsetof(struct board, queues.dropped),
+    offsetof(struct board, receiver.bad_frames), offsetof(struct board, loop.mode),
+    offsetof(struct board, law.sum)};
+
+/* Before RAM is initialised: the converter of u_c keeps its output through a reset, and the watchdog stays on. */
+static void first(void) __attribute__((naked, used, section(".init3")));
+static void first(void) {
+    kept.flags = MCUSR;
+    MCUSR = 0;
+    wdt_disable();
+    dac_start();
+    dac_write(0);
+}
+
+/* A boot loader may have cleared the flags: then what RAM kept decides. */
+static void find_cause(void) {
+    bool valid = kept.valid == RESETS_VALID && kept.check == (uint16_t)~kept.resets;
+
+    if (!valid || (kept.flags & ((1 << PORF) | (1 << BORF) | (1 << EXTRF))) != 0) {
+        cause = RESET_POWER_ON;
+        kept.resets = 0;
+    } else {
+        cause = kept.commanded ? RESET_COMMANDED : RESET_WATCHDOG;
+        kept.resets = (uint16_t)(kept.resets + (kept.resets < UINT16_MAX ? 1U : 0U));
+    }
+    kept.check = (uint16_t)~kept.resets;
+    kept.valid = RESETS_VALID;
+    kept.commanded = false;
+}
+
+static void start(void) {
+    UCSR0A = 1 << U2X0;
+    UBRR0 = UBRR_VALUE;
+    UCSR0C = (1 << UCSZ01) | (1 << UCSZ00);
+    UCSR0B = (1 << RXEN0) | (1 << TXEN0) | (1 << RXCIE0);
+    DIDR0 = (1 << ADC_CURRENT) | (1 << ADC_POSITION);
+    ADCSRA = (1 << ADEN) | ADC_PRESCALER;
+    TCCR2A = 1 << WGM21;
+    OCR2A = (uint8_t)(CAPTURE_COUNTS - 1U);
+    TCCR2B = 1 << CS22; /* 16 MHz / 64 */
+    OCR1A = (uint16_t)(TICK_COUNTS - 1U);
+    TIMSK1 = 1 << OCIE1A;
+    TCCR1B = (1 << WGM12) | (1 << CS11); /* 16 MHz / 8 */
+}
+
+/* Idle until an interrupt, unless one came during the turn: its work may be waiting. */
+static void rest(void) {
+    cli();
+    if (!woken) {
+        sleep_enable();
+        sei(); /* in force after the next instruction, so that no interrupt comes before the sleep */
+        sleep_cpu();
+        sleep_disable();
+    }
+    woken = false;
+    sei();
+}
+
+int main(void) {
+    find_cause();
+    store_load();
+    wdt_enable(WDTO_30MS);
+    board_boot();
+    start();
+    sei();
+    for (;;) {
+        board_poll();
+        rest();
+    }
+}
+
+/* Time. */
+
+ISR(TIMER1_COMPA_vect) {
+    ticks_due = (uint8_t)(ticks_due + (ticks_due < UINT8_MAX ? 1U : 0U));
+    woken = true;
+}
+
+/* Each tick that was not run in its time is one that took too long. */
+bool hal_tick_due(void) {
+    uint8_t due;
+
+    cli();
+    due = ticks_due;
+    ticks_due = 0;
+    sei();
+    for (; due > 1U; due--) {
+        board_late();
+    }
+    return due != 0U;
+}
+
+/* Bytes that come in while a sample is taken must not wait for it. */
+ISR(TIMER2_COMPA_vect, ISR_NOBLOCK) {
+    woken = true;
+    if (capture_waits != 0U) {
+        capture_waits--;
+    } else {
+        capture_interrupt();
+    }
+}
+
+void hal_capture_timer(uint16_t us) {
+    TIMSK2 = 0;
+    if (us != 0U) {
+        capture_waits = (uint8_t)(us / CAPTURE_US - 1U);
+        TCNT2 = 0;
+        TIFR2 = 1 << OCF2A;
+        TIMSK2 = 1 << OCIE2A;
+    }
+}
+
+bool hal_capture_due(void) {
+    return TIMSK2 != 0U && capture_waits == 0U && (TIFR2 & (1 << OCF2A)) != 0;
+}
+
+/* Converters. */
+
+/* The capture interrupt converts, too: it waits for a conversion that is under way.  The receiver holds two bytes. */
+static uint16_t convert(uint8_t channel) {
+    uint8_t flags = SREG;
+    uint16_t count;
+
+    cli();
+    ADMUX = (uint8_t)(ADC_REFERENCE | channel);
+    ADCSRA |= 1 << ADSC;
+    while ((ADCSRA & (1 << ADSC)) != 0) {
+    }
+    count = ADC;
+    SREG = flags;
+    return (uint16_t)(count << 2 | count >> 8); /* 0 .. 1023 to 0 .. 4095 */
+}
+
+uint16_t hal_read_current(void) {
+    return convert(ADC_CURRENT);
+}
+
+uint16_t hal_read_position(void) {
+    return convert(ADC_POSITION);
+}
+
+/* UART. */
+
+ISR(USART_RX_vect) {
+    uint8_t byte = UDR0;
+    uint8_t next = (uint8_t)((rx_in + 1U) % RX_RING);
+
+    if (next != rx_out) { /* else it is lost, and its frame's CRC shows it */
+        rx_ring[rx_in] = byte;
+        rx_in = next;
+    }
+    woken = true;
+}
+
+bool hal_receive(uint8_t *byte) {
+    uint8_t at = rx_out;
+
+    if (at == rx_in) {
+        return false;
+    }
+    *byte = rx_ring[at];
+    rx_out = (uint8_t)((at + 1U) % RX_RING);
+    return true;
+}
+
+/* Wakes the main loop for more when half is gone, and at the end: not for each byte. */
+ISR(USART_UDRE_vect) {
+    uint8_t at = tx_out;
+    uint8_t left = (uint8_t)(tx_in - at) % TX_RING;
+
+    if (left == 0U) {
+        UCSR0B &= (uint8_t)~(1 << UDRIE0);
+    } else {
+        UDR0 = tx_ring[at];
+        tx_out = (uint8_t)((at + 1U) % TX_RING);
+        left--;
+    }
+    if (left == TX_RING / 2U || left == 0U) {
+        woken = true;
+    }
+}
+
+bool hal_send(uint8_t byte) {
+    uint8_t next = (uint8_t)((tx_in + 1U) % TX_RING);
+
+    if (next == tx_out) {
+        return false;
+    }
+    tx_ring[tx_in] = byte;
+    tx_in = next;
+    UCSR0B |= 1 << UDRIE0;
+    return true;
+}
+
+/* Watchdog and resets. */
+
+void hal_feed_watchdog(void) {
+    wdt_reset();
+}
+
+uint8_t hal_reset_cause(void) {
+    return cause;
+}
+
+uint16_t hal_resets(void) {
+    return kept.resets;
+}
+
+/* The chip has no instruction for it: the watchdog does it, 16 ms later.  The ACK leaves meanwhile. */
+void hal_restart(void) {
+    hal_capture_timer(0);
+    dac_write(0);
+    kept.commanded = true;
+    wdt_enable(WDTO_15MS);
+    for (;;) {
+    }
+}

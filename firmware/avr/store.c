@@ -1,0 +1,48 @@
+/* Identity and settings: from EEPROM, each with a CRC behind it; those of the program where one is damaged or blank.
+ *
+ *     0    identity (40 bytes) | CRC-16, low byte first | settings (29 bytes) | CRC-16
+ */
+#include <avr/eeprom.h>
+#include <avr/pgmspace.h>
+
+#include "avr.h"
+
+/* The rig of board51's emulator; a board without a number of its own is number 0. */
+static const __flash struct identity IDENTITY_OF_PROGRAM = {
+    0,
+    1,
+    0,
+    10,
+    12,
+    {0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x3A,  /* f32: i_c: 0 A, 2/4096 A a count */
+     0x7C, 0x1C, 0x64, 0xB8, 0x30, 0xA0, 0xBF, 0x35,  /* x: -54.386 um, 1.42772 um */
+     0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0xA0, 0x3A}, /* u_c: 0 V, 5/4096 V */
+    {'u', 'n', 'o', ' ', ' ', ' ', ' ', ' '}};
+static const __flash struct settings SETTINGS_OF_PROGRAM = {
+    {LAW_LQI, {17, 14, 11, 19}, {25690, 32576, 21199, -21585}, 1304, 2034, 1756}, {248, 3680, 1751, 14008, 4095}};
+
+static struct identity identity;
+static struct settings settings;
+
+/* Reads `size` bytes and their CRC; false where they do not agree. */
+static bool read(void *to, uint16_t at, uint8_t size) {
+    eeprom_read_block(to, (const void *)at, size);
+    return crc_of(to, size) == eeprom_read_word((const uint16_t *)(at + size));
+}
+
+void store_load(void) {
+    if (!read(&identity, 0, sizeof identity)) {
+        memcpy_P(&identity, &IDENTITY_OF_PROGRAM, sizeof identity);
+    }
+    if (!read(&settings, sizeof identity + 2U, sizeof settings)) {
+        memcpy_P(&settings, &SETTINGS_OF_PROGRAM, sizeof settings);
+    }
+}
+
+const struct identity *hal_identity(void) {
+    return &identity;
+}
+
+const struct settings *hal_settings(void) {
+    return &settings;
+}

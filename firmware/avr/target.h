@@ -1,0 +1,55 @@
+/* ATmega328P at 16 MHz on an Arduino Uno with a MagnetoShield: every register that is used, clock, baud and wiring.
+ *
+ * In quotes: sections of the data sheet "ATmega48A/PA/88A/PA/168A/PA/328/P" (Microchip DS40002061); their numbers
+ * differ between its editions.  The converter's are those of "MCP4725" (Microchip DS22039), "Write Commands": fast
+ * mode.  The wiring is that of the MagnetoShield R3 and R4
+ * (github.com/gergelytakacs/AutomationShield/wiki/MagnetoShield).
+ *
+ *     tick, T_s              timer 1     "16-bit Timer/Counter1", CTC mode     TCCR1A/B, OCR1A, TIMSK1
+ *     capture, CAPTURE_US    timer 2     "8-bit Timer/Counter2", CTC mode      TCCR2A/B, OCR2A, TIMSK2, TIFR2, TCNT2
+ *     A2: i_c, A3: x         ADC         "Prescaling and Conversion Timing"    ADMUX, ADCSRA, ADC, DIDR0
+ *     u_c: 0x60, 400 kHz     TWI         "Bit Rate Generator Unit"             TWBR, TWSR, TWCR, TWDR
+ *     8N1, double speed      USART 0     "Double Speed Operation"              UBRR0, UCSR0A/B/C, UDR0
+ *     reset after 32 ms      watchdog    "Watchdog Timer"                      WDTCSR
+ *     cause of a reset                   "MCU Status Register"                 MCUSR
+ *     between interrupts                 "Idle Mode"                           SMCR
+ *     identity, settings     EEPROM      "EEPROM Data Memory"                  through avr-libc
+ */
+#ifndef BOARD51_AVR_TARGET_H
+#define BOARD51_AVR_TARGET_H
+
+#define F_CPU UINT32_C(16000000)
+
+/* The rate that the divider gives may be off by 2.5 % at most: 115200 is by 2.1 %; 250000, 500000, 1000000 not. */
+#ifndef BAUD
+#define BAUD UINT32_C(115200)
+#endif
+#define UBRR_VALUE ((F_CPU + BAUD * 4U) / (BAUD * 8U) - 1U)
+#define BAUD_GIVEN (F_CPU / (8U * (UBRR_VALUE + 1U)))
+#if BAUD_GIVEN * 1000 > BAUD * 1025 || BAUD_GIVEN * 1000 < BAUD * 975 || UBRR_VALUE > 4095
+#error "BAUD cannot be made from 16 MHz within 2.5 %: take 38400, 57600, 115200, 250000"
+#endif
+
+/* Timers: 0.5 us a count for the tick, 4 us for the capture. */
+#define TICK_COUNTS (TICK_US * 2U)
+#define CAPTURE_COUNTS (CAPTURE_US / 4U)
+#if TICK_COUNTS > 65536 || CAPTURE_US % 4 != 0 || CAPTURE_US > 1024 || CAPTURE_US < 200
+#error "T_s is 32 ms at most; CAPTURE_US a multiple of 4 us from 200 (a conversion, and a write of u_c) to 1024"
+#endif
+
+/* 250 kHz: a conversion takes 52 us, its sample is taken 6 us after its start.  Up to 200 kHz give all 10 bits. */
+#define ADC_PRESCALER ((1 << ADPS2) | (1 << ADPS1)) /* 64 */
+#define ADC_REFERENCE 0                             /* the AREF pin, which the shield drives with 3.3 V */
+#define ADC_CURRENT 2
+#define ADC_POSITION 3
+
+#define TWI_RATE UINT32_C(400000)
+#define TWI_DIVIDER ((F_CPU / TWI_RATE - 16U) / 2U)
+#define TWI_PATIENCE 250U /* looks at a byte on the bus; it takes 23 us, 50 looks */
+#define DAC_ADDRESS 0x60
+
+/* Bytes, powers of two: what a tick of 1 ms brings at 250000, and what leaves during one at 115200. */
+#define RX_RING 32U
+#define TX_RING 16U
+
+#endif

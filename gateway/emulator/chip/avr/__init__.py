@@ -1,0 +1,1 @@
+"""The firmware's image for an ATmega328P (`firmware/avr`), in libsimavr: `build.py`, `board.py`, `simavr.c`."""

@@ -1,0 +1,120 @@
+"""Compiles the firmware of the ATmega328P, and the simulator that runs it; both once for each version of their sources.
+
+Needs avr-gcc with avr-libc, and libsimavr (Debian: gcc-avr avr-libc libsimavr-dev, and a C compiler).
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from gateway.emulator.native.build import SOURCES, compiler, kept
+from protocol.errors import InstallError, ServiceError, UsageError
+
+# 200 samples (40 ms) and short queues: what the 2 kB of RAM hold beside the stack.
+OPTIONS = (
+    "-mmcu=atmega328p -std=gnu99 -O2 -DCAPTURE_SIZE=200U -DCAPTURE_US=200U -DANSWER_DEPTH=2U -DEVENT_DEPTH=6U "
+    "-DBLOCK_DEPTH=1U"
+).split()
+_SHIM = Path(__file__).with_name("simavr.c")
+_REMEDY = "Install them (Debian: apt-get install gcc gcc-avr avr-libc libsimavr-dev), or fly --firmware python or c"
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    """A program: the content of the flash memory, and the addresses of its symbols (RAM from 0x800000 on)."""
+
+    code: bytes
+    symbols: Mapping[str, int]
+
+    def ram(self, name: str) -> int:
+        """Return the address of a variable in RAM."""
+        return self.symbols[name] & 0xFFFF
+
+
+def sources() -> list[Path]:
+    """Return the C files of the core and of the chip's hardware layer."""
+    return sorted([*SOURCES.glob("core/*.c"), *SOURCES.glob("avr/*.c")])
+
+
+def missing() -> str | None:
+    """Return what is not installed, or None."""
+    if shutil.which("avr-gcc") is None:
+        return "avr-gcc"
+    program = compiler()
+    if program is None:
+        return "a C compiler"
+    command = [program, "-x", "c", "-E", "-", "-o", "/dev/null"]
+    found = subprocess.run(command, input=b"#include <simavr/sim_avr.h>\n", capture_output=True, check=False)
+    return "libsimavr" if found.returncode else None
+
+
+def compile_image(target: Path, *, baud: int = 115200, options: tuple[str, ...] = ()) -> None:
+    """Compile the firmware into the ELF file `target`.
+
+    Raises:
+        InstallError: avr-gcc is missing.
+        UsageError: the chip's clock does not give this baud rate.
+        ServiceError: the compiler fails.
+    """
+    if shutil.which("avr-gcc") is None:
+        raise InstallError("The firmware of the AVR needs avr-gcc, and it is not found", remedy=_REMEDY)
+    _run(["avr-gcc", *OPTIONS, f"-DBAUD=UINT32_C({baud})", *options, *map(str, sources()), "-o", str(target)])
+
+
+@cache
+def image(baud: int = 115200) -> Image:
+    """Return the firmware for this baud rate; compile it if it is not in the cache.
+
+    Raises:
+        InstallError, UsageError, ServiceError: as `compile_image`, or the cache cannot be written.
+    """
+    elf = kept(
+        "avr.elf",
+        [*sources(), *SOURCES.glob("*/*.h")],
+        (OPTIONS, baud),
+        lambda target: compile_image(target, baud=baud),
+    )
+    return load(elf)
+
+
+def load(elf: Path) -> Image:
+    """Read a compiled program."""
+    with tempfile.TemporaryDirectory() as scratch:
+        flat = Path(scratch) / "code"
+        _run(["avr-objcopy", "-O", "binary", str(elf), str(flat)])
+        code = flat.read_bytes()
+    rows = (line.split() for line in _run(["avr-nm", str(elf)]).splitlines())
+    return Image(code, {row[2]: int(row[0], 16) for row in rows if len(row) == 3})
+
+
+def simulator() -> Path:
+    """Return the library that runs the chip; compile it if it is not in the cache.
+
+    Raises:
+        InstallError: a C compiler or libsimavr is missing.
+        ServiceError: the compiler fails, or the cache cannot be written.
+    """
+    absent = missing()
+    if absent is not None:
+        raise InstallError(f"The simulated AVR needs avr-gcc and libsimavr, and {absent} is not found", remedy=_REMEDY)
+    options = ["-O2", "-fPIC", "-shared"]
+    command = [str(compiler()), *options, str(_SHIM), "-lsimavr", "-o"]
+    return kept("simavr.so", [_SHIM], options, lambda target: _run([*command, str(target)]))
+
+
+def _run(command: list[str]) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    if done.returncode == 0:
+        return done.stdout
+    said = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip())
+    if "#error BAUD" in said or '#error "BAUD' in said:
+        raise UsageError(
+            "The AVR at 16 MHz does not give this baud rate within 2.5 %", remedy="Give --baud 57600, 115200 or 250000"
+        )
+    raise ServiceError(f"{command[0]} fails: {said}", remedy=_REMEDY)

@@ -1,0 +1,45 @@
+"""The image of the ATmega328P is compiled as a careful engineer would, and who has no compiler for it is told so."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gateway.emulator.chip.avr.build import compile_image, load
+from tests.harness.firmware.avr_bench import skip_without_avr
+from tests.patience import HANG_S
+
+WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror")  # as of the core (test_chip_compilers.py)
+
+
+@pytest.mark.parametrize("baud", [38400, 57600, 115200, 250000, 500000, 1000000])
+def test_it_compiles_without_a_warning(baud: int, tmp_path: Path) -> None:
+    skip_without_avr()
+
+    compile_image(tmp_path / "avr.elf", baud=baud, options=WARNINGS)
+
+    assert {"main", "board", "VIEW"} <= set(load(tmp_path / "avr.elf").symbols)
+
+
+def test_without_the_compiler_the_command_says_what_to_install(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "board51", "emulate", "--chip", "avr", "--duration", "1"]
+    environment = {"PATH": str(tmp_path), "HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=HANG_S, env=environment)
+
+    assert done.returncode != 0
+    assert "avr-gcc is not found" in done.stderr
+    assert "gcc-avr" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_firmware_and_a_chip_are_not_flown_together() -> None:
+    command = [sys.executable, "-m", "board51", "emulate", "--chip", "avr", "--firmware", "c"]
+
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=HANG_S)
+
+    assert done.returncode == 2
+    assert "not allowed with" in done.stderr
