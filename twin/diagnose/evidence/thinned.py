@@ -10,7 +10,9 @@ from twin.diagnose.evidence.gather import Evidence
 from twin.estimation.innovations import FOLLOWS
 from twin.estimation.structures import ALIKE
 
-BLOCK = 250  # samples that stay together: half a second of flight at 500 Hz, 30 time constants of the unstable pole
+# What stays together: 30 time constants of the unstable pole, and a capture as a whole, where a step before its first
+# sample would be unknown to a model with a delay.
+BLOCK_S = 0.5
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 
@@ -21,10 +23,10 @@ def thinned(evidence: Evidence, share: float) -> Evidence:
     evenly, and no rhythm of the recordings coincides with theirs.
     """
     series = evidence.series
-    n = np.arange(len(series))
     begins = series.flags & FOLLOWS == 0
-    first = np.maximum.accumulate(np.where(begins, n, 0))
-    heads = (n - first) % BLOCK == 0
+    elapsed_s = np.cumsum(series.step)
+    elapsed_s -= np.maximum.accumulate(np.where(begins, elapsed_s, 0.0))
+    heads = begins | (np.diff(np.floor(elapsed_s / BLOCK_S + 1e-6), prepend=0.0) != 0.0)
     stays = np.cumsum(heads) * _GOLDEN % 1.0 < share
     flags = np.where(heads, series.flags & np.uint8(~FOLLOWS & 0xFF), series.flags)
     columns = {name: getattr(series, name)[stays] for name in type(series).__slots__}

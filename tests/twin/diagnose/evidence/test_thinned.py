@@ -8,8 +8,11 @@ from hypothesis import strategies as st
 
 from tests.harness.diagnose.simulated_rig import PLANT, THETA, narrow
 from twin.diagnose.evidence.gather import Evidence, gather
-from twin.diagnose.evidence.thinned import BLOCK, thinned
+from twin.diagnose.evidence.thinned import BLOCK_S, thinned
 from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X, Series
+
+STEP_S = 2e-3
+BLOCK = round(BLOCK_S / STEP_S)
 
 
 def series_of(chains: list[int]) -> Evidence:
@@ -19,9 +22,9 @@ def series_of(chains: list[int]) -> Evidence:
     flags[np.cumsum([0, *chains[:-1]])] &= np.uint8(~FOLLOWS & 0xFF)
     number = np.repeat(np.arange(len(chains), dtype=np.int32), chains)
     count = np.arange(n, dtype=np.float64)
-    series = Series(step=np.full(n, 2e-3), u=count, i=count, x=count, flags=flags, recording=number)
+    series = Series(step=np.full(n, STEP_S), u=count, i=count, x=count, flags=flags, recording=number)
     return Evidence(
-        records=(), series=series, t=2e-3 * count, usages=(), statics=(), low_m=None, high_m=None, notes=(),
+        records=(), series=series, t=STEP_S * count, usages=(), statics=(), low_m=None, high_m=None, notes=(),
         noise_ratio=np.stack([1.0 + count, 2.0 + count], axis=1),
     )  # fmt: skip
 

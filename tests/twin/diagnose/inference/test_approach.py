@@ -15,13 +15,13 @@ from twin.diagnose.inference.theta import BASE, coordinates_of
 from twin.diagnose.search.score_test import screen
 from twin.model.causes.catalogue import BY_NAME
 
-CAUSE = "amplifier-dead-zone"
+CAUSE = "constant-force"
 FREE = (*BASE, *coordinates_of(CAUSE))
 
 
 @pytest.fixture(scope="module")
 def criterion() -> Iterator[Criterion]:
-    one = criterion_of(narrow(strong(CAUSE, 0.3), seconds=26.0))
+    one = criterion_of(narrow(strong(CAUSE, 0.01), seconds=26.0))
     yield one
     one.close()
 
@@ -48,7 +48,7 @@ def test_few_samples_are_all_taken() -> None:
 
 
 def test_the_way_over_a_part_ends_near_the_maximum_of_all(criterion: Criterion, base: Fit) -> None:
-    start = strong(CAUSE, 0.05, base.theta)
+    start = strong(CAUSE, 0.001, base.theta)
 
     near, end = approach(criterion, start, FREE), climb(criterion, start, FREE)
 
@@ -73,4 +73,4 @@ def test_where_a_part_shows_plenty_it_decides(criterion: Criterion, base: Fit, m
 
     assert runs[0] == 0  # over all samples
     assert runs[1] > 0
-    assert gains[0] == pytest.approx(gains[1], rel=0.25)
+    assert gains[0] == pytest.approx(gains[1], rel=0.5)
