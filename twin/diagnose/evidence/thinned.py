@@ -10,9 +10,9 @@ from twin.diagnose.evidence.gather import Evidence
 from twin.estimation.innovations import FOLLOWS
 from twin.estimation.structures import ALIKE
 
-# What stays together: 30 time constants of the unstable pole, and a capture as a whole, where a step before its first
-# sample would be unknown to a model with a delay.
-BLOCK_S = 0.5
+# What stays together: twelve time constants of the unstable pole, and a capture as a whole, where a step before its
+# first sample would be unknown to a model with a delay.
+BLOCK_S = 0.2
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 

@@ -84,13 +84,15 @@ def approach(criterion: Criterion, start: Theta, free: Sequence[str]) -> Fit:
     coordinate and each further sample of a part's worth, as maxima of a part scatter.
     """
     part = criterion.thinner
-    if part is criterion:
+    if part is not criterion:
+        fit = climb(part, start, free, passes=settings.PASSES_NEAR, near=True)
+        before, after = criterion.values([start, fit.theta])
+    if part is criterion or after < before:  # what the part does not show was led astray
         return climb(criterion, start, free, passes=settings.PASSES_FIRST, near=True)
-    fit = climb(part, start, free, passes=settings.PASSES_NEAR, near=True)
     covariance = part.share * fit.covariance
     return replace(
         fit,
-        loglik=criterion.value(fit.theta) + narrowing(free, covariance),
+        loglik=after + narrowing(free, covariance),
         covariance=covariance,
         ahead=fit.ahead / part.share + 0.5 * len(free) * (1.0 / part.share - 1.0),
     )
