@@ -18,16 +18,15 @@ void board_boot(void) {
     emit(hal_reset_cause(), hal_resets());
 }
 
-void emit(uint8_t code, uint16_t detail) {
-    uint8_t body[EVENT_BODY];
-    uint8_t *at = body;
+void emit(uint8_t code, uint16_t detail) ON_STACK {
+    STATE_MEMORY uint8_t *at = board.body;
 
     *at++ = EVENT;
     *at++ = board.events++;
     at = put_u32(at, board.next_tick);
     *at++ = code;
     (void)put_u16(at, detail);
-    queue_put(body);
+    queue_put(board.body);
 }
 
 /* A tick took longer than T_s. */
@@ -51,8 +50,8 @@ static bool reset_is_due(void) {
     return board.host.reset_wait == 0U || answers_have_left();
 }
 
-static void queue_state(uint16_t i, uint16_t x, uint8_t flags) {
-    uint8_t body[STATE_BODY];
+static void queue_state(uint16_t i, uint16_t x, uint8_t flags) ON_STACK {
+    STATE_MEMORY uint8_t *body = board.body;
 
     body[0] = STATE;
     (void)put_u16(body + 1, (uint16_t)board.next_tick);

@@ -10,7 +10,7 @@
 
 #define SETTLE_US 20000U
 
-void capture_start(uint16_t u_from, uint16_t u_to, uint16_t pre, uint16_t count, uint32_t tick) {
+void capture_start(uint16_t u_from, uint16_t u_to, uint16_t pre, uint16_t count, uint32_t tick) ON_STACK {
     board.capture.u_from = u_from;
     board.capture.u_to = u_to;
     board.capture.pre = pre;
@@ -32,8 +32,9 @@ void capture_cancel(void) {
     board.capture.running = false;
 }
 
-static void store(uint16_t n, uint16_t i) {
-    uint8_t *pair = &board.capture.samples[n / 2U * 3U];
+static void store(uint16_t n, uint16_t i) ON_STACK {
+    /* n / 2 * 3, without the product routine of an 8051's compiler, which the main loop may be in the middle of. */
+    STATE_MEMORY uint8_t *pair = &board.capture.samples[(n & 0xFFFEU) + n / 2U];
 
     if (n % 2U == 0U) {
         pair[0] = (uint8_t)i;
@@ -46,7 +47,7 @@ static void store(uint16_t n, uint16_t i) {
 }
 
 /* Called by the target at the times of `hal_capture_timer`: a sample each, then the end of the last one's time. */
-void capture_interrupt(void) {
+void capture_interrupt(void) ON_STACK {
     if (!board.capture.running || board.capture.complete) {
         return;
     }
@@ -81,22 +82,30 @@ uint16_t capture_u(void) {
     return stepped ? board.capture.u_to : board.capture.u_from;
 }
 
-/* Up to 32 samples from index on, two in three bytes, the rest 0: 48 bytes. */
-void capture_pack(uint16_t index, uint8_t *packed) {
+/* Up to 32 samples from index on, two in three bytes, the rest 0: 48 bytes.  There is one at index. */
+void capture_pack(uint16_t index, STATE_MEMORY uint8_t *packed) ON_STACK {
+    const STATE_MEMORY uint8_t *from = &board.capture.samples[index / 2U * 3U];
+    uint16_t left = (uint16_t)(board.capture.count - index);
+    bool second = index % 2U != 0U; /* of the pair at `from` */
+    uint16_t before = 0;
     uint8_t n;
 
-    for (n = 0; n < BLOCK_SAMPLES; n = (uint8_t)(n + 2U)) {
-        uint16_t pair[2] = {0, 0};
-        uint8_t side;
-
-        for (side = 0; side < 2U; side++) {
-            uint16_t at = (uint16_t)(index + n + side);
-            if (at < board.capture.count) {
-                const uint8_t *from = &board.capture.samples[at / 2U * 3U];
-                pair[side] = at % 2U == 0U ? (uint16_t)(from[0] | (from[1] & 0x0FU) << 8)
-                                           : (uint16_t)(from[1] >> 4 | from[2] << 4);
+    for (n = 0; n < BLOCK_SAMPLES; n++) {
+        uint16_t sample = 0;
+        if (left != 0U) {
+            left--;
+            if (second) {
+                sample = (uint16_t)(from[1] >> 4 | (uint16_t)from[2] << 4);
+                from += 3;
+            } else {
+                sample = (uint16_t)(from[0] | (uint16_t)(from[1] & 0x0FU) << 8);
             }
+            second = !second;
         }
-        put_pair(packed + n / 2U * 3U, pair[0], pair[1]);
+        if (n % 2U != 0U) {
+            put_pair(packed, before, sample);
+            packed += 3;
+        }
+        before = sample;
     }
 }

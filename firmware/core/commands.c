@@ -7,30 +7,30 @@
 
 #include "core.h"
 
-static uint8_t *begin(uint8_t type, const uint8_t *body) {
+static STATE_MEMORY uint8_t *begin(uint8_t type, const STATE_MEMORY uint8_t *body) ON_STACK {
     board.host.answer[0] = type;
     board.host.answer[1] = body[1]; /* the id */
     return board.host.answer + 2;
 }
 
-void answer_ack(const uint8_t *body) {
-    uint8_t *at = begin(ACK, body);
+void answer_ack(const STATE_MEMORY uint8_t *body) ON_STACK {
+    STATE_MEMORY uint8_t *at = begin(ACK, body);
 
     *at = body[0];
     (void)put_u32(at + 1, board.next_tick);
 }
 
-void answer_nack(const uint8_t *body, uint8_t reason, uint16_t detail) {
-    uint8_t *at = begin(NACK, body);
+void answer_nack(const STATE_MEMORY uint8_t *body, uint8_t reason, uint16_t detail) ON_STACK {
+    STATE_MEMORY uint8_t *at = begin(NACK, body);
 
     at[0] = body[0];
     at[1] = reason;
     (void)put_u16(at + 2, detail);
 }
 
-static void answer_identity(const uint8_t *body) {
+static void answer_identity(const STATE_MEMORY uint8_t *body) ON_STACK {
     const struct identity *identity = hal_identity();
-    uint8_t *at = begin(IDENTITY, body);
+    STATE_MEMORY uint8_t *at = begin(IDENTITY, body);
 
     *at++ = PROTOCOL_VERSION;
     *at++ = identity->firmware_major;
@@ -48,7 +48,7 @@ static void answer_identity(const uint8_t *body) {
 }
 
 /* Rule 2.  Returns the reason of a refusal, as all below. */
-uint8_t answer_hello(const uint8_t *body, uint16_t *detail) {
+uint8_t answer_hello(const STATE_MEMORY uint8_t *body, uint16_t *detail) ON_STACK {
     uint16_t session = get_u16(body + 2);
 
     if (body[4] > PROTOCOL_VERSION || body[5] < PROTOCOL_VERSION) {
@@ -64,16 +64,16 @@ uint8_t answer_hello(const uint8_t *body, uint16_t *detail) {
     return ACCEPTED;
 }
 
-static void answer_pong(const uint8_t *body) {
-    uint8_t *at = put_u32(begin(PONG, body), board.next_tick);
+static void answer_pong(const STATE_MEMORY uint8_t *body) ON_STACK {
+    STATE_MEMORY uint8_t *at = put_u32(begin(PONG, body), board.next_tick);
 
     (void)put_u16(put_u16(at, board.receiver.bad_frames), board.overruns);
 }
 
-static void answer_parameters(const uint8_t *body) {
-    const struct gains *gains = &board.law.gains;
-    const struct limits *limits = &board.loop.limits;
-    uint8_t *at = begin(PARAMETERS, body);
+static void answer_parameters(const STATE_MEMORY uint8_t *body) ON_STACK {
+    const STATE_MEMORY struct gains *gains = &board.law.gains;
+    const STATE_MEMORY struct limits *limits = &board.loop.limits;
+    STATE_MEMORY uint8_t *at = begin(PARAMETERS, body);
     uint8_t n;
 
     *at++ = gains->law;
@@ -88,7 +88,7 @@ static void answer_parameters(const uint8_t *body) {
     (void)put_u32(put_u16(at, board.host.timeout_ms), board.loop.gains_tick);
 }
 
-static uint8_t set_mode(const uint8_t *body) {
+static uint8_t set_mode(const STATE_MEMORY uint8_t *body) ON_STACK {
     if (board.capture.running && body[2] != MODE_IDLE) {
         return BUSY;
     }
@@ -97,8 +97,8 @@ static uint8_t set_mode(const uint8_t *body) {
     return ACCEPTED;
 }
 
-static uint8_t set_reference(const uint8_t *body, uint16_t *detail) {
-    const struct limits *limits = &board.loop.limits;
+static uint8_t set_reference(const STATE_MEMORY uint8_t *body, uint16_t *detail) ON_STACK {
+    const STATE_MEMORY struct limits *limits = &board.loop.limits;
     uint16_t x_ref = get_u16(body + 2);
 
     if (x_ref < limits->x_ref_min || x_ref > limits->x_ref_max) {
@@ -113,8 +113,8 @@ static uint8_t set_reference(const uint8_t *body, uint16_t *detail) {
     return ACCEPTED;
 }
 
-static void set_gains(const uint8_t *body) {
-    struct gains *gains = &board.law.gains;
+static void set_gains(const STATE_MEMORY uint8_t *body) ON_STACK {
+    STATE_MEMORY struct gains *gains = &board.law.gains;
     uint8_t n;
 
     gains->law = body[2];
@@ -128,9 +128,9 @@ static void set_gains(const uint8_t *body) {
     board.loop.gains_tick = board.next_tick;
 }
 
-static uint8_t excite(const uint8_t *body, uint16_t *detail) {
-    const struct limits *limits = &board.loop.limits;
-    struct signal signal;
+static uint8_t excite(const STATE_MEMORY uint8_t *body, uint16_t *detail) ON_STACK {
+    const STATE_MEMORY struct limits *limits = &board.loop.limits;
+    static STATE_MEMORY struct signal signal; /* not on the stack, which an 8051 has little of */
     uint16_t low, high, amplitude;
 
     signal.shape = body[2];
@@ -170,7 +170,7 @@ static uint8_t excite(const uint8_t *body, uint16_t *detail) {
     return ACCEPTED;
 }
 
-static uint8_t capture(const uint8_t *body, uint16_t *detail) {
+static uint8_t capture(const STATE_MEMORY uint8_t *body, uint16_t *detail) ON_STACK {
     uint16_t u_from = get_u16(body + 2);
     uint16_t u_to = get_u16(body + 4);
     uint16_t pre = get_u16(body + 6);
@@ -200,9 +200,9 @@ static uint8_t capture(const uint8_t *body, uint16_t *detail) {
     return ACCEPTED;
 }
 
-static uint8_t read_capture(const uint8_t *body) {
+static uint8_t read_capture(const STATE_MEMORY uint8_t *body) ON_STACK {
     uint16_t index = get_u16(body + 2);
-    uint8_t *at;
+    STATE_MEMORY uint8_t *at;
 
     if (board.capture.running) {
         return BUSY;
@@ -216,7 +216,7 @@ static uint8_t read_capture(const uint8_t *body) {
 }
 
 /* Executes a command that was checked, composes its answer unless it is refused, and returns the reason. */
-uint8_t command_execute(const uint8_t *body, uint16_t *detail) {
+uint8_t command_execute(const STATE_MEMORY uint8_t *body, uint16_t *detail) ON_STACK {
     uint8_t reason = ACCEPTED;
 
     *detail = 0;
@@ -248,8 +248,7 @@ uint8_t command_execute(const uint8_t *body, uint16_t *detail) {
             board.host.divider = get_u16(body + 2);
             break;
         case SET_HOST_LOSS:
-            board.host.policy = body[2];
-            board.host.timeout_ms = get_u16(body + 3);
+            host_set_loss(body[2], get_u16(body + 3));
             break;
         default: /* RESET: STOP and HELLO do not come here */
             board.host.reset_wait = RESET_WAIT_TICKS;

@@ -19,9 +19,20 @@
 #define STATE_MEMORY
 #endif
 
+/* Where parameters and locals lie.  sdcc gives those of each function a fixed place in the 128 bytes that an 8051
+ * addresses directly: the fastest, and there is room for what runs in each tick.  Of all other functions, and of what
+ * the capture interrupt calls, they are on the stack, with this behind the parameters. */
+#ifdef __SDCC_mcs51
+#define ON_STACK __reentrant
+#else
+#define ON_STACK
+#endif
+
 /* Where tables lie: an AVR would copy them into its RAM (avr-gcc -std=gnu99 reads them from flash instead). */
-#ifdef __AVR__
+#if defined(__AVR__)
 #define TABLE_MEMORY __flash
+#elif defined(__SDCC_mcs51)
+#define TABLE_MEMORY __code
 #else
 #define TABLE_MEMORY
 #endif

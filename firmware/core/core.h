@@ -134,6 +134,7 @@ struct law_state {
 
 struct reference_state {
     uint16_t x_ref;
+    uint32_t full, refill; /* x_ref_step, and x_ref_slew in a tick, as the allowance */
     uint32_t allowance; /* millionths of a count: rule 7 keeps it exactly, and all fit 32 bits */
 };
 
@@ -218,7 +219,7 @@ struct host_state {
     uint16_t session;
     uint8_t policy;
     uint16_t timeout_ms;
-    uint32_t silent_us;
+    uint32_t timeout_us, silent_us;
     uint16_t divider;
     uint8_t reset_wait; /* ticks left for the ACK of RESET; 0: no reset is due */
 };
@@ -232,6 +233,7 @@ struct board {
     struct receiver_state receiver;
     struct queues_state queues;
     struct host_state host;
+    uint8_t body[STATE_BODY]; /* of a STATE or an EVENT, being composed */
     uint32_t next_tick;
     uint8_t events; /* number of the next one */
     uint16_t overruns;
@@ -245,8 +247,8 @@ int32_t shift_down(int32_t value, uint8_t bits);
 int32_t saturated_sum(int32_t a, int32_t b);
 int32_t saturated_difference(int32_t a, int32_t b);
 int32_t scaled_product(int16_t mantissa, uint8_t shift, int32_t operand);
-int32_t divide_rounded(int32_t numerator, int32_t denominator);
-int16_t sine_q15(uint32_t phase);
+int32_t divide_rounded(int32_t numerator, int32_t denominator) ON_STACK;
+int16_t sine_q15(uint32_t phase) ON_STACK;
 uint16_t distance(uint16_t a, uint16_t b);
 
 /* tables.c */
@@ -256,7 +258,7 @@ extern const TABLE_MEMORY uint32_t MULTISINE_PEAK[128];
 /* law.c */
 void law_reset(void);
 int32_t law_accumulate(uint16_t i, uint16_t x, uint16_t x_ref);
-uint16_t law_run(uint16_t i, uint16_t x, uint16_t x_ref, bool *limited);
+uint16_t law_run(uint16_t i, uint16_t x, uint16_t x_ref, bool *limited) ON_STACK;
 
 /* reference.c */
 void reference_boot(uint16_t x_ref);
@@ -265,17 +267,17 @@ void reference_refill(void);
 void reference_jump(uint16_t x_ref);
 
 /* excitation.c */
-void excitation_start(const struct signal *signal);
+void excitation_start(const STATE_MEMORY struct signal *signal) ON_STACK;
 bool excitation_done(void);
-uint16_t excitation_next(void);
+uint16_t excitation_next(void) ON_STACK;
 
 /* capture.c */
-void capture_start(uint16_t u_from, uint16_t u_to, uint16_t pre, uint16_t count, uint32_t tick);
+void capture_start(uint16_t u_from, uint16_t u_to, uint16_t pre, uint16_t count, uint32_t tick) ON_STACK;
 void capture_cancel(void);
-void capture_interrupt(void);
+void capture_interrupt(void) ON_STACK;
 bool capture_completed(void);
 uint16_t capture_u(void);
-void capture_pack(uint16_t index, uint8_t *packed);
+void capture_pack(uint16_t index, STATE_MEMORY uint8_t *packed) ON_STACK;
 
 /* loop.c */
 void loop_boot(void);
@@ -287,39 +289,41 @@ void loop_set_reference(uint16_t x_ref);
 uint8_t loop_run(uint16_t i, uint16_t x);
 
 /* frames.c */
-uint16_t crc_of(const uint8_t *data, uint8_t size);
-uint8_t frame_encode(const uint8_t *body, uint8_t size, uint8_t *frame);
-uint8_t frame_decode(uint8_t *encoded, uint8_t size);
+uint16_t crc_of(const STATE_MEMORY uint8_t *data, uint8_t size);
+uint8_t frame_encode(const STATE_MEMORY uint8_t *body, uint8_t size, STATE_MEMORY uint8_t *frame);
+uint8_t frame_decode(STATE_MEMORY uint8_t *encoded, uint8_t size) ON_STACK;
 
 /* receiver.c */
 uint8_t receiver_take(uint8_t byte);
 void receiver_count_bad(void);
 
 /* queues.c */
-void queue_put(const uint8_t *body);
+void queue_put(const STATE_MEMORY uint8_t *body) ON_STACK;
 bool answers_have_left(void);
 void send_frames(void);
 
 /* fields.c */
-uint8_t fields_check(const uint8_t *body, uint8_t size, uint16_t *detail);
+uint8_t fields_check(const STATE_MEMORY uint8_t *body, uint8_t size, uint16_t *detail) ON_STACK;
 bool is_sent_by_board(uint8_t type);
 uint8_t body_size(uint8_t type);
-uint16_t get_u16(const uint8_t *at);
-uint32_t get_u32(const uint8_t *at);
-int16_t get_i16(const uint8_t *at);
-uint8_t *put_u16(uint8_t *at, uint16_t value);
-uint8_t *put_u32(uint8_t *at, uint32_t value);
-void put_pair(uint8_t *at, uint16_t a, uint16_t b);
+void copy(STATE_MEMORY uint8_t *to, const STATE_MEMORY uint8_t *from, uint8_t size);
+uint16_t get_u16(const STATE_MEMORY uint8_t *at);
+uint32_t get_u32(const STATE_MEMORY uint8_t *at);
+int16_t get_i16(const STATE_MEMORY uint8_t *at);
+STATE_MEMORY uint8_t *put_u16(STATE_MEMORY uint8_t *at, uint16_t value);
+STATE_MEMORY uint8_t *put_u32(STATE_MEMORY uint8_t *at, uint32_t value) ON_STACK;
+void put_pair(STATE_MEMORY uint8_t *at, uint16_t a, uint16_t b);
 
 /* commands.c: compose the answer into board.host.answer */
-uint8_t command_execute(const uint8_t *body, uint16_t *detail);
-uint8_t answer_hello(const uint8_t *body, uint16_t *detail);
-void answer_ack(const uint8_t *body);
-void answer_nack(const uint8_t *body, uint8_t reason, uint16_t detail);
+uint8_t command_execute(const STATE_MEMORY uint8_t *body, uint16_t *detail) ON_STACK;
+uint8_t answer_hello(const STATE_MEMORY uint8_t *body, uint16_t *detail) ON_STACK;
+void answer_ack(const STATE_MEMORY uint8_t *body) ON_STACK;
+void answer_nack(const STATE_MEMORY uint8_t *body, uint8_t reason, uint16_t detail) ON_STACK;
 
 /* host.c */
 void host_boot(void);
-void host_receive(const uint8_t *body, uint8_t size);
+void host_set_loss(uint8_t policy, uint16_t timeout_ms) ON_STACK;
+void host_receive(const STATE_MEMORY uint8_t *body, uint8_t size) ON_STACK;
 void host_execute_pending(void);
 void host_watch(void);
 
@@ -327,6 +331,6 @@ void host_watch(void);
 void board_boot(void); /* once after a reset, when the hardware is ready */
 void board_poll(void); /* again and again: the main loop */
 void board_late(void); /* a tick took longer than T_s */
-void emit(uint8_t code, uint16_t detail);
+void emit(uint8_t code, uint16_t detail) ON_STACK;
 
 #endif

@@ -2,50 +2,84 @@
 #include "core.h"
 
 #define HARMONICS 8U
-#define CHIRP_TURN ((uint64_t)1 << 48)
 
-/* dividend / divisor, rounded down, 16 bits at a time: the bits of the dividend leave a digit above while those of the
- * quotient enter it below.  Without a division or a shift by one of 64 bits: sdcc has none for an 8051, and on an AVR
- * they would take longer than a tick. */
-static uint64_t quotient(uint64_t dividend, uint32_t divisor) {
-    uint64_t result = 0;
-    uint32_t rest = 0;
-    uint8_t digit;
+/* Sets sweep to 2^48 / divisor, rounded down, 16 bits at a time. */
+static void divide_turn(uint16_t divisor) ON_STACK {
+    uint32_t rest = 1;
     uint8_t n;
 
-    for (digit = 0; digit < 4U; digit++) {
-        uint16_t bits = (uint16_t)(dividend >> 48);
+    board.excitation.sweep = 0;
+    for (n = 0; n < 3U; n++) {
+        uint32_t digit = (rest << 16) / divisor;
+        rest = (rest << 16) - digit * divisor;
+        board.excitation.sweep = board.excitation.sweep << 16 | digit;
+    }
+}
 
-        for (n = 0; n < 16U; n++) {
-            bool carry = rest >> 31 != 0U;
+/* sweep / divisor, rounded down and in place: sdcc has no division of 64 bits for an 8051, and little stack. */
+static void divide_sweep(uint32_t divisor) {
+    uint32_t lower = (uint32_t)board.excitation.sweep;
+    uint32_t rest = (uint32_t)(board.excitation.sweep >> 32);
+    uint8_t n;
 
-            rest = rest << 1 | (bits >> 15 & 1U);
-            bits = (uint16_t)(bits << 1);
-            if (carry || rest >= divisor) {
-                rest -= divisor;
-                bits |= 1U;
-            }
+    board.excitation.sweep = (uint64_t)(rest / divisor) << 32;
+    rest %= divisor;
+    for (n = 0; n < 32U; n++) { /* the quotient comes into `lower` from below as the dividend leaves above */
+        bool carry = rest >> 31 != 0U;
+        rest = rest << 1 | lower >> 31;
+        lower <<= 1;
+        if (carry || rest >= divisor) {
+            rest -= divisor;
+            lower |= 1U;
         }
-        dividend <<= 16;
-        result = result << 16 | bits;
     }
-    return result;
+    board.excitation.sweep |= lower;
 }
 
-/* (2^48 // period_end - 2^48 // period) // duration, rounded down.  Below 0 as 2^64 minus it: only the low 48 bits of
- * the phase are looked at. */
-static uint64_t chirp_sweep(const struct signal *signal) {
-    uint64_t first = board.excitation.step; /* 2^48 // period */
-    uint64_t last = quotient(CHIRP_TURN, signal->period_end);
-    uint32_t duration = signal->duration == 0U ? 1U : signal->duration;
-
-    if (last >= first) {
-        return quotient(last - first, duration);
+/* Sets sweep to |sweep - step|, plus divisor - 1 if that was below 0, so that its quotient is rounded away from
+ * 0; whether it was. */
+static bool subtract_step(uint32_t divisor) ON_STACK {
+    if (board.excitation.sweep >= board.excitation.step) {
+        board.excitation.sweep -= board.excitation.step;
+        return false;
     }
-    return (uint64_t)0 - quotient(first - last + duration - 1U, duration);
+    board.excitation.sweep = board.excitation.step - board.excitation.sweep + divisor - 1U;
+    return true;
 }
 
-void excitation_start(const struct signal *signal) {
+/* Below 0 as 2^64 minus it: only the low 48 bits of the phase are looked at. */
+static void negate_sweep(void) ON_STACK {
+    board.excitation.sweep = (uint64_t)0 - board.excitation.sweep;
+}
+
+static void add_steps(void) ON_STACK {
+    board.excitation.step += board.excitation.sweep;
+    board.excitation.phase += board.excitation.step;
+}
+
+/* From one value of a chirp to the next; the first is at phase 0.  The step, 2^48 // period, is needed for the second,
+ * its change, (2^48 // period_end - step) // duration, for the third: so an 8051 has a tick for each, as it has one for
+ * the command; and a function for each part, as it has little stack. */
+static void advance_chirp(void) {
+    uint32_t duration = board.excitation.signal.duration;
+    bool falls;
+
+    if (board.excitation.ticks == 1U) {
+        divide_turn(board.excitation.signal.period);
+        board.excitation.step = board.excitation.sweep;
+        board.excitation.sweep = 0;
+    } else if (board.excitation.ticks == 2U) {
+        divide_turn(board.excitation.signal.period_end);
+        falls = subtract_step(duration);
+        divide_sweep(duration);
+        if (falls) {
+            negate_sweep();
+        }
+    }
+    add_steps();
+}
+
+void excitation_start(const STATE_MEMORY struct signal *signal) ON_STACK {
     board.excitation.signal = *signal;
     board.excitation.active = true;
     board.excitation.ticks = 0;
@@ -54,81 +88,85 @@ void excitation_start(const struct signal *signal) {
     board.excitation.phase = 0;
     board.excitation.step = 0;
     board.excitation.sweep = 0;
-    if (signal->shape == SHAPE_CHIRP) { /* not for the others: three long divisions take an 8051 several ticks */
-        board.excitation.step = quotient(CHIRP_TURN, signal->period);
-        board.excitation.sweep = chirp_sweep(signal);
-    }
     board.excitation.announced = excitation_done();
 }
 
 /* Whether the duration is over, so that the signal stays at its offset. */
 bool excitation_done(void) {
-    const struct signal *signal = &board.excitation.signal;
+    const STATE_MEMORY struct signal *signal = &board.excitation.signal;
 
     return signal->shape == SHAPE_NONE || (signal->duration != 0U && signal->duration <= board.excitation.ticks);
 }
 
 /* in_period / period of a turn, rounded down to 2^-32: a division of 48 bits by 16 in two of 32 by 16. */
-static uint32_t phase_in_period(void) {
+static uint32_t phase_in_period(void) ON_STACK {
     uint32_t period = board.excitation.signal.period;
     uint32_t dividend = (uint32_t)board.excitation.in_period << 16;
     uint32_t upper = dividend / period;
-    uint32_t lower = (dividend % period << 16) / period;
+    uint32_t lower = ((dividend - upper * period) << 16) / period; /* a product is faster than a remainder */
 
     return upper << 16 | lower;
 }
 
-static int32_t multisine(uint16_t seed) {
+static int32_t sum_of_sines(uint16_t seed) ON_STACK {
     uint32_t phase = phase_in_period() + ((uint32_t)(seed >> 7) << 23);
+    uint32_t angle = 0;
     int32_t total = 0;
     uint8_t h;
 
     for (h = 1; h <= HARMONICS; h++) {
-        int32_t value = sine_q15(h * phase - ((uint32_t)h * (h - 1U) << 28));
+        int16_t value;
+        angle += phase - ((uint32_t)(h - 1U) << 29); /* h phase - h (h - 1) / 16 of a turn */
+        value = sine_q15(angle);
         total += h > 1U && (seed >> (h - 2U) & 1U) != 0U ? -value : value;
     }
     return total;
 }
 
-static int32_t chirp(int16_t amplitude) {
-    int32_t value = divide_rounded((int32_t)amplitude * sine_q15((uint32_t)(board.excitation.phase >> 16)), 32767);
-
-    board.excitation.phase += board.excitation.step;
-    board.excitation.step += board.excitation.sweep;
-    return value;
+static int32_t chirp(int16_t amplitude) ON_STACK {
+    return divide_rounded((int32_t)amplitude * sine_q15((uint32_t)(board.excitation.phase >> 16)), 32767);
 }
 
-static int32_t prbs(int32_t amplitude) {
+static int16_t prbs(int16_t amplitude) ON_STACK {
     uint16_t r = board.excitation.prbs;
 
     if (board.excitation.ticks != 0U && board.excitation.in_period == 0U) {
         r = (uint16_t)((r << 1 | ((r >> 14 ^ r >> 13) & 1U)) & 0x7FFFU);
         board.excitation.prbs = r;
     }
-    return r >> 14 != 0U ? amplitude : -amplitude;
+    return r >> 14 != 0U ? amplitude : (int16_t)-amplitude;
 }
 
-/* The shape alone, without the offset. */
-static int32_t shape(void) {
-    const struct signal *signal = &board.excitation.signal;
-    int32_t amplitude = signal->amplitude;
-    int32_t s = board.excitation.in_period;
-    int32_t top = amplitude < 0 ? -amplitude : amplitude;
-    int32_t value;
+static int32_t sawtooth(int16_t amplitude) ON_STACK {
+    int32_t numerator = 2 * (int32_t)amplitude * board.excitation.in_period;
+
+    return divide_rounded(numerator, board.excitation.signal.period) - amplitude;
+}
+
+/* At most 4095 * 8 * 32767, twice that and a peak: below 2^31. */
+static int32_t multisine(int16_t amplitude) ON_STACK {
+    uint16_t seed = board.excitation.signal.seed;
+    int32_t value = divide_rounded(amplitude * sum_of_sines(seed), (int32_t)MULTISINE_PEAK[seed & 0x7FU]);
+    int16_t top = amplitude < 0 ? (int16_t)-amplitude : amplitude;
+
+    return value > top ? top : value < -top ? -top : value;
+}
+
+/* The shape alone, without the offset.  Each is a function, so that an 8051 has one's locals on its stack at a time. */
+static int32_t shape(void) ON_STACK {
+    const STATE_MEMORY struct signal *signal = &board.excitation.signal;
 
     switch (signal->shape) {
         case SHAPE_STEP:
-            return board.excitation.ticks >= signal->period ? amplitude : 0;
+            return board.excitation.ticks >= signal->period ? signal->amplitude : 0;
         case SHAPE_RECTANGLE:
-            return 2 * s < signal->period ? amplitude : -amplitude;
+            return 2 * (uint32_t)board.excitation.in_period < signal->period ? signal->amplitude : -signal->amplitude;
         case SHAPE_SAWTOOTH:
-            return divide_rounded(2 * amplitude * s, signal->period) - amplitude;
+            return sawtooth(signal->amplitude);
         case SHAPE_PRBS:
-            return prbs(amplitude);
+            return prbs(signal->amplitude);
         case SHAPE_MULTISINE:
-            /* At most 4095 * 8 * 32767, twice that and a peak: below 2^31. */
-            value = divide_rounded(amplitude * multisine(signal->seed), (int32_t)MULTISINE_PEAK[signal->seed & 0x7FU]);
-            return value > top ? top : value < -top ? -top : value;
+            return multisine(signal->amplitude);
         case SHAPE_CHIRP:
             return chirp(signal->amplitude);
         default:
@@ -137,9 +175,12 @@ static int32_t shape(void) {
 }
 
 /* The signal at this tick, in counts of its target; then the next tick. */
-uint16_t excitation_next(void) {
+uint16_t excitation_next(void) ON_STACK {
     int32_t value = board.excitation.signal.offset;
 
+    if (board.excitation.signal.shape == SHAPE_CHIRP && board.excitation.ticks != 0U) {
+        advance_chirp();
+    }
     if (!excitation_done()) {
         value += shape();
     }

@@ -5,7 +5,7 @@ enum { U8, U16, I16, U32 };
 
 struct field {
     uint8_t type;
-    int32_t low, high; /* not looked at for u32, which has its whole range */
+    uint16_t low, high; /* of an i16 plus BIAS, so that they compare; not looked at for u32 */
 };
 
 struct row {
@@ -14,11 +14,13 @@ struct row {
     const TABLE_MEMORY struct field *fields; /* behind the id */
 };
 
+#define BIAS 0x8000U
 #define ANY_U8 {U8, 0, 255}
 #define ANY_U16 {U16, 0, 65535}
 #define ONE_U16 {U16, 1, 65535}
 #define COUNT {U16, 0, COUNTS_MAX}
-#define MANTISSA {I16, -32767, 32767}
+#define MANTISSA {I16, BIAS - 32767, BIAS + 32767}
+#define AMPLITUDE {I16, BIAS - COUNTS_MAX, BIAS + COUNTS_MAX}
 #define SHIFT {U8, 0, 30}
 #define GAIN MANTISSA, SHIFT
 
@@ -26,7 +28,7 @@ static const TABLE_MEMORY struct field HELLO_FIELDS[] = {ANY_U16, ANY_U8, ANY_U8
 static const TABLE_MEMORY struct field SET_MODE_FIELDS[] = {{U8, 0, 2}};
 static const TABLE_MEMORY struct field SET_REFERENCE_FIELDS[] = {COUNT};
 static const TABLE_MEMORY struct field SET_GAINS_FIELDS[] = {{U8, 0, 1}, GAIN, GAIN, GAIN, GAIN, COUNT, COUNT, COUNT};
-static const TABLE_MEMORY struct field EXCITE_FIELDS[] = {{U8, 0, 6},  {U8, 0, 1}, {I16, -COUNTS_MAX, COUNTS_MAX},
+static const TABLE_MEMORY struct field EXCITE_FIELDS[] = {{U8, 0, 6},  {U8, 0, 1}, AMPLITUDE,
                                              COUNT,       ONE_U16,    ONE_U16,
                                              ONE_U16,     {U32, 0, 0}};
 static const TABLE_MEMORY struct field CAPTURE_FIELDS[] = {COUNT, COUNT, {U16, 0, 2000}, {U16, 1, 2000}};
@@ -53,14 +55,18 @@ static const TABLE_MEMORY struct row ROWS[] = {
     /* RESET */ ID_ONLY,
 };
 
-static uint16_t magnitude(int32_t bound) {
-    return (uint16_t)(bound < 0 ? -bound : bound);
+/* Of a bound of a field. */
+static uint16_t magnitude(uint8_t type, uint16_t bound) ON_STACK {
+    if (type != I16) {
+        return bound;
+    }
+    return (uint16_t)(bound < BIAS ? BIAS - bound : bound - BIAS);
 }
 
 /* Why a command cannot be understood, with the bound in the way; the first field that is out of range counts. */
-uint8_t fields_check(const uint8_t *body, uint8_t size, uint16_t *detail) {
+uint8_t fields_check(const STATE_MEMORY uint8_t *body, uint8_t size, uint16_t *detail) ON_STACK {
     const TABLE_MEMORY struct row *row;
-    const uint8_t *at = body + 2;
+    const STATE_MEMORY uint8_t *at = body + 2;
     uint8_t n;
 
     *detail = 0;
@@ -73,16 +79,17 @@ uint8_t fields_check(const uint8_t *body, uint8_t size, uint16_t *detail) {
     }
     for (n = 0; n < row->count; n++) {
         const TABLE_MEMORY struct field *field = &row->fields[n];
-        int32_t value;
+        uint16_t value;
 
         if (field->type == U32) {
             at += 4;
             continue;
         }
-        value = field->type == U8 ? *at : field->type == U16 ? (int32_t)get_u16(at) : (int32_t)get_i16(at);
+        value = field->type == U8 ? *at : get_u16(at);
+        value = (uint16_t)(field->type == I16 ? value + BIAS : value);
         at += field->type == U8 ? 1 : 2;
         if (value < field->low || value > field->high) {
-            *detail = magnitude(value < field->low ? field->low : field->high);
+            *detail = magnitude(field->type, value < field->low ? field->low : field->high);
             return OUT_OF_RANGE;
         }
     }
@@ -101,33 +108,40 @@ uint8_t body_size(uint8_t type) {
     return SIZES[type - STATE];
 }
 
-uint16_t get_u16(const uint8_t *at) {
+uint16_t get_u16(const STATE_MEMORY uint8_t *at) {
     return (uint16_t)(at[0] | (uint16_t)at[1] << 8);
 }
 
-uint32_t get_u32(const uint8_t *at) {
+uint32_t get_u32(const STATE_MEMORY uint8_t *at) {
     return get_u16(at) | (uint32_t)get_u16(at + 2) << 16;
 }
 
-int16_t get_i16(const uint8_t *at) {
+int16_t get_i16(const STATE_MEMORY uint8_t *at) {
     uint16_t value = get_u16(at);
 
     return value < 0x8000U ? (int16_t)value : (int16_t)(-1 - (int16_t)(0xFFFFU - value));
 }
 
+/* memcpy, where an 8051 knows which memory it is. */
+void copy(STATE_MEMORY uint8_t *to, const STATE_MEMORY uint8_t *from, uint8_t size) {
+    for (; size != 0U; size--) {
+        *to++ = *from++;
+    }
+}
+
 /* These return where the next field begins. */
-uint8_t *put_u16(uint8_t *at, uint16_t value) {
+STATE_MEMORY uint8_t *put_u16(STATE_MEMORY uint8_t *at, uint16_t value) {
     at[0] = (uint8_t)value;
     at[1] = (uint8_t)(value >> 8);
     return at + 2;
 }
 
-uint8_t *put_u32(uint8_t *at, uint32_t value) {
+STATE_MEMORY uint8_t *put_u32(STATE_MEMORY uint8_t *at, uint32_t value) ON_STACK {
     return put_u16(put_u16(at, (uint16_t)value), (uint16_t)(value >> 16));
 }
 
 /* Two counts in three bytes: a[7:0], b[3:0] a[11:8], b[11:4]. */
-void put_pair(uint8_t *at, uint16_t a, uint16_t b) {
+void put_pair(STATE_MEMORY uint8_t *at, uint16_t a, uint16_t b) {
     at[0] = (uint8_t)a;
     at[1] = (uint8_t)(a >> 8 | (b & 0x0FU) << 4);
     at[2] = (uint8_t)(b >> 4);

@@ -1,6 +1,4 @@
 /* The host's commands: once each, in order, between two ticks (rules 2 to 4); what happens without it (rule 10). */
-#include <string.h>
-
 #include "core.h"
 
 #define PENDING_COMMANDS 8U
@@ -10,16 +8,21 @@
 /* After `board` was cleared. */
 void host_boot(void) {
     board.host.divider = 1;
-    board.host.policy = HOST_LOSS_COIL_OFF;
-    board.host.timeout_ms = HOST_LOSS_MS;
+    host_set_loss(HOST_LOSS_COIL_OFF, HOST_LOSS_MS);
 }
 
-static struct kept_answer *kept(uint8_t n) {
+void host_set_loss(uint8_t policy, uint16_t timeout_ms) ON_STACK {
+    board.host.policy = policy;
+    board.host.timeout_ms = timeout_ms;
+    board.host.timeout_us = timeout_ms * UINT32_C(1000);
+}
+
+static STATE_MEMORY struct kept_answer *kept(uint8_t n) ON_STACK {
     return &board.host.kept[board.host.kept_order[n]];
 }
 
 /* The place of an id in the order, or `kept_count`. */
-static uint8_t find_kept(uint8_t id) {
+static uint8_t find_kept(uint8_t id) ON_STACK {
     uint8_t n;
 
     for (n = 0; n < board.host.kept_count; n++) {
@@ -31,7 +34,7 @@ static uint8_t find_kept(uint8_t id) {
 }
 
 /* Keeps the answer.  A STOP takes over the place of its id; else the place that was taken first is given up. */
-static void keep(const uint8_t *body) {
+static void keep(const STATE_MEMORY uint8_t *body) ON_STACK {
     uint8_t n = find_kept(body[1]);
     uint8_t place;
 
@@ -48,16 +51,16 @@ static void keep(const uint8_t *body) {
     board.host.kept_order[n] = place;
     board.host.kept[place].id = body[1];
     board.host.kept[place].type = body[0];
-    memcpy(board.host.kept[place].body, board.host.answer, body_size(board.host.answer[0]));
+    copy(board.host.kept[place].body, board.host.answer, body_size(board.host.answer[0]));
 }
 
-static void refuse(const uint8_t *body, uint8_t reason, uint16_t detail) {
+static void refuse(const STATE_MEMORY uint8_t *body, uint8_t reason, uint16_t detail) ON_STACK {
     answer_nack(body, reason, detail);
     queue_put(board.host.answer);
 }
 
-static void execute(const struct command *command) {
-    const uint8_t *body = command->body;
+static void execute(const STATE_MEMORY struct command *command) ON_STACK {
+    const STATE_MEMORY uint8_t *body = command->body;
     uint8_t n = find_kept(body[1]);
     uint16_t detail = 0;
     uint8_t reason;
@@ -96,7 +99,7 @@ void host_execute_pending(void) {
     board.host.pending_count = 0;
 }
 
-static void stop(const uint8_t *body) {
+static void stop(const STATE_MEMORY uint8_t *body) ON_STACK {
     /* Commands that came before it are executed first, so that none of them turns the coil on again. */
     host_execute_pending();
     loop_switch_off();
@@ -105,18 +108,18 @@ static void stop(const uint8_t *body) {
     queue_put(board.host.answer);
 }
 
-static void put_pending(const uint8_t *body, uint8_t size, uint8_t reason, uint16_t detail) {
-    struct command *command = &board.host.pending[board.host.pending_count];
+static void put_pending(const STATE_MEMORY uint8_t *body, uint8_t size, uint8_t reason, uint16_t detail) ON_STACK {
+    STATE_MEMORY struct command *command = &board.host.pending[board.host.pending_count];
 
     /* What is longer than any command is refused for it, and only its type and id are looked at again. */
-    memcpy(command->body, body, size < COMMAND_BODY ? size : COMMAND_BODY);
+    copy(command->body, body, size < COMMAND_BODY ? size : COMMAND_BODY);
     command->reason = reason;
     command->detail = detail;
     board.host.pending_count++;
 }
 
 /* A body with a right CRC. */
-void host_receive(const uint8_t *body, uint8_t size) {
+void host_receive(const STATE_MEMORY uint8_t *body, uint8_t size) ON_STACK {
     uint16_t detail;
     uint8_t reason;
 
@@ -141,12 +144,10 @@ void host_receive(const uint8_t *body, uint8_t size) {
 
 /* Once per tick: the policy acts at the tick at which the time-out is over. */
 void host_watch(void) {
-    uint32_t timeout_us = board.host.timeout_ms * UINT32_C(1000);
-
-    if (board.host.silent_us < timeout_us) {
+    if (board.host.silent_us < board.host.timeout_us) {
         board.host.silent_us += TICK_US;
     }
-    if (board.loop.host_lost || board.host.silent_us < timeout_us) {
+    if (board.loop.host_lost || board.host.silent_us < board.host.timeout_us) {
         return;
     }
     board.loop.host_lost = true;

@@ -16,7 +16,7 @@ static int32_t term(uint8_t n, int32_t operand) {
 
 /* u before rounding and limits, in 1/256 counts, with the integral as it is. */
 int32_t law_accumulate(uint16_t i, uint16_t x, uint16_t x_ref) {
-    const struct law_state *law = &board.law;
+    const STATE_MEMORY struct law_state *law = &board.law;
     int32_t step = law->x_known ? (int32_t)x - law->x_previous : 0;
     int32_t u = (int32_t)law->gains.u_0 * (1 << FRACTION_BITS);
 
@@ -32,7 +32,7 @@ int32_t law_accumulate(uint16_t i, uint16_t x, uint16_t x_ref) {
 }
 
 /* One tick: u_c in counts, whether it was limited, and the integral advanced. */
-uint16_t law_run(uint16_t i, uint16_t x, uint16_t x_ref, bool *limited) {
+uint16_t law_run(uint16_t i, uint16_t x, uint16_t x_ref, bool *limited) ON_STACK {
     int32_t wanted = shift_down(saturated_sum(law_accumulate(i, x, x_ref), HALF), FRACTION_BITS);
     int32_t error = (int32_t)x_ref - x;
     /* Anti-windup: the sign of du/dsum decides which error would push u further past the limit that it is at. */

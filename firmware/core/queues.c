@@ -3,8 +3,6 @@
  * Bodies wait, not frames: 5 bytes less for each.  A full STATE queue loses its oldest, as the newest tells most; the
  * others refuse the newest.  Each loss shows to the host: by sequence, by number, or by a missing answer.
  */
-#include <string.h>
-
 #include "core.h"
 
 enum { QUEUE_STATE, QUEUE_ANSWER, QUEUE_EVENT, QUEUE_BLOCK, QUEUES }; /* highest priority first */
@@ -24,7 +22,7 @@ static uint8_t queue_of(uint8_t type) {
     }
 }
 
-static uint8_t *place(uint8_t queue, uint8_t n) {
+static STATE_MEMORY uint8_t *place(uint8_t queue, uint8_t n) ON_STACK {
     switch (queue) {
         case QUEUE_STATE:
             return board.queues.states[n];
@@ -37,16 +35,23 @@ static uint8_t *place(uint8_t queue, uint8_t n) {
     }
 }
 
-static void drop_first(uint8_t queue) {
-    struct ring *ring = &board.queues.rings[queue];
+/* A place behind the last one is one at the beginning; an 8051 has no remainder to spare for it. */
+static uint8_t wrapped(uint8_t queue, uint8_t n) ON_STACK {
+    uint8_t depth = DEPTH[queue];
 
-    ring->first = (uint8_t)((ring->first + 1U) % DEPTH[queue]);
+    return n < depth ? n : (uint8_t)(n - depth);
+}
+
+static void drop_first(uint8_t queue) {
+    STATE_MEMORY struct ring *ring = &board.queues.rings[queue];
+
+    ring->first = wrapped(queue, (uint8_t)(ring->first + 1U));
     ring->count--;
 }
 
-void queue_put(const uint8_t *body) {
+void queue_put(const STATE_MEMORY uint8_t *body) ON_STACK {
     uint8_t queue = queue_of(body[0]);
-    struct ring *ring = &board.queues.rings[queue];
+    STATE_MEMORY struct ring *ring = &board.queues.rings[queue];
 
     if (ring->count >= DEPTH[queue]) {
         board.queues.dropped++;
@@ -55,7 +60,7 @@ void queue_put(const uint8_t *body) {
         }
         drop_first(queue);
     }
-    memcpy(place(queue, (uint8_t)((ring->first + ring->count) % DEPTH[queue])), body, body_size(body[0]));
+    copy(place(queue, wrapped(queue, (uint8_t)(ring->first + ring->count))), body, body_size(body[0]));
     ring->count++;
 }
 
@@ -69,7 +74,7 @@ static void load_next_frame(void) {
 
     for (queue = 0; queue < QUEUES; queue++) {
         if (board.queues.rings[queue].count != 0U) {
-            const uint8_t *body = place(queue, board.queues.rings[queue].first);
+            const STATE_MEMORY uint8_t *body = place(queue, board.queues.rings[queue].first);
             board.queues.frame_size = frame_encode(body, body_size(body[0]), board.queues.frame);
             drop_first(queue);
             return;
@@ -78,7 +83,7 @@ static void load_next_frame(void) {
 }
 
 static bool is_any_waiting(void) {
-    const struct ring *rings = board.queues.rings;
+    const STATE_MEMORY struct ring *rings = board.queues.rings;
 
     return (rings[QUEUE_STATE].count | rings[QUEUE_ANSWER].count | rings[QUEUE_EVENT].count | rings[QUEUE_BLOCK].count) != 0U;
 }

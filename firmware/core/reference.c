@@ -3,13 +3,12 @@
 
 #define MILLION UINT32_C(1000000)
 
-static uint32_t full(void) {
-    return board.loop.limits.x_ref_step * MILLION; /* at most 4095e6: fits 32 bits */
-}
-
+/* After the limits are in force; the products are made here, once. */
 void reference_boot(uint16_t x_ref) {
     board.reference.x_ref = x_ref;
-    board.reference.allowance = full();
+    board.reference.full = board.loop.limits.x_ref_step * MILLION; /* at most 4095e6: fits 32 bits */
+    board.reference.refill = board.loop.limits.x_ref_slew * TICK_US;
+    board.reference.allowance = board.reference.full;
 }
 
 /* The largest jump that is accepted now, in whole counts. */
@@ -18,12 +17,10 @@ uint16_t reference_allowance(void) {
 }
 
 void reference_refill(void) {
-    uint32_t refill = board.loop.limits.x_ref_slew * TICK_US;
-
-    if (full() - board.reference.allowance <= refill) {
-        board.reference.allowance = full();
+    if (board.reference.full - board.reference.allowance <= board.reference.refill) {
+        board.reference.allowance = board.reference.full;
     } else {
-        board.reference.allowance += refill;
+        board.reference.allowance += board.reference.refill;
     }
 }
 

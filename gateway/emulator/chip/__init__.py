@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from gateway.emulator.chip.avr.board import AvrBoard
+from gateway.emulator.chip.mcs51.board import Mcs51Board
 from gateway.emulator.firmware.board import AnalogSide
 from gateway.emulator.line import Board
 
@@ -20,4 +21,4 @@ class MakeChip(Protocol):
         """Return the board on this plant, its UART at `baud`."""
 
 
-CHIPS: Mapping[str, MakeChip] = {"avr": AvrBoard}
+CHIPS: Mapping[str, MakeChip] = {"avr": AvrBoard, "8051": Mcs51Board}

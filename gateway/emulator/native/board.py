@@ -55,7 +55,7 @@ class NativeFirmware:
         self._view = CView.from_buffer(self._memory)
         self._frame = ctypes.create_string_buffer(_LONGEST_FRAME)
         self._elapsed_us = 0  # plant time since the last tick
-        self._library.posix_open(self._board, ctypes.byref(_identity(board_id)), ctypes.byref(_settings()))
+        self._library.posix_open(self._board, ctypes.byref(identity_of(board_id)), ctypes.byref(settings_of()))
 
     def __del__(self) -> None:
         if hasattr(self, "_board"):
@@ -159,7 +159,8 @@ class NativeFirmware:
             self._library.posix_pass(self._board, step_us)
 
 
-def _identity(board_id: int) -> CIdentity:
+def identity_of(board_id: int) -> CIdentity:
+    """Return what the emulated board is."""
     scales = (CURRENT, POSITION, INPUT)
     scalings = struct.pack("<6f", *(number for scale in scales for number in (scale.offset, scale.lsb)))
     return CIdentity(
@@ -172,7 +173,8 @@ def _identity(board_id: int) -> CIdentity:
     )
 
 
-def _settings() -> CSettings:
+def settings_of() -> CSettings:
+    """Return its gains, operating point and limits."""
     gains = CGains(
         GAINS.law,
         (ctypes.c_uint8 * 4)(*GAINS.shifts),

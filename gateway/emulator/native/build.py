@@ -37,11 +37,12 @@ def compiler() -> str | None:
     return next(filter(None, map(shutil.which, [named] if named else _COMPILERS)), None)
 
 
-def compile_to(target: Path, *, options: Sequence[str] = ()) -> None:
-    """Compile the library into `target`.
+def compile_to(target: Path, *, files: Sequence[Path] = (), options: Sequence[str] = ()) -> None:
+    """Compile a library into `target`.
 
     Args:
         target: The file to write.
+        files: Its sources; none: `sources()`.
         options: For the compiler, behind those that are always given.
 
     Raises:
@@ -56,7 +57,7 @@ def compile_to(target: Path, *, options: Sequence[str] = ()) -> None:
             f"The firmware in C needs a C compiler, and {looked_for} found",
             remedy="Install one (Debian: apt-get install gcc libc6-dev), or fly the Python firmware, the default",
         )
-    command = [program, *OPTIONS, *options, *map(str, sources()), *_LINK_OPTIONS, "-o", str(target)]
+    command = [program, *OPTIONS, *options, *map(str, files or sources()), *_LINK_OPTIONS, "-o", str(target)]
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     if done.returncode != 0:
         said = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip())

@@ -1,0 +1,249 @@
+/* hal.h on an ADuC841, and what runs before and in place of an operating system.
+ *
+ * The capture interrupt may come in the middle of anything.  So what it calls keeps nothing at fixed addresses: one
+ * argument in registers, locals on the stack, no product and no quotient.  tests/firmware/test_mcs51_image.py looks.
+ */
+#include "part.h"
+
+#define RECEIVED 64U /* bytes, powers of 2: 5.5 ms of a line without a gap */
+#define SENT 16U
+#define KEPT_VALID 0xB51AU
+
+static volatile uint8_t ticks_due;
+static volatile uint8_t until_tick; /* interrupts of the timer */
+static volatile uint16_t capture_us; /* until the next sample, at an interrupt; 0: none */
+static volatile uint8_t received_in, received_out, sent_in, sent_out;
+static volatile __bit sending;
+static __xdata uint8_t received[RECEIVED], sent[SENT];
+
+/* What outlives a reset. */
+static __xdata __at(XRAM_KEPT) struct {
+    uint16_t valid, resets;
+    uint8_t cause, commanded;
+} kept;
+
+/* What the board is, as it lies in the data memory: with a CRC over it as over a frame. */
+static __xdata union {
+    struct {
+        struct identity identity;
+        struct settings settings;
+        uint8_t crc[2];
+    } is;
+    uint8_t bytes[72];
+} memory;
+#define MEMORY_SIZE sizeof memory.is
+
+/* Where nothing valid was programmed: the emulated rig's scalings, gains and limits (gateway/emulator/firmware). */
+static const __code struct identity IDENTITY_OF_PROGRAM = {
+    0, 1, 0, 12, 12,
+    {0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x3A, 0x7C, 0x1C, 0x64, 0xB8, 0x30, 0xA0, 0xBF, 0x35,
+     0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0xA0, 0x3A},
+    {'A', 'D', 'u', 'C', '8', '4', '1', ' '}};
+static const __code struct settings SETTINGS_OF_PROGRAM = {
+    {LAW_LQI, {17, 14, 11, 19}, {25690, 32576, 21199, -21585}, 1304, 2034, 1756}, {248, 3680, 1751, 14008, 4095}};
+
+/* 12 bits of a channel; the top of the range where the converter does not answer, which is a fault after 50 ticks. */
+static uint16_t convert(uint8_t channel) __critical __reentrant {
+    uint8_t patience = ADC_PATIENCE;
+
+    ADCCON2 = channel;
+    SCONV = 1;
+    while (SCONV) {
+        if (--patience == 0U) {
+            return COUNTS_MAX;
+        }
+    }
+    return (uint16_t)((uint16_t)(ADCDATAH & 0x0FU) << 8 | ADCDATAL);
+}
+
+uint16_t hal_read_current(void) {
+    return convert(CHANNEL_CURRENT);
+}
+
+uint16_t hal_read_position(void) {
+    return convert(CHANNEL_POSITION);
+}
+
+void hal_write_input(uint16_t u) {
+    DAC0H = (uint8_t)(u >> 8);
+    DAC0L = (uint8_t)u;
+}
+
+bool hal_tick_due(void) {
+    if (ticks_due == 0U) {
+        return false;
+    }
+    if (ticks_due == 1U) { /* late by less than T_s is made up for */
+        ticks_due--; /* one instruction: nothing comes in between */
+    } else {
+        ticks_due = 0;
+        board_late();
+    }
+    return true;
+}
+
+void hal_capture_timer(uint16_t us) {
+    ET2 = 0; /* two bytes; an interrupt that comes now is served then */
+    capture_us = us;
+    ET2 = 1;
+}
+
+bool hal_capture_due(void) {
+    return TF2 && capture_us != 0U && capture_us <= CAPTURE_US;
+}
+
+bool hal_receive(uint8_t *byte) {
+    if (received_out == received_in) {
+        return false;
+    }
+    *byte = received[received_out];
+    received_out = (uint8_t)(received_out + 1U) & (RECEIVED - 1U);
+    return true;
+}
+
+bool hal_send(uint8_t byte) {
+    uint8_t next = (uint8_t)(sent_in + 1U) & (SENT - 1U);
+
+    if (next == sent_out) {
+        return false;
+    }
+    sent[sent_in] = byte;
+    sent_in = next;
+    if (!sending) {
+        sending = 1;
+        TI = 1; /* the interrupt takes the first byte as it takes all others */
+    }
+    return true;
+}
+
+void hal_feed_watchdog(void) {
+    EA = 0;
+    WDWR = 1;
+    WDCON = WDCON_ON;
+    EA = 1;
+}
+
+uint8_t hal_reset_cause(void) {
+    return kept.cause;
+}
+
+uint16_t hal_resets(void) {
+    return kept.resets;
+}
+
+/* By the watchdog: its time is also how long the line has for the bytes that it was given. */
+void hal_restart(void) {
+    kept.commanded = 1;
+    while (sending) {
+    }
+    EA = 0;
+    WDWR = 1;
+    WDCON = WDCON_NOW;
+    for (;;) {
+    }
+}
+
+const struct identity *hal_identity(void) {
+    return &memory.is.identity;
+}
+
+const struct settings *hal_settings(void) {
+    return &memory.is.settings;
+}
+
+static void read_memory(void) {
+    uint8_t page;
+    uint8_t *to = memory.bytes;
+
+    EADRH = 0;
+    for (page = 0; page < sizeof memory.bytes / 4U; page++) {
+        EADRL = page;
+        ECON = ECON_READ_PAGE;
+        *to++ = EDATA1;
+        *to++ = EDATA2;
+        *to++ = EDATA3;
+        *to++ = EDATA4;
+    }
+    if (crc_of(memory.bytes, MEMORY_SIZE) != 0U) {
+        memory.is.identity = IDENTITY_OF_PROGRAM;
+        memory.is.settings = SETTINGS_OF_PROGRAM;
+    }
+}
+
+/* The interrupts.  That of the line has registers of its own and calls nothing. */
+
+void on_time(void) __interrupt(5) {
+    TF2 = 0;
+    if (--until_tick == 0U) {
+        until_tick = TICK_PARTS;
+        ticks_due++;
+    }
+    if (capture_us > CAPTURE_US) {
+        capture_us -= CAPTURE_US;
+    } else if (capture_us != 0U) {
+        capture_us = CAPTURE_US;
+        capture_interrupt();
+    }
+}
+
+void on_line(void) __interrupt(4) __using(1) {
+    if (RI) {
+        RI = 0;
+        received[received_in] = SBUF; /* a ring that runs over is a bad frame or two */
+        received_in = (uint8_t)(received_in + 1U) & (RECEIVED - 1U);
+    }
+    if (TI) {
+        TI = 0;
+        if (sent_out == sent_in) {
+            sending = 0;
+        } else {
+            SBUF = sent[sent_out];
+            sent_out = (uint8_t)(sent_out + 1U) & (SENT - 1U);
+        }
+    }
+}
+
+/* Called by start-up before it clears the memory: 0 to the converter first, then what the clearing itself needs. */
+unsigned char _sdcc_external_startup(void) {
+    DAC0H = 0;
+    DAC0L = 0;
+    DACCON = DACCON_ON;
+    CFG841 = XRAMEN;
+    if (kept.valid != KEPT_VALID) {
+        kept.valid = KEPT_VALID;
+        kept.resets = 0;
+        kept.cause = RESET_POWER_ON;
+    } else {
+        kept.resets += kept.resets < UINT16_MAX ? 1U : 0U;
+        kept.cause = kept.commanded == 1U ? RESET_COMMANDED : RESET_WATCHDOG;
+    }
+    kept.commanded = 0;
+    WDWR = 1;
+    WDCON = WDCON_ON;
+    return 0;
+}
+
+void main(void) {
+    ADCCON1 = ADCCON1_ON;
+    T3FD = FRACTION;
+    T3CON = T3CON_BAUD;
+    SCON = SCON_8N1;
+    RCAP2L = (uint8_t)TIMER_RELOAD;
+    RCAP2H = (uint8_t)(TIMER_RELOAD >> 8);
+    PT2 = 1; /* a capture's sample comes before everything else */
+    until_tick = TICK_PARTS;
+    read_memory();
+    board_boot();
+    ES = 1;
+    TR2 = 1;
+    EA = 1;
+    for (;;) {
+        board_poll();
+    }
+}
+
+/* Where a simulator or a debugger finds what it shows: the order is that of gateway/emulator/chip/mcs51/board.py. */
+const void __xdata *const __code WATCHED[] = {
+    &board.loop.mode,      &board.queues.dropped,      &board.receiver.bad_frames, &board.law.sum,
+    &board.reference.allowance, &board.next_tick,
+};

@@ -1,0 +1,64 @@
+/* ADuC841: registers, clock and baud of this part; what another 8051 needs its own of.
+ *
+ * Sections in quotes are those of the data sheet ADuC841/ADuC842/ADuC843, Rev. 0 (Analog Devices, November 2003).  The
+ * names of registers and bits are in <ADuC84x.h>, which comes with sdcc.
+ *
+ * On the part:  12-bit converters (ADC 0 i_c, ADC 1 x, DAC 0 u_c), 62 kB of program memory, 2 kB of external RAM and
+ * 256 bytes of internal, 4 kB of data memory that keeps, a timer for the baud alone.  One clock is one cycle.
+ *
+ * Wiring: a resistor from DAC 0 to ground.  From a reset until the first write the DAC has no power and its pin floats;
+ * the resistor is what keeps the coil off then.
+ */
+#ifndef BOARD51_MCS51_PART_H
+#define BOARD51_MCS51_PART_H
+
+#include "../core/core.h"
+
+#include <ADuC84x.h> /* behind core.h: it defines BUSY and MODE as bits */
+
+/* 'Features': 20 MIPS with a crystal of 20 MHz, at 5 V.  T_s and the capture are whole numbers of its cycles. */
+#ifndef CLOCK_HZ
+#define CLOCK_HZ UINT32_C(20000000)
+#endif
+#define CYCLES(us) (((us) * (CLOCK_HZ / 100U) + 5000U) / 10000U) /* rounded */
+
+/* 'Timer 3 generated baud rates', p. 68: DIV = log2(clock / 16 / baud) rounded down, T3FD to the nearest. */
+#ifndef BAUD
+#define BAUD UINT32_C(115200)
+#endif
+#define QUOTIENT (CLOCK_HZ / 16U / BAUD)
+#define AT_LEAST(n) (QUOTIENT >= (n) ? 1U : 0U)
+#define DIVIDER (1U + AT_LEAST(4U) + AT_LEAST(8U) + AT_LEAST(16U) + AT_LEAST(32U) + AT_LEAST(64U) + AT_LEAST(128U))
+#define FRACTION ((2U * CLOCK_HZ / (1UL << (DIVIDER - 1U)) + BAUD / 2U) / BAUD - 64U)
+#define T3CON_BAUD (T3BAUDEN | DIVIDER)
+#define SCON_8N1 0x50U /* 'UART serial interface': mode 1, receiver on */
+
+/* 'Timer/Counter 2', 16 bits with automatic reload: an interrupt each CAPTURE_US, and TICK_PARTS of them are T_s.  So
+ * ticks and samples keep their phase, and neither drifts. */
+#define TIMER_RELOAD (65536UL - CYCLES(CAPTURE_US))
+#define TICK_PARTS (TICK_US / CAPTURE_US)
+#if TICK_US % CAPTURE_US != 0 || TICK_US / CAPTURE_US > 255
+#error "CAPTURE_US has to divide TICK_US into 255 parts at most"
+#endif
+
+/* 'ADC circuit information': clock / 4 (at most 8.38 MHz), 4 of its clocks for the input to settle: 22 in all. */
+#define ADCCON1_ON (MD | CK0 | AQ1 | AQ0)
+#define ADC_PATIENCE 60U /* turns of at least 4 cycles: what is not there by then is not coming */
+#define CHANNEL_CURRENT 0U
+#define CHANNEL_POSITION 1U
+
+/* 'D/A converters': 12 bits, 0 to AVDD, DAC 0 alone, changed by the write of its low byte. */
+#define DACCON_ON (RNG0 | CLR0 | SYNC | PD0)
+
+/* 'Watchdog timer': 31.2 ms, the longest below the 50 ms of rule 1, and at once.  Each write needs WDWR set by the
+ * instruction before it. */
+#define WDCON_ON 0x12U
+#define WDCON_NOW 0x82U
+
+/* 'Using the Flash/EE data memory': pages of 4 bytes. */
+#define ECON_READ_PAGE 1U
+
+/* 'Internal XRAM': 2 kB once XRAMEN is set.  Its last bytes are not cleared by start-up. */
+#define XRAM_KEPT 0x07FA
+
+#endif

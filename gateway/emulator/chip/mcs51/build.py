@@ -1,0 +1,140 @@
+"""Builds the image of an ADuC841 by sdcc, and the chip's simulator by this machine's compiler; each once, as native/.
+
+An image is one file: its code, and where the program keeps what `board.py` shows (`symbols` of the linker's map).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from gateway.emulator.native.build import SOURCES, compile_to, kept
+from protocol.errors import InstallError, ServiceError, UsageError
+
+CLOCK_HZ: Final = 20_000_000  # firmware/mcs51/part.h
+
+# What 2 kB of external RAM hold, and the fastest capture that its interrupt leaves time for.
+CONFIGURATION = (
+    "-DCAPTURE_US=80U",
+    "-DCAPTURE_SIZE=240U",
+    "-DANSWER_DEPTH=3U",
+    "-DEVENT_DEPTH=8U",
+    "-DBLOCK_DEPTH=2U",
+)
+OPTIONS = ("-mmcs51", "--std-c99", "--model-small", "--opt-code-speed")
+_MEMORY = ("--iram-size", "256", "--xram-size", "2042", "--code-size", "63488")  # 'Memory organization'; XRAM_KEPT
+_HERE = Path(__file__).resolve().parent
+_SIMULATOR = (_HERE / "cpu.c", _HERE / "chip.c")
+_REMEDY = "Install it (Debian: apt-get install gcc libc6-dev sdcc), or fly --firmware python or c"
+_BAUD_ERROR = 0.02
+
+
+def image_sources() -> list[Path]:
+    """Return the C files of the image, the one with the interrupts first, as the linker wants it."""
+    return [SOURCES / "mcs51" / "mcs51.c", *sorted(SOURCES.glob("core/*.c"))]
+
+
+def build_image(target: Path, *, baud: int = 115200, options: Sequence[str] = ()) -> None:
+    """Compile and link the image.
+
+    Args:
+        target: The file to write.
+        baud: Of the line, bits per second.
+        options: For the compiler, behind those that are always given: another clock or configuration.
+
+    Raises:
+        InstallError: there is no sdcc.
+        ServiceError: it fails, or finds anything to warn of.
+    """
+    program = shutil.which("sdcc")
+    if program is None:
+        raise InstallError("The firmware of the 8051 needs sdcc, and it is not found", remedy=_REMEDY)
+    compile_one = [program, *OPTIONS, "--Werror", *CONFIGURATION, f"-DBAUD=UINT32_C({baud})", *options, "-c"]
+    with tempfile.TemporaryDirectory() as scratch:
+        objects = [Path(scratch) / f"{source.stem}.rel" for source in image_sources()]
+        for source, compiled in zip(image_sources(), objects, strict=True):
+            _run([*compile_one, str(source), "-o", str(compiled)])
+        linked = Path(scratch) / "image.ihx"
+        _run([program, *OPTIONS, *_MEMORY, *map(str, objects), "-o", str(linked)])
+        image = {
+            "code": code_of(linked.read_text(encoding="ascii")).hex(),
+            "symbols": _symbols(linked.with_suffix(".map").read_text(encoding="utf-8")),
+            "sizes": _sizes(linked.with_suffix(".mem").read_text(encoding="utf-8")),
+        }
+    target.write_text(json.dumps(image), encoding="utf-8")
+
+
+def image(baud: int = 115200) -> Path:
+    """Return the image; build it if it is not in the cache.
+
+    Raises:
+        InstallError: there is no sdcc.
+        UsageError: the part does not give this baud rate.
+        ServiceError: sdcc fails, or the cache cannot be written.
+    """
+    if abs(actual_baud(baud) / baud - 1) > _BAUD_ERROR:
+        raise UsageError(
+            f"The 8051 at {CLOCK_HZ / 1e6:g} MHz does not give {baud} baud",
+            remedy="Give --baud 57600, 115200 or 230400",
+        )
+    made_of = [*image_sources(), *SOURCES.glob("core/*.h"), *SOURCES.glob("mcs51/*.h")]
+    make = partial(build_image, baud=baud)
+    return kept("mcs51.json", made_of, (OPTIONS, _MEMORY, CONFIGURATION, baud), make)
+
+
+def actual_baud(baud: int, clock_hz: int = CLOCK_HZ) -> float:
+    """Return what timer 3 makes of a baud rate: the arithmetic of firmware/mcs51/part.h, as the data sheet has it."""
+    divider = min(max((clock_hz // 16 // max(baud, 1)).bit_length() - 1, 1), 7)
+    fraction = round(2 * clock_hz / (1 << divider - 1) / max(baud, 1)) - 64
+    return 2 * clock_hz / (1 << divider - 1) / (min(max(fraction, 0), 255) + 64)
+
+
+def simulator() -> Path:
+    """Return the compiled simulator; compile it if it is not in the cache.
+
+    Raises:
+        InstallError: there is no C compiler.
+        ServiceError: the compiler fails, or the cache cannot be written.
+    """
+    made_of = [*_SIMULATOR, *_HERE.glob("*.h")]
+    return kept("mcs51.so", made_of, "simulator", partial(compile_to, files=_SIMULATOR))
+
+
+def code_of(hex_file: str) -> bytes:
+    """Return the program memory that a file in Intel's hexadecimal format fills, from 0 on; gaps are 0xFF."""
+    code = bytearray()
+    for line in hex_file.split():
+        record = bytes.fromhex(line[1:])
+        size, address, kind = record[0], int.from_bytes(record[1:3], "big"), record[3]
+        if kind == 0:
+            code += b"\xff" * (address + size - len(code))
+            code[address : address + size] = record[4 : 4 + size]
+    return bytes(code)
+
+
+def _symbols(map_file: str) -> dict[str, int]:
+    """Return the addresses of the program's functions and variables, as C names them."""
+    return {name: int(at, 16) for at, name in re.findall(r"\s([0-9A-F]{8})\s+_(\w+)", map_file)}
+
+
+def _sizes(mem_file: str) -> dict[str, int]:
+    """Return the linker's account: bytes of code and external RAM, and where the stack begins."""
+    external, code = (
+        int(re.findall(rf"{name}\s+0x\w+\s+0x\w+\s+(\d+)", mem_file)[0]) for name in ("EXTERNAL RAM", "ROM/EPROM/FLASH")
+    )
+    (stack,) = re.findall(r"sp set to 0x([0-9a-f]+)", mem_file)
+    return {"code": code, "external_ram": external, "stack_from": int(stack, 16) + 1}
+
+
+def _run(command: list[str]) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    if done.returncode != 0:
+        said = next((line for line in done.stderr.splitlines() if "rror" in line), done.stderr.strip())
+        raise ServiceError(f"{command[0]} fails: {said}", remedy=_REMEDY)

@@ -1,0 +1,84 @@
+"""The image of the 8051 in its simulator, at the end of a real line: gateway, bus and log know no difference."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from gateway.emulator.serve import Emulator
+from protocol.bus import board51_pb2 as pb
+from protocol.log.reader import read
+from tests.harness.firmware.mcs51_bench import skip_without_sdcc
+from tests.harness.gateway.gateway_peers import Bus, gateway_and_client, gateway_config, wait_for
+from tests.patience import HANG_S
+
+
+@pytest.fixture(autouse=True)
+def _installed() -> None:
+    skip_without_sdcc()
+
+
+def test_it_lifts_the_ball_through_the_gateway_and_loses_nothing(tmp_path: Path) -> None:
+    with (
+        Emulator(tcp=False, chip="8051") as emulator,
+        gateway_and_client(gateway_config(*emulator.urls, log=tmp_path)) as bus,
+    ):
+        assert bus.command("m", set_mode=pb.SetMode(mode=pb.MODE_CLOSED_LOOP)).accepted
+        for x_m in (3e-3, 2.2e-3):
+            assert bus.command(f"r{x_m}", set_reference=pb.SetReference(x_ref_m=x_m)).accepted
+            wait_for(partial(flies_at, bus, x_m), f"the ball at {x_m} m")
+        far = bus.command("f", set_reference=pb.SetReference(x_ref_m=9e-3))
+        stop = bus.command("s", stop=pb.Stop())
+        wait_for(lambda: bus.states()[-1].mode == pb.MODE_IDLE, "idle")
+        capture = pb.Capture(u_from_v=0.0, u_to_v=2.0, duration_s=240 * 80e-6, pre_s=4e-3)
+        assert bus.command("c", capture=capture).accepted
+        (record,) = wait_for(lambda: bus.messages["rig/capture"], "capture")
+        *_, status = wait_for(lambda: bus.messages["rig/status"], "status")
+
+    assert (far.accepted, far.reason) == (False, "out-of-range")
+    assert stop.accepted
+    assert (len(record.i_c_a), record.step_index) == (240, 50)
+    assert max(record.i_c_a[:50]) < 0.02
+    assert record.i_c_a[-1] > 0.2
+    assert (status.samples_lost, status.board_bad_frames, sum(status.bad_frames.values())) == (0, 0, 0)
+    (log,) = tmp_path.glob("*.mcap")
+    logged = [message for r in read(log, topics=["state"]) if isinstance(message := r.message, pb.State)]
+    assert len(logged) > 100
+    assert all(b.tick == a.tick + 1 for a, b in itertools.pairwise(logged))
+
+
+def test_the_gateway_comes_back_after_its_watchdog() -> None:
+    with Emulator(chip="8051") as emulator, gateway_and_client(gateway_config(*emulator.urls)) as bus:
+        bus.await_states(50)
+        emulator.inject("watchdog")
+
+        bus.await_event("reset-watchdog")
+        wait_for(lambda: len({s.session for s in bus.states()}) >= 2, "the second session")
+
+
+def test_the_command_flies_several_boards_of_it_and_refuses_a_baud_rate_that_it_has_not() -> None:
+    arguments = ["--chip", "8051", "--boards", "2", "--duration", "0.4", "--json"]
+    command = [sys.executable, "-m", "board51", "emulate", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=HANG_S)
+    refused = subprocess.run(
+        [*command, "--baud", "1000000"], capture_output=True, text=True, check=False, timeout=HANG_S
+    )
+
+    counts = [json.loads(line)["counts"] for line in done.stdout.splitlines() if "counts" in line]
+    # The event of the reset (14 bytes), and a frame of 15 in each tick but those of the start.
+    assert len(counts) == 2
+    assert all(14 + 15 * 190 <= count["bytes_sent"] <= 14 + 15 * 200 for count in counts)
+    assert refused.returncode == 2
+    assert "does not give 1000000 baud" in refused.stderr
+    assert len(refused.stderr.splitlines()) == 1
+
+
+def flies_at(bus: Bus, x_m: float) -> bool:
+    states = bus.states()[-20:]
+    return len(states) == 20 and all(abs(state.x_m - x_m) < 5e-5 for state in states)

@@ -1,0 +1,219 @@
+"""What the image of the 8051 needs of its chip: cycles, memory, stack, baud; and that interrupts cannot harm it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from gateway.emulator.chip.mcs51.board import TICK_CYCLES, Mcs51Board
+from gateway.emulator.chip.mcs51.build import CLOCK_HZ, CONFIGURATION, OPTIONS, actual_baud, image, image_sources
+from gateway.emulator.firmware.flash import T_S_US
+from gateway.emulator.native.board import NativeFirmware
+from gateway.emulator.plant.levitation import EmulatedPlant
+from protocol.wire.decoder import StreamDecoder
+from protocol.wire.messages import Message, Value
+from tests.harness.firmware.mcs51_bench import skip_without_sdcc
+from tests.harness.gateway.board_host import Bench, frame
+
+CALLED_BY_THE_INTERRUPT = {
+    "capture_interrupt",
+    "store",
+    "convert",
+    "hal_read_current",
+    "hal_write_input",
+    "hal_capture_timer",
+}
+GAINS = {"law": 0, "i_0": 1304, "x_0": 2034, "u_0": 1756}
+GAINS |= {f"k{n}_mantissa": m for n, m in enumerate((25690, 32576, 21199, -21585), 1)}
+GAINS |= {f"k{n}_shift": s for n, s in enumerate((17, 14, 11, 19), 1)}
+SIGNAL: dict[str, Value] = {
+    "target": 1,
+    "amplitude": 60,
+    "offset": 2000,
+    "period": 50,
+    "period_end": 10,
+    "seed": 85,
+    "duration": 100,
+}
+COMMANDS: list[tuple[str, dict[str, Value]]] = [
+    ("PING", {}),
+    ("HELLO", {"session": 1, "version_min": 1, "version_max": 1}),
+    ("GET_PARAMETERS", {}),
+    ("SET_REFERENCE", {"x_ref": 2000}),
+    ("SET_GAINS", dict(GAINS)),
+    *[("EXCITE", {"shape": shape, **SIGNAL}) for shape in range(7)],
+    ("SET_MODE", {"mode": 1}),
+    ("CAPTURE", {"u_from": 300, "u_to": 1700, "pre": 40, "count": 240}),
+    ("READ_CAPTURE", {"index": 33}),
+    ("STOP", {}),
+]
+
+
+@pytest.fixture(autouse=True)
+def _installed() -> None:
+    skip_without_sdcc()
+
+
+class Bus:
+    """A host that gives the chip time for each answer."""
+
+    def __init__(self, board: Mcs51Board) -> None:
+        self.board = board
+        self.messages: list[Message] = []
+        self._decoder = StreamDecoder()
+        self._id = 0
+
+    def run(self, ticks: int) -> None:
+        for _ in range(ticks):
+            self.board.tick()
+            self.messages += [e for e in self._decoder.feed(self.board.take_output()) if isinstance(e, Message)]
+
+    def ask(self, name: str, *, ticks: int = 12, **fields: Value) -> None:
+        self._id = self._id % 255 + 1
+        self.board.feed(frame(name, id=self._id, **fields))
+        self.run(ticks)
+
+
+def flying(*, slow: bool = False) -> Bus:
+    """A board in closed loop; slow: cycles are those of the 12T family."""
+    board = Mcs51Board(EmulatedPlant(seed=1))
+    board.chip.cpu.slow = slow
+    bus = Bus(board)
+    bus.run(40)
+    bus.ask("HELLO", session=1, version_min=1, version_max=1)
+    bus.ask("SET_MODE", mode=2, ticks=100)
+    return bus
+
+
+def test_a_tick_with_any_command_is_over_before_the_next() -> None:
+    """The gate: the law, a STATE, a command and its answer, an interrupt each CAPTURE_US and each byte."""
+    bus = flying()
+    chip, longest = bus.board.chip, {}
+    chip.longest_turn = 0
+    bus.run(50)
+    assert 5_000 < chip.longest_turn < 0.4 * TICK_CYCLES
+    for name, fields in COMMANDS:
+        chip.longest_turn = 0
+        bus.ask(name, ticks=30 if name == "CAPTURE" else 12, **fields)
+        longest[name, fields.get("shape")] = chip.longest_turn
+
+    assert max(longest.values()) < TICK_CYCLES, longest
+    assert not [m for m in bus.messages if m.name == "EVENT" and m.int("code") == 8]  # OVERRUN
+    assert not [m for m in bus.messages if m.name == "NACK"]
+
+
+@pytest.mark.parametrize(
+    ("clock_hz", "clocks", "share"),
+    [  # of T_s, as in the table of firmware/README.md; above 1 it does not fly
+        (11_059_200, 12, 6.8),
+        (22_118_400, 12, 3.4),
+        (33_177_600, 12, 2.3),
+        (22_118_400, 6, 1.7),
+        (11_059_200, 1, 0.72),
+        (20_000_000, 1, 0.40),
+    ],
+)
+def test_the_load_of_closed_loop_with_500_states_a_second(clock_hz: int, clocks: int, share: float) -> None:
+    """The image on other clocks, by what its cycles would take there: those outside of the main loop's idle turns."""
+    bus = flying(slow=clocks > 1)
+    turns = bus.board.chip.turns
+    bus.run(50)
+    busy = TICK_CYCLES - (bus.board.chip.turns - turns) / 50 * IDLE_TURN[clocks > 1]
+
+    assert busy / (clock_hz / clocks * T_S_US * 1e-6) == pytest.approx(share, rel=0.05)
+
+
+IDLE_TURN = {False: 185.0, True: 112.0}  # cycles of a turn in which nothing is to be done, without its interrupts
+
+
+def test_it_fits_the_part_and_leaves_stack() -> None:
+    bus = flying()
+    for name, fields in COMMANDS:
+        bus.ask(name, ticks=30 if name == "CAPTURE" else 12, **fields)
+    bus.ask("SET_MODE", mode=1)
+    for shape in (5, 6):  # samples of a capture while a signal makes its divisions
+        bus.ask("EXCITE", shape=shape, **{**SIGNAL, "target": 0}, ticks=0)
+        bus.ask("CAPTURE", u_from=300, u_to=1700, pre=40, count=240, ticks=40)
+    sizes = json.loads(image().read_text(encoding="utf-8"))["sizes"]
+    deepest = bus.board.chip.cpu.deepest
+
+    assert sizes["code"] < 32 * 1024 < 62 * 1024
+    assert sizes["external_ram"] <= 2048 - 6
+    assert sizes["stack_from"] < 0x80
+    assert sizes["stack_from"] + 60 < deepest < 256 - 16
+
+
+def test_what_the_interrupt_calls_keeps_nothing_at_fixed_addresses(tmp_path: Path) -> None:
+    """Else it would change what the main loop is in the middle of: sdcc gives locals and arguments fixed places."""
+    calls: dict[str, set[str]] = {}
+    kept: dict[str, list[str]] = {}
+    for source in image_sources():
+        out = tmp_path / f"{source.stem}.rel"
+        command = [str(shutil.which("sdcc")), *OPTIONS, *CONFIGURATION, "-c", str(source), "-o", str(out)]
+        subprocess.run(command, check=True, cwd=tmp_path)
+        text = out.with_suffix(".asm").read_text(encoding="utf-8")
+        for name, code in re.findall(r"^_(\w+):\n(.*?)(?=^_\w+:\n|\Z)", text.partition(".area CSEG")[2], re.M | re.S):
+            calls[name] = set(re.findall(r"l(?:call|jmp)\t_(\w+)", code))
+        data = text.partition(".area DSEG")[2].partition(".area HOME")[0]
+        for variable in re.findall(r"^_(\w+?):+\n\t\.ds", data, re.M):
+            kept.setdefault(source.stem, []).append(variable)
+    reached: set[str] = set()
+    todo = ["on_time"]
+    while todo:
+        name = todo.pop()
+        todo += calls.get(name, set()) - reached
+        reached |= calls.get(name, set())
+    fixed = [v for names in kept.values() for v in names for function in reached if v.startswith(f"{function}_")]
+
+    assert reached == CALLED_BY_THE_INTERRUPT  # and no routine of the compiler's
+    assert any(v.startswith("scaled_product_") for v in kept["arithmetic"])  # the search does find such variables
+    assert fixed == []
+
+
+def test_without_its_data_memory_it_is_the_emulated_board_and_with_a_bit_changed_too() -> None:
+    whole = Mcs51Board(Bench(), board_id=51)
+    broken = bytearray(bytes(whole.chip.eeprom))
+    broken[50] ^= 4
+    answers = []
+    for eeprom in (None, b"", bytes(broken)):
+        bus = Bus(Mcs51Board(Bench(), board_id=51, eeprom=eeprom))
+        bus.run(20)
+        bus.ask("HELLO", session=1, version_min=1, version_max=1)
+        bus.ask("GET_PARAMETERS")
+        identity, parameters = (m for m in bus.messages if m.name in ("IDENTITY", "PARAMETERS"))
+        assert identity.int("board_id") == (51 if eeprom is None else 0)
+        answers.append(
+            ({k: v for k, v in identity.values.items() if k.split("_")[-1] in ("lsb", "offset")}, parameters)
+        )
+
+    assert answers[0] == answers[1] == answers[2]
+
+
+def test_the_emulated_board_in_program_memory_is_that_of_the_emulator() -> None:
+    here = NativeFirmware(Bench())
+    here.feed(frame("HELLO", id=1, session=1, version_min=1, version_max=1) + frame("GET_PARAMETERS", id=2))
+    here.tick()
+    expected = [e for e in StreamDecoder().feed(here.take_output()) if isinstance(e, Message)]
+    bus = Bus(Mcs51Board(Bench(), eeprom=b""))
+    bus.run(20)
+    bus.ask("HELLO", session=1, version_min=1, version_max=1)
+    bus.ask("GET_PARAMETERS")
+
+    assert [m for m in bus.messages if m.name == "PARAMETERS"] == [m for m in expected if m.name == "PARAMETERS"]
+
+
+@pytest.mark.parametrize("baud", [57600, 115200, 230400])
+def test_the_uart_gets_the_divider_of_the_data_sheet(baud: int) -> None:
+    board = Mcs51Board(Bench(), baud=baud)
+    for _ in range(10):
+        board.tick()
+    t3con, t3fd = (board.chip.cpu.sfr[address - 0x80] for address in (0x9E, 0x9D))
+
+    made = 2 * CLOCK_HZ / 2 ** ((t3con & 7) - 1) / (t3fd + 64)
+    assert made == actual_baud(baud)
+    assert abs(made / baud - 1) < 0.005

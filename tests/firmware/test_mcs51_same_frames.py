@@ -1,0 +1,79 @@
+"""The image of the 8051 against the core on this machine: the same commands and readings give the same frames.
+
+The two differ in time alone.  So a command ends well within a tick, and frames are compared queue by queue: which of
+two queues has the line first is the UART's.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gateway.emulator.chip.mcs51.board import Mcs51Board
+from gateway.emulator.chip.mcs51.build import CONFIGURATION
+from gateway.emulator.native.board import NativeFirmware
+from gateway.emulator.native.build import compile_to
+from protocol.wire.messages import BY_NAME, ROWS
+from tests.harness.firmware.mcs51_bench import (
+    Readings,
+    Sent,
+    commands,
+    first_look_us,
+    play_to_chip,
+    play_to_core,
+    skip_without_sdcc,
+)
+
+TICKS = 3000
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The core as the image has it: its capture and its queues."""
+    skip_without_sdcc()
+    path: Path = tmp_path_factory.mktemp("core") / "core.so"
+    compile_to(path, options=CONFIGURATION)
+    return path
+
+
+def both(seed: int, ticks: int, library: Path) -> tuple[Sent, Sent, Mcs51Board]:
+    script = commands(seed, ticks)
+    here, there = Sent(), Sent()
+    board = play_to_chip(Readings(seed, ticks + 10, first_look_us()), there, script, ticks)
+    play_to_core(NativeFirmware(Readings(seed, ticks + 10, 2000), path=library), here, script, ticks)
+    return here, there, board
+
+
+def compared(here: Sent, there: Sent) -> dict[str, tuple[int, int]]:
+    """How many frames of each queue there are, and how many of them are the same before the first that is not."""
+    counts = {}
+    for name, frames in there.frames.items():
+        pairs = list(zip(frames, here.frames[name], strict=False))
+        counts[name] = (len(pairs), next((n for n, (a, b) in enumerate(pairs) if a != b), len(pairs)))
+    return counts
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_six_seconds_of_anything_give_the_same_frames(seed: int, library: Path) -> None:
+    here, there, board = both(seed, TICKS, library)
+
+    counts = compared(here, there)
+    assert all(same == pairs for pairs, same in counts.values()), counts
+    assert counts["STATE"][0] > 0.5 * TICKS
+    assert counts["answers"][0] >= TICKS // 12 - 4
+    assert counts["EVENT"][0] > 50
+    assert (board.dropped, board.bad_frames, board.chip.lost_bytes) == (0, 0, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3, 11))
+def test_a_minute_of_anything_gives_the_same_frames(seed: int, library: Path) -> None:
+    here, there, _ = both(seed, 30_000, library)
+
+    counts = compared(here, there)
+    assert all(same == pairs for pairs, same in counts.values()), counts
+    answers = {body[0] for body in there.frames["answers"]}
+    assert answers == {row.type for row in ROWS if not row.to_board} - {
+        BY_NAME[name].type for name in ("STATE", "EVENT", "CAPTURE_BLOCK")
+    }
