@@ -114,8 +114,7 @@ PASSES_FIRST = 2  # of a candidate's first fit
 # Samples that lead a fit to where it begins, its passes over them, and how many times as many are worth the detour.
 NEAR_SAMPLES = 8000
 PASSES_NEAR = 12
-NEAR_WORTH = 1.5
-PLENTY = 200.0  # gain of a candidate over such a part that is enough to compare candidates there
+NEAR_WORTH = 3.0
 PASSES_QUICK = 10  # of a model without one of its causes, with --quick
 HALVING = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))  # then: passes, least share of the best gain, most candidates
 STEEPNESS = 8.0  # a likelihood rises at most so much above what its slope promises (five times was seen)

@@ -63,17 +63,8 @@ def screen(
 ) -> list[Score]:
     """The candidates' scores at a maximum, best first; those already in the model are left out.
 
-    Where part of the samples shows plenty, the part decides, and gains are those that all samples would show.
+    Of a part of the samples (`Criterion.thinner`) they are those that all samples would show.
     """
-    part = criterion.thinner
-    if part is not criterion:
-        scores = _screened(part, theta, free, candidates)
-        if scores and scores[0].gain * part.share >= settings.PLENTY:
-            return scores
-    return _screened(criterion, theta, free, candidates)
-
-
-def _screened(criterion: Criterion, theta: Theta, free: Sequence[str], candidates: Sequence[Cause]) -> list[Score]:
     present = {name.partition(".")[0] for name, _ in theta.causes}
     trials = [
         (cause, probe, shape)
