@@ -148,6 +148,7 @@ def parameters_message(
         u_lsb_v=s.u_lsb_v,
         u_min_v=s.u_offset_v,
         from_tick=p("tick"),
+        capture_s=_most_captured(s) * s.capture_time_s,
     )
 
 
@@ -286,9 +287,14 @@ def _excite(command: pb.Command, s: Scaling) -> WireCommand:
     return WireCommand(name="EXCITE", values=values)
 
 
+def _most_captured(s: Scaling) -> int:
+    """Samples of the longest capture: what the board holds, and CAPTURE can say."""
+    return min(s.capture_size, 2000)
+
+
 def _capture(command: pb.Command, s: Scaling) -> WireCommand:
     c = command.capture
-    count = _whole(c.duration_s, s.capture_time_s, "duration", 1, min(s.capture_size, 2000))
+    count = _whole(c.duration_s, s.capture_time_s, "duration", 1, _most_captured(s))
     pre = _whole(c.pre_s, s.capture_time_s, "pre", 0, count)
     u_from = _count(c.u_from_v, s.u_offset_v, s.u_lsb_v, "u_from", "V")
     u_to = _count(c.u_to_v, s.u_offset_v, s.u_lsb_v, "u_to", "V")

@@ -229,7 +229,10 @@ class RigControl:
         self.hold(shot.lead_s, from_tick=tick)
         with self._subscriber.changed:
             before, session = self._subscriber.captures, self._newest().session
-        capture = pb.Capture(u_from_v=shot.u_from_v, u_to_v=shot.u_to_v, duration_s=CAPTURE_S, pre_s=CAPTURE_PRE_S)
+            parameters = self._subscriber.parameters
+            assert parameters is not None
+        lasts_s = min(CAPTURE_S, parameters.capture_s or CAPTURE_S)  # a gateway of before does not say it
+        capture = pb.Capture(u_from_v=shot.u_from_v, u_to_v=shot.u_to_v, duration_s=lasts_s, pre_s=CAPTURE_PRE_S)
         self.command(pb.Command(capture=capture))
 
         def arrived() -> bool:

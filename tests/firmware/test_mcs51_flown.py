@@ -15,6 +15,7 @@ from gateway.emulator.serve import Emulator
 from protocol.bus import board51_pb2 as pb
 from protocol.log.reader import read
 from tests.harness.firmware.mcs51_bench import skip_without_sdcc
+from tests.harness.gateway.campaign_line import emulated_line, standings, summary
 from tests.harness.gateway.gateway_peers import Bus, gateway_and_client, gateway_config, wait_for
 from tests.patience import HANG_S
 
@@ -51,6 +52,20 @@ def test_it_lifts_the_ball_through_the_gateway_and_loses_nothing(tmp_path: Path)
     logged = [message for r in read(log, topics=["state"]) if isinstance(message := r.message, pb.State)]
     assert len(logged) > 100
     assert all(b.tick == a.tick + 1 for a, b in itertools.pairwise(logged))
+
+
+@pytest.mark.slow
+def test_a_campaign_captures_for_as_long_as_the_board_can(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """19.2 ms; other boards hold the 40 ms of the menu."""
+    with emulated_line(tmp_path, speed=1.0, chip="8051") as line:
+        code = line.run(tmp_path / "c", "--quick", "--experiment", "amplifier-steps", "--json")
+        *_, parameters = line.bus.messages["rig/parameters"]
+
+    assert parameters.capture_s == pytest.approx(240 * 80e-6)
+    assert code == 0
+    assert standings(summary(capsys))["amplifier-steps"] == "recorded"
+    captures = [r.message for r in read(tmp_path / "c" / "amplifier-steps.mcap", topics=["capture"])]
+    assert {(len(one.i_c_a), one.step_index) for one in captures if isinstance(one, pb.CaptureRecord)} == {(240, 50)}
 
 
 def test_the_gateway_comes_back_after_its_watchdog() -> None:

@@ -150,7 +150,7 @@ def told(
     verdict = _verdict(done, account, lost, at_20_ms, finished=finished)
     if verdict == "partly-explained" and remainder is not None and remainder.beside == "paper":
         verdict = "unknown-cause"
-    findings = _findings(found, account, spread, proposals, verdict, asked.quick, lost)
+    findings = _findings(found, account, spread, proposals, verdict, lost)
     if done.change is not None:
         findings = [_late(one, done.change) for one in findings]
     if done.fine and at_20_ms is not None and beyond_floor(at_20_ms):
@@ -289,7 +289,6 @@ def _findings(
     spread: dict[str, float],
     proposals: dict[str, Proposal],
     verdict: Verdict,
-    quick: bool,
     lost: Lost | None,
 ) -> list[Finding]:
     findings = []
@@ -306,7 +305,6 @@ def _findings(
                     found,
                     cause,
                     verdict if verdict == "causes-found" or account.leads(cause) else "unknown-cause",
-                    quick,
                 ),
                 indistinguishable_from=tuple(_member(trial) for trial in near),
                 share_of_excess_explained=account.by_cause[cause],

@@ -200,9 +200,8 @@ SAME_PLANT = 0.01
 # the floor that the causes remove.
 PARTLY_ERROR = 2.0**0.5
 PARTLY_SHARE = 0.5
-# Reasoned.  Lead of log-likelihood over which the doubt falls by e; factor of what is not calibrated.
+# Reasoned.  Lead of log-likelihood over which the doubt falls by e.
 CONFIDENCE_LEAD = 6.0
-CONFIDENCE_UNCALIBRATED = 0.8
 
 # --- Diagnosis from points of rest alone ---
 

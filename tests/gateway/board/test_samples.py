@@ -104,6 +104,7 @@ def test_gains_follow_rule_14_and_come_back_in_the_parameters() -> None:
     assert parameters.i_0_a == pytest.approx(0.6, abs=i / 2)
     assert parameters.x_0_m == pytest.approx(2.85e-3, abs=x / 2)
     assert (parameters.firmware, parameters.from_tick, parameters.law) == ("1.4 abc", 99, pb.LAW_LQI)
+    assert parameters.capture_s == pytest.approx(min(SCALING.capture_size, 2000) * SCALING.capture_time_s)
 
 
 def test_pid_gains_are_position_integral_speed() -> None:

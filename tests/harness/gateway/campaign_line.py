@@ -74,11 +74,12 @@ def emulated_line(
     speed: float = 3.0,
     effects: Mapping[str, float] | None = None,
     faults: tuple[str, ...] = (),
+    chip: str | None = None,
     **board: Any,
 ) -> Iterator[Line]:
     plant = tmp_path / "plant.toml"
     plant.write_text(PLANT)
-    with Emulator(tcp=False, speed=speed, effects=effects or {}, faults=faults, seed=5) as emulator:
+    with Emulator(tcp=False, speed=speed, effects=effects or {}, faults=faults, seed=5, chip=chip) as emulator:
         # The board's second is a third of ours: a busy machine must not look like a lost host.
         config = gateway_config(emulator.urls[0], **{"host_loss_timeout_s": 6.0, "stale_s": 1.0, **board})
         with running(config), client(config.zenoh.listen[0]) as bus:

@@ -84,7 +84,8 @@ def _banners(found: Diagnosis, show: Show) -> list[str]:
     lines = []
     if found.quick:
         lines.append(
-            "Made with --quick: the confidence figures are not calibrated, and confounders were not searched for."
+            "Made with --quick: confounders of several causes were not searched for, and the confidence of several is"
+            " not calibrated."
         )
     if found.budget.unanswered:
         rest = "; ".join(found.budget.unanswered)
