@@ -188,6 +188,12 @@ class Bus:
     def states(self, board: str = "rig") -> list[pb.State]:
         return self.messages[f"{board}/state"]
 
+    def bad_frames_while_streaming(self, board: str = "rig") -> dict[str, int]:
+        """By cause.  Opening a line on which a board already sends cuts one frame: that one comes before."""
+        streaming = [s.bad_frames for s in self.messages[f"{board}/status"] if s.link == "streaming"]
+        first, last = streaming[0], streaming[-1]
+        return {cause: last[cause] - first.get(cause, 0) for cause in last if last[cause] != first.get(cause, 0)}
+
     def event(self, name: str, board: str = "rig") -> pb.Event | None:
         return next((e for e in self.messages[f"{board}/event"] if e.name == name), None)
 

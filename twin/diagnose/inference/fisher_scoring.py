@@ -18,6 +18,7 @@ from twin.estimation.record import FloatArray
 from twin.estimation.structures import Results
 
 DONE = 0.02  # of a standard error
+_ROUGH = 0.5  # log-likelihood that slopes that cost less may leave: 0.1 to 2 was seen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +74,7 @@ def climb(
         free=tuple(free),
         covariance=top.covariance,
         converged=top.converged and not near,
-        ahead=top.ahead,
+        ahead=max(top.ahead, _ROUGH) if near else top.ahead,
     )
 
 

@@ -99,8 +99,9 @@ def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[Curve
 
 
 def begun(criterion: Criterion, at: Fit, score: CurveScore) -> Fit:
-    """`at` with a curve, everything fitted again, not to the end."""
-    return approach(criterion, score.start, (*at.free, *coefficients(score.curve)))
+    """`at` with a curve, everything fitted again, not to the end: near enough to tell which predicts better."""
+    fit = approach(criterion, score.start, (*at.free, *coefficients(score.curve)))
+    return climb(criterion, fit.theta, fit.free, passes=settings.CURVE_PASSES, near=True)
 
 
 def ended(criterion: Criterion, fit: Fit) -> Fit:

@@ -69,20 +69,27 @@ def fitted(
             least_pay = 0.5 * pays
             if least_pay >= 0.5 or removed(criterion, at.theta, leader.fit.theta) < least_pay:
                 break
-        going = set()
+        going: set[str] = set()
         for place, trial in enumerate(trials):
             goes_on = place < most and _expected(trial) >= hopeless * best and _promise(trial) >= overtaken
             goes_on = goes_on and _promise(trial) >= beaten
             if goes_on or (stage == 0 and trial.cause in favourites):
                 going.add(trial.cause)
         trials = criterion.each(partial(_further, criterion, going, passes, last), trials)
+    else:
+        trials = _first_ended(criterion, trials, going)
     by_name = {trial.cause: trial for trial in trials}
     trials += [renamed(by_name[one], same) for same, one in copies.items()]
-    trials.sort(key=lambda trial: -trial.gain)
-    first = next((n for n, trial in enumerate(trials) if inside(trial)), len(trials))
-    if first < len(trials) and not trials[first].fit.converged:
-        trials[first] = climbed(criterion, trials[first])  # it may be taken: the next step begins at its maximum
     return sorted(trials, key=lambda trial: -trial.gain)
+
+
+def _first_ended(criterion: Criterion, trials: list[Trial], ended: set[str]) -> list[Trial]:
+    """The best that is inside its range may be taken: it is fitted to the end, if it is not among those that were."""
+    trials = sorted(trials, key=lambda trial: -trial.gain)
+    first = next((n for n, trial in enumerate(trials) if inside(trial)), len(trials))
+    if first < len(trials) and trials[first].cause not in ended and not trials[first].fit.converged:
+        trials[first] = climbed(criterion, trials[first])
+    return trials
 
 
 def _begun(criterion: Criterion, at: Fit, score: Score) -> Trial:
