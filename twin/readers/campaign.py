@@ -6,10 +6,12 @@ Rule 2: `skip_s` seconds at the beginning of a file are left out; rows are never
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,7 +21,11 @@ from protocol.files import open_regular
 from protocol.table_file import LONGEST_LINE, REMEDY, check_table, is_number, read_csv_bytes, read_mat
 from twin.estimation.record import Capture, FloatArray, Record
 
+if TYPE_CHECKING:
+    from protocol.bus import board51_pb2 as pb
+
 _HEAD = 4096  # bytes in which a file is recognised as text
+_ON_A_TICK = 1e-3  # of a tick: an instant nearer to one is on it
 
 
 def read_campaign(campaign: Campaign, *, use: str = "fit", data: Path | None = None) -> list[Record]:
@@ -229,6 +235,17 @@ def _convert(mapping: Column, raw: FloatArray) -> FloatArray:
 # ---- logs
 
 
+def _switched_within(capture: pb.CaptureRecord, T_s: float) -> list[int]:
+    """The ticks in whose middle the capture changed u_c, which their STATE does not show.
+
+    The board steps `step_index` samples after the capture's tick and returns to its mode's u_c after the last sample.
+    """
+    if T_s <= 0.0:
+        return []
+    after = [n * capture.sample_time_s / T_s for n in (capture.step_index, len(capture.i_c_a))]
+    return [capture.tick + math.floor(ticks) for ticks in after if abs(ticks - round(ticks)) > _ON_A_TICK]
+
+
 def _read_log(path: Path, recording: Recording) -> Record:
     from protocol.bus import board51_pb2 as pb
     from protocol.log.reader import LogReader
@@ -237,6 +254,9 @@ def _read_log(path: Path, recording: Recording) -> Record:
     reader = LogReader(path)
     rows: list[tuple[float, float, float, float, float]] = []
     captures: list[Capture] = []
+    ticks: list[tuple[int, int]] = []  # (session, tick) of each row
+    switched: set[tuple[int, int]] = set()
+    T_s = 0.0
     nan = float("nan")
     last: tuple[int, float] | None = None
     offset, boards, lost = 0.0, set(), 0
@@ -250,7 +270,9 @@ def _read_log(path: Path, recording: Recording) -> Record:
             if last is not None and state.session != last[0]:
                 offset = rows[-1][0] + 10.0 - state.t_s
                 rows.append((rows[-1][0] + 5.0, nan, nan, nan, nan))
+                ticks.append((-1, 0))
             last = (state.session, state.t_s)
+            ticks.append((state.session, state.tick))
             lost += state.lost_before
             rows.append(
                 (
@@ -264,8 +286,10 @@ def _read_log(path: Path, recording: Recording) -> Record:
         elif entry.topic == "parameters":
             parameters = parse(pb.Parameters, entry, path)
             lsb = (abs(parameters.i_lsb_a), abs(parameters.x_lsb_m))
+            T_s = parameters.sample_time_s
         else:
             capture = parse(pb.CaptureRecord, entry, path)
+            switched |= {(capture.session, tick) for tick in _switched_within(capture, T_s)}
             if 0 < capture.step_index < len(capture.i_c_a) and capture.sample_time_s > 0:
                 captures.append(
                     Capture(
@@ -285,6 +309,7 @@ def _read_log(path: Path, recording: Recording) -> Record:
         wanted = f" of board {recording.board!r}" if recording.board else ""
         raise DataError(f"{path} holds no samples{wanted}", remedy="Give a log of a gateway that saw its board")
     table = np.array(rows).reshape(-1, 5)
+    table[np.array([at in switched for at in ticks], np.bool_), 1] = nan
     notes = [f"{recording.file}: {lost} samples were lost on the way"] if lost else []
     if not reader.finished:
         notes.append(f"{recording.file}: the log was not closed; read as far as it goes")
