@@ -78,6 +78,7 @@ static void tick(void) {
     if (board.host.divider != 0U && board.next_tick % board.host.divider == 0U) {
         queue_state(i, x, flags);
     }
+    loop_play_ahead();
     board.next_tick++;
     if (board.ticks_since_overrun < TICKS_PER_S) {
         board.ticks_since_overrun++;

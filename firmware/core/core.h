@@ -148,7 +148,9 @@ struct signal { /* the fields of EXCITE */
 struct excitation_state {
     struct signal signal;
     bool active, announced;
-    uint32_t ticks;    /* since the start, saturating */
+    bool ahead;         /* `value` is the coming tick's */
+    uint16_t value;     /* in counts of the target */
+    uint32_t ticks;     /* values so far, saturating */
     uint16_t in_period; /* ticks mod period */
     uint16_t prbs;
     uint64_t phase, step, sweep; /* of the chirp, in 2^-48 of a turn */
@@ -269,6 +271,7 @@ void reference_jump(uint16_t x_ref);
 /* excitation.c */
 void excitation_start(const STATE_MEMORY struct signal *signal) ON_STACK;
 bool excitation_done(void);
+bool excitation_over(void);
 uint16_t excitation_next(void) ON_STACK;
 
 /* capture.c */
@@ -287,6 +290,7 @@ void loop_switch_off(void);
 void loop_end_excitation(void);
 void loop_set_reference(uint16_t x_ref);
 uint8_t loop_run(uint16_t i, uint16_t x);
+void loop_play_ahead(void);
 
 /* frames.c */
 uint16_t crc_of(const STATE_MEMORY uint8_t *data, uint8_t size);

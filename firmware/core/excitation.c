@@ -82,6 +82,7 @@ static void advance_chirp(void) {
 void excitation_start(const STATE_MEMORY struct signal *signal) ON_STACK {
     board.excitation.signal = *signal;
     board.excitation.active = true;
+    board.excitation.ahead = false;
     board.excitation.ticks = 0;
     board.excitation.in_period = 0;
     board.excitation.prbs = (uint16_t)(signal->seed % 32767U + 1U);
@@ -91,11 +92,18 @@ void excitation_start(const STATE_MEMORY struct signal *signal) ON_STACK {
     board.excitation.announced = excitation_done();
 }
 
-/* Whether the duration is over, so that the signal stays at its offset. */
+/* Whether the duration is over at the next value, so that the signal stays at its offset. */
 bool excitation_done(void) {
     const STATE_MEMORY struct signal *signal = &board.excitation.signal;
 
     return signal->shape == SHAPE_NONE || (signal->duration != 0U && signal->duration <= board.excitation.ticks);
+}
+
+/* Whether it was over at the latest value. */
+bool excitation_over(void) {
+    const STATE_MEMORY struct signal *signal = &board.excitation.signal;
+
+    return signal->shape == SHAPE_NONE || (signal->duration != 0U && signal->duration < board.excitation.ticks);
 }
 
 /* in_period / period of a turn, rounded down to 2^-32: a division of 48 bits by 16 in two of 32 by 16. */
@@ -174,7 +182,7 @@ static int32_t shape(void) ON_STACK {
     }
 }
 
-/* The signal at this tick, in counts of its target; then the next tick. */
+/* The next value of the signal, in counts of its target. */
 uint16_t excitation_next(void) ON_STACK {
     int32_t value = board.excitation.signal.offset;
 

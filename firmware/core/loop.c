@@ -3,6 +3,7 @@
 
 #define OVER_CURRENT_TICKS 50U
 #define SENSOR_FAULT_TICKS 500U
+#define AHEAD_FROM 4U /* values of a signal */
 #define LIMIT_OF_INPUT 0U /* detail of LIMIT_HIT */
 
 /* After `board` was cleared. */
@@ -100,11 +101,12 @@ static void play(void) {
     if (!board.excitation.active) {
         return;
     }
-    if (excitation_done() && !board.excitation.announced) {
+    value = board.excitation.ahead ? board.excitation.value : excitation_next();
+    board.excitation.ahead = false;
+    if (excitation_over() && !board.excitation.announced) {
         board.excitation.announced = true;
         emit(EXCITATION_DONE, 0);
     }
-    value = excitation_next();
     if (board.excitation.signal.target == TARGET_X_REF) {
         board.reference.x_ref = value;
     } else {
@@ -153,4 +155,13 @@ uint8_t loop_run(uint16_t i, uint16_t x) {
     report_limit(limited);
     reference_refill();
     return flags(i, x);
+}
+
+/* The signal at the coming tick, when u_c of this one is out: from reading to u_c it takes the same time with a signal
+ * as without.  The first values, of which those of a chirp divide, are left to their ticks. */
+void loop_play_ahead(void) {
+    if (board.excitation.active && board.excitation.ticks >= AHEAD_FROM) {
+        board.excitation.value = excitation_next();
+        board.excitation.ahead = true;
+    }
 }

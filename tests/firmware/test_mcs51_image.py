@@ -79,9 +79,9 @@ class Bus:
         self.run(ticks)
 
 
-def flying(*, slow: bool = False) -> Bus:
+def flying(plant: EmulatedPlant | None = None, *, slow: bool = False) -> Bus:
     """A board in closed loop; slow: cycles are those of the 12T family."""
-    board = Mcs51Board(EmulatedPlant(seed=1))
+    board = Mcs51Board(plant or EmulatedPlant(seed=1))
     board.chip.cpu.slow = slow
     bus = Bus(board)
     bus.run(40)
@@ -105,6 +105,40 @@ def test_a_tick_with_any_command_is_over_before_the_next() -> None:
     assert max(longest.values()) < TICK_CYCLES, longest
     assert not [m for m in bus.messages if m.name == "EVENT" and m.int("code") == 8]  # OVERRUN
     assert not [m for m in bus.messages if m.name == "NACK"]
+
+
+class TimedPlant(EmulatedPlant):
+    """Notes how long after each conversion the converters or the output are next used, s, in steps of 20 us."""
+
+    def __init__(self) -> None:
+        self.after_conversion: list[float] = []
+        self._converted = False
+        super().__init__(seed=1)
+
+    def sense(self) -> tuple[float, float]:
+        self._converted = True
+        return super().sense()
+
+    def advance(self, u_v: float, duration_s: float) -> None:
+        super().advance(u_v, duration_s)
+        if self._converted and duration_s > 100e-6:  # what is shorter is the next conversion
+            self.after_conversion.append(duration_s)
+        self._converted = False
+
+
+def test_from_the_position_to_the_input_it_takes_as_long_with_a_signal_as_without() -> None:
+    """The signal is computed a tick ahead: a delay that a multisine made longer would be another rig to the twin."""
+    plant = TimedPlant()
+    bus = flying(plant)
+    latest = {}
+    for shape in range(7):
+        bus.ask("EXCITE", shape=shape, ticks=20, **{**SIGNAL, "duration": 0})
+        plant.after_conversion.clear()
+        bus.run(80)
+        latest[shape] = max(plant.after_conversion)
+        assert len(plant.after_conversion) >= 79
+    assert max(latest.values()) - min(latest.values()) < 30e-6, latest
+    assert max(latest.values()) < 300e-6
 
 
 @pytest.mark.parametrize(

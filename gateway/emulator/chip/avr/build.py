@@ -16,10 +16,11 @@ from pathlib import Path
 from gateway.emulator.native.build import SOURCES, compiler, kept
 from protocol.errors import InstallError, ServiceError, UsageError
 
-# 200 samples (40 ms) and short queues: what the 2 kB of RAM hold beside the stack.
+# 200 samples (40 ms) and short queues: what the 2 kB of RAM hold beside the stack.  Inlined, all functions of a signal
+# would have their locals on it at a time.
 OPTIONS = (
-    "-mmcu=atmega328p -std=gnu99 -O2 -DCAPTURE_SIZE=200U -DCAPTURE_US=200U -DANSWER_DEPTH=2U -DEVENT_DEPTH=6U "
-    "-DBLOCK_DEPTH=1U"
+    "-mmcu=atmega328p -std=gnu99 -O2 -fno-inline -DCAPTURE_SIZE=200U -DCAPTURE_US=200U -DANSWER_DEPTH=2U "
+    "-DEVENT_DEPTH=6U -DBLOCK_DEPTH=1U"
 ).split()
 _SHIM = Path(__file__).with_name("simavr.c")
 _REMEDY = "Install them (Debian: apt-get install gcc gcc-avr avr-libc libsimavr-dev), or fly --firmware python or c"
