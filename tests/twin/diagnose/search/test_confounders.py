@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
@@ -74,7 +76,10 @@ def test_beside_dry_friction_a_doubtful_name_goes_to_one_that_the_screen_hardly_
     assert asked.causes == (FRICTION, MAGNETISM)
     # The likelihood of dry friction has kinks, at which a climb may end.
     assert asked.fit.loglik > true.loglik - 0.02 * (true.loglik - rubs.loglik)
-    assert asked.fit.theta.value("residual-magnetism.i_r_a") == pytest.approx(0.04, rel=0.03)
+    place = asked.fit.free.index("residual-magnetism.i_r_a")
+    error = math.sqrt(asked.fit.covariance[place, place])
+    assert 0.0 < error < 0.01
+    assert asked.fit.theta.value("residual-magnetism.i_r_a") == pytest.approx(0.04, abs=error)
 
 
 def test_a_candidate_starts_with_the_numbers_of_the_causes_that_stood_in_for_it() -> None:
