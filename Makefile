@@ -28,13 +28,14 @@ $(STAMP): requirements.lock pyproject.toml
 demo: setup
 	$(BIN)/board51 demo
 
-# What guards a change, seven minutes on two idle cores.  Four processes: some of these tests wait for a board or a bus.
+# What guards a change, eight and a half minutes on two idle cores.  Four processes: some of these tests wait for a board or a bus.
 test: setup
 	$(BIN)/pytest -n 4 --dist loadgroup $(PYTEST_ARGS) -m "not slow"
 
-# The rest: samples of hidden campaigns, coverage of intervals, long flights, the demo, browsers over a failing network.
+# The rest, half an hour: samples of hidden campaigns, coverage of intervals, long flights, the demo, browsers over a
+# failing network.
 test-slow: setup
-	$(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS) -m slow
+	$(BIN)/pytest -n 3 --dist loadgroup $(PYTEST_ARGS) -m slow
 
 # Half an hour: see tests/README.md.
 mutants: setup

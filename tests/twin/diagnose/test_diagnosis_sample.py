@@ -51,6 +51,7 @@ def right(outcome: Outcome) -> bool | None:
     return outcome.judgement.right if outcome.judgement is not None else None
 
 
+@pytest.mark.longest
 def test_as_many_are_right_as_the_required_rate_allows() -> None:
     outcomes = play(sample(), program=program_digest())
 
