@@ -144,9 +144,12 @@ uint8_t loop_run(uint16_t i, uint16_t x) {
 
     watch_converters(i, x);
     play();
-    if (board.loop.mode == MODE_CLOSED_LOOP) {
+    if (!board.capture.running) { /* in each mode, so that u_c is out at the same time after the readings */
         board.loop.u = law_run(i, x, board.reference.x_ref, &limited);
-    } else {
+    }
+    if (board.loop.mode != MODE_CLOSED_LOOP) {
+        law_reset();
+        limited = false;
         board.loop.u = board.loop.mode == MODE_OPEN_LOOP ? board.loop.open_loop_u : 0U;
     }
     if (!board.capture.running) {
