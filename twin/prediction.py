@@ -105,7 +105,7 @@ def predict(model: Model, record: Record, ahead: int) -> Prediction:
 
 
 def _left_out(
-    flags: np.ndarray[tuple[int, ...], np.dtype[np.uint8]],
+    flags: np.ndarray[tuple[int, ...], np.dtype[np.uint16]],
     there: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
     record: Record,
     tick_s: float,

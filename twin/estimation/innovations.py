@@ -1,7 +1,7 @@
 """Innovations of a campaign: flags of the samples, log-likelihood, score and Fisher information.
 
 Flags of a sample: FOLLOWS (the previous sample is one interval earlier), FLIES (the ball is free of the stops), USE_I
-and USE_X (the reading is used).  Without FLIES only i_c is filtered.
+and USE_X (the reading is used), CAPTURED (of a capture).  Without FLIES only i_c is filtered.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from twin.estimation.structures import Samples
 
 FOLLOWS, FLIES, USE_I, USE_X = 1, 2, 4, 8
 RESTS_LOW, RESTS_HIGH, RESTS_UNSEEN, LOST = 16, 32, 64, 128
+CAPTURED = 256
 SPEED_STD_M_S = 0.5  # initial standard deviation of the speed
 
 
@@ -29,7 +30,7 @@ class Series:
     u: FloatArray  # V, from this sample on
     i: FloatArray  # A
     x: FloatArray  # m
-    flags: NDArray[np.uint8]
+    flags: NDArray[np.uint16]
     recording: NDArray[np.int32]  # index of the recording
 
     def part(self, piece: slice) -> Series:

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from protocol.campaign import Plant
-from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X, Series
+from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, USE_I, USE_X, Series
 from twin.estimation.record import BoolArray, FloatArray, Record, intervals, runs
 
 CONTACT_SHARE = 0.01  # of the travel: a ball nearer to a stop is in contact
@@ -71,7 +71,7 @@ def prepare(records: list[Record], plant: Plant, *, gap_least_m: float = 0.0) ->
         parts.extend(_captures(record, number))
     if not parts:
         empty = np.empty(0)
-        nothing = np.empty(0, np.uint8)
+        nothing = np.empty(0, np.uint16)
         return Series(step=empty, u=empty, i=empty, x=empty, flags=nothing, recording=np.empty(0, np.int32)), usages
     if len(parts) == 1:
         return parts[0], usages
@@ -179,7 +179,7 @@ def _series(record: Record, plant: Plant, usage: Usage, number: int, gap_least_m
         u=np.where(u_known, record.u_c, 0.0),
         i=np.where(use_i, record.i_c, 0.0),
         x=np.where(np.isfinite(record.x), record.x, 0.0),
-        flags=flags.astype(np.uint8),
+        flags=flags.astype(np.uint16),
         recording=np.full(n, number, np.int32),
     )
 
@@ -250,8 +250,8 @@ def _captures(record: Record, number: int) -> list[Series]:
         n = len(i)
         u = np.full(n, capture.u_to_v)
         u[: capture.step_index - first] = capture.u_from_v
-        flags = np.full(n, FOLLOWS + USE_I, np.uint8)
-        flags[0] = USE_I
+        flags = np.full(n, FOLLOWS + USE_I + CAPTURED, np.uint16)
+        flags[0] = USE_I + CAPTURED
         series.append(
             Series(
                 step=np.full(n, capture.sample_time_s),

@@ -1,6 +1,7 @@
 """The state from one sample to the next under the u_c in force, with delays and lost samples.
 
-Rule 1: the delays of actuation and of sampling add to one delay between u_c and the readings.
+Rule 1: the delays of actuation and of sampling add to one delay between u_c and the readings; a capture, which counts
+        its time from its own step, shows a share of it.
 Rule 2: the u_c of a lost sample is estimated from the next reading of i_c.
 """
 
@@ -29,6 +30,13 @@ def copy(to: NDArray[np.float64], of: NDArray[np.float64]) -> None:
 def delay_s(c: NDArray[np.float64]) -> float:
     """Delay from u_c to the readings, s."""
     return float(c[actuation_delay.DELAY] + c[sampling_delay.DELAY])
+
+
+@inlined
+def see_delays(to: NDArray[np.float64], c: NDArray[np.float64], captured: bool) -> None:
+    """Set the delays in `to`, shape (PLACES,), to those of the causes c that a capture shows, or the control loop."""
+    to[actuation_delay.DELAY] = c[actuation_delay.DELAY] * (c[actuation_delay.IN_CAPTURES] if captured else 1.0)
+    to[sampling_delay.DELAY] = c[sampling_delay.DELAY] * (c[sampling_delay.IN_CAPTURES] if captured else 1.0)
 
 
 @kernel

@@ -62,7 +62,7 @@ class Samples(NamedTuple):
     u: NDArray[np.float64]  # V, from this sample on
     i: NDArray[np.float64]  # A
     x: NDArray[np.float64]  # m
-    flags: NDArray[np.uint8]  # see `innovations.py` and `ekf/filter.py`
+    flags: NDArray[np.uint16]  # see `innovations.py` and `ekf/filter.py`
     noise_ratio: NDArray[np.float64] = ALIKE  # variance of the noise of i and x over that of their levels, shape (n, 2)
 
     def part(self, piece: slice) -> Samples:

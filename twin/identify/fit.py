@@ -273,7 +273,7 @@ def gate(series: Series, white: FloatArray, recording_count: int) -> tuple[Serie
         wild = np.isfinite(values) & (values > GATE * max(scale, 1.0))
         crowd = np.convolve(wild.astype(np.int8), np.ones(11, np.int8), mode="same") > 4
         wild &= ~crowd
-        flags[wild] &= np.uint8(~bit & 0xFF)
+        flags[wild] &= np.uint16(~bit & 0xFFFF)
         np.add.at(dropped, series.recording[wild], 1)
     return replace(series, flags=flags), dropped
 

@@ -151,7 +151,7 @@ def _trace(
     x: FloatArray | None = None,
 ) -> AmplifierTrace:
     if model.causes:
-        simulated = current(u, step, start, np.zeros(len(u)) if x is None else x, model)
+        simulated = current(u, step, start, np.zeros(len(u)) if x is None else x, model, captured=x is None)
     else:
         simulated = np.empty(len(u))
         simulated[0] = i = start

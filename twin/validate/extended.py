@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.estimation.propagate import propagate
+from twin.estimation.propagate import propagate, see_delays
 from twin.estimation.record import FloatArray, Record
 from twin.estimation.structures import AT_THE_ENDS, NoiseLevels, System
 from twin.model.extended import (
@@ -49,7 +49,9 @@ def as_shown(state: FloatArray, model: Model) -> FloatArray:
     return shown
 
 
-def current(u: FloatArray, step: FloatArray, start_a: float, x: FloatArray, model: Model) -> FloatArray:
+def current(
+    u: FloatArray, step: FloatArray, start_a: float, x: FloatArray, model: Model, *, captured: bool
+) -> FloatArray:
     """Reading of i_c under u_c with the ball at its recorded positions, A, shape (n,).
 
     Args:
@@ -58,8 +60,10 @@ def current(u: FloatArray, step: FloatArray, start_a: float, x: FloatArray, mode
         start_a: first reading, A.
         x: positions of the ball, m, shape (n,).
         model: with causes.
+        captured: whether the readings are a capture.
     """
     c, p = plant_numbers(model, 1e-3).c, tuple(base(model))
+    see_delays(c, c, captured)
     y = np.zeros(STATES)
     y[I_C] = y[FIELD] = current_of_reading(c, start_a)
     y[WARMTH] = y[I_C] ** 2

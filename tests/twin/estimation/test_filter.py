@@ -20,7 +20,7 @@ PAPER = System(BASE, neutral(), NOISE, AT_THE_ENDS, closed_form=True)
 def readings(n: int) -> Samples:
     """A ball that hovers, seen through noise: without x at 10, without i_c at 20, at a stop from 30 to 33."""
     rng = np.random.default_rng(1)
-    flags = np.full(n, FOLLOWS | FLIES | USE_I | USE_X, np.uint8)
+    flags = np.full(n, FOLLOWS | FLIES | USE_I | USE_X, np.uint16)
     flags[0] &= ~FOLLOWS & 0xFF
     flags[10] &= ~USE_X & 0xFF
     flags[20] &= ~USE_I & 0xFF

@@ -145,7 +145,7 @@ def _split(values: FloatArray, weights: FloatArray) -> tuple[int, float, float, 
 
 def _blocks(
     recording: np.ndarray[tuple[int], np.dtype[np.int32]],
-    flags: np.ndarray[tuple[int], np.dtype[np.uint8]],
+    flags: np.ndarray[tuple[int], np.dtype[np.uint16]],
     step: FloatArray,
 ) -> list[slice]:
     """Pieces of about `BLOCK_S`, never across recordings or gaps."""

@@ -121,10 +121,10 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
             _flag(own, record, told.kind, still, blind, plant)
             _flag_rest(own, record, on_stop, cut)
             if not lifted[number]:
-                own[beyond_range(record, still, blind) & (own & FLIES == 0)] |= np.uint8(RESTS_UNSEEN)
+                own[beyond_range(record, still, blind) & (own & FLIES == 0)] |= np.uint16(RESTS_UNSEEN)
             if told.kind in OPEN_LOOP:
                 # Between bounces the speed is unknown, and so is its effect on the current.
-                own[own & (FLIES | RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) == 0] &= np.uint8(~USE_I & 0xFF)
+                own[own & (FLIES | RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) == 0] &= np.uint16(~USE_I & 0xFFFF)
             mark(own, rows[number][1])
             for values in (x, i):
                 between(values[:n], rows[number][1])
@@ -146,11 +146,11 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
 
 
 def _flag(
-    own: NDArray[np.uint8], record: Record, kind: str, still: BoolArray, blind: list[float], plant: Plant
+    own: NDArray[np.uint16], record: Record, kind: str, still: BoolArray, blind: list[float], plant: Plant
 ) -> None:
     """Clear the flags of readings that are not used, in place: `own`, shape (n,), of the samples of `record`."""
-    no_flight = np.uint8(~(FLIES | USE_X) & 0xFF)
-    own[at_converter_end(record.i_c)] &= np.uint8(~USE_I & 0xFF)
+    no_flight = np.uint16(~(FLIES | USE_X) & 0xFFFF)
+    own[at_converter_end(record.i_c)] &= np.uint16(~USE_I & 0xFFFF)
     own[np.isin(record.x, blind)] &= no_flight
     own[bounces(record, plant)] &= no_flight
     if kind in OPEN_LOOP:
@@ -161,12 +161,12 @@ def _flag(
     own[(plant.x_max_m - record.x < POLE_SHARE * plant.travel_m) & (own & FLIES != 0)] &= no_flight
 
 
-def _flag_rest(own: NDArray[np.uint8], record: Record, on_stop: tuple[BoolArray, BoolArray], cut: BoolArray) -> None:
+def _flag_rest(own: NDArray[np.uint16], record: Record, on_stop: tuple[BoolArray, BoolArray], cut: BoolArray) -> None:
     """Set the flags of readings at a stop, in place; `cut`: where the converter's end cuts off the noise of x."""
     for mask, bit in zip(on_stop, (RESTS_LOW, RESTS_HIGH), strict=True):
         rests = mask & (own & FLIES == 0) & np.isfinite(record.x)
-        own[rests] |= np.uint8(bit)
-        own[rests & ~cut] |= np.uint8(USE_X)
+        own[rests] |= np.uint16(bit)
+        own[rests & ~cut] |= np.uint16(USE_X)
 
 
 def _on_platform(record: Record, still: BoolArray, low: float | None, plant: Plant) -> bool:
@@ -174,7 +174,7 @@ def _on_platform(record: Record, still: BoolArray, low: float | None, plant: Pla
     return record.kind == "sawtooth" and not on_stops(record, still, low, None, plant)[0].any()
 
 
-def _until_lifted(flags: np.ndarray[tuple[int], np.dtype[np.uint8]], series: Series, lifts_at: float) -> None:
+def _until_lifted(flags: np.ndarray[tuple[int], np.dtype[np.uint16]], series: Series, lifts_at: float) -> None:
     """Leave out i_c after a step of the amplifier has lifted the ball, as its motion is unknown."""
     chain = chains(series)
     for number in np.unique(chain):
@@ -182,14 +182,14 @@ def _until_lifted(flags: np.ndarray[tuple[int], np.dtype[np.uint8]], series: Ser
         over = np.flatnonzero(series.i[own] > lifts_at)
         if len(over):
             gone = own[np.cumsum(series.step[own]) > series.step[own][: over[0] + 1].sum() + STAYS_S]
-            flags[gone] &= np.uint8(~USE_I & 0xFF)
+            flags[gone] &= np.uint16(~USE_I & 0xFFFF)
 
 
-def _trim(flags: np.ndarray[tuple[int], np.dtype[np.uint8]]) -> None:
+def _trim(flags: np.ndarray[tuple[int], np.dtype[np.uint16]]) -> None:
     """Take TRIM_SAMPLES off both ends of each flight between stops, as a lagging sensor shows the impact later."""
     for piece in runs(np.asarray(flags & FLIES != 0)):
         for part in (slice(piece.start, piece.start + TRIM_SAMPLES), slice(piece.stop - TRIM_SAMPLES, piece.stop)):
-            flags[part] &= np.uint8(~(FLIES | USE_X) & 0xFF)
+            flags[part] &= np.uint16(~(FLIES | USE_X) & 0xFFFF)
 
 
 def _rescaling(low: float | None, high: float | None, plant: Plant) -> tuple[float, float]:
@@ -209,7 +209,7 @@ def _join(parts: list[Series]) -> Series:
             u=nothing,
             i=nothing,
             x=nothing,
-            flags=np.empty(0, np.uint8),
+            flags=np.empty(0, np.uint16),
             recording=np.empty(0, np.int32),
         )
     return Series(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in Series.__slots__})

@@ -49,7 +49,7 @@ def _with(values: FloatArray, lost: BoolArray, there: FloatArray) -> FloatArray:
     return result
 
 
-def mark(flags: NDArray[np.uint8], lost: BoolArray) -> None:
+def mark(flags: NDArray[np.uint16], lost: BoolArray) -> None:
     """Flag the rows of lost samples within flights; the other rows become gaps.
 
     Args:
@@ -62,7 +62,7 @@ def mark(flags: NDArray[np.uint8], lost: BoolArray) -> None:
             flags[n] |= LOST
         else:
             flags[n] = 0
-            flags[n + 1] &= np.uint8(~FOLLOWS & 0xFF)
+            flags[n + 1] &= np.uint16(~FOLLOWS & 0xFFFF)
 
 
 def between(values: FloatArray, lost: BoolArray) -> None:

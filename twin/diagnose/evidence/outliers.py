@@ -40,7 +40,7 @@ def without_outliers(evidence: Evidence) -> Evidence:
             wild[own] = _wild(series.part(own), place)
         if np.count_nonzero(wild) <= settings.OUTLIER_SHARE * np.count_nonzero(series.flags & use):
             continue
-        flags[wild] &= np.uint8(~use & 0xFF)
+        flags[wild] &= np.uint16(~use & 0xFFFF)
         for number, record in enumerate(evidence.records):
             if record.name in by_name:
                 by_name[record.name].outliers += int(np.count_nonzero(wild & (series.recording == number)))

@@ -28,7 +28,7 @@ def thinned(evidence: Evidence, share: float) -> Evidence:
     elapsed_s -= np.maximum.accumulate(np.where(begins, elapsed_s, 0.0))
     heads = begins | (np.diff(np.floor(elapsed_s / BLOCK_S + 1e-6), prepend=0.0) != 0.0)
     stays = np.cumsum(heads) * _GOLDEN % 1.0 < share
-    flags = np.where(heads, series.flags & np.uint8(~FOLLOWS & 0xFF), series.flags)
+    flags = np.where(heads, series.flags & np.uint16(~FOLLOWS & 0xFFFF), series.flags)
     columns = {name: getattr(series, name)[stays] for name in type(series).__slots__}
     return replace(
         evidence,

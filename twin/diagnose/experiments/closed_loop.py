@@ -20,7 +20,7 @@ from protocol.campaign import Plant
 from twin.compiled import Packed, kernel
 from twin.control import LawNumbers, law
 from twin.diagnose.inference.theta import Theta
-from twin.estimation.propagate import propagate
+from twin.estimation.propagate import propagate, see_delays
 from twin.estimation.record import FloatArray, Record
 from twin.model.equilibrium import holding_current
 from twin.model.extended import (
@@ -65,6 +65,7 @@ def run(
     *,
     clamped: bool = False,
     floor_m: float | None = None,
+    captured: bool = False,
 ) -> None:
     """`play` with the noise of theta; out, shape (n, 4), receives u_c, the readings of i_c and x, and the true x.
 
@@ -83,14 +84,17 @@ def run(
         out: receives the result.
         clamped: whether the ball is held at its position.
         floor_m: position of a support above the lower stop, m; None: the ball rests on the stop.
+        captured: whether it is a capture.
     """
+    c = theta.vector()
+    see_delays(c, c, captured)
     step = np.diff(t, prepend=t[0])
     scale = np.empty((4, len(t)))
     scale[0], scale[1] = _without_step(theta.sigma_i_c_a, steps.i_lsb_a), _without_step(theta.sigma_x_m, steps.x_lsb_m)
     scale[2], scale[3] = theta.process_i_c_a * np.sqrt(step / tick_s), theta.process_a_m_s2
     play(
         tuple(theta.base(plant)),
-        theta.vector(),
+        c,
         _NO_LAW if numbers is None else tuple(numbers),
         numbers is not None,
         clamped,

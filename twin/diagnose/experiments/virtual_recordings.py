@@ -219,7 +219,7 @@ def _capture(
     y[WARMTH] = y[I_C] ** 2
     out = np.empty((count, 4))
     command = np.where(n < pre, u_from, u_to)
-    run(theta, plant, None, steps, sample_s * n, command, y, 0.0, 0.0, TICK_S, rng, out, clamped=True)
+    run(theta, plant, None, steps, sample_s * n, command, y, 0.0, 0.0, TICK_S, rng, out, clamped=True, captured=True)
     return Capture(sample_time_s=sample_s, u_from_v=u_from, u_to_v=u_to, step_index=pre, i_c_a=out[:, 1])
 
 

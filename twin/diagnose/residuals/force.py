@@ -128,7 +128,7 @@ def _along(
     state: NDArray[np.float64],
     x: NDArray[np.float64],
     step: NDArray[np.float64],
-    flags: NDArray[np.uint8],
+    flags: NDArray[np.uint16],
     t: NDArray[np.float64],
     modelled: NDArray[np.float64],
 ) -> None:
@@ -194,7 +194,7 @@ class Windows:
         return np.where(self.whole, result, np.nan)
 
 
-def windows(step: FloatArray, flags: NDArray[np.uint8], flies: NDArray[np.bool_]) -> Windows | None:
+def windows(step: FloatArray, flags: NDArray[np.uint16], flies: NDArray[np.bool_]) -> Windows | None:
     """The windows of one recording; None if it is too short.
 
     Args:

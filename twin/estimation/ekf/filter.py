@@ -42,8 +42,8 @@ from twin.estimation.ekf.predict import (
     predict_held,
     step_along,
 )
-from twin.estimation.innovations import FLIES, FOLLOWS, LOST, RESTS_HIGH, RESTS_LOW, USE_I, USE_X
-from twin.estimation.propagate import copy, delay_s, find_input
+from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, LOST, RESTS_HIGH, RESTS_LOW, USE_I, USE_X
+from twin.estimation.propagate import copy, delay_s, find_input, see_delays
 from twin.estimation.structures import NO_STEPS, Results, Samples, Steps, System, room_for
 from twin.model.extended import I_C, SHORT_S, V, X, current_reading
 
@@ -121,6 +121,7 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             predict_held(f, inputs, n, t[n - 1], step[n], y_x[n - 1])
         if not follows:
             f.first = n
+            see_delays(f.c[:], f.usual[:], flags[n] & CAPTURED != 0)
             start_recording(f, use_i, y_i[n], u[n])
             use_i = False
         elif use_i and step[n] > SHORT_S and not f.closed_form:

@@ -34,7 +34,7 @@ def input_delay(record: Record, plant: Plant) -> int:
         if start is None or start.K_A <= 0:
             return 0
         series, _ = prepare([late], plant)
-        alone = replace(series, flags=series.flags & np.uint8(~(FLIES | USE_X) & 0xFF))
+        alone = replace(series, flags=series.flags & np.uint16(~(FLIES | USE_X) & 0xFFFF))
         point = Point(
             K_A=start.K_A,
             T_A=start.T_A,

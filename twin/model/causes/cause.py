@@ -23,7 +23,7 @@ Trait = Literal[
 # In innovations, in their spectrum, in the times of samples; a curve, which is no cause, in what is left.
 FoundBy = Literal["score-test", "spectral-line", "gaps", "remainder"]
 AtRest = Literal["", "balance", "amplifier"]
-PLACES = 109
+PLACES = 111
 
 
 class Vector(Protocol):

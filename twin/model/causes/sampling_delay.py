@@ -1,13 +1,14 @@
 """sampling-delay: both sensors show what was some time ago.
 
-i_measured(t) = i_c(t - delay), x_measured(t) = x(t - delay)
+i_measured(t) = i_c(t - delay), x_measured(t) = x(t - delay); in a capture, which has its own clock, r delay
 """
 
 from __future__ import annotations
 
-from twin.model.causes.cause import Cause, CauseParameter, MeasuredProbes
+from twin.model.causes.actuation_delay import in_captures
+from twin.model.causes.cause import Cause, CauseParameter, Form, MeasuredProbes
 
-DELAY = 26
+DELAY, IN_CAPTURES = 26, 110
 
 CAUSE = Cause(
     name="sampling-delay",
@@ -21,6 +22,7 @@ CAUSE = Cause(
         CauseParameter(
             name="delay_s", symbol="delay", unit="s", place=DELAY, neutral=0.0, low=0.0, high=0.02, probes=(0.0002,)
         ),
+        in_captures(IN_CAPTURES),
     ),
     signature="u_c seems to act late, on i_c and on x alike: from the samples alone it is an actuation delay",
     shows_in=("amplifier-steps", "prbs-reference"),
@@ -28,6 +30,15 @@ CAUSE = Cause(
     cure="convert right before the computation, or predict the state by that time in the law",
     needs=("u_c", "i_c"),
     traits=frozenset({"delays", "hidden-state"}),
+    usual="delay of both sensors",
+    forms=(
+        Form(
+            name="samples taken before the loop begins",
+            values={"in_captures": 0.0},
+            source="K. J. Astrom, B. Wittenmark, Computer-Controlled Systems, 1997, ch. 9: computational delay",
+            probed=True,
+        ),
+    ),
     # The likelihood of a delay has a kink at every whole interval.
     measured_probes=MeasuredProbes(of="sampling-interval", times=(0.5, 1.5)),
     same_samples_as="actuation-delay",

@@ -18,8 +18,8 @@ BLOCK = round(BLOCK_S / STEP_S)
 def series_of(chains: list[int]) -> Evidence:
     """Chains of so many samples, each in a recording of its own; u counts the samples."""
     n = sum(chains)
-    flags = np.full(n, FOLLOWS | FLIES | USE_I | USE_X, np.uint8)
-    flags[np.cumsum([0, *chains[:-1]])] &= np.uint8(~FOLLOWS & 0xFF)
+    flags = np.full(n, FOLLOWS | FLIES | USE_I | USE_X, np.uint16)
+    flags[np.cumsum([0, *chains[:-1]])] &= np.uint16(~FOLLOWS & 0xFFFF)
     number = np.repeat(np.arange(len(chains), dtype=np.int32), chains)
     count = np.arange(n, dtype=np.float64)
     series = Series(step=np.full(n, STEP_S), u=count, i=count, x=count, flags=flags, recording=number)
