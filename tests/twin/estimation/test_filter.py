@@ -7,8 +7,10 @@ import numpy as np
 from twin.compiled import Packed
 from twin.estimation.ekf import filter as ekf
 from twin.estimation.ekf.memory import memory_for
-from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X
+from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, USE_I, USE_X
+from twin.estimation.record import FloatArray
 from twin.estimation.structures import AT_THE_ENDS, NO_STEPS, NoiseLevels, Results, Samples, System, room_for
+from twin.model.causes import actuation_delay
 from twin.model.causes.catalogue import neutral
 from twin.model.extended import I_C, V, X
 
@@ -21,10 +23,10 @@ def readings(n: int) -> Samples:
     """A ball that hovers, seen through noise: without x at 10, without i_c at 20, at a stop from 30 to 33."""
     rng = np.random.default_rng(1)
     flags = np.full(n, FOLLOWS | FLIES | USE_I | USE_X, np.uint16)
-    flags[0] &= ~FOLLOWS & 0xFF
-    flags[10] &= ~USE_X & 0xFF
-    flags[20] &= ~USE_I & 0xFF
-    flags[30:34] &= ~FLIES & 0xFF
+    flags[0] &= ~FOLLOWS & 0xFFFF
+    flags[10] &= ~USE_X & 0xFFFF
+    flags[20] &= ~USE_I & 0xFFFF
+    flags[30:34] &= ~FLIES & 0xFFFF
     return Samples(
         np.linspace(0.0, 2e-3 * (n - 1), n),
         np.full(n, 2e-3),
@@ -63,3 +65,31 @@ def test_the_closed_form_is_the_step_of_the_model_without_causes() -> None:
     np.testing.assert_allclose(closed.state[3:, I_C], stepped.state[3:, I_C], atol=1e-3)
     np.testing.assert_allclose(closed.state[8:, X], stepped.state[8:, X], atol=1e-7)
     np.testing.assert_allclose(closed.state[8:, V], stepped.state[8:, V], atol=1e-4)
+
+
+def test_a_capture_shows_its_share_of_a_delay_and_the_loop_all_of_it() -> None:
+    """As where the loop's output is late: a capture counts its time from its own step."""
+    samples = steps_of_u(CAPTURED, 0)
+
+    late = innovations(samples, delay_s=4e-4, share=0.25)
+
+    half = len(samples.u) // 2
+    np.testing.assert_array_equal(late[:half], innovations(samples, delay_s=1e-4)[:half])
+    np.testing.assert_array_equal(late[half:], innovations(samples, delay_s=4e-4)[half:])
+    assert not np.allclose(late[:half], innovations(samples, delay_s=4e-4)[:half], equal_nan=True)
+
+
+def steps_of_u(*kinds: int) -> Samples:
+    """A step of u_c every 40 us with the ball at rest, once as each kind: CAPTURED or 0."""
+    n = 200
+    flags = np.concatenate([np.full(n, FOLLOWS | USE_I | kind, np.uint16) for kind in kinds])
+    flags[::n] &= ~FOLLOWS & 0xFFFF
+    u = np.tile(np.where(np.arange(n) < 50, 1.0, 2.0), len(kinds))
+    step = np.full(len(u), 40e-6)
+    return Samples(np.cumsum(step), step, u, 0.3 * u, np.zeros(len(u)), flags)
+
+
+def innovations(samples: Samples, *, delay_s: float, share: float = 1.0) -> FloatArray:
+    c = neutral()
+    c[actuation_delay.DELAY], c[actuation_delay.IN_CAPTURES] = delay_s, share
+    return ekf.filtered(PAPER._replace(c=c, closed_form=False), samples).innovations

@@ -8,7 +8,7 @@ Rule: causes whose best fits differ by less than EQUIVALENT_GAIN of log-likeliho
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -54,9 +54,10 @@ def find_classes(
         if quick and len(found.causes) > 1:
             own = Trial(cause=cause, fit=found.fit, gain=found.gains[cause])
             same = same_as(cause) & {entry.name for entry in candidates}
+            equals = [renamed(own, other) for other in sorted(same)] + _equals_when_taken(found, cause, same)
             found = replace(
                 found,
-                classes={**found.classes, cause: tuple(renamed(own, other) for other in sorted(same))},
+                classes={**found.classes, cause: tuple(equals)},
                 runner_up={**found.runner_up, cause: found.gains[cause]},
             )
             continue
@@ -64,6 +65,16 @@ def find_classes(
         if changed:
             return find_classes(criterion, found, floor, candidates=candidates, few=few, say=say)
     return found
+
+
+def _equals_when_taken(found: Selection, cause: str, same: Collection[str]) -> list[Trial]:
+    """The candidates that explained as much as `cause` when it was taken, if it was the last: without a further fit."""
+    last = next((step for step in reversed(found.rounds) if step.taken), None)
+    if last is None or last.taken != cause:
+        return []
+    least = max(trial.gain for trial in last.trials if trial.cause == cause) - settings.EQUIVALENT_GAIN
+    others = (trial for trial in last.trials if trial.cause not in (*found.causes, *same))
+    return [trial for trial in others if trial.gain > least and inside(trial)]
 
 
 def _one_for_two(criterion: Criterion, found: Selection, cause: str, trial: Trial, say: Say) -> Selection | None:
