@@ -76,7 +76,7 @@ def test_what_does_the_same_is_fitted_once_and_named_twice(late: list[Record]) -
     assert criterion.evaluations - before == 2 * alone
     assert [trial.cause for trial in both] == ["actuation-delay", "sampling-delay"]
     assert both[0].gain == both[1].gain == one.gain
-    assert both[1].fit.free[-1] == "sampling-delay.delay_s"
+    assert both[1].fit.free[-2:] == ("sampling-delay.delay_s", "sampling-delay.in_captures")
     assert criterion.value(both[1].fit.theta) == pytest.approx(both[0].fit.loglik, abs=1e-6)
     found = select(criterion, base, floor_of(criterion, base.theta), candidates=DELAYS)
     assert found.causes == ("actuation-delay",)
