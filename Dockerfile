@@ -16,7 +16,7 @@ COPY twin ./twin
 # Editable: the kernels' compiled cache and the shipped files lie beside the code, where the user may write.
 RUN pip install --no-cache-dir --disable-pip-version-check --no-deps --no-build-isolation -e . \
  && useradd --system --uid 5151 --create-home board51 \
- && mkdir -p /data/logs /var/cache/numba && chown -R board51 /data /var/cache/numba
+ && mkdir -p /data/logs /data/hmi /var/cache/numba && chown -R board51 /data /var/cache/numba
 ENV NUMBA_CACHE_DIR=/var/cache/numba MPLCONFIGDIR=/tmp/matplotlib
 USER board51
 # Compiles the kernels into the image (a twin that compiles while it runs misses its first samples) and shows that it works.

@@ -24,6 +24,7 @@ DEBUG = "BOARD51_DEBUG"  # set it to see where an unexpected error came from
 OUR_FAULT = 70  # exit code: EX_SOFTWARE of sysexits.h; systemd's Restart=on-failure and the gateway start it again
 
 COMMANDS: dict[str, tuple[str, str]] = {
+    "start": ("gateway.commands.start", "gateway, twin and control room at once, on a real or an emulated board"),
     "demo": ("gateway.commands.demo", "fly an emulated board, measure, identify, validate, fly on with the model"),
     "emulate": ("gateway.commands.emulate", "an emulated board on a pty or TCP port"),
     "gateway": ("gateway.commands.gateway", "the daemon: boards <-> zenoh, MCAP"),
@@ -63,7 +64,7 @@ EXTRAS = {  # what a command needs beyond the core; what is not here runs withou
     ),
     **dict.fromkeys(("import", "export"), "export"),
     "emulate": "emulator",
-    "bench": "all",
+    **dict.fromkeys(("start", "bench"), "all"),
     "campaign": "campaign",
     "hmi": "web",
     "opcua": "opcua",

@@ -16,8 +16,9 @@ import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 from gateway.processes.child import BEAT_VARIABLE
 from gateway.processes.command import Process, end, start
@@ -37,6 +38,7 @@ class Service:
 
     name: str
     arguments: tuple[str, ...]
+    output: Path | None = None  # gets what it says; None: as this process
 
 
 @contextmanager
@@ -59,6 +61,8 @@ class _Keeper:
     def __init__(self, service: Service) -> None:
         self.name = service.name
         self._command = (service.name, *service.arguments)
+        self._output = service.output
+        self._where = f" (what it said is in {service.output})" if service.output else ""
         self._stop = threading.Event()
         self._lock = threading.Lock()  # a stop must not slip between a look at it and a start
         self._process: Process | None = None
@@ -86,11 +90,11 @@ class _Keeper:
             if self._stop.is_set():
                 return
             if code == _USAGE:
-                _logger.error("%s: see its message; it is not started again", self.name)
+                _logger.error("%s: see its message; it is not started again%s", self.name, self._where)
                 return
             if time.monotonic() - began_s > CALM_S:
                 wait_s = FIRST_WAIT_S
-            _logger.warning("%s ended with code %d; started again in %g s", self.name, code, wait_s)
+            _logger.warning("%s ended with code %d; started again in %g s%s", self.name, code, wait_s, self._where)
             if self._stop.wait(wait_s):
                 return
             wait_s = min(2 * wait_s, LONGEST_WAIT_S)
@@ -115,8 +119,8 @@ class _Keeper:
                 return None
             self._beats, theirs = os.pipe()
             environment = os.environ | {BEAT_VARIABLE: str(theirs)}
-            try:
-                self._process = start(*self._command, pass_fds=(theirs,), env=environment)
-            finally:
-                os.close(theirs)
+            with ExitStack() as last:
+                last.callback(os.close, theirs)
+                output = self._output and last.enter_context(self._output.open("ab"))
+                self._process = start(*self._command, pass_fds=(theirs,), env=environment, stdout=output, stderr=output)
             return self._process

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-SERVICES = {"router", "emulator", "gateway", "twin"}
+SERVICES = {"router", "emulator", "gateway", "twin", "page"}
 
 
 def _compose() -> list[str] | None:
@@ -78,12 +78,16 @@ def stack(compose: list[str], tmp_path: Path, request: pytest.FixtureRequest) ->
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         free = str(probe.getsockname()[1])
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        page = str(probe.getsockname()[1])
     files = [word for file in getattr(request, "param", ()) for word in ("-f", file)]
     stack = Stack(
         [*compose, *files, "--project-name", f"board51-{uuid.uuid4().hex[:8]}"],
         {
             **os.environ,
             "BOARD51_BUS_PORT": free,
+            "BOARD51_PAGE_PORT": page,
             "BOARD51_KEYS": str(tmp_path / "keys"),
             "DOCKER_BUILDKIT": os.environ.get("DOCKER_BUILDKIT", "0"),
         },
@@ -105,6 +109,7 @@ def test_the_whole_line_runs_in_containers_and_leaves_a_closed_log(stack: Stack)
         "watch", *bus, "--json", "--topic", "twin/state", "--count", "200", "--timeout", "60"
     ).splitlines()
     reply = stack.board51("send", "rig1", "mode", "closed-loop", *bus)
+    services = set(stack.call("ps", "--services").split())
     stack.call("stop", "gateway")  # SIGTERM: the log must be complete
     once = ["run", "--rm", "--no-deps", "--entrypoint"]
     info = stack.call(*once, "sh", "gateway", "-c", "board51 info --json /data/logs/*.mcap")
@@ -113,6 +118,7 @@ def test_the_whole_line_runs_in_containers_and_leaves_a_closed_log(stack: Stack)
     assert len(lines) == 200
     assert all(json.loads(line)["key"] == "board51/rig1/twin/state" for line in lines)
     assert "accepted" in reply
+    assert services == SERVICES
     assert "rig1" in info
     assert user != "0"
 

@@ -41,6 +41,7 @@ WITHOUT = [
     (["compile"], "twin"),
     (["demo"], "twin"),
     (["investigate", "rig1"], "twin"),
+    (["start", "--emulated"], "all"),
     (["bench", "identify"], "all"),
 ]
 

@@ -1,0 +1,150 @@
+"""Gateway, twin and control room at once, on a real or an emulated board, until Ctrl-C.
+
+Each is a process of its own, started again if it fails; what they say goes to files in the folder of the logs.  The
+end stops no board: each follows its host-loss policy (default: coil off after 1 s).
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import signal
+import socket
+import sys
+import tempfile
+import threading
+import webbrowser
+from collections.abc import Iterator
+from pathlib import Path
+
+from gateway.processes.supervisor import Service, running
+from gateway.views.listen import address
+from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
+from protocol.errors import ServiceError, UsageError, require
+
+PAGE = "127.0.0.1:8051"
+READY_S = 90.0  # includes the first compilation of the kernels on a slow machine
+POLL_S = 0.1
+_STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Which board, which model, where."""
+    parser.epilog = (
+        "examples:\n  board51 start --emulated\n  board51 start --emulated --effect coulomb-friction=2e-3\n"
+        "  board51 start --board /dev/ttyUSB0"
+    )
+    which = parser.add_mutually_exclusive_group(required=True)
+    which.add_argument("--emulated", action="store_true", help="an emulated board, rig1")
+    which.add_argument(
+        "--board", action="append", metavar="[NAME=]PORT",
+        help="a board and its pyserial URL; may be repeated (first name: rig1)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--effect", action="append", default=[], metavar="NAME=VALUE", help="hidden in the emulated plant; repeatable"
+    )
+    parser.add_argument("--model", default="ce152", metavar="FILE", help="of the twin (default ce152)")
+    parser.add_argument("--page", default=PAGE, metavar="HOST:PORT", help=f"the control room (default {PAGE})")
+    parser.add_argument(
+        "--listen", default=DEFAULT_ENDPOINT, metavar="ENDPOINT", help=f"the bus (default {DEFAULT_ENDPOINT})"
+    )
+    parser.add_argument("--log-dir", type=Path, default=Path("logs"), metavar="DIR", help="MCAP logs (default logs)")
+    parser.add_argument("--no-browser", action="store_true", help="open none, print the address alone")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when it was ended by a signal."""
+    require("all", "numba", "mcap", "scipy", "starlette", "uvicorn")
+    if args.effect and not args.emulated:
+        raise UsageError("--effect changes the emulated plant", remedy="Give it with --emulated")
+    page = address(args.page, where="--page:")
+    check_endpoint(args.listen, where="--listen")
+    _check_free(page, option="--page ")
+    if args.listen.startswith("tcp/"):
+        _check_free(address(args.listen.removeprefix("tcp/"), where="--listen:"), option="--listen tcp/")
+    try:
+        args.log_dir.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{args.log_dir} is no folder ({error.strerror})", remedy="Give another --log-dir") from None
+    with tempfile.TemporaryDirectory(prefix="board51-") as scratch, _until_stopped() as stopped:
+        services = _services(args, Path(scratch) / "ttyBoard51")
+        with running(services):
+            if _answers(page, stopped):
+                _tell(args, services)
+                stopped.wait()
+            elif not stopped.is_set():
+                said = ", ".join(str(service.output) for service in services)
+                raise ServiceError(
+                    f"the control room did not appear at {args.page} within {READY_S:.0f} s",
+                    remedy=f"What the processes say is in {said}",
+                )
+    print("everything stopped", file=sys.stderr)
+    return 0
+
+
+def _services(args: argparse.Namespace, tty: Path) -> list[Service]:
+    boards = [f"rig1={tty}"] if args.emulated else _named(args.board)
+    commands: list[tuple[str, list[str]]] = []
+    if args.emulated:
+        commands.append(("emulate", ["--pty", str(tty), *_repeated("--effect", args.effect)]))
+    own = ["--listen", args.listen, "--log-dir", str(args.log_dir), "--hmi", args.page]
+    commands.append(("gateway", [*_repeated("--board", boards), *own]))
+    commands.append(("twin", ["--connect", args.listen, "--model", args.model]))
+    return [Service(name=n, arguments=tuple(words), output=args.log_dir / f"{n}.out") for n, words in commands]
+
+
+def _named(boards: list[str]) -> list[str]:
+    """Each with a name; a URL may have = in it, but not before its first slash."""
+    return [
+        board if "=" in board.partition("/")[0] else f"rig{number}={board}" for number, board in enumerate(boards, 1)
+    ]
+
+
+def _repeated(option: str, values: list[str]) -> list[str]:
+    return [word for value in values for word in (option, value)]
+
+
+def _check_free(place: tuple[str, int], *, option: str) -> None:
+    host, port = place
+    try:
+        with socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET):
+            pass
+    except OSError as error:
+        raise UsageError(
+            f"{host}:{port} cannot be listened on ({error.strerror})",
+            remedy=f"If another board51 runs here, stop it, or give {option}HOST:PORT",
+        ) from None
+
+
+@contextlib.contextmanager
+def _until_stopped() -> Iterator[threading.Event]:
+    """An event that SIGINT, SIGTERM and SIGHUP set."""
+    stopped = threading.Event()
+    before = {number: signal.signal(number, lambda *_: stopped.set()) for number in _STOPS}
+    try:
+        yield stopped
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _answers(place: tuple[str, int], stopped: threading.Event) -> bool:
+    """Wait until a server listens there; False after READY_S, or when stopped."""
+    for _ in range(round(READY_S / POLL_S)):
+        with contextlib.suppress(OSError), socket.create_connection(place, timeout=1.0):
+            return True
+        if stopped.wait(POLL_S):
+            return False
+    return False
+
+
+def _tell(args: argparse.Namespace, services: list[Service]) -> None:
+    url = f"http://{args.page}"
+    print(f"control room  {url}")
+    print(f"bus           {args.listen}")
+    print(f"logs          {args.log_dir}; what {', '.join(s.name for s in services)} say: {args.log_dir}/*.out")
+    print("Ctrl-C stops everything", flush=True)
+    has_display = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")) or sys.platform == "darwin"
+    if has_display and not args.no_browser:
+        webbrowser.open(url)

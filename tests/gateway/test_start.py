@@ -1,0 +1,81 @@
+"""`board51 start`: gateway, twin and control room at once, and nothing left behind."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gateway.demo.processes import listens
+from tests.harness.gateway.gateway_peers import client, free_port, wait_for
+from tests.patience import HANG_S
+
+START = [sys.executable, "-m", "board51", "start"]
+
+
+def test_one_command_flies_shows_and_ends_everything(tmp_path: Path) -> None:
+    page, bus = free_port(), free_port()
+    words = ["--emulated", "--page", f"127.0.0.1:{page}", "--listen", f"tcp/127.0.0.1:{bus}", "--no-browser"]
+    process = subprocess.Popen(
+        [*START, *words, "--log-dir", str(tmp_path / "logs")],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | {"TMPDIR": str(tmp_path)},
+    )  # fmt: skip
+    try:
+        with client(f"tcp/127.0.0.1:{bus}") as heard:
+            wait_for(lambda: len(heard.messages["rig1/twin/state"]) > 10, "the twin beside the board")
+        assert process.stdout is not None
+        assert process.stdout.readline() == f"control room  http://127.0.0.1:{page}\n"
+        children = children_of(process.pid)
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=HANG_S)
+    finally:
+        process.kill()
+
+    assert process.returncode == 0
+    assert told.endswith("everything stopped\n")
+    assert len(children) == 3
+    assert [pid for pid in children if Path(f"/proc/{pid}").exists()] == []
+    assert list(tmp_path.glob("board51-*")) == []  # the pty's folder
+    assert [listens(port) for port in (page, bus)] == [False, False]
+    assert list((tmp_path / "logs").glob("*.mcap"))
+
+
+def children_of(pid: int) -> list[int]:
+    threads = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(child) for thread in threads for child in thread.read_text().split()]
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ([], "one of the arguments --emulated --board is required"),
+        (["--board", "/dev/ttyUSB0", "--effect", "coulomb-friction=1e-3"], "Give it with --emulated"),
+        (["--emulated", "--page", "here"], "--page"),
+        (["--emulated", "--log-dir", "/dev/null/logs"], "Give another --log-dir"),
+    ],
+)
+def test_what_cannot_be_is_said_at_once(words: list[str], problem: str) -> None:
+    done = subprocess.run([*START, *words], capture_output=True, text=True, check=False, timeout=HANG_S)
+
+    assert done.returncode == 2
+    assert problem in done.stderr
+
+
+def test_a_port_that_is_taken_is_named_before_anything_starts(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        done = subprocess.run(
+            [*START, "--emulated", "--page", f"127.0.0.1:{port}", "--log-dir", str(tmp_path / "logs")],
+            capture_output=True, text=True, check=False, timeout=HANG_S,
+        )  # fmt: skip
+
+    assert done.returncode == 2
+    assert re.search(rf"127\.0\.0\.1:{port} cannot be listened on .*give --page HOST:PORT", done.stderr)
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "logs").exists()
