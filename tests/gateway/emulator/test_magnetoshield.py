@@ -1,4 +1,4 @@
-"""The emulated MagnetoShield: a magnet below a coil, a Hall sensor that sees the field, tables between both and counts."""
+"""The emulated MagnetoShield: a magnet below a coil, a Hall sensor that sees the field, tables to linear counts."""
 
 from __future__ import annotations
 
