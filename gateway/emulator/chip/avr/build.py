@@ -75,6 +75,21 @@ def compile_image(target: Path, *, baud: int = 115200, profile: str = "", option
     _run(["avr-gcc", *OPTIONS, *chosen, *options, *map(str, sources()), "-o", str(target)])
 
 
+def hex_of(target: Path, *, baud: int = 115200, profile: str = "") -> int:
+    """Compile the firmware into the Intel HEX file `target`; return its size in the flash memory, bytes.
+
+    Raises:
+        InstallError, UsageError, ServiceError: as `compile_image`.
+    """
+    with tempfile.TemporaryDirectory() as scratch:
+        elf, flat = Path(scratch) / "firmware.elf", Path(scratch) / "code"
+        compile_image(elf, baud=baud, profile=profile)
+        # Not the EEPROM: a boot loader does not write it, and blank it gives way to the program's numbers.
+        _run(["avr-objcopy", "-O", "ihex", "-R", ".eeprom", str(elf), str(target)])
+        _run(["avr-objcopy", "-O", "binary", "-R", ".eeprom", str(elf), str(flat)])
+        return flat.stat().st_size
+
+
 @cache
 def image(baud: int = 115200, profile: str = "") -> Image:
     """Return the firmware for this baud rate and profile; compile it if it is not in the cache.
