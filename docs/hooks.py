@@ -18,6 +18,7 @@ from mkdocs.structure.pages import Page
 PAGES = {  # page of the site: file of the repository
     "interface.md": "protocol/README.md",
     "firmware.md": "firmware/README.md",
+    "magnetoshield.md": "firmware/magnetoshield.md",
     "gateway.md": "gateway/README.md",
     "views.md": "gateway/views/README.md",
     "theory/twin.md": "twin/README.md",

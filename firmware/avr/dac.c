@@ -40,6 +40,14 @@ void dac_write(uint16_t u) {
     TWCR = (1 << TWINT) | (1 << TWEN) | (1 << TWSTO);
 }
 
+#ifdef INPUT_TABLE
+static const __flash uint16_t CODES[] = {INPUT_TABLE};
+
+void hal_write_input(uint16_t u) {
+    dac_write(between(CODES, u, 6));
+}
+#else
 void hal_write_input(uint16_t u) {
     dac_write(u);
 }
+#endif

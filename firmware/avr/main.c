@@ -147,27 +147,51 @@ bool hal_capture_due(void) {
 /* Converters. */
 
 /* The capture interrupt converts, too: it waits for a conversion that is under way.  The receiver holds two bytes. */
-static uint16_t convert(uint8_t channel) {
+static uint16_t code_of(uint8_t channel) {
     uint8_t flags = SREG;
-    uint16_t count;
+    uint16_t code;
 
     cli();
     ADMUX = (uint8_t)(ADC_REFERENCE | channel);
     ADCSRA |= 1 << ADSC;
     while ((ADCSRA & (1 << ADSC)) != 0) {
     }
-    count = ADC;
+    code = ADC;
     SREG = flags;
-    return (uint16_t)(count << 2 | count >> 8); /* 0 .. 1023 to 0 .. 4095 */
+    return code;
+}
+
+static uint16_t linear(uint16_t code) {
+    return (uint16_t)(code << 2 | code >> 8); /* 0 .. 1023 to 0 .. 4095 */
 }
 
 uint16_t hal_read_current(void) {
-    return convert(ADC_CURRENT);
+    return linear(code_of(ADC_CURRENT));
 }
 
+#ifdef POSITION_TABLE
+static const __flash uint16_t COUNTS[] = {POSITION_TABLE};
+
 uint16_t hal_read_position(void) {
-    return convert(ADC_POSITION);
+    return between(COUNTS, code_of(ADC_POSITION), 4);
 }
+#else
+uint16_t hal_read_position(void) {
+    return linear(code_of(ADC_POSITION));
+}
+#endif
+
+#ifdef PROFILE
+/* What two neighbours differ by, 4095 at most, times 63 needs 32 bits. */
+uint16_t between(const __flash uint16_t *table, uint16_t at, uint8_t bits) {
+    uint8_t entry = (uint8_t)(at >> bits);
+    uint16_t low = table[entry];
+    int16_t rise = (int16_t)(table[entry + 1U] - low);
+    uint8_t part = (uint8_t)(at & ((1U << bits) - 1U));
+
+    return (uint16_t)(low + (uint16_t)(((int32_t)rise * part) >> bits));
+}
+#endif
 
 /* UART. */
 

@@ -7,7 +7,12 @@
 
 #include "avr.h"
 
-/* The rig of board51's emulator; a board without a number of its own is number 0. */
+/* A board without a number of its own is number 0. */
+#ifdef PROFILE
+static const __flash struct identity IDENTITY_OF_PROGRAM = {
+    0, PROFILE_FIRMWARE, {PROFILE_SCALINGS}, {PROFILE_BUILD}};
+static const __flash struct settings SETTINGS_OF_PROGRAM = {{PROFILE_GAINS}, {PROFILE_LIMITS}};
+#else /* the rig of board51's emulator */
 static const __flash struct identity IDENTITY_OF_PROGRAM = {
     0,
     1,
@@ -20,6 +25,7 @@ static const __flash struct identity IDENTITY_OF_PROGRAM = {
     {'u', 'n', 'o', ' ', ' ', ' ', ' ', ' '}};
 static const __flash struct settings SETTINGS_OF_PROGRAM = {
     {LAW_LQI, {17, 14, 11, 19}, {25690, 32576, 21199, -21585}, 1304, 2034, 1756}, {248, 3680, 1751, 14008, 4095}};
+#endif
 
 static struct identity identity;
 static struct settings settings;

@@ -22,6 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     from gateway.emulator import faults
     from gateway.emulator.chip import CHIPS
     from gateway.emulator.plant import effects
+    from gateway.emulator.rigs import RIGS
 
     parser.epilog = (
         "examples:\n"
@@ -30,6 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "  board51 emulate --pty /tmp/board51 --fault flip=1e-4 --fault stall=0.5@10/30 --fault reset@60\n"
         "  board51 emulate --pty /tmp/board51 --firmware c\n"
         "  board51 emulate --pty /tmp/board51 --chip avr\n"
+        "  board51 emulate --pty /tmp/board51 --rig magnetoshield --chip avr\n"
         "  board51 emulate --tcp 127.0.0.1:0 --secret 7 --sealed sealed.json\n\n"
         f"{faults.HELP}\n\n"
         f"effects (--effect NAME=VALUE; VALUE a number, or one of the three given here as weak | medium | strong):\n"
@@ -50,6 +52,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--boards", type=int, default=1, metavar="N", help="how many boards (default: 1)")
     parser.add_argument("--board-id", type=int, default=1, metavar="ID", help="serial number of the first (default: 1)")
+    parser.add_argument(
+        "--rig",
+        choices=tuple(RIGS),
+        default="ce152",
+        help="the plant and its board; the named strengths of effects are those of the CE 152 (default: %(default)s)",
+    )
     flown = parser.add_mutually_exclusive_group()
     flown.add_argument(
         "--firmware",
@@ -103,6 +111,7 @@ def run(args: argparse.Namespace) -> int:
         board_id=args.board_id,
         firmware=args.firmware,
         chip=args.chip,
+        rig=args.rig,
     )
     server = Server(lines, speed=args.speed)
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -152,6 +161,10 @@ def _check(args: argparse.Namespace) -> None:
             raise UsageError(f"{option} {value} is out of range", remedy=f"Give a number from {low} to {high}")
     if (args.secret is None) != (args.sealed is None):
         raise UsageError("--secret and --sealed belong together", remedy="Give both, or --effect instead")
+    if args.secret is not None and args.rig != "ce152":
+        raise UsageError(
+            "--secret draws the strengths of a CE 152's effects", remedy="Leave --rig out, or give --effect"
+        )
     if args.secret is not None and args.effect:
         raise UsageError("--effect with --secret would reveal a part of it", remedy="Give one of the two")
 

@@ -34,8 +34,8 @@ from gateway.emulator.firmware.board import Firmware
 from gateway.emulator.firmware.flash import T_S_US
 from gateway.emulator.line import Board, BoardLine, LineCounts
 from gateway.emulator.native.board import NativeFirmware
-from gateway.emulator.plant.levitation import EmulatedPlant
 from gateway.emulator.ports import EmulatedPort, PtyPort, TcpPort
+from gateway.emulator.rigs import RIGS
 from protocol.errors import ServiceError, UsageError
 
 _T_NS = T_S_US * 1000
@@ -173,8 +173,10 @@ class Emulator:
         board_id: Of the first board; the others count up.
         firmware: The firmware model in Python, or the one in C, compiled for this machine at its first use.
         chip: Run the firmware in C as the image of this chip (`chip.CHIPS`) in its simulator instead.
+        rig: Plant and board (`rigs.RIGS`).
 
     Raises:
+        UsageError: the rig's board is not made for this chip.
         InstallError: the firmware in C or a chip, and a compiler or simulator for it is missing.
     """
 
@@ -193,6 +195,7 @@ class Emulator:
         board_id: int = 1,
         firmware: FirmwareKind = "python",
         chip: str | None = None,
+        rig: str = "ce152",
     ) -> None:
         self._folder = None
         if not tcp and pty is None:
@@ -211,6 +214,7 @@ class Emulator:
                 board_id=board_id,
                 firmware=firmware,
                 chip=chip,
+                rig=rig,
             ),
             speed=None if lockstep else speed,
         )
@@ -328,11 +332,13 @@ def build_lines(
     board_id: int = 1,
     firmware: FirmwareKind = "python",
     chip: str | None = None,
+    rig: str = "ce152",
 ) -> list[BoardLine]:
     """Create a board with its own plant for each port; either all ports are opened or none.
 
     Raises:
-        UsageError: an effect or fault is unknown, a pty path is in use, or a chip does not give the baud rate.
+        UsageError: an effect or fault is unknown, a pty path is in use, a chip does not give the baud rate, or the
+            rig's board is not made for it.
         InstallError: a compiler or simulator is asked for and missing.
         ServiceError: a TCP port is in use, or the compiler fails.
     """
@@ -341,10 +347,11 @@ def build_lines(
     make: Callable[..., Board] = Firmware if firmware == "python" else NativeFirmware
     if chip is not None:
         make = partial(CHIPS[chip], baud=baud)
+    emulated = RIGS[rig]
     try:
         for n, port in enumerate(ports):
-            plant = EmulatedPlant(effects=effects, seed=seed + n)
-            board = make(plant, board_id=board_id + n)
+            plant = emulated.plant(effects=effects, seed=seed + n)
+            board = make(plant, board_id=board_id + n, profile=emulated.profile)
             lines.append(BoardLine(board, port, baud=baud, faults=parsed, seed=seed + n))
     except BaseException:
         for line in lines:

@@ -1,8 +1,8 @@
 """Design a controller for the board from a model: LQI or PID gains, with an analysis of the loop.
 
-Takes a model.json of `identify`, or the name of a shipped model (ce152, inteco).  Without weights it chooses them by
-Bryson's rule.  Prints gains, poles and margins of the loop that the board will run, the effect of the speed estimate
-and of the converters, and whether the loop is stable over the model's uncertainty.
+Takes a model.json of `identify`, or the name of a shipped model (ce152, inteco, magnetoshield).  Without weights it
+chooses them by Bryson's rule.  Prints gains, poles and margins of the loop that the board will run, the effect of the
+speed estimate and of the converters, and whether the loop is stable over the model's uncertainty.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "\nexit code 0: done; 1: the board's loop is unstable on the model itself, nothing is written or sent,\n"
         "or the board did not take the gains; 2: bad input"
     )
-    parser.add_argument("model", metavar="MODEL", help="model.json, or a shipped model: ce152, inteco")
+    parser.add_argument("model", metavar="MODEL", help="model.json, or a shipped model: ce152, inteco, magnetoshield")
     parser.add_argument(
         "--operating-point", type=float, metavar="X_M", help="position in m, up from the bottom stop (mid-travel)"
     )

@@ -24,7 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "sqrt(mean((x - x_hat)^2)) over all of them. No x_hat is farther than a quarter of the travel behind a stop.\n"
         "exit code 0: done; 1: nothing in the recording can be predicted so far ahead; 2: bad input"
     )
-    parser.add_argument("model", metavar="MODEL", help="model.json, or a shipped model: ce152, inteco")
+    parser.add_argument("model", metavar="MODEL", help="model.json, or a shipped model: ce152, inteco, magnetoshield")
     parser.add_argument("recording", type=Path, metavar="RECORDING", help="CSV, MATLAB or MCAP")
     parser.add_argument("--horizon", type=int, default=10, metavar="N", help="samples ahead (%(default)s)")
     parser.add_argument("--out", type=Path, metavar="PRED.csv", help="write t, x, x_hat there")

@@ -6,5 +6,8 @@ from twin.model.parameters import Model
 
 
 def nominal(name: str = "ce152") -> Model:
-    """Load a shipped model: `ce152`, or `inteco` (the rig of the public recordings).  Raises DataError."""
+    """Load a shipped model: `ce152`, `inteco` (the rig of the public recordings), `magnetoshield`.
+
+    Raises DataError.
+    """
     return Model.load(name)

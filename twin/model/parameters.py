@@ -25,7 +25,7 @@ from protocol.checked import KEYS, Number, RuleError, bounds, checked, key, keys
 from protocol.errors import DataError
 from protocol.files import parse_json, read_small, writing
 
-SHIPPED = ("ce152", "inteco")  # models that come with the product, by name
+SHIPPED = ("ce152", "inteco", "magnetoshield")  # models that come with the product, by name
 Verdict = Literal["identified", "weak", "not-identifiable", "assumed"]  # assumed: from a source, not from a recording
 
 # name: (unit, lowest, highest).  The bounds hold for any laboratory rig of this kind; they reveal a wrong unit or a
@@ -178,7 +178,7 @@ class Model:
 
     @classmethod
     def load(cls, path: str | Path) -> Model:
-        """Read a model file, or a shipped model by its name: "ce152", "inteco".
+        """Read a model file, or a shipped model by its name: "ce152", "inteco", "magnetoshield".
 
         Raises:
             DataError: the file is missing or is not a valid model.

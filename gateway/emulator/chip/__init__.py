@@ -11,13 +11,16 @@ from typing import Protocol
 from gateway.emulator.chip.avr.board import AvrBoard
 from gateway.emulator.chip.mcs51.board import Mcs51Board
 from gateway.emulator.firmware.board import AnalogSide
+from gateway.emulator.firmware.flash import CE152_BOARD, BoardProfile
 from gateway.emulator.line import Board
 
 
 class MakeChip(Protocol):
     """Makes a board, powered on; raises InstallError where compiler or simulator are missing."""
 
-    def __call__(self, plant: AnalogSide, *, board_id: int = 1, baud: int = 115200) -> Board:
+    def __call__(
+        self, plant: AnalogSide, *, board_id: int = 1, baud: int = 115200, profile: BoardProfile = CE152_BOARD
+    ) -> Board:
         """Return the board on this plant, its UART at `baud`."""
 
 

@@ -26,12 +26,11 @@ from gateway.emulator.firmware.commands import (
 from gateway.emulator.firmware.control_loop import ControlLoop, Tick
 from gateway.emulator.firmware.flash import (
     BOOT_TICKS,
-    CURRENT,
-    INPUT,
-    POSITION,
+    CE152_BOARD,
     T_S_US,
     TICKS_PER_S,
     WATCHDOG_TICKS,
+    BoardProfile,
 )
 from gateway.emulator.firmware.uart import Inbox, Outbox, Priority
 from protocol.wire.codec import decode_body, encode_body, pack_pair
@@ -51,10 +50,10 @@ class AnalogSide(Protocol):
     """Analog side of the converters; `plant.EmulatedPlant` implements it."""
 
     def advance(self, u_v: float, duration_s: float) -> None:
-        """Advance the time with the input held."""
+        """Advance the time with the input's pin held."""
 
     def sense(self) -> tuple[float, float]:
-        """Return the current readings (i_c in A, x in m)."""
+        """Return what the pins of i_c and x carry: A and m, or as the board's profile says."""
 
     def drop_sample(self) -> bool:
         """Return whether this tick's STATE is lost on the board."""
@@ -66,10 +65,12 @@ class Firmware:
     Args:
         plant: Analog side; the firmware advances its time.
         board_id: Serial number in IDENTITY.
+        profile: Scalings, gains, limits, converters.
     """
 
-    def __init__(self, plant: AnalogSide, *, board_id: int = 1) -> None:
+    def __init__(self, plant: AnalogSide, *, board_id: int = 1, profile: BoardProfile = CE152_BOARD) -> None:
         self._plant = plant
+        self._profile = profile
         self._board_id = board_id
         self.outbox = Outbox()
         self._resets = 0
@@ -94,7 +95,7 @@ class Firmware:
         self._reset_wait = 0  # ticks left to get the ACK of RESET out; 0: no reset pending
         self._hung_ticks = 0
         self._dead_ticks = 0
-        self.loop = ControlLoop(self._emit)
+        self.loop = ControlLoop(self._emit, self._profile)
         self._emit(cause, self._resets)
 
     def reset(self, cause: EventCode) -> None:
@@ -136,14 +137,14 @@ class Firmware:
             if not self._hung_ticks:
                 self.reset(EventCode.RESET_WATCHDOG)
             return
-        i_a, x_m = self._plant.sense()
+        i_pin, x_pin = self._plant.sense()
         # The plant is asked at every tick, not at every frame: the loss belongs to the board, not to the divider.
         lost = self._plant.drop_sample()
         self._execute_pending()
         if self._reset_wait and self._leave():
             return
         self._watch_host()
-        state = self.loop.run(CURRENT.to_count(i_a), POSITION.to_count(x_m))
+        state = self.loop.run(self._profile.current_count(i_pin), self._profile.position_count(x_pin))
         if self._divider and self.next_tick % self._divider == 0 and not lost:
             self._send_state(state)
         self.next_tick = self.next_tick + 1 & 0xFFFFFFFF
@@ -196,10 +197,10 @@ class Firmware:
             capture = loop.capture if loop.capturing and not self._hung_ticks else None
             if capture is not None:
                 if capture.time_to_sample_us() == 0:
-                    capture.take(CURRENT.to_count(self._plant.sense()[0]))
+                    capture.take(self._profile.current_count(self._plant.sense()[0]))
                 step_us = min(step_us, capture.time_to_sample_us())
             u = 0 if self._dead_ticks else loop.u
-            self._plant.advance(INPUT.to_si(u), step_us * 1e-6)
+            self._plant.advance(self._profile.input_pin(u), step_us * 1e-6)
             self._elapsed_us += step_us
             if capture is not None:
                 capture.pass_time(step_us)
@@ -288,7 +289,7 @@ class Firmware:
         if message.int("session") != self._session:
             self._session = message.int("session")
             self._retained.clear()
-        return identity(self._board_id, self.next_tick, self._reset_cause)
+        return identity(self._board_id, self.next_tick, self._reset_cause, self._profile)
 
     def _leave(self) -> bool:
         """Return whether an acknowledged RESET is due."""

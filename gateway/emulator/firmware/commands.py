@@ -13,16 +13,12 @@ from gateway.emulator.firmware.capture import FirmwareCapture
 from gateway.emulator.firmware.control_loop import TARGET_U, ControlLoop
 from gateway.emulator.firmware.excitation import Excitation, Signal
 from gateway.emulator.firmware.flash import (
-    ADC_BITS,
-    BUILD,
     CAPTURE_SIZE,
     CAPTURE_US,
-    CURRENT,
     DAC_BITS,
     FIRMWARE,
-    INPUT,
-    POSITION,
     T_S_US,
+    BoardProfile,
 )
 from gateway.emulator.firmware.law import Gains
 from protocol.wire.messages import BY_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Shape, Value
@@ -69,7 +65,7 @@ def refuse_range(body: bytes) -> Nack:
     return Nack(Reason.OUT_OF_RANGE)
 
 
-def identity(board_id: int, tick: int, reset_cause: EventCode) -> Acceptance:
+def identity(board_id: int, tick: int, reset_cause: EventCode, profile: BoardProfile) -> Acceptance:
     """Return the answer to HELLO: identity and scalings (rule 14)."""
     major, minor = FIRMWARE
     return Acceptance(
@@ -81,18 +77,18 @@ def identity(board_id: int, tick: int, reset_cause: EventCode) -> Acceptance:
             "board_id": board_id,
             "tick": tick,
             "sample_time": T_S_US,
-            "adc_bits": ADC_BITS,
+            "adc_bits": profile.adc_bits,
             "dac_bits": DAC_BITS,
-            "i_offset": CURRENT.offset,
-            "i_lsb": CURRENT.lsb,
-            "x_offset": POSITION.offset,
-            "x_lsb": POSITION.lsb,
-            "u_offset": INPUT.offset,
-            "u_lsb": INPUT.lsb,
+            "i_offset": profile.current.offset,
+            "i_lsb": profile.current.lsb,
+            "x_offset": profile.position.offset,
+            "x_lsb": profile.position.lsb,
+            "u_offset": profile.input.offset,
+            "u_lsb": profile.input.lsb,
             "capture_time": CAPTURE_US,
             "capture_size": CAPTURE_SIZE,
             "reset_cause": int(reset_cause),
-            "build": BUILD.ljust(8)[:8],
+            "build": profile.build.ljust(8)[:8],
         },
     )
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from gateway.emulator.firmware.capture import FirmwareCapture
 from gateway.emulator.firmware.excitation import Excitation
-from gateway.emulator.firmware.flash import GAINS, LIMITS, TICKS_PER_S, FlashLimits
+from gateway.emulator.firmware.flash import CE152_BOARD, TICKS_PER_S, BoardProfile, FlashLimits
 from gateway.emulator.firmware.law import ControlLaw
 from protocol.wire.messages import COUNTS_MAX, EventCode, Flag, Mode
 
@@ -65,12 +65,13 @@ class ControlLoop:
 
     Args:
         emit: Called with each event: (code, detail).
+        profile: Of the board.
     """
 
-    def __init__(self, emit: Callable[[EventCode, int], None]) -> None:
-        self.limits = LIMITS
-        self.law = ControlLaw(GAINS)
-        self.reference = Reference(GAINS.x_0, LIMITS)
+    def __init__(self, emit: Callable[[EventCode, int], None], profile: BoardProfile = CE152_BOARD) -> None:
+        self.limits = profile.limits
+        self.law = ControlLaw(profile.gains)
+        self.reference = Reference(profile.gains.x_0, profile.limits)
         self.mode = Mode.IDLE
         self.fault = False
         self.host_lost = False

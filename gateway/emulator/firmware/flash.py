@@ -88,19 +88,26 @@ K_PID = (1700.0, 17600.0, 17.7)  # k_p V/m, k_int V/(m s), k_d V s/m
 OPERATING_POINT = (0.6365, 2.85e-3, 2.143)  # i_0 A, x_0 m, u_0 V: mid-travel at rest, by the line in rig.py
 
 
-def gains_in_counts(law: Law, gains_si: tuple[float, ...], operating_point: tuple[float, float, float]) -> Gains:
+def gains_in_counts(
+    law: Law,
+    gains_si: tuple[float, ...],
+    operating_point: tuple[float, float, float],
+    scales: tuple[ConverterScale, ConverterScale, ConverterScale] = (CURRENT, POSITION, INPUT),
+) -> Gains:
     """Convert SI gains to the format of the board: rule 14 of protocol/README.md.
 
     Args:
         law: LQI or PID.
         gains_si: LQI (k_i V/A, k_x V/m, k_v V s/m, k_int V/(m s)); PID (k_p V/m, k_int V/(m s), k_d V s/m).
         operating_point: i_0 in A, x_0 in m, u_0 in V.
+        scales: Of i_c, x and u_c; those of the CE 152.
     """
-    per_x = POSITION.lsb / INPUT.lsb
+    current, position, input_ = scales
+    per_x = position.lsb / input_.lsb
     t_s = T_S_US * 1e-6
     if law == Law.LQI:
         k_i, k_x, k_v, k_int = gains_si
-        counts = (k_i * CURRENT.lsb / INPUT.lsb, k_x * per_x, k_v * per_x / t_s, k_int * per_x * t_s)
+        counts = (k_i * current.lsb / input_.lsb, k_x * per_x, k_v * per_x / t_s, k_int * per_x * t_s)
     else:
         k_p, k_int, k_d = gains_si
         counts = (k_p * per_x, k_int * per_x * t_s, k_d * per_x / t_s, 0.0)
@@ -110,10 +117,52 @@ def gains_in_counts(law: Law, gains_si: tuple[float, ...], operating_point: tupl
         law=law,
         mantissas=(m1, m2, m3, m4),
         shifts=(s1, s2, s3, s4),
-        i_0=CURRENT.to_count(i_0_a),
-        x_0=POSITION.to_count(x_0_m),
-        u_0=INPUT.to_count(u_0_v),
+        i_0=current.to_count(i_0_a),
+        x_0=position.to_count(x_0_m),
+        u_0=input_.to_count(u_0_v),
     )
 
 
 GAINS = gains_in_counts(Law.LQI, K_LQI, OPERATING_POINT)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardProfile:
+    """What differs between the boards of two rigs: scalings, gains, limits, and what lies between pins and counts.
+
+    Here the pins carry i_c in A, x in m and u_c in V, and the converters are linear.  A board whose converters are not
+    has a profile of its own, which puts tables between them and the counts.
+    """
+
+    current: ConverterScale
+    position: ConverterScale
+    input: ConverterScale
+    limits: FlashLimits
+    gains: Gains
+    build: bytes
+    adc_bits: int = ADC_BITS
+    program: str = ""  # header of firmware/avr with the same numbers; none: those of the program itself
+
+    def current_count(self, pin: float) -> int:
+        """Return the count of i_c."""
+        return self.current.to_count(pin)
+
+    def position_count(self, pin: float) -> int:
+        """Return the count of x."""
+        return self.position.to_count(pin)
+
+    def input_pin(self, count: int) -> float:
+        """Return what a count of u_c puts on its pin."""
+        return self.input.to_si(count)
+
+    def adc_code(self, pin: float, *, current: bool) -> int:
+        """Return what a converter of 10 bits makes of a pin: that of i_c, or that of x."""
+        count = self.current.to_count(pin) if current else self.position.to_count(pin)
+        return (count * 1023 + 2047) // COUNTS_MAX  # the nearest
+
+    def dac_pin(self, code: int) -> float:
+        """Return what a code of the input converter puts on its pin."""
+        return self.input.to_si(code)
+
+
+CE152_BOARD = BoardProfile(current=CURRENT, position=POSITION, input=INPUT, limits=LIMITS, gains=GAINS, build=BUILD)

@@ -14,16 +14,11 @@ from pathlib import Path
 
 from gateway.emulator.firmware.board import AnalogSide
 from gateway.emulator.firmware.flash import (
-    ADC_BITS,
-    BUILD,
-    CURRENT,
+    CE152_BOARD,
     DAC_BITS,
     FIRMWARE,
-    GAINS,
-    INPUT,
-    LIMITS,
-    POSITION,
     T_S_US,
+    BoardProfile,
 )
 from gateway.emulator.native.build import library
 from gateway.emulator.native.library import CGains, CIdentity, CLimits, CSettings, CView, load
@@ -39,6 +34,7 @@ class NativeFirmware:
     Args:
         plant: Analog side; the firmware advances its time.
         board_id: Serial number in IDENTITY.
+        profile: Scalings, gains, limits, converters.
         path: The compiled library; None: that of this machine, compiled if it is not yet.
 
     Raises:
@@ -46,8 +42,16 @@ class NativeFirmware:
         ServiceError: the compiler fails.
     """
 
-    def __init__(self, plant: AnalogSide, *, board_id: int = 1, path: Path | None = None) -> None:
+    def __init__(
+        self,
+        plant: AnalogSide,
+        *,
+        board_id: int = 1,
+        profile: BoardProfile = CE152_BOARD,
+        path: Path | None = None,
+    ) -> None:
         self._plant = plant
+        self._profile = profile
         self._library = load(library() if path is None else path)
         words = -(-self._library.posix_size() // 8)
         self._memory = (ctypes.c_uint64 * words)()
@@ -55,7 +59,8 @@ class NativeFirmware:
         self._view = CView.from_buffer(self._memory)
         self._frame = ctypes.create_string_buffer(_LONGEST_FRAME)
         self._elapsed_us = 0  # plant time since the last tick
-        self._library.posix_open(self._board, ctypes.byref(identity_of(board_id)), ctypes.byref(settings_of()))
+        identity, settings = identity_of(board_id, profile), settings_of(profile)
+        self._library.posix_open(self._board, ctypes.byref(identity), ctypes.byref(settings))
 
     def __del__(self) -> None:
         if hasattr(self, "_board"):
@@ -92,8 +97,8 @@ class NativeFirmware:
         i = x = 0
         lost = False
         if self._view.running:
-            i_a, x_m = self._plant.sense()
-            i, x = CURRENT.to_count(i_a), POSITION.to_count(x_m)
+            i_pin, x_pin = self._plant.sense()
+            i, x = self._profile.current_count(i_pin), self._profile.position_count(x_pin)
             lost = self._plant.drop_sample()
         self._library.posix_tick(self._board, i, x, lost)
 
@@ -152,36 +157,38 @@ class NativeFirmware:
             step_us = time_us - self._elapsed_us
             if view.capture_wait_us >= 0 and view.running:
                 if view.capture_wait_us == 0:
-                    self._library.posix_capture(self._board, CURRENT.to_count(self._plant.sense()[0]))
+                    self._library.posix_capture(self._board, self._profile.current_count(self._plant.sense()[0]))
                 step_us = min(step_us, view.capture_wait_us)
-            self._plant.advance(INPUT.to_si(view.u if u is None else u), step_us * 1e-6)
+            self._plant.advance(self._profile.input_pin(view.u if u is None else u), step_us * 1e-6)
             self._elapsed_us += step_us
             self._library.posix_pass(self._board, step_us)
 
 
-def identity_of(board_id: int) -> CIdentity:
+def identity_of(board_id: int, profile: BoardProfile = CE152_BOARD) -> CIdentity:
     """Return what the emulated board is."""
-    scales = (CURRENT, POSITION, INPUT)
+    scales = (profile.current, profile.position, profile.input)
     scalings = struct.pack("<6f", *(number for scale in scales for number in (scale.offset, scale.lsb)))
     return CIdentity(
         board_id,
         *FIRMWARE,
-        ADC_BITS,
+        profile.adc_bits,
         DAC_BITS,
         (ctypes.c_uint8 * 24)(*scalings),
-        (ctypes.c_uint8 * 8)(*BUILD.ljust(8)[:8]),
+        (ctypes.c_uint8 * 8)(*profile.build.ljust(8)[:8]),
     )
 
 
-def settings_of() -> CSettings:
+def settings_of(profile: BoardProfile = CE152_BOARD) -> CSettings:
     """Return its gains, operating point and limits."""
-    gains = CGains(
-        GAINS.law,
-        (ctypes.c_uint8 * 4)(*GAINS.shifts),
-        (ctypes.c_int16 * 4)(*GAINS.mantissas),
-        GAINS.i_0,
-        GAINS.x_0,
-        GAINS.u_0,
+    gains, limits = profile.gains, profile.limits
+    return CSettings(
+        CGains(
+            gains.law,
+            (ctypes.c_uint8 * 4)(*gains.shifts),
+            (ctypes.c_int16 * 4)(*gains.mantissas),
+            gains.i_0,
+            gains.x_0,
+            gains.u_0,
+        ),
+        CLimits(limits.x_ref_min, limits.x_ref_max, limits.x_ref_step, limits.x_ref_slew, limits.u_max),
     )
-    limits = CLimits(LIMITS.x_ref_min, LIMITS.x_ref_max, LIMITS.x_ref_step, LIMITS.x_ref_slew, LIMITS.u_max)
-    return CSettings(gains, limits)

@@ -170,7 +170,7 @@ def _constants(rig: PlantConstants, strength: Mapping[str, float], step_s: float
         current_offset=strength["amplifier-offset"],
         inductance_growth=strength["position-dependent-inductance"],
         emf=strength["motional-emf"],
-        exponent=strength["force-exponent"],
+        exponent=strength["force-exponent"] + rig.force_exponent - 2.0,
         inverse_saturation=1.0 / strength["core-saturation"],
         residual=strength["residual-magnetism"],
         eddy=strength["eddy-current-lag"],
@@ -185,4 +185,5 @@ def _constants(rig: PlantConstants, strength: Mapping[str, float], step_s: float
         x_lag=strength["position-sensor-lag"],
         crosstalk=strength["sensor-crosstalk"],
         input_delay=round(strength["actuation-delay"] / step_s),
+        magnet=rig.magnet_current_a,
     )

@@ -86,6 +86,7 @@ class Constants(NamedTuple):
     x_lag: float
     crosstalk: float
     input_delay: int  # steps
+    magnet: float  # current of the permanent magnet, A; 0: a ball
 
 
 def _compiled(function: Callable[P, R]) -> Callable[P, R]:
@@ -126,7 +127,7 @@ def pull(y: PlantState, t: float, c: Constants) -> float:
     if c.inverse_saturation > 0.0:
         field /= math.sqrt(1.0 + (field * c.inverse_saturation) ** 2)
     gap = c.gap_bottom - y.x
-    magnetic = c.K_c * field * field / (gap * gap)
+    magnetic = c.K_c * field * (c.magnet if c.magnet > 0.0 else field) / (gap * gap)
     if c.exponent != 2.0:
         magnetic *= (c.gap_mid / gap) ** (c.exponent - 2.0)
     force = magnetic - c.weight - (c.b + c.drag2 * abs(y.v)) * y.v + c.force

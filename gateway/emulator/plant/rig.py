@@ -48,9 +48,14 @@ class PlantConstants:
     current_max_a: float  # i_c is 0 .. this
     position_noise_m: float  # standard deviation of one reading
     current_noise_a: float  # standard deviation of one reading
+    force_exponent: float = 2.0  # of the gap; the force is that of exponent 2 at mid-travel
+    # A permanent magnet instead of a ball: the current whose field has its strength.  The force is K_c i I/gap^2 then,
+    # as the coil need not magnetise it; 0: a ball.
+    magnet_current_a: float = 0.0
 
     def __post_init__(self) -> None:
         may_be_zero = {"drag_n_s_m", "restitution", "position_noise_m", "current_noise_a", "gravity_m_s2"}
+        may_be_zero.add("magnet_current_a")
         for field in fields(self):
             value = getattr(self, field.name)
             low_enough = field.name != "restitution" or value < 1.0
@@ -66,7 +71,12 @@ class PlantConstants:
 
     def equilibrium_current_a(self, x_m: float) -> float:
         """Current that carries the ball at rest at x: i = gap sqrt(m g / K_c), eq. (6) with x'' = x' = 0."""
-        return self.gap_m(x_m) * math.sqrt(self.mass_kg * self.gravity_m_s2 / self.force_constant_n_m2_a2)
+        gap = self.gap_m(x_m)
+        if self.force_exponent == 2.0 and self.magnet_current_a == 0.0:
+            return gap * math.sqrt(self.mass_kg * self.gravity_m_s2 / self.force_constant_n_m2_a2)
+        far = (gap / self.gap_m(self.travel_m / 2.0)) ** (self.force_exponent - 2.0)
+        square = far * gap**2 * self.mass_kg * self.gravity_m_s2 / self.force_constant_n_m2_a2
+        return square / self.magnet_current_a if self.magnet_current_a > 0.0 else math.sqrt(square)
 
     def equilibrium_input_v(self, x_m: float) -> float:
         """Input that holds `equilibrium_current_a`: u = i / K_A, eq. (1)."""

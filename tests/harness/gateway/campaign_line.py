@@ -75,11 +75,13 @@ def emulated_line(
     effects: Mapping[str, float] | None = None,
     faults: tuple[str, ...] = (),
     chip: str | None = None,
+    rig: str = "ce152",
+    known: str = PLANT,
     **board: Any,
 ) -> Iterator[Line]:
     plant = tmp_path / "plant.toml"
-    plant.write_text(PLANT)
-    with Emulator(tcp=False, speed=speed, effects=effects or {}, faults=faults, seed=5, chip=chip) as emulator:
+    plant.write_text(known)
+    with Emulator(tcp=False, speed=speed, effects=effects or {}, faults=faults, seed=5, chip=chip, rig=rig) as emulator:
         # The board's second is a third of ours: a busy machine must not look like a lost host.
         config = gateway_config(emulator.urls[0], **{"host_loss_timeout_s": 6.0, "stale_s": 1.0, **board})
         with running(config), client(config.zenoh.listen[0]) as bus:

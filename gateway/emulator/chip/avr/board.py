@@ -19,7 +19,8 @@ from pathlib import Path
 
 from gateway.emulator.chip.avr.build import Image, image, simulator
 from gateway.emulator.firmware.board import AnalogSide
-from gateway.emulator.firmware.flash import BUILD, CURRENT, DAC_BITS, FIRMWARE, GAINS, INPUT, LIMITS, POSITION, T_S_US
+from gateway.emulator.firmware.flash import CE152_BOARD, DAC_BITS, FIRMWARE, T_S_US, BoardProfile, FlashLimits
+from gateway.emulator.firmware.law import Gains
 from protocol.errors import ServiceError
 from protocol.wire.framing import cobs_decode
 from protocol.wire.messages import BY_NAME, EventCode, Mode
@@ -74,14 +75,21 @@ def _load(path: Path) -> ctypes.CDLL:
     return library
 
 
-def stored(board_id: int) -> bytes:
+def stored(board_id: int, profile: BoardProfile = CE152_BOARD) -> bytes:
     """Return the content of the EEPROM (firmware/avr/store.c): identity and settings, each with its CRC."""
-    scales = (CURRENT, POSITION, INPUT)
+    scales = (profile.current, profile.position, profile.input)
     scalings = struct.pack("<6f", *(number for scale in scales for number in (scale.offset, scale.lsb)))
-    identity = struct.pack("<I4B24s8s", board_id, *FIRMWARE, ADC_BITS, DAC_BITS, scalings, BUILD.ljust(8)[:8])
-    gains = struct.pack("<B4B4h3H", GAINS.law, *GAINS.shifts, *GAINS.mantissas, GAINS.i_0, GAINS.x_0, GAINS.u_0)
-    limits = struct.pack("<5H", LIMITS.x_ref_min, LIMITS.x_ref_max, LIMITS.x_ref_step, LIMITS.x_ref_slew, LIMITS.u_max)
-    return b"".join(part + crc_hqx(part, 0xFFFF).to_bytes(2, "little") for part in (identity, gains + limits))
+    identity = struct.pack("<I4B24s8s", board_id, *FIRMWARE, ADC_BITS, DAC_BITS, scalings, profile.build.ljust(8)[:8])
+    settings = _packed_gains(profile.gains) + _packed_limits(profile.limits)
+    return b"".join(part + crc_hqx(part, 0xFFFF).to_bytes(2, "little") for part in (identity, settings))
+
+
+def _packed_gains(gains: Gains) -> bytes:
+    return struct.pack("<B4B4h3H", gains.law, *gains.shifts, *gains.mantissas, gains.i_0, gains.x_0, gains.u_0)
+
+
+def _packed_limits(limits: FlashLimits) -> bytes:
+    return struct.pack("<5H", limits.x_ref_min, limits.x_ref_max, limits.x_ref_step, limits.x_ref_slew, limits.u_max)
 
 
 class AvrBoard:
@@ -91,7 +99,8 @@ class AvrBoard:
         plant: Analog side; the chip advances its time.
         board_id: Serial number in the EEPROM.
         baud: Of the UART, bits per second.
-        program: The image; None: the firmware of `firmware/avr`, compiled if it is not yet.
+        profile: Scalings, gains and limits, and what lies between the plant and the chip's pins.
+        program: The image; None: the firmware of `firmware/avr` for this profile, compiled if it is not yet.
 
     Raises:
         InstallError: avr-gcc or libsimavr is missing.
@@ -100,11 +109,18 @@ class AvrBoard:
     """
 
     def __init__(
-        self, plant: AnalogSide, *, board_id: int = 1, baud: int = 115200, program: Image | None = None
+        self,
+        plant: AnalogSide,
+        *,
+        board_id: int = 1,
+        baud: int = 115200,
+        profile: BoardProfile = CE152_BOARD,
+        program: Image | None = None,
     ) -> None:
         self._plant = plant
+        self._profile = profile
         self._library = _load(simulator())
-        self.image = image(baud) if program is None else program
+        self.image = image(baud, profile.program) if program is None else program
         self._chip = self._library.chip_open(self.image.code, len(self.image.code))
         self._view: _Chip = self._chip.contents
         self._fields = struct.unpack_from("<5H", self.image.code, self.image.symbols["VIEW"])
@@ -116,7 +132,7 @@ class AvrBoard:
         self._loop = self.image.symbols["__stop_program"]  # of avr-libc: an endless loop
         self._held_ticks = 0  # left of `overrun`
         self._go_on_at = 0
-        self.store(stored(board_id))
+        self.store(stored(board_id, profile))
         self.reset(EventCode.RESET_POWER_ON)
 
     def __del__(self) -> None:
@@ -252,13 +268,14 @@ class AvrBoard:
     def _advance_plant(self) -> None:
         steps = self._view.cycle // (_PLANT_STEP_US * CYCLES_PER_US) - self._plant_steps
         if steps > 0:
-            self._plant.advance(INPUT.to_si(self._u), steps * _PLANT_STEP_US * 1e-6)
+            self._plant.advance(self._profile.dac_pin(self._u), steps * _PLANT_STEP_US * 1e-6)
             self._plant_steps += steps
 
     def _convert(self, pin: int) -> None:
-        i_a, x_m = self._plant.sense()
-        count = CURRENT.to_count(i_a) if pin == _CURRENT_PIN else POSITION.to_count(x_m)
-        self._library.chip_convert(self._chip, pin, (count * 1023 + 2047) // 4095)  # the nearest of 10 bits
+        i_pin, x_pin = self._plant.sense()
+        of_current = pin == _CURRENT_PIN
+        code = self._profile.adc_code(i_pin if of_current else x_pin, current=of_current)
+        self._library.chip_convert(self._chip, pin, code)
         if pin == _POSITION_PIN:
             tick = self.next_tick
             while self._lost and not 0 <= tick - self._lost[0] < _LOST_FOR:

@@ -55,8 +55,14 @@ def missing() -> str | None:
     return "libsimavr" if found.returncode else None
 
 
-def compile_image(target: Path, *, baud: int = 115200, options: tuple[str, ...] = ()) -> None:
+def compile_image(target: Path, *, baud: int = 115200, profile: str = "", options: tuple[str, ...] = ()) -> None:
     """Compile the firmware into the ELF file `target`.
+
+    Args:
+        target: The file to write.
+        baud: Of the UART.
+        profile: Header with the numbers of the rig: a name in firmware/avr, or a path; none: the emulated CE 152's.
+        options: For the compiler, behind those that are always given.
 
     Raises:
         InstallError: avr-gcc is missing.
@@ -65,12 +71,28 @@ def compile_image(target: Path, *, baud: int = 115200, options: tuple[str, ...] 
     """
     if shutil.which("avr-gcc") is None:
         raise InstallError("The firmware of the AVR needs avr-gcc, and it is not found", remedy=_REMEDY)
-    _run(["avr-gcc", *OPTIONS, f"-DBAUD=UINT32_C({baud})", *options, *map(str, sources()), "-o", str(target)])
+    chosen = [f"-DBAUD=UINT32_C({baud})", *([f'-DPROFILE="{profile}"'] if profile else [])]
+    _run(["avr-gcc", *OPTIONS, *chosen, *options, *map(str, sources()), "-o", str(target)])
+
+
+def hex_of(target: Path, *, baud: int = 115200, profile: str = "") -> int:
+    """Compile the firmware into the Intel HEX file `target`; return its size in the flash memory, bytes.
+
+    Raises:
+        InstallError, UsageError, ServiceError: as `compile_image`.
+    """
+    with tempfile.TemporaryDirectory() as scratch:
+        elf, flat = Path(scratch) / "firmware.elf", Path(scratch) / "code"
+        compile_image(elf, baud=baud, profile=profile)
+        # Not the EEPROM: a boot loader does not write it, and blank it gives way to the program's numbers.
+        _run(["avr-objcopy", "-O", "ihex", "-R", ".eeprom", str(elf), str(target)])
+        _run(["avr-objcopy", "-O", "binary", "-R", ".eeprom", str(elf), str(flat)])
+        return flat.stat().st_size
 
 
 @cache
-def image(baud: int = 115200) -> Image:
-    """Return the firmware for this baud rate; compile it if it is not in the cache.
+def image(baud: int = 115200, profile: str = "") -> Image:
+    """Return the firmware for this baud rate and profile; compile it if it is not in the cache.
 
     Raises:
         InstallError, UsageError, ServiceError: as `compile_image`, or the cache cannot be written.
@@ -78,8 +100,8 @@ def image(baud: int = 115200) -> Image:
     elf = kept(
         "avr.elf",
         [*sources(), *SOURCES.glob("*/*.h")],
-        (OPTIONS, baud),
-        lambda target: compile_image(target, baud=baud),
+        (OPTIONS, baud, profile),
+        lambda target: compile_image(target, baud=baud, profile=profile),
     )
     return load(elf)
 

@@ -21,8 +21,9 @@ from typing import Final
 from gateway.emulator.chip.mcs51.build import CLOCK_HZ, image, simulator
 from gateway.emulator.chip.mcs51.library import Chip, load
 from gateway.emulator.firmware.board import AnalogSide
-from gateway.emulator.firmware.flash import CURRENT, INPUT, POSITION, T_S_US
+from gateway.emulator.firmware.flash import CE152_BOARD, CURRENT, INPUT, POSITION, T_S_US, BoardProfile
 from gateway.emulator.native.board import identity_of, settings_of
+from protocol.errors import UsageError
 from protocol.wire.framing import crc16
 from protocol.wire.messages import EventCode, Mode
 
@@ -43,10 +44,11 @@ class Mcs51Board:
         baud: Of the line, bits per second.
         path: The image; None: that of this version, built if it is not yet.
         eeprom: Content of the chip's data memory; None: what a board is programmed with.
+        profile: That of the CE 152: there is no program for another one.
 
     Raises:
         InstallError: there is no C compiler, or no sdcc.
-        UsageError: the part does not give the baud rate.
+        UsageError: the part does not give the baud rate, or there is no firmware for this profile.
         ServiceError: a compiler fails.
     """
 
@@ -58,7 +60,13 @@ class Mcs51Board:
         baud: int = 115200,
         path: Path | None = None,
         eeprom: bytes | None = None,
+        profile: BoardProfile = CE152_BOARD,
     ) -> None:
+        if profile is not CE152_BOARD:
+            raise UsageError(
+                "The 8051 has no firmware for this rig",
+                remedy="Give --chip avr, --firmware python or c, or --rig ce152",
+            )
         self._plant = plant
         self._library = load(simulator())
         program = json.loads((image(baud) if path is None else path).read_text(encoding="utf-8"))

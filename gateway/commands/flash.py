@@ -1,0 +1,144 @@
+"""Compile the firmware for a board and write it into its flash memory, with avrdude.
+
+For an Arduino Uno with a MagnetoShield, through the Uno's boot loader.  firmware/magnetoshield.md has the ten steps.
+--dry-run compiles, touches no port, and prints the command.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gateway.link.port import PortProblem, open_port
+from protocol.errors import InstallError, ServiceError, UsageError, one_line
+from protocol.files import writing
+
+if TYPE_CHECKING:
+    from gateway.emulator.firmware.magnetoshield import HallCurve
+
+BOARDS = ("magnetoshield",)
+_HANG_S = 120.0  # writing and reading back 32 kB takes 10 s
+_BOOT_LOADER_BAUD = 115200  # of an Uno's Optiboot
+_FLASH_BYTES = 32256  # what the boot loader leaves
+_AGAIN = "Unplug the Uno and plug it in again, end what uses the port, and repeat: the boot loader is untouched"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.epilog = (
+        "examples:\n"
+        "  board51 flash --board magnetoshield --dry-run\n"
+        "  board51 flash --board magnetoshield --port /dev/ttyACM0\n"
+        "  board51 flash --board magnetoshield --port /dev/ttyACM0 --x-ground -0.00008 --x-ceiling 0.00471\n\n"
+        "needs avr-gcc with avr-libc, and avrdude (Debian: apt-get install gcc-avr avr-libc avrdude);\n"
+        "--out writes the image for another programmer, without avrdude and port"
+    )
+    parser.add_argument("--board", choices=BOARDS, required=True, help="what the firmware is for")
+    parser.add_argument("--port", metavar="DEVICE", help="serial device of the Uno: /dev/ttyACM0")
+    parser.add_argument("--baud", type=int, default=115200, help="of the firmware's UART (default: %(default)s)")
+    parser.add_argument(
+        "--x-ground",
+        type=float,
+        metavar="M",
+        help="x that the board read, with an image without calibration, of the magnet on the ground",
+    )
+    parser.add_argument("--x-ceiling", type=float, metavar="M", help="the same of the magnet at the ceiling")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write the image (Intel HEX) there and stop")
+    parser.add_argument("--dry-run", action="store_true", help="compile, print the command of avrdude, touch no port")
+    parser.add_argument("--json", action="store_true", help="print the command and the size as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compile, check, and let avrdude write and verify."""
+    from gateway.emulator.chip.avr.build import hex_of
+    from gateway.emulator.firmware.magnetoshield import header, magnetoshield
+
+    if args.out is None and args.port is None and not args.dry_run:
+        raise UsageError("No port is given", remedy="Give --port /dev/ttyACM0, --dry-run, or --out FILE")
+    if not 300 <= args.baud <= 4_000_000:
+        raise UsageError(f"--baud {args.baud} is out of range", remedy="Give 57600, 115200 or 250000")
+    curve = _calibrated(args.x_ground, args.x_ceiling)
+    if not args.dry_run and args.out is None:
+        _check_avrdude()
+        _check_port(args.port)
+    with tempfile.TemporaryDirectory(prefix="board51-") as scratch:
+        profile = Path(scratch) / "profile.h"
+        profile.write_text(header(magnetoshield(curve)), encoding="ascii")
+        image = Path(scratch) / "firmware.hex"
+        size = hex_of(image, baud=args.baud, profile=str(profile))
+        if size > _FLASH_BYTES:
+            raise ServiceError(f"The image has {size} bytes, the chip {_FLASH_BYTES}", remedy="Report it")
+        if args.out is not None:
+            with writing(args.out):
+                args.out.write_bytes(image.read_bytes())
+            _tell(args, size, None)
+            return 0
+        command = _command(args.port, image)
+        _tell(args, size, command)
+        return 0 if args.dry_run else _write(command)
+
+
+def _calibrated(ground_m: float | None, ceiling_m: float | None) -> HallCurve | None:
+    """The curve of the Hall sensor through two readings; None: that of the authors' examples."""
+    from gateway.emulator.firmware.magnetoshield import HallCurve
+
+    if ground_m is None and ceiling_m is None:
+        return None
+    if ground_m is None or ceiling_m is None:
+        raise UsageError("One of the two readings is missing", remedy="Give --x-ground and --x-ceiling")
+    return HallCurve.through(ground_m, ceiling_m)
+
+
+def _command(port: str | None, image: Path) -> list[str]:
+    """What writes and verifies the flash memory; fuses, boot loader and EEPROM stay as they are."""
+    options = ["-q", "-p", "atmega328p", "-c", "arduino", "-b", str(_BOOT_LOADER_BAUD), "-P", port or "PORT", "-D"]
+    return ["avrdude", *options, "-U", f"flash:w:{image}:i"]
+
+
+def _check_port(port: str) -> None:
+    """Open it once, as a gateway would: absent, no serial device, no permission, in use."""
+    if "://" in port:
+        raise UsageError(f"{port} is not a device of this computer", remedy="Give the Uno's, for example /dev/ttyACM0")
+    opened = open_port(port, _BOOT_LOADER_BAUD)
+    if isinstance(opened, PortProblem):
+        raise UsageError(opened.text.rstrip(".?"), remedy="Give the Uno's device; see ls /dev/ttyACM* /dev/ttyUSB*")
+    opened.close()
+
+
+def _check_avrdude() -> None:
+    if shutil.which("avrdude") is None:
+        raise InstallError(
+            "avrdude is not found, which writes the flash memory",
+            remedy="Install it (Debian: apt-get install avrdude), or write the image with --out FILE",
+        )
+
+
+def _tell(args: argparse.Namespace, size: int, command: list[str] | None) -> None:
+    said = shlex.join(command) if command is not None else f"written to {args.out}"
+    if args.json:
+        print(json.dumps({"board": args.board, "bytes": size, "of": _FLASH_BYTES, "command": command}))
+    else:
+        print(f"{args.board}: {size} of {_FLASH_BYTES} bytes; {said}")
+    sys.stdout.flush()
+
+
+def _write(command: list[str]) -> int:
+    try:
+        done = subprocess.run(command, check=False, timeout=_HANG_S, capture_output=True, text=True, errors="replace")
+    except subprocess.TimeoutExpired:
+        raise ServiceError(f"avrdude has not ended after {_HANG_S:g} s", remedy=_AGAIN) from None
+    if done.returncode == 0:
+        print("written and verified; the coil is off")
+        return 0
+    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+    said = next(
+        (line for line in lines if "not in sync" in line or "error" in line.lower()), lines[-1] if lines else ""
+    )
+    raise ServiceError(f"avrdude fails ({done.returncode}): {one_line(said, 200)}", remedy=_AGAIN)

@@ -1,0 +1,195 @@
+"""The board of a MagnetoShield (R3, R4) on an Arduino Uno: scalings, gains, limits, and the tables of its converters.
+
+IDENTITY's scalings are linear, and neither the Hall sensor nor the coil's driver is.  So two tables of 65 entries with
+straight lines between them turn codes of the converter of A3 into counts of x, and counts of u_c into codes of the
+MCP4725.  They are made here from a calibration (`HallCurve`, `DRIVER`), and `firmware/avr/magnetoshield.h` holds the
+same numbers for the chip.  Where the numbers are from: firmware/magnetoshield.md.
+
+Gains: linearised at x = 2.5 mm the magnet has x'' = 2706 s^-2 x - 65 s^-1 x' + 2.39 m/s^2/V u.  K puts the fast pair at
+about 90 rad/s with damping 0.8 and the integral at 10 rad/s, in a loop sampled at 500 Hz.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+
+from gateway.emulator.firmware.flash import (
+    DAC_BITS,
+    FIRMWARE,
+    BoardProfile,
+    ConverterScale,
+    FlashLimits,
+    gains_in_counts,
+)
+from protocol.errors import UsageError
+from protocol.wire.messages import COUNTS_MAX, Law
+
+_ADC_BITS = 10
+_ADC_MAX = 1023
+_REFERENCE_V = 3.3  # AREF
+_AMPERE_PER_V = 1.0 / 30.0  # of the current amplifier
+DRIVER = (1.41353993, -15.4070873, 389.266686, -11.7613432)  # code = d3 u^3 + d2 u^2 + d1 u + d0, u in V
+_SEGMENTS = 64
+_ADC_STEP, _INPUT_STEP = 1024 // _SEGMENTS, 4096 // _SEGMENTS
+_GAP_BOTTOM_MM = 17.0  # coil to the magnet on the ground, x = 0
+_GAP_TOP_MM = 12.0  # at the ceiling, x = 5 mm
+
+CURRENT = ConverterScale(offset=0.0, lsb=_REFERENCE_V * _AMPERE_PER_V / 4096.0)
+POSITION = ConverterScale(offset=-0.25e-3, lsb=6.25e-3 / 4096.0)
+INPUT = ConverterScale(offset=0.0, lsb=10.0 / 4096.0)
+LIMITS = FlashLimits(
+    x_ref_min=POSITION.to_count(0.5e-3),
+    x_ref_max=POSITION.to_count(4.5e-3),
+    x_ref_step=POSITION.span(2.5e-3),
+    x_ref_slew=POSITION.span(20e-3),
+    u_max=COUNTS_MAX,
+)
+K_LQI = (30.0, 5200.0, 38.0, -39000.0)
+OPERATING_POINT = (0.02112, 2.5e-3, 4.115)  # i_0 = m g y^4 / K at a gap y of 14.5 mm, x_0, u_0 = R i_0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HallCurve:
+    """Gap in mm = scale * (field in gauss)^power; field = (zero - pin) * sensitivity."""
+
+    scale_mm: float = 3.2331
+    power: float = 0.220571
+    zero_v: float = 2.5
+    gauss_per_v: float = 800.0
+
+    @classmethod
+    def through(cls, ground_m: float, ceiling_m: float) -> HallCurve:
+        """The curve of a shield on which the usual one reads these two positions at gaps of 17 and 12 mm.
+
+        Raises:
+            UsageError: the readings are not those of a magnet that lies on the ground and one at the ceiling.
+        """
+        low, high = POSITION.offset, POSITION.to_si(COUNTS_MAX)
+        for x_m in (ground_m, ceiling_m):
+            if not low < x_m < high:
+                raise UsageError(
+                    f"x = {x_m:g} m is no reading within the range of the converter, {low:g} to {high:g} m",
+                    remedy="At its end: turn the magnet over, and see that it lies in the tube",
+                )
+        if ceiling_m - ground_m < 2e-3:
+            raise UsageError(
+                f"From x = {ground_m:g} to {ceiling_m:g} m the magnet has hardly moved",
+                remedy="Read x with the magnet on the ground and at the ceiling, in metres",
+            )
+        ground, ceiling = cls().gauss(ground_m), cls().gauss(ceiling_m)
+        power = math.log(_GAP_BOTTOM_MM / _GAP_TOP_MM) / math.log(ground / ceiling)
+        return cls(scale_mm=_GAP_TOP_MM / ceiling**power, power=power)
+
+    def gauss(self, x_m: float) -> float:
+        """Field of the magnet at a position."""
+        return float(((_GAP_BOTTOM_MM - x_m * 1e3) / self.scale_mm) ** (1.0 / self.power))
+
+    def x_m(self, pin_v: float) -> float:
+        """Position, up from the ground; infinite where the field is not that of the magnet."""
+        gauss = (self.zero_v - pin_v) * self.gauss_per_v
+        return (_GAP_BOTTOM_MM - self.scale_mm * gauss**self.power) * 1e-3 if gauss > 0.0 else math.inf
+
+
+def position_table(curve: HallCurve) -> tuple[int, ...]:
+    """Counts of x at each 16th code of the converter, 0 to 1024."""
+    return tuple(
+        POSITION.to_count(curve.x_m(code * _REFERENCE_V / (_ADC_MAX + 1))) for code in range(0, 1025, _ADC_STEP)
+    )
+
+
+def input_table(driver: tuple[float, float, float, float] = DRIVER) -> tuple[int, ...]:
+    """Codes of the input converter at each 64th count of u_c, 0 to 4096; 0 at 0, so that the coil can be off."""
+    d3, d2, d1, d0 = driver
+    volts = (INPUT.lsb * count for count in range(0, 4097, _INPUT_STEP))
+    codes = [min(max(round(((d3 * u + d2) * u + d1) * u + d0), 0), COUNTS_MAX) for u in volts]
+    return (0, *codes[1:])
+
+
+def between(table: tuple[int, ...], at: int, bits: int) -> int:
+    """The table at `at`, entries 2^bits apart: a straight line, rounded down."""
+    low, high = table[at >> bits], table[(at >> bits) + 1]
+    return low + ((high - low) * (at & (1 << bits) - 1) >> bits)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MagnetoShieldProfile(BoardProfile):
+    """Volts at A2 and A3 and codes of the MCP4725 on the pins; tables between them and the counts."""
+
+    positions: tuple[int, ...]
+    inputs: tuple[int, ...]
+
+    def adc_code(self, pin: float, *, current: bool) -> int:
+        """Return the code of the converter for a pin, V."""
+        return min(max(math.floor(pin / _REFERENCE_V * (_ADC_MAX + 1) + 0.5), 0), _ADC_MAX)
+
+    def current_count(self, pin: float) -> int:
+        """Return the count of i_c."""
+        code = self.adc_code(pin, current=True)
+        return code << 2 | code >> 8
+
+    def position_count(self, pin: float) -> int:
+        """Return the count of x."""
+        return between(self.positions, self.adc_code(pin, current=False), 4)
+
+    def input_pin(self, count: int) -> float:
+        """Return the code of the input converter."""
+        return float(between(self.inputs, count, 6))
+
+    def dac_pin(self, code: int) -> float:
+        """Return the code as it is."""
+        return float(code)
+
+
+def magnetoshield(curve: HallCurve | None = None) -> MagnetoShieldProfile:
+    """The profile with the calibration of a Hall sensor; that of the examples without one."""
+    return MagnetoShieldProfile(
+        current=CURRENT,
+        position=POSITION,
+        input=INPUT,
+        limits=LIMITS,
+        gains=gains_in_counts(Law.LQI, K_LQI, OPERATING_POINT, (CURRENT, POSITION, INPUT)),
+        build=b"magneto",
+        adc_bits=_ADC_BITS,
+        program="magnetoshield.h",
+        positions=position_table(curve or HallCurve()),
+        inputs=input_table(),
+    )
+
+
+def header(profile: MagnetoShieldProfile) -> str:
+    """The profile as the C header that `firmware/avr/store.c` and `hardware.c` include."""
+    scales = (profile.current, profile.position, profile.input)
+    scalings = struct.pack("<6f", *(number for scale in scales for number in (scale.offset, scale.lsb)))
+    gains, limits = profile.gains, profile.limits
+    numbers = (limits.x_ref_min, limits.x_ref_max, limits.x_ref_step, limits.x_ref_slew, limits.u_max)
+    return "\n".join(
+        (
+            "/* A MagnetoShield (R3, R4): written by gateway/emulator/firmware/magnetoshield.py, `header`; the numbers",
+            " * are explained there and in ../magnetoshield.md. */",
+            f"#define PROFILE_FIRMWARE {FIRMWARE[0]}, {FIRMWARE[1]}, {profile.adc_bits}, {DAC_BITS}",
+            "#define PROFILE_SCALINGS \\",
+            _rows([f"0x{byte:02X}" for byte in scalings], 8),
+            "#define PROFILE_BUILD " + ", ".join(f"0x{byte:02X}" for byte in profile.build.ljust(8)[:8]),
+            f"#define PROFILE_GAINS {int(gains.law)}, {_braced(gains.shifts)}, {_braced(gains.mantissas)}, "
+            f"{gains.i_0}, {gains.x_0}, {gains.u_0}",
+            f"#define PROFILE_LIMITS {', '.join(map(str, numbers))}",
+            "/* Counts of x at each 16th code of A3. */",
+            "#define POSITION_TABLE \\",
+            _rows([str(entry) for entry in profile.positions], 13),
+            "/* Codes of the MCP4725 at each 64th count of u_c. */",
+            "#define INPUT_TABLE \\",
+            _rows([str(entry) for entry in profile.inputs], 13),
+            "",
+        )
+    )
+
+
+def _braced(numbers: tuple[int, ...]) -> str:
+    return "{" + ", ".join(map(str, numbers)) + "}"
+
+
+def _rows(numbers: list[str], width: int) -> str:
+    rows = [", ".join(numbers[at : at + width]) for at in range(0, len(numbers), width)]
+    return ", \\\n".join(f"    {row}" for row in rows)

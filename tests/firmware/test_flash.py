@@ -1,0 +1,181 @@
+"""`board51 flash`: what it gives avrdude, which here is a program on PATH that writes down what it was called with."""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import board51
+from gateway.emulator.chip.avr.build import compile_image, hex_of, load
+from gateway.emulator.firmware.flash import BoardProfile
+from gateway.emulator.firmware.magnetoshield import HallCurve, header, magnetoshield
+from gateway.emulator.plant.magnetoshield import EmulatedMagnetoShield
+from protocol.errors import ServiceError, UsageError
+from tests.harness.firmware.avr_bench import skip_without_avr
+
+PROFILE = magnetoshield()
+
+
+@pytest.fixture
+def port() -> Iterator[str]:
+    """A serial device with nobody behind it."""
+    master, slave = os.openpty()
+    yield os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
+
+
+class Flash:
+    """`board51 flash` with an avrdude that keeps its arguments and the image, and ends with `code`."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+        self.folder, self._capsys = folder, capsys
+        self.install()
+        monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
+
+    def install(self, *, code: int = 0, said: str = "") -> None:
+        program = self.folder / "avrdude"
+        program.write_text(
+            f'#!/bin/sh\necho "$@" > {self.folder}/called\nfor word; do :; done\nimage="${{word#flash:w:}}"\n'
+            f'cp "${{image%:i}}" {self.folder}/image.hex\necho "{said}" >&2\nexit {code}\n'
+        )
+        program.chmod(0o755)
+
+    @property
+    def called(self) -> list[str] | None:
+        """What avrdude was called with."""
+        kept = self.folder / "called"
+        return kept.read_text().split() if kept.exists() else None
+
+    def __call__(self, *words: str) -> tuple[int, str, str]:
+        """Exit code, stdout, stderr."""
+        code = board51.main(["flash", "--board", "magnetoshield", *words])
+        said = self._capsys.readouterr()
+        return code, said.out, said.err
+
+
+@pytest.fixture
+def flash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Flash:
+    return Flash(tmp_path, monkeypatch, capsys)
+
+
+def test_it_gives_avrdude_the_image_of_the_profile_and_the_port(flash: Flash, port: str) -> None:
+    skip_without_avr()
+
+    code, _, err = flash("--port", port)
+
+    assert (code, err) == (0, "")
+    words = flash.called
+    assert words is not None
+    assert words[:11] == ["-q", "-p", "atmega328p", "-c", "arduino", "-b", "115200", "-P", port, "-D", "-U"]
+    expected = flash.folder / "expected.hex"
+    hex_of(expected, profile=PROFILE.program)
+    assert (flash.folder / "image.hex").read_bytes() == expected.read_bytes()
+
+
+def test_what_avrdude_says_is_passed_on(flash: Flash, port: str) -> None:
+    skip_without_avr()
+    flash.install(code=1, said="avrdude: stk500_recv(): not in sync: resp=0x00")
+
+    code, _, err = flash("--port", port)
+
+    assert code == ServiceError.exit_code
+    assert "not in sync" in err
+    assert err.count("\n") == 1
+
+
+def test_a_dry_run_touches_no_port_and_prints_the_command(flash: Flash) -> None:
+    skip_without_avr()
+
+    code, out, _ = flash("--port", "/dev/ttyNobody", "--dry-run", "--json")
+
+    told = json.loads(out)
+    assert (code, told["command"][9], told["command"][0]) == (0, "/dev/ttyNobody", "avrdude")
+    assert 10_000 < told["bytes"] < told["of"]
+    assert flash.called is None
+
+
+def test_the_image_can_be_had_for_another_programmer(flash: Flash) -> None:
+    skip_without_avr()
+
+    code, _, err = flash("--out", str(flash.folder / "firmware.hex"))
+
+    assert (code, err) == (0, "")
+    lines = (flash.folder / "firmware.hex").read_text().splitlines()
+    assert lines[0].startswith(":10000000")
+    assert lines[-1] == ":00000001FF"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "No port is given"),
+        (["--port", "/dev/ttyNobody"], "There is no /dev/ttyNobody"),
+        (["--port", "/dev/null"], "/dev/null"),
+        (["--port", "socket://10.0.0.5:4001"], "not a device of this computer"),
+        (["--dry-run", "--x-ground", "0"], "One of the two readings is missing"),
+        (["--dry-run", "--x-ground", "0", "--x-ceiling", "5"], "range of the converter"),
+        (["--dry-run", "--baud", "230400"], "within 2.5 %"),
+        (["--dry-run", "--baud", "7"], "out of range"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_a_line(words: list[str], said: str, flash: Flash) -> None:
+    skip_without_avr()
+
+    code, _, err = flash(*words)
+
+    assert code == 2
+    assert said in err
+    assert err.count("\n") == 1
+    assert flash.called is None
+
+
+def test_without_compiler_or_avrdude_it_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flash: Flash, port: str
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path / "nothing"))
+
+    without_avrdude = flash("--port", port)
+    without_compiler = flash("--dry-run")
+
+    assert (without_avrdude[0], without_compiler[0]) == (2, 2)
+    assert "apt-get install avrdude" in without_avrdude[2]
+    assert "gcc-avr" in without_compiler[2]
+
+
+def test_two_readings_calibrate_a_shield_whose_sensor_differs() -> None:
+    # Another Hall sensor, nearer and less sensitive: what it makes of the position is 4 % less and 0.1 mm more.
+    plant = EmulatedMagnetoShield(effects={"position-sensor-gain": 0.96, "position-sensor-offset": 1e-4})
+
+    def read(profile: BoardProfile, x_m: float) -> float:
+        plant.place(x_m)
+        pins = [plant.sense()[1] for _ in range(400)]
+        return statistics.mean(profile.position.to_si(profile.position_count(pin)) for pin in pins)
+
+    ground, ceiling = read(PROFILE, 0.0), read(PROFILE, 5e-3)
+    assert abs(ceiling - 5e-3) > 8e-5
+    calibrated = magnetoshield(HallCurve.through(ground, ceiling))
+    for x_m in (0.0, 1e-3, 2.5e-3, 4e-3, 5e-3):
+        assert read(calibrated, x_m) == pytest.approx(x_m, abs=3e-5)
+
+
+def test_readings_that_calibrate_nothing_are_refused() -> None:
+    for ground, ceiling, said in ((2e-3, 2.1e-3, "hardly moved"), (-0.3e-3, 5e-3, "range of the converter")):
+        with pytest.raises(UsageError, match=said):
+            HallCurve.through(ground, ceiling)
+
+
+def test_a_calibration_is_in_the_image(tmp_path: Path) -> None:
+    skip_without_avr()
+    profile = magnetoshield(HallCurve.through(-1e-4, 4.7e-3))
+    (tmp_path / "profile.h").write_text(header(profile))
+
+    compile_image(tmp_path / "avr.elf", profile=str(tmp_path / "profile.h"))
+
+    table = b"".join(count.to_bytes(2, "little") for count in profile.positions)
+    assert table in load(tmp_path / "avr.elf").code
