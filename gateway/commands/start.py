@@ -18,6 +18,7 @@ import webbrowser
 from collections.abc import Iterator
 from pathlib import Path
 
+from gateway.access.listeners import endpoint_host, is_loopback
 from gateway.processes.supervisor import Service, running
 from gateway.views.listen import address
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
@@ -60,6 +61,12 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--effect changes the emulated plant", remedy="Give it with --emulated")
     page = address(args.page, where="--page:")
     check_endpoint(args.listen, where="--listen")
+    for host, what in ((page[0], f"--page {args.page}"), (endpoint_host(args.listen)[1], f"--listen {args.listen}")):
+        if not is_loopback(host):
+            raise UsageError(
+                f"{what} would be open to the network, and this command has no logins",
+                remedy="Take an address of this machine alone, or board51 gateway --security DIR --hmi, and twin",
+            )
     _check_free(page, option="--page ")
     if args.listen.startswith("tcp/"):
         _check_free(address(args.listen.removeprefix("tcp/"), where="--listen:"), option="--listen tcp/")

@@ -57,6 +57,8 @@ def children_of(pid: int) -> list[int]:
         ([], "one of the arguments --emulated --board is required"),
         (["--board", "/dev/ttyUSB0", "--effect", "coulomb-friction=1e-3"], "Give it with --emulated"),
         (["--emulated", "--page", "here"], "--page"),
+        (["--emulated", "--page", "0.0.0.0:0"], "open to the network"),
+        (["--emulated", "--listen", "tcp/0.0.0.0:7447"], "board51 gateway --security DIR"),
         (["--emulated", "--log-dir", "/dev/null/logs"], "Give another --log-dir"),
     ],
 )
