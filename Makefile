@@ -35,7 +35,7 @@ test: setup
 # The rest, half an hour: samples of hidden campaigns, coverage of intervals, long flights, the demo, browsers over a
 # failing network.
 test-slow: setup
-	$(BIN)/pytest -n 3 --dist loadgroup $(PYTEST_ARGS) -m slow
+	$(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS) -m slow
 
 # Half an hour: see tests/README.md.
 mutants: setup

@@ -32,11 +32,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)  # xdist reads the groups in the same hook
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Tests that share a fixture of their module run in one process: four processes would make it four times.
-
-    The longest of all begins first: begun last, it would run alone.
-    """
-    items.sort(key=lambda item: item.get_closest_marker("longest") is None)
+    """Tests that share a fixture of their module run in one process: four processes would make it four times."""
     for item in items if hasattr(config, "workerinput") else []:
         if isinstance(item, pytest.Function) and not any(item.iter_markers("xdist_group")):
             made = item._fixtureinfo.name2fixturedefs.values()
