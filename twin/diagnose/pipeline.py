@@ -72,7 +72,7 @@ def diagnose(
         campaign: of `Campaign.load`.
         data: folder of the recordings, if it is not that of the campaign.
         model: the reference model to diagnose; None: the paper's model, fitted to the campaign.
-        quick: fit fewer candidates to shorter flights, without confounders of several causes and without a change
+        quick: fit fewer candidates to shorter flights, with few confounders of several causes and without a change
             point; confidence is then not calibrated.
         share: smallest part of the deviance above the noise floor that a cause must explain; below the default,
             confidence is not calibrated.

@@ -84,7 +84,7 @@ def _banners(found: Diagnosis, show: Show) -> list[str]:
     lines = []
     if found.quick:
         lines.append(
-            "Made with --quick: confounders of several causes were not searched for, and the confidence of several is"
+            "Made with --quick: few confounders of several causes were searched for, and the confidence of several is"
             " not calibrated."
         )
     if found.budget.unanswered:

@@ -16,7 +16,7 @@ from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
-from twin.diagnose.inference.theta import reinitialised
+from twin.diagnose.inference.theta import parameter_of, prior_spread, reinitialised
 from twin.diagnose.search import periodic
 from twin.diagnose.search.candidate_fits import Trial, fitted, inside, renamed, rises, same_as
 from twin.diagnose.search.candidate_starts import beside
@@ -39,6 +39,9 @@ def find_classes(
 ) -> Selection:
     """Find the class of each selected cause and the best candidate outside it; the arguments are those of `select`.
 
+    With `quick` and several causes, the last has the equals of its own forward step, and few candidates are tried in
+    the place of the others: those were taken when the later ones were missing.
+
     With `floor`, if several causes leave more than noise, one of them may be false: the last is examined first, and
     all candidates are fitted, whatever their score.  Beside a friction that is not yet right a true
     cause had a fifteenth of its gain there.
@@ -51,7 +54,7 @@ def find_classes(
     if 1 < len(found.causes) <= settings.MOST_TOGETHER and not quick:
         found = found.knowing(criterion.each(partial(without, criterion, found), found.causes))
     for cause in found.causes[::-1] if doubtful() else found.causes:
-        if quick and len(found.causes) > 1:
+        if quick and len(found.causes) > 1 and _is_last(found, cause):
             own = Trial(cause=cause, fit=found.fit, gain=found.gains[cause])
             same = same_as(cause) & {entry.name for entry in candidates}
             equals = [renamed(own, other) for other in sorted(same)] + _equals_when_taken(found, cause, same)
@@ -61,17 +64,36 @@ def find_classes(
                 runner_up={**found.runner_up, cause: found.gains[cause]},
             )
             continue
-        found, changed = _class_of(criterion, found, floor, cause, candidates, few, doubtful(), say)
+        most = 1 if quick else few
+        found, changed = _class_of(criterion, found, floor, cause, candidates, most, doubtful(), say)
         if changed:
-            return find_classes(criterion, found, floor, candidates=candidates, few=few, say=say)
+            return find_classes(criterion, found, floor, candidates=candidates, few=few, quick=quick, say=say)
     return found
 
 
+def _refitted(criterion: Criterion, fit: Fit, cause: str) -> Fit:
+    """The better of a fit and one from the usual form of all causes but `cause`.
+
+    Beside the false cause they took a form that made up for its errors.
+    """
+    others = [name for name in fit.free if math.isfinite(prior_spread(name)) and not name.startswith(cause + ".")]
+    if not others:
+        return fit
+    start = reinitialised(fit.theta)
+    for name in others:
+        start = start.having(name, parameter_of(name).neutral)
+    again = climb(criterion, start, fit.free)
+    return again if again.loglik > fit.loglik else fit
+
+
+def _is_last(found: Selection, cause: str) -> bool:
+    """Whether `cause` was taken last: its rivals were fitted beside all others then."""
+    return next((step.taken == cause for step in reversed(found.rounds) if step.taken), False)
+
+
 def _equals_when_taken(found: Selection, cause: str, same: Collection[str]) -> list[Trial]:
-    """The candidates that explained as much as `cause` when it was taken, if it was the last: without a further fit."""
-    last = next((step for step in reversed(found.rounds) if step.taken), None)
-    if last is None or last.taken != cause:
-        return []
+    """The candidates that explained as much as the last cause when it was taken: without a further fit."""
+    last = next(step for step in reversed(found.rounds) if step.taken == cause)
     least = max(trial.gain for trial in last.trials if trial.cause == cause) - settings.EQUIVALENT_GAIN
     others = (trial for trial in last.trials if trial.cause not in (*found.causes, *same))
     return [trial for trial in others if trial.gain > least and inside(trial)]
@@ -161,8 +183,10 @@ def _class_of(
         say(f"{trials[0].cause} explains more than {cause} beside the others: it takes its place")
         best = trials[0]
         causes = tuple(best.cause if name == cause else name for name in found.causes)
-        rephased = periodic.CAUSE.name in causes
-        fit = periodic.rephased(criterion, best.fit, settings.PASSES) if rephased else best.fit
+        if periodic.CAUSE.name in causes:
+            fit = periodic.rephased(criterion, best.fit, settings.PASSES)
+        else:
+            fit = _refitted(criterion, best.fit, best.cause)
         gains = {name: gain for name, gain in {**found.gains, best.cause: best.gain}.items() if name != cause}
         found = replace(found, causes=causes, fit=fit, gains=gains)
         trials = [own, *trials[1:]]

@@ -50,7 +50,8 @@ def select(
         floor: what sensor noise alone leaves, under any model.
         candidates: the causes to try.
         few: candidates that are fitted in a round.
-        quick: skip combinations of causes that explain too little alone, and classes where several causes were found.
+        quick: skip combinations of causes that explain too little alone, and most of the class search where several
+            causes were found.
         share: smallest part of the unexplained rest that a cause must explain; below LEAST_SHARE more causes are
             selected, too.
         classes: whether to find the equivalence classes; otherwise `find_classes` can do so later.

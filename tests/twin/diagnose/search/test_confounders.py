@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 
+from protocol.campaign import load
+from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, narrow, strong
 from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.noise_floor import floor_of
 from twin.diagnose.inference.theta import BASE, STOPS, coordinates_of, reinitialised
+from twin.diagnose.pipeline import diagnose
 from twin.diagnose.search.candidate_starts import start_of
 from twin.diagnose.search.equivalence import find_classes
 from twin.diagnose.search.forward_step import Round
@@ -98,3 +102,18 @@ def test_a_candidate_starts_with_the_numbers_of_the_causes_that_stood_in_for_it(
 
     assert at.theta.value("current-sensor-offset.offset_a") < -0.12
     assert min(gains) > 0.0
+
+
+@pytest.mark.slow
+def test_quick_gives_the_first_of_two_causes_the_place_of_one_that_explains_more_beside_the_second(
+    tmp_path: Path,
+) -> None:
+    """Alone, a bent force law takes up some of the friction; beside the friction the plain gap is better."""
+    make_campaign(tmp_path, effects={FRICTION: 3e-3}, seed=41, plant="emulator", quick=True, x_max="travel")
+
+    found = diagnose(load(tmp_path), quick=True)
+
+    assert [cause.name for cause in found.causes] == [GAP, FRICTION]
+    friction = found.causes[1].parameters["force_n"]
+    assert friction.std is not None
+    assert abs(friction.value - 3e-3) < 3.0 * friction.std
