@@ -441,18 +441,20 @@ class TwinState(_message.Message):
     def __init__(self, sequence: _Optional[int] = ..., tick: _Optional[int] = ..., session: _Optional[int] = ..., t_s: _Optional[float] = ..., i_c_a: _Optional[float] = ..., x_m: _Optional[float] = ..., v_m_s: _Optional[float] = ..., u_c_v: _Optional[float] = ..., x_ref_m: _Optional[float] = ..., sync: _Optional[str] = ..., bridged_ticks: _Optional[int] = ...) -> None: ...
 
 class SignalDivergence(_message.Message):
-    __slots__ = ("error", "normalised", "rolling_rmse", "fit_percent", "window_full")
+    __slots__ = ("error", "normalised", "rolling_rmse", "rolling_mean", "fit_percent", "window_full")
     ERROR_FIELD_NUMBER: _ClassVar[int]
     NORMALISED_FIELD_NUMBER: _ClassVar[int]
     ROLLING_RMSE_FIELD_NUMBER: _ClassVar[int]
+    ROLLING_MEAN_FIELD_NUMBER: _ClassVar[int]
     FIT_PERCENT_FIELD_NUMBER: _ClassVar[int]
     WINDOW_FULL_FIELD_NUMBER: _ClassVar[int]
     error: float
     normalised: float
     rolling_rmse: float
+    rolling_mean: float
     fit_percent: float
     window_full: bool
-    def __init__(self, error: _Optional[float] = ..., normalised: _Optional[float] = ..., rolling_rmse: _Optional[float] = ..., fit_percent: _Optional[float] = ..., window_full: _Optional[bool] = ...) -> None: ...
+    def __init__(self, error: _Optional[float] = ..., normalised: _Optional[float] = ..., rolling_rmse: _Optional[float] = ..., rolling_mean: _Optional[float] = ..., fit_percent: _Optional[float] = ..., window_full: _Optional[bool] = ...) -> None: ...
 
 class Divergence(_message.Message):
     __slots__ = ("sequence", "tick", "session", "t_s", "sync", "x_m", "i_c_a", "u_c_v", "innovation_x_m", "innovation_i_c_a", "nis", "nis_mean", "bridged_ticks", "nis_on", "innovation_valid")

@@ -18,6 +18,7 @@ from twin.diagnose.judge.account import Account, Verdict
 from twin.diagnose.judge.prediction_gain import Gain
 from twin.diagnose.remainder.remainder import Remainder
 from twin.diagnose.search.state import Selection
+from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Model, Parameter
 
 
@@ -177,6 +178,7 @@ def _finding(cause: Finding) -> dict[str, Any]:
         ],
         "share_of_excess_explained": _number(cause.share_of_excess_explained),
         "log_likelihood_gain": _number(cause.loglik_gain),
+        "at_the_rig": {"confirm": BY_NAME[cause.name].confirm, "cure": BY_NAME[cause.name].cure},
         "begins_in": cause.begins_in or None,
         "ends_after": cause.ends_after or None,
         "next_experiment": None
@@ -198,8 +200,6 @@ def _finding(cause: Finding) -> dict[str, Any]:
 
 def fit_parameters(fit: Fit, cause: str, std: Mapping[str, float]) -> dict[str, Parameter]:
     """The parameters of one cause of a fit, with intervals."""
-    from twin.model.causes.catalogue import BY_NAME
-
     found = {}
     for parameter in BY_NAME[cause].parameters:
         value = fit.theta.value(f"{cause}.{parameter.name}")

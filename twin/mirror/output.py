@@ -93,8 +93,8 @@ class Output:
         (_, _, _, _, valid), _, of_x, of_i, _, _, _ = answer
         if row == 0:  # the innovation
             return valid
-        _, normalised, _, _, _ = of_x if row == 1 else of_i
-        return self.sync == IN_STEP and self._sample.closed_loop and math.isfinite(normalised)
+        figures = of_x if row == 1 else of_i
+        return self.sync == IN_STEP and self._sample.closed_loop and math.isfinite(figures[1])
 
     def _compared(self) -> pb.Divergence:
         sample, answer = self._sample, self._answer
@@ -121,4 +121,5 @@ class Output:
 
 
 def _fill(signal: pb.SignalDivergence, figures: Figures) -> None:
-    signal.error, signal.normalised, signal.rolling_rmse, signal.fit_percent, signal.window_full = figures
+    signal.error, signal.normalised, signal.rolling_rmse = figures[:3]
+    signal.rolling_mean, signal.fit_percent, signal.window_full = figures[3:]

@@ -77,7 +77,7 @@ def step(twin: Packed, yardstick: Packed, tick: Packed) -> Answer:
     n_i, n_x, nis, valid = observe(t.observer, now.follows, now.usable, now.i, now.x, now.u)
     nis_mean, of_innovation = judge_innovation(w, n_i, n_x, nis, valid, by.on_nis, by.off_nis)
     flight = (math.nan, math.nan, math.nan, math.nan)
-    of_x = of_i = of_u = (math.nan, math.nan, math.nan, math.nan, False)
+    of_x = of_i = of_u = (math.nan, math.nan, math.nan, math.nan, math.nan, False)
     if now.flying:
         flight = advance(t.plant, t.law, t.free, now.closed_loop, now.x_ref, now.u)
         of_x = figures(w, X, now.x, flight[1], by.std_x, now.in_step)

@@ -35,6 +35,10 @@ SUMMARY_MAX_BYTES = 200_000_000  # a larger log takes minutes
 _EVERYTHING = tuple(
     word for topic in topics.TOPICS if topic.bus and topic.logged for word in ("--topic", topic.name)
 )  # a replay shows what was seen, the twin of then included
+_ENDED_AS = {  # the act that whoever ends a job of this kind must be allowed
+    "record": "recording", "campaign": "stop", "replay": "read",
+    "identify": "diagnose", "diagnose": "diagnose", "hand-over": "use_model",
+}  # fmt: skip
 _logger = logging.getLogger("gateway.hmi")
 
 
@@ -117,12 +121,12 @@ class Actions:
 
     def _sent(self, session: LoginSession, board: str, send: Callable[[str, str], pb.CommandReply]) -> pb.CommandReply:
         if self.feed.board(board) is None:
-            return _refusal("no-board", f"No message has come from a board {board[:32]!r}.")
+            return refusal("no-board", f"No message has come from a board {board[:32]!r}.")
         try:
             return send(session.name, self.role(session).word)
         except Exception as error:  # a bus that closed under us must not look like an accepted command
             _logger.warning("command of %s to %s: %s", session.name, board, error)
-            return _refusal("not-delivered", f"The bus did not take the command: {error}.")
+            return refusal("not-delivered", f"The bus did not take the command: {error}.")
 
     def acknowledge(self, session: LoginSession, board: str, alarm: str) -> pb.CommandReply:
         """Acknowledge an alarm."""
@@ -147,25 +151,15 @@ class Actions:
         name = slug(title)[:16] or "rec"
         words = ["record", "--out", str(self._data / "recordings"), "--prefix", f"{name}-{board}"[:32].rstrip("-_"),
                  "--board", board, *self._routes.live(ACCOUNT)]  # fmt: skip
-        return self._start(session, "recording", "record", board, words, title=title or "recording")
-
-    def start_campaign(
-        self, session: LoginSession, board: str, *, quick: bool = False, investigate: bool = False
-    ) -> pb.CommandReply:
-        """The paper's experiments into a new folder; or those that a diagnosis asks for, one after the other."""
-        folder = self._data / "campaigns" / f"{board}-{time.strftime('%Y%m%d-%H%M%S')}"
-        what = ["investigate", board, "--out", str(folder)]
-        words = [*(what if investigate else ["campaign", "run", str(folder), "--board", board]), "--who", session.name,
-                 *["--quick"] * quick, *self._routes.live(session.name)]  # fmt: skip
-        return self._start(session, "campaign", "campaign", board, words, title=folder.name)
+        return self.start_job(session, "recording", "record", board, words, title=title or "recording")
 
     def start_replay(self, session: LoginSession, log: str, speed: float) -> pb.CommandReply:
         """A log onto the replay site, with everything that travelled on the bus."""
         entry = self.logs.find(log)
         if entry is None:
-            return _refusal("no-log", "There is no such log.")
+            return refusal("no-log", "There is no such log.")
         words = ["replay", str(entry.path), "--speed", f"{speed:g}", *self._routes.replayed(), *_EVERYTHING]
-        return self._start(session, "read", "replay", "*", words, title=entry.name)
+        return self.start_job(session, "read", "replay", "*", words, title=entry.name)
 
     def summary(self, entry: LibraryFile) -> str:
         """What a log holds, as `board51 info` says it."""
@@ -182,30 +176,31 @@ class Actions:
 
     def stop_job(self, session: LoginSession, kind: str, board: str) -> pb.CommandReply:
         """Interrupt a job; a campaign parks the ball."""
-        act = {"record": "recording", "campaign": "stop", "replay": "read"}.get(kind, "")
+        act = _ENDED_AS.get(kind, "")
         refused = self._refused(session, act)
         if refused is not None:
             return refused
         if self.jobs.stop(kind, board):
             return pb.CommandReply(accepted=True, text="It ends now.")
-        return _refusal("not-running", "Nothing of that kind is running.")
+        return refusal("not-running", "Nothing of that kind is running.")
 
-    def _start(
+    def start_job(
         self, session: LoginSession, act: str, kind: str, board: str, words: list[str], *, title: str
     ) -> pb.CommandReply:
+        """Start `board51 WORDS` for a user who may do `act`; one job of a kind and board at a time."""
         refused = self._refused(session, act)
         if refused is not None:
             return refused
         if board != "*" and self.feed.board(board) is None:
-            return _refusal("no-board", f"No message has come from a board {board[:32]!r}.")
+            return refusal("no-board", f"No message has come from a board {board[:32]!r}.")
         try:
             if kind != "replay":
                 self._data.mkdir(parents=True, exist_ok=True)
             self.jobs.start(kind, board, words, title=title, who=session.name)
         except Board51Error as error:
-            return _refusal("busy", str(error))
+            return refusal("busy", str(error))
         except OSError as error:
-            return _refusal("failed", f"It cannot be started: {error.strerror}.")
+            return refusal("failed", f"It cannot be started: {error.strerror}.")
         _logger.info("%s started a %s of %s: %s", session.name, kind, board, title)
         return pb.CommandReply(accepted=True, text=f"{title}: started")
 
@@ -213,10 +208,10 @@ class Actions:
         """Return the refusal, or None if the action is allowed.  An action restarts the idle time."""
         now_s = self._clock()
         if not self.sessions.is_open(session, now_s):
-            return _refusal("session-over", "The session is over: log in again.")
+            return refusal("session-over", "The session is over: log in again.")
         self.sessions.acted(session, now_s)
         if not may(self.role(session), act):
-            return _refusal("not-allowed", refusal_text(session.name, session.role, act))
+            return refusal("not-allowed", refusal_text(session.name, session.role, act))
         return None
 
 
@@ -225,5 +220,6 @@ def slug(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
 
 
-def _refusal(reason: str, text: str) -> pb.CommandReply:
+def refusal(reason: str, text: str) -> pb.CommandReply:
+    """A refusal by the page."""
     return pb.CommandReply(refused_by="hmi", reason=reason, text=text)

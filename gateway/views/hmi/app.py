@@ -32,6 +32,7 @@ from gateway.views.hmi.html.pages import REPLAY, Pages
 from gateway.views.hmi.jobs import Jobs
 from gateway.views.hmi.library import Library
 from gateway.views.hmi.live import STUCK_S, Live, Snapshots
+from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.requests import Requests
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from protocol.bus.identity import login_name
@@ -135,10 +136,11 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
         readers = Live(snapshots, sessions, jobs)
         sockets.append(WebSocketRoute(prefix, readers.overview))
         sockets.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
-    requests = Requests(actions, users)
+    work = ModelWork(actions, data=settings.data, logs=settings.logs, routes=settings.routes)
+    requests = Requests(actions, work, users)
     static = Mount("/static", StaticFiles(directory=STATIC))
     guard = Guard(
-        Starlette(lifespan=lifespan, routes=[static, *sockets, *requests.routes(), *Pages(actions).routes()]),
+        Starlette(lifespan=lifespan, routes=[static, *sockets, *requests.routes(), *Pages(actions, work).routes()]),
         sessions,
         newcomer=None if users is not None else lambda: _local(sessions),
         loopback=settings.loopback,

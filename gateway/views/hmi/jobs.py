@@ -1,4 +1,4 @@
-"""Jobs that a page starts: recordings, campaigns and replays, each a `board51` command in its own process.
+"""Jobs that a page starts (recordings, campaigns, diagnoses, replays ...), each a `board51` command in its own process.
 
 Rule 1: one job of a kind and board at a time; jobs end with this process, also after kill -9, and are interrupted as by
         Ctrl-C, so that a campaign parks the ball and a recording closes its file.
@@ -29,7 +29,7 @@ END_S = 15.0  # a campaign parks the ball in this time
 class Job:
     """One piece of work."""
 
-    kind: str  # "record" | "campaign" | "replay"
+    kind: str  # "record" | "campaign" | "replay" | "identify" | "diagnose" | "hand-over"
     board: str
     title: str
     who: str

@@ -4,7 +4,7 @@ POST /api/<board>/stop              no body; of <board> "*": every board; {"boar
 POST /api/<board>/command           a Command as protobuf's JSON: {"set_reference": {"x_ref_m": 0.003}}
 POST /api/<board>/acknowledge       {"name": "divergence-x"}
 POST /api/<board>/gains             a file; the command and the table that it makes, nothing is sent to the board
-POST /api/<board>/job               {"kind": "record" | "campaign" | "replay", "act": "start" | "stop", ...}
+POST /api/<board>/job               {"kind": "campaign" | "diagnose" | ..., "act": "start" | "stop", ...}, see _starts
 GET  /api/session                   the current user
 GET  /api/summary/<name>            summary of a log
 GET  /log/<name>, /report-file/<name>    a file that the lists name
@@ -36,6 +36,7 @@ from gateway.access.logins import Logins, TooMany
 from gateway.access.users import Users
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.guard import Guard, cookie_name, own_page, refusal
+from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
@@ -57,11 +58,13 @@ class Requests:
 
     Args:
         actions: does what is asked.
+        work: on models.
         users: Users who may log in; None: no login is needed.
     """
 
-    def __init__(self, actions: Actions, users: Users | None) -> None:
+    def __init__(self, actions: Actions, work: ModelWork, users: Users | None) -> None:
         self._actions = actions
+        self._starts = _starts(actions, work)
         self._logins = Logins(users) if users is not None else None
         self._stops = ThreadPoolExecutor(STOPS, thread_name_prefix="stop")
         self.guard: Guard | None = None  # makes the cookies; set once it stands
@@ -126,23 +129,22 @@ class Requests:
         return JSONResponse({"accepted": True, "law": law, "rows": rows, "command": {"set_gains": sent}})
 
     async def job(self, request: Request) -> Response:
-        """Start or stop a recording, a campaign or a replay."""
+        """Start or stop a job."""
         table = await _json(request) or {}
-        kind, act, board, actions = table.get("kind"), table.get("act"), request.path_params["board"], self._actions
-        if kind not in ("record", "campaign", "replay") or act not in ("start", "stop"):
-            return refusal(
-                400, "malformed", 'Give {"kind": "record" | "campaign" | "replay", "act": "start" | "stop"}.'
-            )
+        kind, act, board, actions = (
+            str(table.get("kind")),
+            table.get("act"),
+            request.path_params["board"],
+            self._actions,
+        )
+        if kind not in self._starts or act not in ("start", "stop"):
+            kinds = " | ".join(f'"{one}"' for one in self._starts)
+            return refusal(400, "malformed", f'Give {{"kind": {kinds}, "act": "start" | "stop"}}.')
 
         def do(session: LoginSession) -> pb.CommandReply:
             if act == "stop":
-                return actions.stop_job(session, str(kind), "*" if kind == "replay" else board)
-            if kind == "record":
-                return actions.start_recording(session, board, str(table.get("title") or ""))
-            if kind == "campaign":
-                wishes = {name: table.get(name) is True for name in ("quick", "investigate")}
-                return actions.start_campaign(session, board, **wishes)
-            return actions.start_replay(session, str(table.get("log") or ""), 1.0)
+                return actions.stop_job(session, kind, "*" if kind == "replay" else board)
+            return self._starts[kind](session, board, table)
 
         return await self._act(request, do)
 
@@ -222,6 +224,38 @@ class Requests:
     async def _act(self, request: Request, do: Callable[[LoginSession], pb.CommandReply]) -> Response:
         late = _late(request)
         return late if late is not None else _answer(await asyncio.to_thread(do, _session(request)))
+
+
+def _starts(
+    actions: Actions, work: ModelWork
+) -> dict[str, Callable[[LoginSession, str, dict[str, object]], pb.CommandReply]]:
+    """What starts a job, by its kind: (session, board, the request) -> answer."""
+
+    def word(table: dict[str, object], name: str) -> str:
+        return str(table.get(name) or "")
+
+    def campaign(session: LoginSession, board: str, table: dict[str, object]) -> pb.CommandReply:
+        if "experiment" in table:
+            prepared = table.get("prepared") is True
+            return work.add_experiment(
+                session, board, word(table, "campaign"), word(table, "experiment"), prepared=prepared
+            )
+        wishes = {name: table.get(name) is True for name in ("quick", "investigate")}
+        return work.start_campaign(session, board, **wishes)
+
+    def diagnose(session: LoginSession, board: str, table: dict[str, object]) -> pb.CommandReply:
+        if table.get("live") is True:
+            return work.diagnose_live(session, board)
+        return work.diagnose(session, board, word(table, "campaign"), quick=table.get("quick") is True)
+
+    return {
+        "record": lambda session, board, table: actions.start_recording(session, board, word(table, "title")),
+        "campaign": campaign,
+        "identify": lambda session, board, table: work.identify(session, board, word(table, "campaign")),
+        "diagnose": diagnose,
+        "hand-over": lambda session, board, table: work.hand_over(session, board, word(table, "model")),
+        "replay": lambda session, _board, table: actions.start_replay(session, word(table, "log"), 1.0),
+    }
 
 
 _WHAT = [field.name for field in pb.Command.DESCRIPTOR.oneofs_by_name["what"].fields]

@@ -8,10 +8,13 @@ from __future__ import annotations
 import math
 import re
 import time
+from collections.abc import Sequence
 from typing import Any
 
+from gateway.views.alarms import TWIN, Alarm
 from gateway.views.feed import BoardFeed
 from gateway.views.hmi.jobs import Job
+from gateway.views.hmi.model.numbers import SPOKEN, in_numbers
 from gateway.views.hmi.traces import number
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.decoder import CAUSES
@@ -74,7 +77,9 @@ def now(board: BoardFeed) -> dict[str, Any]:
 
 def rest(board: BoardFeed) -> dict[str, Any]:
     """Return health, limits, alarms, events and commands."""
+    alarms = board.alarms()
     return {
+        "wrong": _wrong(board, alarms),
         "status": _status(board),
         "limits": _limits(board.latest(pb.Parameters)),
         "model": _model(board.latest(pb.TwinModel)),
@@ -83,6 +88,7 @@ def rest(board: BoardFeed) -> dict[str, Any]:
                 "name": a.name,
                 "severity": a.severity,
                 "text": a.text,
+                "model": a.of_twin and a.name != TWIN,  # what to do about it is on the page of the model
                 "active": a.active,
                 "acknowledged": a.acknowledged,
                 "by": a.acknowledged_by,
@@ -90,7 +96,7 @@ def rest(board: BoardFeed) -> dict[str, Any]:
                 "value": number(a.value, 3) if a.value is not None else None,
                 "since": _clock(a.since_ns),
             }
-            for a in board.alarms()
+            for a in alarms
         ],
         "events": [
             {"at": _clock(e.host_time_ns), "source": e.source, "severity": e.severity, "name": e.name, "text": e.text}
@@ -100,10 +106,26 @@ def rest(board: BoardFeed) -> dict[str, Any]:
     }
 
 
+def _wrong(board: BoardFeed, alarms: Sequence[Alarm]) -> str:
+    """What the model gets wrong now, in numbers; empty where no alarm says that it does."""
+    divergence = board.latest(pb.Divergence)
+    if divergence is None or board.age_s(pb.Divergence) > TWIN_STALE_S:
+        return ""
+    since = {alarm.name: _clock(alarm.since_ns)[:5] for alarm in alarms if alarm.active}
+    said = (in_numbers(name, since[name], divergence) for name in SPOKEN if name in since)
+    return next(filter(None, said), "")
+
+
 def job(running: Job) -> dict[str, Any]:
     """What a page says of a job; a table's columns do not fit into a card: dots separate what stood in them."""
     lines = [_GAPS.sub(" \u00b7 ", line.strip()) for line in list(running.lines)[-LINES_SHOWN:]]
-    return {"title": running.title, "running": running.running, "standing": running.standing, "lines": lines}
+    return {
+        "title": running.title,
+        "who": running.who,
+        "running": running.running,
+        "standing": running.standing,
+        "lines": lines,
+    }
 
 
 def summary(board: BoardFeed) -> dict[str, Any]:

@@ -238,7 +238,7 @@ def test_an_alarm_is_listed_until_an_operator_has_seen_it(server: Server) -> Non
 
 
 def test_the_last_report_opens_and_can_reach_nothing(server: Server) -> None:
-    folder = server.folder / "data" / "diagnosis"
+    folder = server.folder / "data" / "campaigns" / "rig-20260102-030405" / "diagnosis"
     folder.mkdir(parents=True)
     (folder / "report.html").write_text("<p>air-gap-offset")
     page = server.page("vic")

@@ -20,39 +20,42 @@ from protocol.bus import board51_pb2 as pb
 from twin.compiled import kernel
 from twin.mirror.monitor.alarms import PLACES, UNCHANGED, clear_window, decide, end, message
 
-Figures: TypeAlias = tuple[float, float, float, float, bool]  # error, normalised, rolling RMSE, fit %, window full
+# error, normalised, rolling RMSE, rolling mean, fit %, window full
+Figures: TypeAlias = tuple[float, float, float, float, float, bool]
 
 X, I_C, U_C, NIS = 0, 1, 2, 3  # rows of the windows: errors of three signals, and the NIS
+SQUARE, Y, Y_SQUARE, VALUE = 0, 1, 2, 3  # columns of `ring`, and of `sums` over the window
 UNSEEN, HOLD = 4, 7  # in `counts`: samples in a row that did not judge an alarm, one for each; how many end an error's
-ORIGIN = 3  # in `sums`: the signal's first value in the window (squares of values near 0 keep their digits)
+ORIGIN = 4  # in `sums`: the signal's first value in the window (squares of values near 0 keep their digits)
 ALARMS = ("innovation", "divergence-x", "divergence-i_c")
 
 
 class Windows(NamedTuple):
     """What `Comparison` holds, as the kernels take it."""
 
-    ring: NDArray[np.float64]  # (square, y, y^2) by X, I_C, U_C, NIS, shape (4, window, 3)
-    sums: NDArray[np.float64]  # over the window, and ORIGIN, shape (4, 4)
+    ring: NDArray[np.float64]  # (value^2, y, y^2, value) by X, I_C, U_C, NIS, shape (4, window, 4)
+    sums: NDArray[np.float64]  # over the window, and ORIGIN, shape (4, 5)
     counts: NDArray[np.int64]  # of samples taken since the window was emptied, UNSEEN and HOLD, shape (8,)
     totals: NDArray[np.float64]  # over all time, shape (4, 4)
     alarms: NDArray[np.float64]  # shape (3, PLACES)
 
 
 @kernel
-def push(ring: NDArray[np.float64], sums: NDArray[np.float64], count: int, square: float, y: float) -> None:
-    """Put (square, y, y^2) into slot count % n of `ring`, shape (n, 3), keeping its column `sums`, sums[:3]."""
+def push(ring: NDArray[np.float64], sums: NDArray[np.float64], count: int, value: float, y: float) -> None:
+    """Put (value^2, y, y^2, value) into slot count % n of `ring`, shape (n, 4), keeping its column `sums`, sums[:4]."""
     n = ring.shape[0]
     slot = count % n
     if count >= n:
-        for column in range(3):
+        for column in range(ORIGIN):
             sums[column] -= ring[slot, column]
-    ring[slot, 0] = square
-    ring[slot, 1] = y
-    ring[slot, 2] = y * y
-    for column in range(3):
+    ring[slot, SQUARE] = value * value
+    ring[slot, Y] = y
+    ring[slot, Y_SQUARE] = y * y
+    ring[slot, VALUE] = value
+    for column in range(ORIGIN):
         sums[column] += ring[slot, column]
     if slot == n - 1:
-        for column in range(3):
+        for column in range(ORIGIN):
             total = 0.0
             for k in range(n):
                 total += ring[k, column]
@@ -66,7 +69,7 @@ def rolling_mean(
     """Take one finite value; returns the mean of those so far, at most the window."""
     push(ring[row], sums[row], counts[row], value, 0.0)
     counts[row] += 1
-    mean: float = max(sums[row, 0], 0.0) / min(counts[row], ring.shape[1])
+    mean: float = max(sums[row, VALUE], 0.0) / min(counts[row], ring.shape[1])
     return mean
 
 
@@ -89,7 +92,7 @@ def figures(
     elif in_step:
         if counts[row] == 0:
             sums[row, ORIGIN] = measured
-        push(ring[row], sums[row], counts[row], error * error, measured - sums[row, ORIGIN])
+        push(ring[row], sums[row], counts[row], error, measured - sums[row, ORIGIN])
         counts[row] += 1
         totals[row, 0] += 1.0
         totals[row, 1] += error
@@ -97,15 +100,17 @@ def figures(
     held = min(counts[row], n)
     full = bool(counts[row] >= n)
     rmse = math.nan
+    bias = math.nan
     fit = math.nan
     if held > 0:
-        mean_square = max(sums[row, 0], 0.0) / held
+        mean_square = max(sums[row, SQUARE], 0.0) / held
         rmse = math.sqrt(mean_square)
-        mean = sums[row, 1] / held
-        variance = sums[row, 2] / held - mean * mean
+        bias = sums[row, VALUE] / held
+        mean = sums[row, Y] / held
+        variance = sums[row, Y_SQUARE] / held - mean * mean
         if full and variance > 0.0:
             fit = 100.0 * (1.0 - math.sqrt(mean_square / variance))
-    return error, error / std, rmse, fit, full
+    return error, error / std, rmse, bias, fit, full
 
 
 @kernel
@@ -173,8 +178,8 @@ class Comparison:
 
     def start(self, window: int, hold: int) -> None:
         """Empty windows of `window` ticks; alarms on errors are held for `hold` samples that do not judge them."""
-        self.ring = np.zeros((4, window, 3))
-        self.sums = np.zeros((4, 4))
+        self.ring = np.zeros((4, window, 4))
+        self.sums = np.zeros((4, 5))
         self.counts[:UNSEEN] = 0
         self.counts[HOLD] = hold
         for alarm in self.alarms:

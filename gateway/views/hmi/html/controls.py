@@ -20,7 +20,7 @@ _SHAPES = ("step", "rectangle", "sawtooth", "prbs", "multisine", "chirp")
 def cards(may: Callable[[str], bool]) -> list[Markup]:
     """Those for which `may` says yes."""
     made = (("set_mode", _mode), ("set_reference", _reference), ("excite", _excitation), ("recording", _recording),
-            ("campaign", _campaign), ("set_gains", _gains))  # fmt: skip
+            ("set_gains", _gains))  # fmt: skip
     return [make() for act, make in made if may(act)]
 
 
@@ -108,20 +108,6 @@ def _recording() -> Markup:
     mark = tag("form", _text("remark", "text", 150), tag("button", "Mark now", class_="plain"), data_form="mark",
                class_="row-of")  # fmt: skip
     return _card("Recording", tag("div", data_live="record-said", class_="hint"), start, stop, mark)
-
-
-def _campaign() -> Markup:
-    quick = job("Run quick (35 s)", "campaign", "start", quick=True)
-    full = job("Run all (2 min)", "campaign", "start", quick=False)
-    ask = job("Investigate (1 to 4 min)", "campaign", "start", investigate=True)
-    end = job("Interrupt and park the ball", "campaign", "stop")
-    return _card(
-        "Campaign",
-        tag("div", quick, full, ask, class_="row-of", data_idle="campaign"),
-        tag("div", end, class_="row-of", data_running="campaign", hidden=True),
-        tag("div", data_live="campaign-said", class_="hint"),
-        tag("div", data_live="campaign-lines", class_="job-lines"),
-    )
 
 
 def _gains() -> Markup:

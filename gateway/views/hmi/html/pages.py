@@ -18,10 +18,14 @@ from starlette.routing import Route
 from gateway.access.roles import LEAST_ROLE
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.guard import refusal
-from gateway.views.hmi.html import controls
+from gateway.views.hmi.html import controls, model_page
 from gateway.views.hmi.html.markup import Markup, join, tag
 from gateway.views.hmi.library import LibraryFile
+from gateway.views.hmi.model.campaigns import rig_of
+from gateway.views.hmi.model.finding import read_found
+from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
+from protocol.errors import DataError
 
 REPLAY = "/live-replay"  # where the frames of replays come from
 REPORTS_SHOWN = 20
@@ -37,14 +41,15 @@ _ICON = Markup('<svg viewBox="0 0 24 24" aria-hidden="true"><path d="M8 1h8l7 7v
 class Pages:
     """The pages of one server."""
 
-    def __init__(self, actions: Actions) -> None:
-        self._actions = actions
+    def __init__(self, actions: Actions, work: ModelWork) -> None:
+        self._actions, self._work = actions, work
 
     def routes(self) -> list[Route]:
         """Where they are."""
         pages = {
             "/": self.overview,
             "/rig/{board}": self.rig,
+            "/model/{board}": self.model,
             "/replay/": self.replays,
             "/replay/{board}": self.replay,
             "/logs": self.logs,
@@ -59,15 +64,46 @@ class Pages:
     async def rig(self, request: Request) -> Response:
         """One rig, with what this session may do."""
         board, session = request.path_params["board"], _session(request)
-        reports = await asyncio.to_thread(self._actions.reports.entries)
+        reports = [one for one in await asyncio.to_thread(self._actions.reports.entries) if rig_of(one) == board]
         cards = controls.cards(lambda act: self._actions.may(session, act))
         body = join(
-            tag("main", _measured(), tag("div", _list("Alarms", "alarms"), *cards, _last(reports), class_="side"),
-                class_="rig"),
+            tag("main", _measured(),
+                tag("div", _list("Alarms", "alarms"), _to_model(board, reports), *cards, class_="side"), class_="rig"),
             tag("div", _list("Events", "events"), _list("Commands: who did what", "commands"),
                 _list("Link, log, board", "health"), class_="below"),
         )  # fmt: skip
         return self._page(request, board, body, live=f"/live/{board}", board=board, chips=True)
+
+    async def model(self, request: Request) -> Response:
+        """The model of a rig: from a campaign to a model that has what was missing."""
+        board, session = request.path_params["board"], _session(request)
+        body = await asyncio.to_thread(self._model, board, request.query_params.get("campaign", ""), session)
+        return self._page(
+            request, f"Model of {board}", body, live=f"/live/{board}", board=board, chips=True, script="model.js"
+        )
+
+    def _model(self, board: str, campaign: str, session: LoginSession) -> Markup:
+        campaigns = self._work.campaigns(board)
+        chosen = next((one for one in campaigns if campaign in ("", one.name)), None)
+        found, problem, report = None, "", ""
+        if chosen is not None and chosen.diagnosis is not None:
+            try:
+                found = read_found(chosen.diagnosis)
+            except DataError as error:
+                problem = str(error)
+            page = (chosen.diagnosis.parent / "report.html").resolve()
+            report = next((one.name for one in self._actions.reports.entries() if one.path == page), "")
+
+        def may(act: str) -> bool:
+            return self._actions.may(session, act)
+
+        return model_page.page(
+            self._work.running(board),
+            model_page.steps(chosen, may),
+            model_page.found_card(chosen, found, problem, report, may),
+            model_page.models_card(self._work.models(board), may),
+            model_page.campaigns_card(board, campaigns, chosen),
+        )
 
     async def replays(self, request: Request) -> Response:
         """What is replayed."""
@@ -124,6 +160,7 @@ class Pages:
         board: str = "",
         prefix: str = "",
         chips: bool = False,
+        script: str = "",
     ) -> Response:
         session, replayed = _session(request), live.startswith(REPLAY)
         role = self._actions.role(session)
@@ -138,6 +175,7 @@ class Pages:
                 data_replay="yes" if replayed else "", data_stops=stops, data_now=f"{time.monotonic():.3f}",
                 data_may=" ".join(act for act in LEAST_ROLE if self._actions.may(session, act))),
             tag("script", type="module", src="/static/hmi.js"),
+            tag("script", type="module", src=f"/static/{script}") if script else "",
         )  # fmt: skip
         links = [tag("a", text, href=to) for text, to in (("Rigs", "/"), ("Logs", "/logs"), ("Replay", "/replay/"))]
         row = tag(
@@ -219,15 +257,16 @@ def _list(title: str, name: str) -> Markup:
     return tag("section", tag("h2", title, class_="card-title"), entries, class_=f"card list {name}")
 
 
-def _last(reports: list[LibraryFile]) -> Markup:
-    if not reports:
-        return Markup()
-    link = tag("a", f"Last report, {reports[0].changed}", href=f"/report/{reports[0].name}", target="_blank")
-    return tag("section", tag("h2", "Diagnosis", class_="card-title"), link, class_="card")
+def _to_model(board: str, reports: list[LibraryFile]) -> Markup:
+    links = [tag("a", "Campaign, diagnosis, hand-over", href=f"/model/{board}")]
+    links += [tag("a", f"Last report, {one.changed}", href=f"/report/{one.name}") for one in reports[:1]]
+    return _card("Model", _live("wrong", "div", class_="wrong"), *(tag("div", link) for link in links), empty="")
 
 
 def _report_row(entry: LibraryFile) -> Markup:
-    link = tag("a", f"{entry.path.parent.name}/{entry.path.name}", href=f"/report/{entry.name}", target="_blank")
+    rig = rig_of(entry)
+    title = f"{rig}, campaign {entry.path.parent.parent.name}" if rig else f"{entry.path.parent.name}/{entry.path.name}"
+    link = tag("a", title, href=f"/report/{entry.name}")
     return tag("div", link, tag("span", entry.changed, class_="at"), class_="file")
 
 

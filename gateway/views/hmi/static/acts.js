@@ -117,18 +117,20 @@ export function limits(rest) {
 
 // --- jobs, gains, summaries ---------------------------------------------------------------------------------------------
 
-const IDLE_WORDS = { record: "The gateway's own log runs always; this makes a file of its own.",
-                     campaign: "The board must be idle. It moves the ball." };
+const IDLE_WORDS = { record: "The gateway's own log runs always; this makes a file of its own." };
+const KINDS = ["record", "campaign", "identify", "diagnose", "hand-over"];
 
 export function showJobs(jobs) {
-  for (const kind of ["record", "campaign"]) {
+  for (const kind of KINDS) {
     const job = jobs[kind], running = Boolean(job?.running);
     for (const element of document.querySelectorAll(`[data-idle=${kind}]`)) element.hidden = running;
     for (const element of document.querySelectorAll(`[data-running=${kind}]`)) element.hidden = !running;
     const last = kind === "record" && job?.lines.length ? `: ${job.lines[job.lines.length - 1]}` : "";
-    put(`${kind}-said`, job ? `${running ? "\u25cf" : "\u25cb"} ${job.title}: ${job.standing}${last}` : IDLE_WORDS[kind]);
+    const said = job ? `${running ? "\u25cf" : "\u25cb"} ${job.title}, ${job.who}: ${job.standing}${last}` : IDLE_WORDS[kind] ?? "";
+    put(`${kind}-said`, said);
+    put(`${kind}-lines`, (job?.lines ?? []).join("\n"));
   }
-  put("campaign-lines", (jobs.campaign?.lines ?? []).join("\n"));
+  document.dispatchEvent(new CustomEvent("board51-jobs", { detail: jobs }));
 }
 
 // A file is read by the server and shown; it is sent by a press of its own.

@@ -37,6 +37,7 @@ function take(frame) {
     rest = frame.rest;
     lists();
     limits(rest);
+    document.dispatchEvent(new CustomEvent("board51-rest", { detail: rest }));
   }
   if (frame.jobs) showJobs(frame.jobs);
   if (frame.left_s !== undefined) sessionLeft(frame.left_s);
@@ -132,6 +133,12 @@ function told(gone, serverGone) {
 
 const UNEXPECTED = { "stray-answer": "answers after their time", implausible: "implausible ticks", duplicate: "repeated samples",
               "events-lost": "lost events" };
+function toModel() {
+  const link = cell("a", "What is wrong, and why", "to-model");
+  link.href = `/model/${page.board}`;
+  return link;
+}
+
 const filled = {};
 let counted = null; // of the alarms: words, state
 
@@ -145,6 +152,7 @@ function fill(name, data, row, empty) {
 
 function lists() {
   const status = rest.status;
+  put("wrong", rest.wrong ? `\u25b2 ${rest.wrong}` : "", rest.wrong ? "warn" : "none");
   if (status) {
     fill("health", [
       ["port", status.port], ["commands to the board", status.to_board || "\u2013"], ["samples", `${status.samples_per_s} /s`],
@@ -175,6 +183,7 @@ function lists() {
       row.append(button);
     }
     row.append(cell("div", alarm.text, "text"));
+    if (alarm.model) row.append(toModel());
     return row;
   }, "\u2713 no alarms");
   const waiting = rest.alarms.filter((a) => a.active || !a.acknowledged);

@@ -22,7 +22,11 @@ def ranges(parameters: pb.Parameters) -> dict[str, tuple[float, float]]:
         for topic in ("state", "twin/state"):
             found |= {f"{topic}/{field}{end}": span for end in _ENDS}
         width = span[1] - span[0]  # two signals of this span differ by no more
-        for figure, low in ((f"{field}.error", -width), (f"{field}.rolling_rmse", 0.0)):
+        for figure, low in (
+            (f"{field}.error", -width),
+            (f"{field}.rolling_mean", -width),
+            (f"{field}.rolling_rmse", 0.0),
+        ):
             found |= {f"twin/divergence/{figure}{end}": (low, width) for end in _ENDS if field != "x_ref_m"}
     return found
 

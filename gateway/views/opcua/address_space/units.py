@@ -17,7 +17,7 @@ _UNITS: tuple[tuple[str, str, str, str], ...] = (
     ("_v", "VLT", "V", "volt"),
     ("_s", "SEC", "s", "second"),
 )
-_OF_PARENT = frozenset({"error", "rolling_rmse"})  # of a signal's divergence: in the unit of the signal
+_OF_PARENT = frozenset({"error", "rolling_rmse", "rolling_mean"})  # of a signal's divergence: in the unit of the signal
 
 
 def unit_of(field: str) -> ua.EUInformation | None:

@@ -228,18 +228,19 @@ def test_rolling_figures_are_those_of_the_window_and_do_not_drift() -> None:
     rng = np.random.default_rng(3)
     n, window = 10_000, 100
     y = 3e-3 + 1e-4 * np.sin(np.arange(n) / 7.0)
-    e = 1e-6 * rng.normal(size=n)
+    e = 1e-6 * rng.normal(size=n) + 3e-7
     e[:50] = 1e3  # leaves nothing behind
     windows = Comparison()
     windows.start(window, window)
     held = windows.windows
 
     for k in range(n):
-        _, _, rmse, fit, full = figures(held, 0, y[k], y[k] - e[k], 1.0, True)
+        _, _, rmse, mean, fit, full = figures(held, 0, y[k], y[k] - e[k], 1.0, True)
 
     held_e, held_y = e[-window:], y[-window:]
     assert full
     assert rmse == pytest.approx(math.sqrt(np.mean(held_e**2)), rel=1e-6)  # y - (y - e) itself costs digits of e
+    assert mean == pytest.approx(np.mean(held_e), rel=1e-6)
     assert fit == pytest.approx(100 * (1 - np.linalg.norm(held_e) / np.linalg.norm(held_y - held_y.mean())), rel=1e-6)
 
 

@@ -1,0 +1,196 @@
+"""The page of a rig's model: campaign, identification, diagnosis, next experiment, hand-over.
+
+What is found is written by the server; static/model.js fetches it again when a job has ended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from gateway.campaign.menu import BY_NAME
+from gateway.views.hmi.html import controls
+from gateway.views.hmi.html.errors_figure import errors_figure
+from gateway.views.hmi.html.markup import Markup, tag
+from gateway.views.hmi.model.campaigns import CampaignFolder
+from gateway.views.hmi.model.finding import Found, FoundCause
+from gateway.views.hmi.model.models import ModelFile, about
+from gateway.views.hmi.model.work import LIVE_MIN
+from protocol.bus import board51_pb2 as pb
+from protocol.errors import DataError
+from protocol.files import parse_json
+
+KINDS = ("campaign", "identify", "diagnose", "hand-over")
+May = Callable[[str], bool]
+_VERDICTS = {
+    "causes-found": "causes found",
+    "partly-explained": "explained in part",
+    "adequate": "the model is right",
+    "unknown-cause": "no known cause explains it",
+    "unfinished": "the search did not finish",
+}
+
+
+def steps(chosen: CampaignFolder | None, may: May) -> Markup:
+    """The buttons, in the order of the work, and what they said."""
+    name = chosen.name if chosen is not None else ""
+    measure = _row(
+        controls.job("Run quick (35 s)", "campaign", "start", quick=True),
+        controls.job("Run all (2 min)", "campaign", "start", quick=False),
+        controls.job("Investigate (1 to 4 min)", "campaign", "start", investigate=True),
+    )
+    identify = _row(controls.job("Identify", "identify", "start", campaign=name))
+    of_campaign = (
+        controls.job("Diagnose, quick", "diagnose", "start", campaign=name, quick=True),
+        controls.job("Diagnose", "diagnose", "start", campaign=name, quick=False),
+    )
+    diagnose = _row(
+        *(of_campaign if name else ()),
+        controls.job(f"Diagnose the last {LIVE_MIN:g} minutes of flight", "diagnose", "start", live=True),
+    )
+    of = f"Of the campaign of {chosen.made}." if chosen is not None else "There is no campaign yet: run one first."
+    if not may("campaign"):
+        return _card("Work", tag("div", "An engineer runs campaigns, identifies and diagnoses.", class_="hint"))
+    return _card(
+        "Work",
+        _step("1 Measure: a campaign", "It moves the ball; the board must be idle.", measure, "campaign"),
+        _step("2 Identify: K_A, T_A, K_c, b", of, identify if name else Markup(), "identify"),
+        _step("3 Diagnose: what the model gets wrong, and why", of, diagnose, "diagnose"),
+        _step("4 Hand over", "Choose one of the models; the twin uses it at once.", Markup(), "hand-over"),
+    )
+
+
+def _twin_now(running: pb.TwinModel | None) -> Markup:
+    """Which model the twin runs on, and what it says of it."""
+    said = tag("div", data_live="wrong", class_="wrong", role="status")
+    if running is None:
+        return _card("The twin", tag("div", "No twin follows this rig: start `board51 twin`.", class_="hint"), said)
+    try:
+        content = about(parse_json(running.model_json, where="the twin's model"))
+    except (DataError, AttributeError):
+        content = ""
+    since = f"handed over by {running.who}" if running.who else "it was started with it"
+    return _card(
+        "The twin",
+        said,
+        tag("div", f"It runs on {running.name} ({running.sha256[:12]}), {since}.", class_="strong"),
+        tag("div", content, class_="hint"),
+    )
+
+
+def found_card(chosen: CampaignFolder | None, found: Found | None, problem: str, report: str, may: May) -> Markup:
+    """The answer of the diagnosis of a campaign."""
+    if chosen is None:
+        return _card("What was found", tag("div", "Nothing yet: run a campaign.", class_="hint"))
+    title = f"What was found in the campaign of {chosen.made}"
+    if found is None:
+        return _card(title, tag("div", problem or "This campaign was not diagnosed yet.", class_="hint"))
+    causes = [_cause(chosen, cause, may, sure=found.sure) for cause in found.causes]
+    quick = () if found.calibrated else (tag("div", "Made quickly: confidence is not calibrated.", class_="hint"),)
+    warnings = [tag("li", text) for text in found.warnings]
+    return _card(
+        title,
+        tag("div", _VERDICTS.get(found.verdict, found.verdict), class_="verdict", data_verdict=found.verdict),
+        tag("p", found.sentence, class_="sentence"),
+        errors_figure(found.ahead) if found.ahead else Markup(),
+        *causes,
+        *quick,
+        tag("ul", *warnings, class_="hint") if warnings else Markup(),
+        tag("a", "Full report with all plots", href=f"/report/{report}") if report else Markup(),
+    )
+
+
+def models_card(models: list[ModelFile], may: May) -> Markup:
+    """The models, each with where it comes from."""
+    rows = [_model(model, may) for model in models]
+    if not rows:
+        return _card("Models", tag("div", "None yet: identify or diagnose a campaign.", class_="hint"))
+    return _card("Models", *rows, tag("div", "Numbers in SI units: A/V, s, N m\u00b2/A\u00b2, N s/m.", class_="hint"))
+
+
+def campaigns_card(board: str, campaigns: list[CampaignFolder], chosen: CampaignFolder | None) -> Markup:
+    """The campaigns of the rig; one is looked at."""
+    if not campaigns:
+        return _card("Campaigns", tag("div", "None yet.", class_="hint"))
+    return _card("Campaigns", *(_campaign(board, one, looked_at=one is chosen) for one in campaigns))
+
+
+def _step(title: str, hint: str, buttons: Markup, kind: str) -> Markup:
+    end = controls.job("Interrupt and park the ball" if kind == "campaign" else "Cancel", kind, "stop")
+    return tag(
+        "div",
+        tag("h3", title),
+        tag("div", tag("div", buttons, data_part=f"{kind}-buttons"), data_idle=kind),
+        tag("div", _row(end), data_running=kind, hidden=True),
+        tag("div", hint, class_="hint", data_part=f"{kind}-of"),
+        tag("div", data_live=f"{kind}-said", class_="hint", role="status"),
+        tag("div", data_live=f"{kind}-lines", class_="job-lines"),
+        class_="step",
+    )
+
+
+def _cause(chosen: CampaignFolder, cause: FoundCause, may: May, *, sure: bool) -> Markup:
+    said = [tag("div", f"{cause.name}: {cause.sentence}", class_="strong")]
+    word = "cause" if sure else "candidate"
+    said.append(tag("div", f"{word}, confidence {cause.confidence:.2f}", class_="hint"))
+    if cause.equals:
+        said.append(tag("div", f"These recordings cannot tell it from: {', '.join(cause.equals)}.", class_="class-of"))
+    if cause.experiments and may("campaign"):
+        said.append(_row(*(_experiment(chosen, name) for name in cause.experiments[:3])))
+    said += [tag("div", f"Only with another instrument: {text}", class_="hint") for text in cause.outside]
+    if cause.confirm:
+        said.append(tag("div", f"To see it at the rig: {cause.confirm}.", class_="hint"))
+    if cause.cure:
+        said.append(tag("div", f"To be rid of it: {cause.cure}.", class_="hint"))
+    return tag("div", *said, class_="cause")
+
+
+def _experiment(chosen: CampaignFolder, name: str) -> Markup:
+    person = BY_NAME[name].person
+    text = f"Next experiment: {name}" if not person else f"{person} Done: record {name}"
+    return controls.job(
+        text, "campaign", "start", campaign=chosen.name, experiment=name, prepared=bool(person)
+    )  # fmt: skip
+
+
+def _model(model: ModelFile, may: May) -> Markup:
+    if model.in_use:
+        act = tag("span", "\u25cf in use", class_="in-use")
+    elif may("use_model"):
+        text = "Back to this model" if model.was_replaced else "Hand over to the twin"
+        act = controls.job(text, "hand-over", "start", model=model.name)
+    else:
+        act = Markup()
+    words = tag(
+        "div", tag("div", model.kind, class_="strong"), tag("div", model.about, class_="hint"), class_="file-name"
+    )
+    return tag("div", words, tag("span", model.made, class_="at"), act, class_="file")
+
+
+def _campaign(board: str, campaign: CampaignFolder, *, looked_at: bool) -> Markup:
+    done = [
+        word for word, path in (("identified", campaign.model), ("diagnosed", campaign.diagnosis)) if path is not None
+    ]
+    acts = [tag("div", f"{act.at} {act.who} {act.what}", class_="hint") for act in campaign.acts]
+    title = tag("a", f"Campaign of {campaign.made}", href=f"/model/{board}?campaign={campaign.name}",
+                aria_current="true" if looked_at else None)  # fmt: skip
+    about_it = ", ".join([f"{campaign.recordings} recordings", *done])
+    return tag("div", tag("div", title, *acts, class_="file-name"), tag("span", about_it, class_="at"), class_="file")
+
+
+def _card(title: str, *inside: Markup) -> Markup:
+    return tag("section", tag("h2", title, class_="card-title"), *inside, class_="card")
+
+
+def _row(*inside: Markup) -> Markup:
+    return tag("div", *inside, class_="row-of")
+
+
+def page(running: pb.TwinModel | None, work: Markup, *results: Markup) -> Markup:
+    """The cards; static/model.js replaces what bears `data-part`."""
+    twin, shown = _twin_now(running), "" if running is None else running.sha256[:12]
+    return tag(
+        "main",
+        tag("div", tag("div", twin, data_part="twin"), work, class_="work", data_model=shown),
+        tag("div", *results, class_="results", data_part="results"),
+        class_="model",
+    )

@@ -1,0 +1,99 @@
+"""The campaigns of a rig, from their folders.
+
+    DATA/campaigns/<board>-<date>-<time>/    recordings, campaign.toml, model.json of `identify`, acts.jsonl
+                             .../diagnosis/  diagnosis.json, report.html, extended_model.json; of a diagnosis of live
+                                             data its recordings, too
+
+Rule: a name from a browser is looked up among those found, never joined to a path.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from gateway.views.hmi.library import LibraryFile
+from gateway.views.hmi.model.journal import Act, acts_of
+
+SHOWN = 50  # the newest
+MODEL, DIAGNOSIS = "model.json", "diagnosis"
+_NAME = re.compile(r"(?P<board>.+)-(?P<date>\d{8})-(?P<hour>\d{2})(?P<minute>\d{2})\d{2}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignFolder:
+    """One campaign."""
+
+    name: str
+    path: Path
+    board: str
+    made: str  # for people
+    recordings: int
+    acts: tuple[Act, ...]  # the oldest first
+
+    @property
+    def model(self) -> Path | None:
+        """What `identify` made of it."""
+        return _file(self.path / MODEL)
+
+    @property
+    def extended_model(self) -> Path | None:
+        """What `diagnose` made of it."""
+        return _file(self.path / DIAGNOSIS / "extended_model.json")
+
+    @property
+    def diagnosis(self) -> Path | None:
+        """The diagnosis.json."""
+        return _file(self.path / DIAGNOSIS / "diagnosis.json")
+
+    @property
+    def toml(self) -> Path | None:
+        """The campaign.toml: None before a campaign has recorded anything."""
+        recorded = sorted((self.path / DIAGNOSIS).glob("live-*/campaign.toml"))
+        return _file(self.path / "campaign.toml") or (recorded[-1] if recorded else None)
+
+
+def board_of(name: str) -> str:
+    """The board whose campaign a folder of that name holds; empty if it is not such a name."""
+    match = _NAME.fullmatch(name)
+    return match["board"] if match is not None else ""
+
+
+def rig_of(report: LibraryFile) -> str:
+    """The board whose campaign a report belongs to; empty where its folders do not tell."""
+    return next(filter(None, (board_of(folder.name) for folder in report.path.parents)), "")
+
+
+def campaigns_of(root: Path, board: str) -> list[CampaignFolder]:
+    """Those of one board below `root`, the newest first."""
+    try:
+        names = sorted((path.name for path in root.iterdir() if path.is_dir() and not path.is_symlink()), reverse=True)
+    except OSError:
+        return []
+    mine = [name for name in names if board_of(name) == board][:SHOWN]
+    return [_campaign(root / name, board) for name in mine]
+
+
+def find_campaign(root: Path, board: str, name: str) -> CampaignFolder | None:
+    """The campaign of that name; the newest for an empty name."""
+    found = campaigns_of(root, board)
+    return next((one for one in found if name in ("", one.name)), None)
+
+
+def _campaign(path: Path, board: str) -> CampaignFolder:
+    match = _NAME.fullmatch(path.name)
+    assert match is not None  # board_of has said so
+    date = match["date"]
+    return CampaignFolder(
+        name=path.name,
+        path=path,
+        board=board,
+        made=f"{date[:4]}-{date[4:6]}-{date[6:]} {match['hour']}:{match['minute']}",
+        recordings=sum(1 for _ in path.glob("*.mcap")) + sum(1 for _ in path.glob(f"{DIAGNOSIS}/live-*/*.mcap")),
+        acts=acts_of(path),
+    )
+
+
+def _file(path: Path) -> Path | None:
+    return path if path.is_file() else None

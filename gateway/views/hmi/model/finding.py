@@ -1,0 +1,104 @@
+"""What a page shows of a diagnosis.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gateway.campaign.menu import BY_NAME
+from protocol.errors import DataError
+from protocol.files import parse_json, read_small
+
+_REMEDY = "Diagnose the campaign again"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ahead:
+    """The prediction error on the judge recordings at one horizon, rms in m; (value, low, high) where it is known."""
+
+    horizon_s: float
+    before: tuple[float, float, float]
+    after: tuple[float, float, float]
+    noise_alone: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FoundCause:
+    """A cause or candidate."""
+
+    name: str
+    sentence: str
+    confidence: float
+    equals: tuple[str, ...]  # causes that the recordings cannot tell from it
+    confirm: str  # how to see it at the rig
+    cure: str
+    experiments: tuple[str, ...]  # of the campaign's menu, that tell them apart, the best first
+    outside: tuple[str, ...]  # measurements with other instruments
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """The answer of a diagnosis."""
+
+    verdict: str
+    sentence: str
+    calibrated: bool
+    sure: bool  # whether `causes` are causes, and not candidates
+    causes: tuple[FoundCause, ...]
+    ahead: tuple[Ahead, ...]
+    warnings: tuple[str, ...]
+
+
+def read_found(path: Path) -> Found:
+    """Read diagnosis.json.
+
+    Raises:
+        DataError: it cannot be read, or is not the answer of a diagnosis.
+    """
+    table = parse_json(read_small(path, remedy=_REMEDY), where=str(path))
+    try:
+        causes = table.get("causes") or table.get("candidates") or []
+        show = table.get("show") or {}
+        return Found(
+            verdict=str(table["verdict"]),
+            sentence=str(table["sentence"]),
+            calibrated=bool(table.get("calibrated", True)),
+            sure=bool(table.get("causes")),
+            causes=tuple(map(_cause, causes)),
+            ahead=tuple(_ahead(one) for one in show.get("ahead", ())) if show.get("judged") else (),
+            warnings=tuple(map(str, table.get("warnings", ()))),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DataError(f"{path} is no answer of board51 diagnose ({error!r})", remedy=_REMEDY) from None
+
+
+def _cause(table: Mapping[str, Any]) -> FoundCause:
+    proposal = table.get("next_experiment") or {}
+    rig = table.get("at_the_rig") or {}
+    return FoundCause(
+        name=str(table["name"]),
+        sentence=str(table.get("sentence", table["name"])),
+        confidence=float(table["confidence"]),
+        equals=tuple(map(str, table.get("indistinguishable_from", ()))),
+        confirm=str(rig.get("confirm", "")),
+        cure=str(rig.get("cure", "")),
+        experiments=tuple(n for n in (str(one["name"]) for one in proposal.get("experiments", ())) if n in BY_NAME),
+        outside=tuple(map(str, proposal.get("not_separable_here", ()))),
+    )
+
+
+def _ahead(table: Mapping[str, Any]) -> Ahead:
+    return Ahead(
+        horizon_s=float(table["horizon_s"]),
+        before=_interval(table["baseline"]),
+        after=_interval(table["extended"]),
+        noise_alone=float(table["floor_m"]),
+    )
+
+
+def _interval(table: Mapping[str, Any]) -> tuple[float, float, float]:
+    value = float(table["value"])
+    low, high = (value if table.get(end) is None else float(table[end]) for end in ("low", "high"))
+    return value, low, high

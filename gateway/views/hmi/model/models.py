@@ -1,0 +1,111 @@
+"""The models that may be given to the twin of a rig, and which of them it runs on.
+
+    DATA/campaigns/<campaign>/model.json                          identified
+    DATA/campaigns/<campaign>/diagnosis/extended_model.json       extended by a diagnosis
+    DATA/models/<board>/<date>-<time>.json                        the twin had it until a hand-over from a page
+
+Rule: the model that a hand-over replaces is kept, so that every hand-over can be taken back.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gateway.views.hmi.model.campaigns import CampaignFolder
+from protocol.bus import board51_pb2 as pb
+from protocol.errors import DataError
+from protocol.files import parse_json, read_small
+
+KEPT_SHOWN = 10  # the newest
+_KEPT = "kept"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelFile:
+    """One file."""
+
+    name: str  # of the file, for requests
+    path: Path
+    kind: str  # in words
+    made: str  # for people
+    content: dict[str, Any]  # of the JSON
+    in_use: bool
+
+    @property
+    def was_replaced(self) -> bool:
+        """Whether it is here because a hand-over replaced it."""
+        return self.name.startswith(f"{_KEPT}/")
+
+    @property
+    def about(self) -> str:
+        """Parameters and causes in one line."""
+        return about(self.content)
+
+
+def about(content: dict[str, Any]) -> str:
+    """The parameters (SI units) and causes of a model file in one line."""
+    words = []
+    for name, parameter in (content.get("parameters") or {}).items():
+        value = parameter.get("value") if isinstance(parameter, dict) else parameter
+        if isinstance(value, int | float):
+            words.append(f"{name} {value:.4g}")
+    causes = [
+        str(cause["name"]) for cause in content.get("causes") or () if isinstance(cause, dict) and "name" in cause
+    ]
+    return ", ".join(words) + (f"; with {', '.join(causes)}" if causes else "")
+
+
+def models_of(data: Path, board: str, campaigns: list[CampaignFolder], running: pb.TwinModel | None) -> list[ModelFile]:
+    """Those of one board, the newest first; a file that cannot be read is left out."""
+    now = _parsed(running.model_json, where="the twin's model") if running is not None else None
+    return [
+        ModelFile(name=name, path=path, kind=kind, made=made, content=content, in_use=content == now)
+        for name, path, kind, made in _files(data, board, campaigns)
+        if (content := _read(path)) is not None
+    ]
+
+
+def keep(data: Path, running: pb.TwinModel, board: str) -> Path:
+    """Write the model that the twin runs on, which is about to be replaced.  Raises OSError."""
+    folder = data / "models" / board
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{time.strftime('%Y%m%d-%H%M%S')}.json"
+    path.write_text(running.model_json, encoding="utf-8")
+    return path
+
+
+def _files(data: Path, board: str, campaigns: list[CampaignFolder]) -> Iterator[tuple[str, Path, str, str]]:
+    for campaign in campaigns:
+        for path, kind in ((campaign.extended_model, "extended by diagnose"), (campaign.model, "identified")):
+            if path is not None:
+                yield f"{campaign.name}/{path.name}", path, f"{kind}, campaign of {campaign.made}", _changed(path)
+    kept = sorted((data / "models" / board).glob("*.json"), reverse=True)[:KEPT_SHOWN]
+    for path in kept:
+        if path.is_file() and not path.is_symlink():
+            yield f"{_KEPT}/{path.name}", path, "the twin had it before a hand-over", _changed(path)
+
+
+def _changed(path: Path) -> str:
+    try:
+        return time.strftime("%Y-%m-%d %H:%M", time.localtime(path.stat().st_mtime))
+    except OSError:
+        return ""
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    try:
+        return _parsed(read_small(path, remedy="Make it again"), where=str(path))
+    except DataError:
+        return None
+
+
+def _parsed(text: str, *, where: str) -> dict[str, Any] | None:
+    try:
+        table = parse_json(text, where=where)
+    except DataError:
+        return None
+    return table if isinstance(table, dict) else None

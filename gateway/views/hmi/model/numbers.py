@@ -1,0 +1,63 @@
+"""An alarm of the twin in numbers: by how much the rig differs from its model, and how often noise would.  Pure."""
+
+from __future__ import annotations
+
+import math
+
+from protocol.bus import board51_pb2 as pb
+
+_DIRECTED = 0.5  # share of the rms that the mean must be, to speak of more or less
+_SIGNALS = {
+    "divergence-i_c": (
+        "i_c_a", 1.0, "A",
+        "the coil draws {} more than the model", "the coil draws {} less than the model",
+        "current and model differ by {} rms",
+    ),
+    "divergence-x": (
+        "x_m", 1e6, "\u00b5m",
+        "the ball is {} higher than the model has it", "the ball is {} lower than the model has it",
+        "position and model differ by {} rms",
+    ),
+}  # fmt: skip
+
+
+SPOKEN = ("divergence-i_c", "divergence-x", "innovation")  # alarms that have numbers, the plainest first
+
+
+def in_numbers(name: str, since: str, divergence: pb.Divergence) -> str:
+    """One sentence on an active alarm.
+
+    Args:
+        name: of the alarm.
+        since: time of day at which it came, for people.
+        divergence: the newest one.
+
+    Returns:
+        The sentence; empty where the divergence has no number for this alarm.
+    """
+    if name == "innovation":
+        if not (divergence.innovation_valid and divergence.nis_mean > 0.0):
+            return ""
+        times = math.sqrt(divergence.nis_mean / 2.0)  # two degrees of freedom
+        return f"one sample ahead the model errs {_times(times)} what noise explains, since {since}"
+    if name not in _SIGNALS or divergence.sync != "in-step":
+        return ""
+    field, scale, unit, above, below, differ = _SIGNALS[name]
+    signal: pb.SignalDivergence = getattr(divergence, field)
+    if not signal.normalised or not signal.rolling_rmse > 0.0:
+        return ""
+    if abs(signal.rolling_mean) >= _DIRECTED * signal.rolling_rmse:
+        size = f"{_digits(abs(signal.rolling_mean) * scale)} {unit}"
+        said = (above if signal.rolling_mean > 0.0 else below).format(size)
+    else:
+        said = differ.format(f"{_digits(signal.rolling_rmse * scale)} {unit}")
+    times = signal.rolling_rmse / abs(signal.error / signal.normalised)
+    return f"{said} since {since}, {_times(times)} what noise explains"
+
+
+def _times(times: float) -> str:
+    return f"{times:.0f} times" if times >= 9.5 else f"{times:.1f} times"
+
+
+def _digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.2g}"

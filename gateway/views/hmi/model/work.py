@@ -1,0 +1,136 @@
+"""Starts what a page asks for: campaigns, identification, diagnosis, hand-overs.  Each is a `board51` command.
+
+Blocking, as `Actions`, whose rules hold here: rights are checked for each act, a refusal is a value.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from pathlib import Path
+
+from gateway.campaign.menu import BY_NAME
+from gateway.views.hmi.actions import Actions, Routes, refusal
+from gateway.views.hmi.model.campaigns import DIAGNOSIS, MODEL, CampaignFolder, campaigns_of, find_campaign
+from gateway.views.hmi.model.journal import write_act
+from gateway.views.hmi.model.models import ModelFile, keep, models_of
+from gateway.views.hmi.sessions import LoginSession
+from protocol.bus import board51_pb2 as pb
+
+LIVE_MIN = 2.0  # of flight that a diagnosis without a campaign takes
+_logger = logging.getLogger("gateway.hmi")
+
+
+class ModelWork:
+    """The work on the models of all rigs.
+
+    Args:
+        actions: checks rights and starts jobs.
+        data: folder of campaigns and models.
+        logs: folder of the gateway's logs.
+        routes: how jobs reach the bus.
+    """
+
+    def __init__(self, actions: Actions, *, data: Path, logs: Path, routes: Routes) -> None:
+        self._actions, self._data, self._logs, self._routes = actions, data, logs, routes
+
+    @property
+    def _root(self) -> Path:
+        return self._data / "campaigns"
+
+    def campaigns(self, board: str) -> list[CampaignFolder]:
+        """Those of a board, the newest first."""
+        return campaigns_of(self._root, board)
+
+    def running(self, board: str) -> pb.TwinModel | None:
+        """The model that the twin says it runs on."""
+        feed = self._actions.feed.board(board)
+        return None if feed is None else feed.latest(pb.TwinModel)
+
+    def models(self, board: str) -> list[ModelFile]:
+        """Those of a board, the newest campaign's first."""
+        return models_of(self._data, board, self.campaigns(board), self.running(board))
+
+    def start_campaign(
+        self, session: LoginSession, board: str, *, quick: bool = False, investigate: bool = False
+    ) -> pb.CommandReply:
+        """The paper's experiments into a new folder; or those that a diagnosis asks for, one after the other."""
+        folder = self._new(board)
+        what = ["investigate", board, "--out", str(folder)] if investigate else self._run(folder, board)
+        words = [*what, "--who", session.name, *["--quick"] * quick, *self._routes.live(session.name)]
+        said = "investigates the rig" if investigate else f"began a {'quick ' * quick}campaign"
+        return self._start(session, "campaign", "campaign", board, words, folder, said)
+
+    def add_experiment(
+        self, session: LoginSession, board: str, campaign: str, experiment: str, *, prepared: bool = False
+    ) -> pb.CommandReply:
+        """One more experiment into a campaign; `prepared`: what it needs of a person has been done."""
+        found = find_campaign(self._root, board, campaign)
+        if found is None or found.toml != found.path / "campaign.toml":
+            return refusal("no-campaign", "There is no such campaign that can be continued.")
+        if experiment not in BY_NAME:
+            return refusal("no-experiment", "There is no such experiment.")
+        if BY_NAME[experiment].person and not prepared:
+            return refusal("person-needed", BY_NAME[experiment].person)
+        words = [*self._run(found.path, board), "--experiment", experiment, *["--yes"] * prepared,
+                 "--who", session.name, *self._routes.live(session.name)]  # fmt: skip
+        return self._start(session, "campaign", "campaign", board, words, found.path, f"added {experiment}")
+
+    def identify(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
+        """K_A, T_A, K_c, b from a campaign."""
+        found = find_campaign(self._root, board, campaign)
+        if found is None or found.toml is None:
+            return refusal("no-campaign", "There is no such campaign, or it has no recordings yet.")
+        words = ["identify", str(found.toml), "--out", str(found.path / MODEL)]
+        return self._start(session, "diagnose", "identify", board, words, found.path, "identified")
+
+    def diagnose(self, session: LoginSession, board: str, campaign: str, *, quick: bool) -> pb.CommandReply:
+        """The causes of the model's errors in a campaign."""
+        found = find_campaign(self._root, board, campaign)
+        if found is None or found.toml is None:
+            return refusal("no-campaign", "There is no such campaign, or it has no recordings yet.")
+        words = ["diagnose", str(found.toml), "--out", str(found.path / DIAGNOSIS), "--next-experiment",
+                 *["--quick"] * quick]  # fmt: skip
+        return self._start(session, "diagnose", "diagnose", board, words, found.path, "diagnosed" + ", quick" * quick)
+
+    def diagnose_live(self, session: LoginSession, board: str) -> pb.CommandReply:
+        """The causes of the model's errors in what the rig flew in the last minutes."""
+        folder = self._new(board)
+        words = ["diagnose", "--live", f"{LIVE_MIN:g}", "--board", board, "--logs", str(self._logs), "--quick",
+                 "--next-experiment", "--out", str(folder / DIAGNOSIS), *self._routes.live(session.name)]  # fmt: skip
+        said = f"diagnosed the last {LIVE_MIN:g} minutes of flight"
+        return self._start(session, "diagnose", "diagnose", board, words, folder, said)
+
+    def hand_over(self, session: LoginSession, board: str, model: str) -> pb.CommandReply:
+        """Give a model of the list to the running twin; what it replaces is kept."""
+        wanted = next((one for one in self.models(board) if one.name == model), None)
+        if wanted is None:
+            return refusal("no-model", "There is no such model.")
+        running = self.running(board)
+        try:
+            if running is not None and not any(one.in_use for one in self.models(board)):
+                keep(self._data, running, board)
+        except OSError as error:
+            return refusal("failed", f"The present model cannot be kept: {error.strerror}. Nothing was handed over.")
+        words = ["twin", "--hand-over", str(wanted.path), "--board", board, "--who", session.name,
+                 *self._routes.live(session.name)]  # fmt: skip
+        folder = wanted.path.parent if wanted.path.name == MODEL else wanted.path.parent.parent
+        folder = folder if folder.parent == self._root else self._data / "models" / board
+        return self._start(session, "use_model", "hand-over", board, words, folder, f"handed {wanted.kind} model over")
+
+    def _new(self, board: str) -> Path:
+        return self._root / f"{board}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+    def _run(self, folder: Path, board: str) -> list[str]:
+        return ["campaign", "run", str(folder), "--board", board]
+
+    def _start(
+        self, session: LoginSession, act: str, kind: str, board: str, words: list[str], folder: Path, said: str
+    ) -> pb.CommandReply:
+        reply = self._actions.start_job(session, act, kind, board, words, title=folder.name)
+        if reply.accepted:
+            try:
+                write_act(folder, who=session.name, what=said)
+            except OSError as error:
+                _logger.warning("%s: who did it cannot be written (%s)", folder, error.strerror)
+        return reply

@@ -1,0 +1,200 @@
+"""The page of a rig's model: what lies in the folders, who may do what, and an alarm in numbers."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from gateway.views.hmi.model.campaigns import board_of, campaigns_of, find_campaign
+from gateway.views.hmi.model.finding import read_found
+from gateway.views.hmi.model.journal import FILE, acts_of, write_act
+from gateway.views.hmi.model.models import keep, models_of
+from gateway.views.hmi.model.numbers import in_numbers
+from protocol.bus import board51_pb2 as pb
+from protocol.errors import DataError
+from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway
+from tests.harness.gateway.gateway_peers import wait_for
+from tests.harness.gateway.hmi_peers import Page, frame, hmi, users_file
+
+CAMPAIGN = "rig-20260102-030405"
+MODEL = {"plant": {"name": "ce152"}, "parameters": {"K_A": {"value": 0.297}}, "causes": [{"name": "quadratic-drag"}]}
+ANSWER = {
+    "verdict": "causes-found",
+    "sentence": "One cause: the coil sits higher.",
+    "causes": [
+        {
+            "name": "air-gap-offset", "sentence": "the coil sits 0.4 mm higher", "confidence": 0.61,
+            "indistinguishable_from": ["force-exponent"],
+            "at_the_rig": {"confirm": "hold the ball at six heights", "cure": "x_max + d"},
+            "next_experiment": {"experiments": [{"name": "chirp"}, {"name": "blocked-ball"}, {"name": "unheard-of"}],
+                                "not_separable_here": []},
+        }
+    ],
+    "show": {"judged": True, "ahead": [
+        {"horizon_s": h, "baseline": {"value": 1e-3, "low": 9e-4, "high": 2e-3},
+         "extended": {"value": 6e-6, "low": None, "high": None}, "floor_m": 5e-6} for h in (0.002, 0.02)]},
+}  # fmt: skip
+
+
+def campaign(root: Path, name: str = CAMPAIGN) -> Path:
+    folder = root / name
+    (folder / "diagnosis").mkdir(parents=True)
+    (folder / "campaign.toml").write_text("[plant]\n")
+    (folder / "rest.mcap").write_bytes(b"")
+    (folder / "model.json").write_text(json.dumps(MODEL))
+    (folder / "diagnosis" / "diagnosis.json").write_text(json.dumps(ANSWER))
+    (folder / "diagnosis" / "report.html").write_text("<p>report")
+    return folder
+
+
+def test_campaigns_belong_to_the_rig_that_their_folder_names(tmp_path: Path) -> None:
+    campaign(tmp_path)
+    campaign(tmp_path, "rig-2-20260203-040506")
+    (tmp_path / "rig-20260909-000000").symlink_to(tmp_path / CAMPAIGN)
+    (tmp_path / "notes").mkdir()
+
+    (found,) = campaigns_of(tmp_path, "rig")
+
+    assert (found.name, found.made, found.recordings) == (CAMPAIGN, "2026-01-02 03:04", 1)
+    assert found.toml == tmp_path / CAMPAIGN / "campaign.toml"
+    assert board_of("rig-2-20260203-040506") == "rig-2"
+    assert find_campaign(tmp_path, "rig", "") == found
+    assert find_campaign(tmp_path, "rig", f"../{tmp_path.name}/{CAMPAIGN}") is None
+    assert campaigns_of(tmp_path / "absent", "rig") == []
+
+
+def test_who_did_what_is_kept_in_order_and_a_damaged_line_is_left_out(tmp_path: Path) -> None:
+    write_act(tmp_path / "new", who="ana", what="began a campaign")
+    with (tmp_path / "new" / FILE).open("a") as stream:
+        stream.write('{"at": 3}\nnot json\n')
+    write_act(tmp_path / "new", who="ben", what="identified")
+
+    acts = acts_of(tmp_path / "new")
+
+    assert [(act.who, act.what) for act in acts] == [("ana", "began a campaign"), ("ben", "identified")]
+    assert acts_of(tmp_path) == ()
+
+
+def test_the_model_in_use_is_marked_and_the_one_that_it_replaces_stays_in_the_list(tmp_path: Path) -> None:
+    root = tmp_path / "campaigns"
+    campaign(root)
+    campaigns = campaigns_of(root, "rig")
+    started = pb.TwinModel(name="ce152", model_json=json.dumps({**MODEL, "causes": []}))
+
+    before = models_of(tmp_path, "rig", campaigns, started)
+    keep(tmp_path, started, "rig")
+    after = models_of(tmp_path, "rig", campaigns, pb.TwinModel(model_json=json.dumps(MODEL, indent=3)))
+
+    assert [(one.kind, one.in_use) for one in before] == [("identified, campaign of 2026-01-02 03:04", False)]
+    assert [one.in_use for one in after] == [True, False]
+    assert (after[0].about, after[1].about) == ("K_A 0.297; with quadratic-drag", "K_A 0.297")
+    assert after[1].was_replaced
+    (root / CAMPAIGN / "model.json").write_text("{")
+    assert len(models_of(tmp_path, "rig", campaigns, None)) == 1, "a damaged one is left out"
+
+
+def test_an_answer_is_read_and_experiments_that_no_menu_has_are_left_out(tmp_path: Path) -> None:
+    path = campaign(tmp_path) / "diagnosis" / "diagnosis.json"
+
+    found = read_found(path)
+
+    assert found.sure
+    assert found.causes[0].experiments == ("chirp", "blocked-ball")
+    assert found.causes[0].equals == ("force-exponent",)
+    assert found.ahead[0].after == (6e-6, 6e-6, 6e-6)
+    for damaged in ("{}", "[]", '{"verdict": 1, "sentence": 2, "causes": [3]}'):
+        path.write_text(damaged)
+        with pytest.raises(DataError, match=r"diagnosis\.json"):
+            read_found(path)
+
+
+def divergence(signal: str, *, mean: float, rms: float, noise: float) -> pb.Divergence:
+    made = pb.Divergence(sync="in-step", nis_mean=8.0, innovation_valid=True)
+    figures = pb.SignalDivergence(error=mean, normalised=mean / noise, rolling_rmse=rms, rolling_mean=mean)
+    getattr(made, signal).CopyFrom(figures)
+    return made
+
+
+def test_an_alarm_says_by_how_much_which_way_and_how_often_noise_explains_it() -> None:
+    more = divergence("i_c_a", mean=0.26, rms=0.264, noise=0.022)
+    lower = divergence("x_m", mean=-40e-6, rms=41e-6, noise=8e-6)
+    to_and_fro = divergence("x_m", mean=1e-6, rms=120e-6, noise=6e-6)
+
+    assert (
+        in_numbers("divergence-i_c", "14:59", more)
+        == "the coil draws 0.26 A more than the model since 14:59, 12 times what noise explains"
+    )
+    assert (
+        in_numbers("divergence-x", "14:59", lower)
+        == "the ball is 40 \u00b5m lower than the model has it since 14:59, 5.1 times what noise explains"
+    )
+    assert in_numbers("divergence-x", "9:00", to_and_fro).startswith("position and model differ by 120 \u00b5m rms")
+    assert in_numbers("innovation", "9:00", more) == (
+        "one sample ahead the model errs 2.0 times what noise explains, since 9:00"
+    )
+
+
+def test_where_there_is_no_number_nothing_is_said() -> None:
+    lost = divergence("x_m", mean=1e-3, rms=1e-3, noise=1e-6)
+    lost.sync = "out-of-step"
+
+    assert in_numbers("divergence-x", "9:00", lost) == ""
+    assert in_numbers("divergence-x", "9:00", pb.Divergence(sync="in-step")) == ""
+    assert in_numbers("divergence-x", "9:00", divergence("x_m", mean=math.nan, rms=math.nan, noise=1.0)) == ""
+    assert in_numbers("out-of-step", "9:00", lost) == ""
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[tuple[PlayedGateway, int]]:
+    words = ("--users", str(users_file(folder)))
+    with played_gateway() as gateway, hmi(folder, gateway.endpoint, *words) as (port, _):
+        heard = Page(port)
+        heard.log_in("vic")
+
+        def known() -> bool:
+            gateway.state()
+            gateway.send("twin/model", pb.TwinModel(name="ce152", sha256="0" * 64, model_json=json.dumps(MODEL)))
+            with heard.live("/live") as socket:
+                return bool(frame(socket)["boards"])
+
+        wait_for(known, "the board on the page")
+        yield gateway, port
+
+
+def test_the_page_shows_the_answer_and_only_an_engineer_has_its_buttons(tmp_path: Path) -> None:
+    campaign(tmp_path / "data" / "campaigns")
+    campaign(tmp_path / "data" / "campaigns", "other-20260102-030405")
+    with served(tmp_path) as (_, port):
+        viewer, engineer = Page(port), Page(port)
+        viewer.log_in("vic")
+        engineer.log_in("ana")
+        seen, able = viewer.open("/model/rig"), engineer.open("/model/rig")
+        rig = viewer.open("/rig/rig")
+        posts = {
+            name: viewer.post("/api/rig/job", {"kind": name, "act": "start", "campaign": CAMPAIGN, "model": "x"})
+            for name in ("campaign", "identify", "diagnose")
+        }
+        asked = {
+            wrong: engineer.post("/api/rig/job", {"kind": "identify", "act": "start", "campaign": wrong}).json()
+            for wrong in ("../" + CAMPAIGN, "other-20260102-030405", "none")
+        }
+        clamp = {"kind": "campaign", "act": "start", "campaign": CAMPAIGN, "experiment": "blocked-ball"}
+        unclamped = engineer.post("/api/rig/job", clamp).json()
+        unknown = engineer.post("/api/rig/job", {"kind": "hand-over", "act": "start", "model": "../x"}).json()
+
+    for words in ("the coil sits 0.4 mm higher", "force-exponent", "confidence 0.61", "hold the ball at six heights"):
+        assert words in seen, "everybody may read"
+    assert "data-job" not in seen
+    assert "Next experiment: chirp" in able
+    assert "Clamp the ball" in able, "what a person must do before"
+    assert f'href="/report/1/campaigns/{CAMPAIGN}/diagnosis/report.html"' in rig
+    assert "other-2026" not in rig, "a report of another rig"
+    assert {name: answer.status_code for name, answer in posts.items()} == dict.fromkeys(posts, 403)
+    assert {answer["reason"] for answer in asked.values()} == {"no-campaign"}
+    assert unclamped["reason"] == "person-needed"
+    assert unknown["reason"] == "no-model"
