@@ -28,6 +28,8 @@ BASE = PARAMETERS + NOISES
 FLOORS = {"process_i_c_a": 1e-6, "process_a_m_s2": 1e-3}
 STOP_UNIT_M = 1e-5
 _RESTART_M_S2 = 0.3
+# Below the first no sampling shows a T_A, and its logarithm finds no way back; at the second it does.
+_FLAT_T_A_S, _RESTART_T_A_S = 1e-5, 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,9 +166,10 @@ def _floor(theta: Theta, name: str) -> float:
 
 
 def reinitialised(theta: Theta) -> Theta:
-    """Raise process noise above its lower bound, where the likelihood is flat and a climb would not leave it."""
+    """Raise process noise and T_A from where the likelihood is flat and a climb would not leave it."""
     return replace(
         theta,
+        T_A=theta.T_A if theta.T_A > _FLAT_T_A_S else _RESTART_T_A_S,
         process_i_c_a=max(theta.process_i_c_a, 0.3 * theta.sigma_i_c_a),
         process_a_m_s2=max(theta.process_a_m_s2, _RESTART_M_S2),
     )

@@ -18,9 +18,10 @@ from functools import partial
 
 from twin.diagnose import settings
 from twin.diagnose.inference.budget import Spent
-from twin.diagnose.inference.fisher_scoring import Fit
+from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
+from twin.diagnose.inference.theta import reinitialised
 from twin.diagnose.search import periodic
 from twin.diagnose.search.candidate_fits import climbed, inside, worth_the_whole
 from twin.diagnose.search.equivalence import find_classes
@@ -145,7 +146,8 @@ def _taken(
         return
     first = step.trials[0]
     gains = {**found.gains, step.taken: first.gain}
-    yield (found := replace(found, causes=(*found.causes, step.taken), fit=first.fit, gains=gains))
+    fit = _revived(criterion, first.fit)
+    yield (found := replace(found, causes=(*found.causes, step.taken), fit=fit, gains=gains))
     if periodic.CAUSE.name in found.causes:
         with criterion.budget.question("which phases the periodic force has beside the others"):
             found = replace(found, fit=periodic.rephased(criterion, found.fit, settings.PASSES))
@@ -155,6 +157,18 @@ def _taken(
         with criterion.budget.question("whether each cause is needed beside the later ones"):
             found = backward(criterion, found, floor, say, passes)
         yield found
+
+
+def _revived(criterion: Criterion, fit: Fit) -> Fit:
+    """The fit with a T_A that the errors of the model without the cause had driven to zero, if it is wanted back.
+
+    A lag of another place would take over its part.
+    """
+    start = reinitialised(fit.theta)
+    if start.T_A == fit.theta.T_A:
+        return fit
+    again = climb(criterion, start, fit.free)
+    return again if again.loglik > fit.loglik else fit
 
 
 def _together(

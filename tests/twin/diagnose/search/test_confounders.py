@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.noise_floor import floor_of
 from twin.diagnose.inference.theta import BASE, STOPS, coordinates_of, reinitialised
 from twin.diagnose.pipeline import diagnose
+from twin.diagnose.search import stepwise
 from twin.diagnose.search.candidate_starts import start_of
 from twin.diagnose.search.equivalence import find_classes
 from twin.diagnose.search.forward_step import Round
@@ -117,3 +119,18 @@ def test_quick_gives_the_first_of_two_causes_the_place_of_one_that_explains_more
     friction = found.causes[1].parameters["force_n"]
     assert friction.std is not None
     assert abs(friction.value - 3e-3) < 3.0 * friction.std
+
+
+def test_a_time_constant_that_went_to_zero_beside_a_wrong_model_comes_back_with_the_right_one() -> None:
+    """Its logarithm has no slope there, and a lag of the field would be taken for it."""
+    rig = strong(GAP, 5e-4)
+    criterion = criterion_of(narrow(rig))
+    try:
+        lost = fitted(criterion, replace(rig, T_A=5e-7), GAP)
+        back = stepwise._revived(criterion, lost)
+    finally:
+        criterion.close()
+
+    assert lost.theta.T_A < 2e-6, "it finds no way back by itself"
+    assert back.theta.T_A == pytest.approx(rig.T_A, rel=0.1)
+    assert back.loglik > lost.loglik
