@@ -109,8 +109,11 @@ class Live:
             board = board or self._snapshots.feed.board(name)
             if board is None:
                 return {}
-            rows, cursor = self._snapshots.traces(board).since(cursor)
+            traces, first = self._snapshots.traces(board), cursor == 0
+            rows, cursor = traces.since(cursor)
             made: dict[str, Any] = {"now": snapshot.now(board), "rows": rows}
+            if first and rows:
+                made["past"] = traces.past()
             if now_s - looked_s >= REST_S:
                 looked_s = now_s
                 jobs = {job.kind: snapshot.job(job) for job in self._jobs.of(name)}

@@ -47,6 +47,7 @@ def now(board: BoardFeed) -> dict[str, Any]:
         picture |= {
             "session": state.session,
             "at": _clock(state.host_time_ns),
+            "host_s": round(state.host_time_ns / 1e9, 3),
             "tick": state.tick,
             "t_s": round(state.t_s, 3),
             "x_m": _if(state, "x_m"),
@@ -95,13 +96,22 @@ def rest(board: BoardFeed) -> dict[str, Any]:
                 "times": a.times,
                 "value": number(a.value, 3) if a.value is not None else None,
                 "since": _clock(a.since_ns),
+                "at_s": round(a.since_ns / 1e9, 3),
             }
             for a in alarms
         ],
         "events": [
-            {"at": _clock(e.host_time_ns), "source": e.source, "severity": e.severity, "name": e.name, "text": e.text}
+            {
+                "at": _clock(e.host_time_ns),
+                "at_s": round(e.host_time_ns / 1e9, 3),
+                "source": e.source,
+                "severity": e.severity,
+                "name": e.name,
+                "text": e.text,
+            }
             for e in board.events()[: -EVENTS_SHOWN - 1 : -1]
         ],
+        "excitation": _excitation(board.commands()),
         "commands": [_command(record) for record in board.commands()[: -EVENTS_SHOWN - 1 : -1]],
     }
 
@@ -136,6 +146,20 @@ def summary(board: BoardFeed) -> dict[str, Any]:
         "alarms": sum(a.active or not a.acknowledged for a in alarms),
         "fault": any(a.active and a.severity == "fault" for a in alarms),
     }
+
+
+def _excitation(records: Sequence[pb.CommandRecord]) -> dict[str, Any] | None:
+    """The excitation that plays, as far as the commands tell: what it is and when it ends (Unix time; 0: never)."""
+    for record in reversed(records):
+        command, what = record.command, record.command.WhichOneof("what")
+        if not record.reply.accepted or what not in ("excite", "stop", "set_mode"):
+            continue
+        if what != "excite" or command.excite.shape == pb.SHAPE_NONE:
+            return None
+        duration_s = command.excite.duration_s
+        until_s = round(record.received_ns / 1e9 + duration_s, 1) if duration_s else 0
+        return {"what": pb.Shape.Name(command.excite.shape).removeprefix("SHAPE_").lower(), "until_s": until_s}
+    return None
 
 
 def _if(state: pb.State, name: str) -> float | None:

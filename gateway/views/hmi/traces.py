@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 
 from gateway.views.bins import TopicBins
 from gateway.views.decimate import Bin
@@ -23,6 +24,7 @@ from protocol.bus import board51_pb2 as pb
 SPAN_S = 20.0  # that a plot shows
 BIN_S = 1.0 / 30.0  # a frame of a screen
 MAX_ROWS = round(3 * SPAN_S / BIN_S)
+COARSE_S, LONGEST_S = 2.0, 600.0  # of what is older; static/history.js makes the same of rows that grow old there
 
 Row = list[object]
 
@@ -39,6 +41,7 @@ class Traces:
         self._rows: deque[Row] = deque(maxlen=MAX_ROWS)
         self._count = 0  # rows so far: the cursor of one who has read all
         self._taps: list[TopicBins] = []
+        self._coarse: deque[Row] = deque(maxlen=round(3 * LONGEST_S / COARSE_S))
 
     def pump(self) -> None:
         """Take in what came since the last call; call it about 30 times a second."""
@@ -49,6 +52,8 @@ class Traces:
         states, twins, divergences = (tap.take() for tap in self._taps)
         for made, bins in ((_state, states), (_twin, twins), (_divergence, divergences)):
             for done in bins:
+                if len(self._rows) == MAX_ROWS:
+                    self._fold(self._rows[0])
                 self._rows.append(made(done))
                 self._count += 1
 
@@ -58,6 +63,42 @@ class Traces:
         if missing <= 0:
             return [], self._count
         return list(self._rows)[-missing:], self._count
+
+    def past(self) -> list[Row]:
+        """What is older than the rows of `since(0)`, in bins of COARSE_S, up to LONGEST_S."""
+        return list(self._coarse)
+
+    def _fold(self, row: Row) -> None:
+        """Put a row that leaves the ring into the coarse bin of its kind, session and time."""
+        for place in range(len(self._coarse) - 1, max(len(self._coarse) - 4, -1), -1):
+            bin_ = self._coarse[place]
+            if bin_[:2] == row[:2] and _slot(bin_) == _slot(row):
+                self._coarse[place] = _widened(bin_, row)
+                return
+        self._coarse.append(row)
+
+
+_LOWS, _LARGEST = {"s": (3, 6, 8), "t": (3, 5), "d": (3,)}, {"d": (5,)}
+
+
+def _slot(row: Row) -> int:
+    return int(float(str(row[2])) // COARSE_S)
+
+
+def _widened(bin_: Row, row: Row) -> Row:
+    """`row` with the lowest and highest values of both; of a value without a band the newest counts, or the largest."""
+    wide = list(row)
+    for low in _LOWS[str(row[0])]:
+        wide[low], wide[low + 1] = _of(min, bin_[low], row[low]), _of(max, bin_[low + 1], row[low + 1])
+    for place in _LARGEST.get(str(row[0]), ()):
+        wide[place] = _of(max, bin_[place], row[place])
+    return wide
+
+
+def _of(choose: Callable[[float, float], float], a: object, b: object) -> object:
+    if not isinstance(a, float | int) or not isinstance(b, float | int):
+        return b if a is None else a
+    return choose(a, b)
 
 
 def number(value: float, digits: int = 6) -> float | None:

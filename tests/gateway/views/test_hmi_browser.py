@@ -30,7 +30,7 @@ NOTE_THE_PRESS = """() => {
         window.addEventListener(kind, () => { window.pressedAt = Date.now(); }, { capture: true });
 }"""
 INK_OF_A_PLOT = """() => {
-    const canvas = document.querySelector('canvas.plot-x');
+    const canvas = document.querySelector('.plot-x canvas');
     const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
     return pixels.filter((value, n) => n % 4 === 3 && value > 0).length;
 }"""

@@ -59,6 +59,29 @@ def test_sessions_are_bounded_and_the_idlest_makes_room() -> None:
     assert sessions.get(first.token, 500.0) is first
 
 
+def test_what_leaves_the_ring_of_a_plot_is_kept_for_ten_minutes_and_no_spike_is_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("gateway.views.hmi.traces.MAX_ROWS", 30)
+    with played_gateway() as gateway, feed_of(gateway) as feed:
+        gateway.state()
+        board = wait_for(lambda: feed.board("rig"), "the board")
+        traces = Traces(board)
+        traces.pump()
+
+        for n in range(4000):
+            gateway.state(x_m=4.5e-3 if n == 333 else 3e-3)
+        wait_for(lambda: (s := board.latest(pb.State)) is not None and s.tick == 4001, "the last sample")
+        traces.pump()
+
+    past, (first, *_) = traces.past(), traces.since(0)[0]
+    times = [float(str(row[2])) for row in past]
+    assert 3 <= len(past) <= 5, "bins of two seconds"
+    assert max(float(str(row[4])) for row in past) == pytest.approx(4.5e-3)
+    assert times == sorted(times)
+    assert times[-1] < float(str(first[2]))
+
+
 def test_no_spike_is_lost_between_500_hz_and_a_screen() -> None:
     with played_gateway() as gateway, feed_of(gateway) as feed:
         gateway.state()

@@ -229,7 +229,7 @@ def test_in_a_lost_state_everything_is_marked_as_last_known(page: Page, site: Si
     button = page.locator('[data-mode="closed loop"]')
     expect(button).to_have_attribute("aria-pressed", "false")
     expect(button).to_have_attribute("data-last", "yes")
-    expect(page.locator("canvas.plot-x")).to_have_attribute("aria-label", re.compile(r"up to \d\d:\d\d:\d\d$"))
+    expect(page.locator(".plot-x")).to_have_attribute("aria-label", re.compile(r"up to \d\d:\d\d:\d\d$"))
     assert page.evaluate(STRONG_COLOURS) == 0, "what is old is veiled"
     expect(page.locator('[data-live="log"]')).to_contain_text("last known: ")  # no status for seconds either
 

@@ -29,12 +29,13 @@ from protocol.errors import DataError
 
 REPLAY = "/live-replay"  # where the frames of replays come from
 REPORTS_SHOWN = 20
-_CHIPS = ("link", "to-board", "mode", "twin", "log", "alarm-count")
+_CHIPS = ("link", "to-board", "mode", "runs", "twin", "log", "alarm-count")
 _NUMBERS = (
     ("x", "position", "mm", True), ("x_ref", "reference", "mm", False), ("twin_x", "twin", "mm", False),
     ("i_c", "current", "A", False), ("u_c", "input", "V", False),
     ("error_x", "x \u2212 twin", "\u00b5m", False), ("error_i", "i \u2212 twin", "mA", False),
 )  # fmt: skip
+_SPANS = ((5, "5 s"), (20, "20 s"), (60, "1 min"), (600, "10 min"))
 _ICON = Markup('<svg viewBox="0 0 24 24" aria-hidden="true"><path d="M8 1h8l7 7v8l-7 7H8l-7-7V8z"/></svg>')
 
 
@@ -66,11 +67,13 @@ class Pages:
         board, session = request.path_params["board"], _session(request)
         reports = [one for one in await asyncio.to_thread(self._actions.reports.entries) if rig_of(one) == board]
         cards = controls.cards(lambda act: self._actions.may(session, act))
-        body = join(
-            tag("main", _measured(),
-                tag("div", _list("Alarms", "alarms"), _to_model(board, reports), *cards, class_="side"), class_="rig"),
+        body = tag(
+            "main",
+            _measured(),
+            tag("div", _list("Alarms", "alarms"), _to_model(board, reports), *cards, class_="side"),
             tag("div", _list("Events", "events"), _list("Commands: who did what", "commands"),
                 _list("Link, log, board", "health"), class_="below"),
+            class_="rig",
         )  # fmt: skip
         return self._page(request, board, body, live=f"/live/{board}", board=board, chips=True)
 
@@ -170,10 +173,12 @@ class Pages:
             tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
             tag("title", f"{title}, Board51" if not replayed else "REPLAY, not live"),
             tag("link", rel="icon", href="/static/icon.svg"),
+            tag("link", rel="stylesheet", href="/static/vendor/uPlot.min.css") if chips else "",
             tag("link", rel="stylesheet", href="/static/hmi.css"),
             tag("meta", name="board51", data_board=board, data_token=session.csrf, data_live=live, data_prefix=prefix,
                 data_replay="yes" if replayed else "", data_stops=stops, data_now=f"{time.monotonic():.3f}",
                 data_may=" ".join(act for act in LEAST_ROLE if self._actions.may(session, act))),
+            tag("script", src="/static/vendor/uPlot.iife.min.js") if chips else "",
             tag("script", type="module", src="/static/hmi.js"),
             tag("script", type="module", src=f"/static/{script}") if script else "",
         )  # fmt: skip
@@ -245,10 +250,14 @@ def _measured() -> Markup:
         for name, title, unit, big in _NUMBERS
     ]  # fmt: skip
     ball = (_live("ball", "div", class_="ball-drawing"), tag("div", *numbers, class_="numbers"))
-    plots = [_live(name, "canvas", class_=name) for name in ("plot-x", "plot-i", "plot-d")]
+    plots = [_live(name, "div", class_=f"plot {name}") for name in ("plot-x", "plot-i", "plot-d")]
+    spans = [tag("button", text, type="button", class_="span-of", data_span=str(s)) for s, text in _SPANS]
+    bar = tag("div", tag("span", "Time span", class_="hint"), *spans,
+              tag("button", "Pause", type="button", class_="span-of", data_pause="yes"),
+              tag("span", "drag: zoom, double click: back", class_="hint"), class_="plot-bar")  # fmt: skip
     return join(
         tag("div", *ball, _live("flags", "div", class_="flags"), class_="ball-card card"),
-        tag("div", *plots, class_="plots card"),
+        tag("div", bar, *plots, class_="plots card"),
     )
 
 

@@ -7,7 +7,8 @@ import { follow, limits, showJobs } from "./acts.js";
 import { Ball } from "./ball.js";
 import { $, $$, cell, put } from "./dom.js";
 import { Line } from "./line.js";
-import { Plot, SPAN_S } from "./plot.js";
+import { History } from "./history.js";
+import { Plots } from "./plots.js";
 import { may, page } from "./server.js";
 import { Stop } from "./stop.js";
 
@@ -22,8 +23,8 @@ const shown = (value, scale, digits) =>
 
 // --- frames in ----------------------------------------------------------------------------------------------------
 
-let now = null, rest = null, boards = null, actedAt = 0;
-const rows = { s: [], t: [], d: [] };
+let now = null, rest = null, boards = null, jobs = {}, actedAt = 0;
+const history = new History();
 const line = new Line(page.live, take);
 // A page of a recording has frames of its own; what STOP is told by are those of the live rigs.
 let liveRigs = null;
@@ -39,19 +40,10 @@ function take(frame) {
     limits(rest);
     document.dispatchEvent(new CustomEvent("board51-rest", { detail: rest }));
   }
-  if (frame.jobs) showJobs(frame.jobs);
+  if (frame.jobs) showJobs((jobs = frame.jobs));
   if (frame.left_s !== undefined) sessionLeft(frame.left_s);
-  for (const row of frame.rows ?? []) {
-    const list = rows[row[0]], last = list[list.length - 1];
-    if (last && (row[1] !== last[1] || row[2] < last[2])) list.length = 0; // a new session: another clock
-    list.push(row);
-  }
-  for (const list of Object.values(rows)) {
-    const newest = list.length ? list[list.length - 1][2] : 0;
-    let old = 0;
-    while (old < list.length && list[old][2] < newest - SPAN_S - 1) old++;
-    if (old > 50) list.splice(0, old);
-  }
+  for (const row of frame.past ?? []) history.fold(row);
+  for (const row of frame.rows ?? []) history.take(row);
 }
 
 function sessionLeft(left) {
@@ -79,6 +71,15 @@ function lost() {
   return `NO DATA${age} \u2013 ${now.reason || now.link}`;
 }
 
+// What goes on at this rig.
+function running() {
+  const said = Object.entries(jobs).filter(([, job]) => job.running).map(([kind]) => `\u25b6 ${kind}`);
+  const excitation = now.mode === "idle" ? null : rest?.excitation, left = excitation && excitation.until_s - now.host_s;
+  if (excitation && !excitation.until_s) said.unshift(`\u25b6 ${excitation.what}, without end`);
+  else if (left > 0) said.unshift(`\u25b6 ${excitation.what}, ${Math.ceil(left)} s left`);
+  return said;
+}
+
 function values() {
   const missing = lost(), gone = missing !== "";
   const live = gone ? "no" : "yes";
@@ -93,11 +94,11 @@ function values() {
   put("u_c", shown(now.u_c_v, 1, 3));
   put("twin_x", shown(now.twin_x_m, 1e3, 3));
   const coil = now.mode === "idle" ? "coil off" : "coil on";
+  put("runs", gone ? "" : running().join(" \u00b7 "), "on");
   chip("mode", now.mode ? `${now.mode} \u00b7 ${coil}` : "\u2013", now.mode === "idle" ? "idle" : "on", gone);
   const flags = now.flags ?? [];
   put("flags", flags.length ? `\u25b2 ${flags.join(", ")}` : "no flags", flags.includes("FAULT") ? "bad" : flags.length ? "warn" : "none");
   const above = now.nis_mean !== null && now.nis_on && now.nis_mean > now.nis_on;
-  if (plots.length) plots[2].line = now.nis_on ?? null;
   if (now.twin === "in-step" && above) chip("twin", "\u25b2 twin diverges", "warn", gone);
   else chip("twin", { none: "\u25cb no twin", stale: "\u25b2 twin silent", "in-step": "\u25cf twin in step", settling: "\u25d4 twin settling",
                 "out-of-step": "\u2715 twin out of step" }[now.twin] ?? now.twin, now.twin === "in-step" ? "good" : now.twin === "out-of-step" ? "bad" : "warn", gone);
@@ -255,32 +256,23 @@ function overview() {
 
 // --- drawing ------------------------------------------------------------------------------------------------------
 
-let plots = [], ball = null;
-const MEASURED = "#0b57a4", TWIN = "#c25e00", REFERENCE = "#3c7a3c", INPUT = "#6b4ba1";
+let plots = null, ball = null;
 
 function setUp() {
-  if (plots.length || !$("plot-x")) return;
-  plots = [
-    new Plot($("plot-x"), { title: "Position", unit: "mm", scale: 1e3, minSpan: 0.4, floor: -0.15, series: [
-      { kind: "s", low: 3, high: 4, name: "measured", style: MEASURED },
-      { kind: "t", low: 3, high: 4, name: "twin", style: TWIN, dash: [7, 4], width: 1.8 },
-      { kind: "s", low: 5, high: 5, name: "reference", style: REFERENCE, dash: [2, 3], width: 2 } ] }),
-    new Plot($("plot-i"), { title: "Current and input", unit: "", minSpan: 0.1, series: [
-      { kind: "s", low: 6, high: 7, name: "i_c (A)", style: MEASURED },
-      { kind: "t", low: 5, high: 6, name: "twin (A)", style: TWIN, dash: [7, 4], width: 1.8 },
-      { kind: "s", low: 8, high: 9, name: "u_c (V)", style: INPUT, width: 1.1, dash: [1, 2] } ] }),
-    new Plot($("plot-d"), { title: "Divergence", unit: "mean NIS", log: true, floor: 0.5, series: [
-      { kind: "d", low: 5, high: 5, name: "rig against model; 2 is noise alone", style: MEASURED, width: 2 } ] }),
-  ];
+  if (plots || !$("plot-x")) return;
+  plots = new Plots(history);
   ball = new Ball($("ball"));
   if (rest) ball.setTravel(rest.travel_m);
 }
+
+// What happened, as marks in the plots.
+const marks = () => [...(rest?.events ?? []), ...(rest?.alarms ?? [])].filter((one) => one.at_s).sort((a, b) => a.at_s - b.at_s);
 
 // The board's time of now: that of the newest row, carried on smoothly by this clock while rows come.
 let head = null;
 
 function boardNow() {
-  const newest = rows.s.length ? rows.s[rows.s.length - 1][2] : null;
+  const newest = history.newest;
   if (newest === null) return 0;
   const at = performance.now() / 1000;
   if (head === null || Math.abs(head.t + at - head.at - newest) > 0.3) head = { t: newest, at };
@@ -303,9 +295,9 @@ function draw() {
   overview();
   if (page.board) values();
   stopping.show();
-  if (!plots.length) return;
-  const missing = lost(), at = missing && rows.s.length ? rows.s[rows.s.length - 1][2] : boardNow();
-  for (const plot of plots) plot.draw(rows, at, missing, now?.at ?? "");
+  if (!plots) return;
+  const missing = lost(), at = missing ? history.newest ?? 0 : boardNow();
+  plots.draw(at, now, missing, marks());
   if (missing) ball.show(null, null, null);
   else ball.show(now.x_m, now.twin_x_m, now.x_ref_m);
 }

@@ -1,212 +1,170 @@
-// A scrolling plot of min / max bins on a canvas: the last seconds, newest at the right.
+// One plot over time, drawn by uPlot: bands from the lowest to the highest sample of a bin, so that no spike is lost.
 //
-// A series is {kind, low, high, name, unit, style, fill, dash, width}: which row kind it reads and at which places of the
-// row its low and high are.  low === high draws a line; otherwise the band between them is filled, so that a spike of a
-// single sample is seen.
+// A series is {kind, low, high, name, scale, factor, style, dash, width, fill, digits}: which rows it reads and at which places
+// of a row its low and high are.  A gap, or a new session, is a gap in the line.
 
-export const SPAN_S = 20;
+/* global uPlot */
 
-const INK = "#1d2b36", GRID = "#d5dbe0", MUTED = "#5a6872", ALARM = "#b3261e";
-
-function niceStep(span, target) {
-  const raw = span / target, power = 10 ** Math.floor(Math.log10(raw));
-  return power * [1, 2, 5, 10].find((n) => n * power >= raw);
-}
+const GAP_S = 0.25, COARSE_GAP_S = 5;
+const ALARM = "#b3261e";
+const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 export class Plot {
-  // options: {title, unit, scale (display units per SI unit), series, minSpan, floor, log}; `line` is the alarm line or null
-  constructor(canvas, options) {
-    this.canvas = canvas;
+  // options: {title, axes: [{scale, label, side, log, floor, minSpan}], series}; `changed(u)` is called after a zoom.
+  constructor(place, options, changed) {
+    this.place = place;
     this.options = options;
-    this.range = null;
-    this.line = null;
-    canvas.setAttribute("role", "img");
+    this.lost = "";
+    this.marks = [];
+    this.line = null; // of the alarm, on the scale of the last axis
+    this.kept = {};
+    place.setAttribute("role", "group");
+    this.u = new uPlot(this.settings(changed), [[]], place);
+    new ResizeObserver(() => this.fit()).observe(place);
+    this.fit();
   }
 
-  // rows: {kind: [row, ...]} in order of time; now: board time at the right edge; lost: words for missing data or "";
-  // at: clock time of the newest sample, which is the right edge where data are missing.
-  draw(rows, now, lost, at) {
-    const ratio = window.devicePixelRatio || 1, box = this.canvas.getBoundingClientRect();
-    if (box.width < 20 || box.height < 20) return;
-    const width = Math.round(box.width * ratio), height = Math.round(box.height * ratio);
-    if (this.canvas.width !== width || this.canvas.height !== height) {
-      this.canvas.width = width;
-      this.canvas.height = height;
+  fit() {
+    const legend = this.place.querySelector(".u-legend")?.offsetHeight ?? 0, width = this.place.clientWidth;
+    const height = this.place.clientHeight - legend;
+    if (width > 40 && height > 40) this.u.setSize({ width, height });
+  }
+
+  settings(changed) {
+    const { axes, series, title } = this.options;
+    const scales = { x: { time: true, auto: false } };
+    for (const axis of axes) {
+      scales[axis.scale] = { distr: axis.log ? 3 : 1, range: (u, low, high) => this.range(axis, low, high) };
     }
-    const edge = lost ? at || "no sample" : "now", about = `${this.options.title}, ${SPAN_S} seconds up to ${edge}`;
-    if (this.canvas.ariaLabel !== about) this.canvas.ariaLabel = about;
-    const g = this.canvas.getContext("2d");
-    g.setTransform(ratio, 0, 0, ratio, 0, 0);
-    g.clearRect(0, 0, box.width, box.height);
-    const area = { left: 54, right: box.width - 10, top: 26, bottom: box.height - 20 };
-    const scale = this.options.scale ?? 1;
-    const [low, high] = this.fit(rows, now, scale);
-    const x = (t) => area.right - ((now - t) / SPAN_S) * (area.right - area.left);
-    const share = this.options.log
-      ? (v) => Math.log(Math.max(v, low) / low) / Math.log(high / low)
-      : (v) => (v - low) / (high - low);
-    const y = (v) => area.bottom - share(v) * (area.bottom - area.top);
-    this.axes(g, area, low, high, x, y, now, edge);
+    const x = { stroke: () => css("--muted"), grid: { stroke: () => css("--edge"), width: 1 }, ticks: { show: false },
+                values: (u, at) => at.map((t) => new Date(t * 1000).toLocaleTimeString([], { hour12: false })), space: 90, size: 24 };
+    return {
+      width: 300, height: 150, scales, tzDate: (t) => new Date(t * 1000), ms: 1e-3,
+      axes: [x, ...axes.map((axis, n) => ({
+        scale: axis.scale, label: axis.label, labelSize: 16, labelGap: 0, size: 48, side: axis.side ?? 3, font: "12px system-ui", labelFont: "12px system-ui",
+        stroke: () => css("--muted"), grid: { show: n === 0, stroke: () => css("--edge"), width: 1 }, ticks: { show: false },
+        ...(axis.log ? { values: (u, at) => at.map((v) => (Math.abs(Math.log10(v) % 1) < 1e-6 ? `${v}` : "")) } : {}),
+      }))],
+      series: [{ label: title, value: (u, t) => (t == null ? "" : new Date(t * 1000).toLocaleTimeString([], { hour12: false, fractionalSecondDigits: 2 })) },
+               ...series.flatMap((one) => this.lines(one))],
+      bands: series.map((one, n) => ({ series: [2 * n + 2, 2 * n + 1], fill: one.style + (one.fill ?? "55") })),
+      cursor: { sync: { key: "rig" }, drag: { x: true, y: false }, points: { size: 5 }, focus: { prox: -1 } },
+      legend: { live: true },
+      hooks: { drawClear: [(u) => this.ground(u)], draw: [(u) => this.over(u)], setSelect: [(u) => u.select.width > 4 && changed(u)] },
+    };
+  }
+
+  lines(one) {
+    const line = { scale: one.scale, stroke: one.style, width: one.width ?? 1.6, dash: one.dash, points: { show: false },
+                   value: (u, v) => (v == null ? "" : v.toFixed(one.digits ?? 3)) };
+    return [{ ...line, label: one.name }, { ...line, label: `${one.name}, highest`, class: "highest" }];
+  }
+
+  // The scale follows at once outwards and only when much is empty inwards: a jumping scale cannot be read.
+  range(axis, low, high) {
+    if (low === null || low === undefined || !isFinite(low)) [low, high] = axis.log ? [1, 1] : [0, 0];
+    if (this.line !== null && axis.alarm) high = Math.max(high, this.line);
+    if (axis.log) return [axis.floor, 10 ** Math.ceil(Math.log10(Math.max(high * 1.5, 10)))];
+    const span = Math.max(high - low, axis.minSpan), middle = (low + high) / 2;
+    let bounds = [middle - span * 0.58, middle + span * 0.58];
+    if (axis.floor !== undefined && bounds[0] < axis.floor) bounds = [axis.floor, Math.max(bounds[1], axis.floor + span * 1.16)];
+    const kept = this.kept[axis.scale];
+    if (kept && bounds[0] >= kept[0] && bounds[1] <= kept[1] && bounds[1] - bounds[0] > 0.45 * (kept[1] - kept[0])) return kept;
+    return (this.kept[axis.scale] = bounds);
+  }
+
+  // history: see history.js; from, to: board time; offset: what makes clock time of it, s.
+  draw(history, from, to, offset) {
+    const kinds = [...new Set(this.options.series.map((one) => one.kind))];
+    const tables = kinds.map((kind) => this.table(kind, history.since(kind, from - 1), offset));
+    const joined = kinds.length > 1 ? uPlot.join(tables) : tables[0];
+    // uPlot.join puts the columns kind by kind; the series may stand in another order.
+    const order = kinds.flatMap((kind) => this.options.series.filter((one) => one.kind === kind));
+    const data = [joined[0]];
+    for (const one of this.options.series) {
+      const at = 1 + 2 * order.indexOf(one);
+      data.push(joined[at] ?? [], joined[at + 1] ?? []);
+    }
+    this.u.batch(() => {
+      this.u.setData(data, false);
+      this.u.setScale("x", { min: from + offset, max: to + offset });
+    });
+  }
+
+  table(kind, rows, offset) {
+    const series = this.options.series.filter((one) => one.kind === kind), table = [[], ...series.flatMap(() => [[], []])];
+    let last = null;
+    const add = (t, values) => {
+      table[0].push(t);
+      values.forEach((value, n) => table[n + 1].push(value));
+    };
+    const scaled = (value, one) => (value === null || value === undefined ? null : value * (one.factor ?? 1));
+    for (const row of rows) {
+      const gap = last && row[2] - last[2];
+      if (last && gap <= 0) continue;
+      if (last && (row[1] !== last[1] || gap > (last[2] < rows.at(-1)[2] - 20 ? COARSE_GAP_S : GAP_S))) {
+        add(last[2] + offset + gap / 2, series.flatMap(() => [null, null]));
+      }
+      add(row[2] + offset, series.flatMap((one) => [scaled(row[one.low], one), scaled(row[one.high], one)]));
+      last = row;
+    }
+    return table;
+  }
+
+  ground(u) {
+    const band = this.options.noise;
+    if (!band) return;
+    const { left, width } = u.bbox, top = u.valToPos(band.high, band.scale, true), bottom = u.valToPos(band.low, band.scale, true);
+    u.ctx.fillStyle = "#7f8f9b33";
+    u.ctx.fillRect(left, top, width, bottom - top);
+  }
+
+  over(u) {
+    const { left, top, width, height } = u.bbox, g = u.ctx, ratio = devicePixelRatio;
     g.save();
     g.beginPath();
-    g.rect(area.left, area.top, area.right - area.left, area.bottom - area.top);
+    g.rect(left, top, width, height);
     g.clip();
-    if (this.line !== null && this.line * scale < high) this.alarmLine(g, area, y(this.line * scale));
-    for (const series of this.options.series) this.trace(g, rows[series.kind] ?? [], series, now, scale, x, y);
-    g.restore();
-    this.legend(g, area);
-    if (lost) this.curtain(g, area, lost);
-  }
-
-  fit(rows, now, scale) {
-    let low = Infinity, high = -Infinity;
-    for (const s of this.options.series) {
-      for (const row of rows[s.kind] ?? []) {
-        if (row[2] < now - SPAN_S) continue;
-        if (row[s.low] !== null && row[s.low] < low) low = row[s.low];
-        if (row[s.high] !== null && row[s.high] > high) high = row[s.high];
-      }
-    }
-    if (low > high) [low, high] = [0, 0];
-    low *= scale;
-    high *= scale;
-    if (this.line !== null) high = Math.max(high, this.line * scale);
-    if (this.options.log) return [this.options.floor, 10 ** Math.ceil(Math.log10(Math.max(high * 1.5, 10)))];
-    const span = Math.max(high - low, this.options.minSpan), middle = (low + high) / 2;
-    low = middle - span * 0.58;
-    high = middle + span * 0.58;
-    if (this.options.floor !== undefined && low < this.options.floor) {
-      high = Math.max(high, this.options.floor + span * 1.16);
-      low = this.options.floor;
-    }
-    // The scale follows at once outwards and only when much is empty inwards: a jumping scale cannot be read.
-    const kept = this.range;
-    if (kept && low >= kept[0] && high <= kept[1] && high - low > 0.45 * (kept[1] - kept[0])) return kept;
-    this.range = [low, high];
-    return this.range;
-  }
-
-  ticks(area, low, high) {
-    if (this.options.log) {
-      const values = [];
-      for (let v = 10 ** Math.ceil(Math.log10(low)); v <= high * 1.001; v *= 10) values.push([v, v < 1 ? v.toFixed(1) : v.toFixed(0)]);
-      return values;
-    }
-    const step = niceStep(high - low, Math.max(2, Math.min(6, (area.bottom - area.top) / 34)));
-    const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9)), values = [];
-    for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + step * 1e-6; v += step)
-      values.push([v, (Math.abs(v) < step / 2 ? 0 : v).toFixed(digits)]);
-    return values;
-  }
-
-  axes(g, area, low, high, x, y, now, edge) {
-    g.font = "12px system-ui, sans-serif";
-    g.lineWidth = 1;
-    g.strokeStyle = GRID;
-    g.fillStyle = MUTED;
-    g.textBaseline = "middle";
-    g.textAlign = "right";
-    for (const [v, text] of this.ticks(area, low, high)) {
-      const at = Math.round(y(v)) + 0.5;
+    g.font = `${11 * ratio}px system-ui, sans-serif`;
+    const rule = (from, to, style, dash) => {
+      g.strokeStyle = g.fillStyle = style;
+      g.lineWidth = 1.2 * ratio;
+      g.setLineDash(dash.map((d) => d * ratio));
       g.beginPath();
-      g.moveTo(area.left, at);
-      g.lineTo(area.right, at);
-      g.stroke();
-      g.fillText(text, area.left - 6, at);
-    }
-    g.textBaseline = "top";
-    for (let s = 0; s <= SPAN_S; s += 5) {
-      const at = Math.round(x(now - s)) + 0.5;
-      g.beginPath();
-      g.moveTo(at, area.top);
-      g.lineTo(at, area.bottom);
-      g.stroke();
-      if (s > 0 && area.right - at < g.measureText(edge).width + 30) continue; // the label at the edge takes its place
-      g.textAlign = s === 0 ? "right" : s === SPAN_S ? "left" : "center";
-      g.fillText(s === 0 ? edge : `\u2212${s} s`, at, area.bottom + 5);
-    }
-    g.strokeStyle = MUTED;
-    g.strokeRect(area.left + 0.5, area.top + 0.5, area.right - area.left, area.bottom - area.top);
-  }
-
-  trace(g, rows, series, now, scale, x, y) {
-    g.strokeStyle = g.fillStyle = series.style;
-    g.lineWidth = series.width ?? 1.6;
-    g.setLineDash(series.dash ?? []);
-    g.lineJoin = "round";
-    let begun = false, session = null, last = -Infinity;
-    g.beginPath();
-    for (const row of rows) {
-      const t = row[2], low = row[series.low], high = row[series.high];
-      if (t < now - SPAN_S - 1) continue;
-      if (low === null || high === null) {
-        begun = false;
-        continue;
-      }
-      if (row[1] !== session || t - last > 0.25) begun = false; // a gap stays a gap
-      session = row[1];
-      last = t;
-      const at = x(t), top = y(high * scale), bottom = y(low * scale);
-      if (!begun) g.moveTo(at, bottom);
-      else g.lineTo(at, bottom);
-      if (bottom - top > 0.5) g.lineTo(at, top);
-      begun = true;
-    }
-    g.stroke();
-    g.setLineDash([]);
-  }
-
-  alarmLine(g, area, at) {
-    g.strokeStyle = g.fillStyle = ALARM;
-    g.lineWidth = 1.5;
-    g.setLineDash([10, 4, 2, 4]);
-    g.beginPath();
-    g.moveTo(area.left, at);
-    g.lineTo(area.right, at);
-    g.stroke();
-    g.setLineDash([]);
-    g.font = "12px system-ui, sans-serif";
-    g.textAlign = "right";
-    g.textBaseline = "bottom";
-    g.fillText("alarm line", area.right - 6, at - 2);
-  }
-
-  legend(g, area) {
-    g.textBaseline = "middle";
-    g.textAlign = "left";
-    const narrow = area.right < 480, dash = narrow ? 14 : 22, gap = narrow ? 9 : 16;
-    g.font = `600 ${narrow ? 12 : 13}px system-ui, sans-serif`;
-    g.fillStyle = INK;
-    const title = this.options.title + (this.options.unit ? `, ${this.options.unit}` : "");
-    g.fillText(title, area.left - 46, 12);
-    let at = area.left - 46 + g.measureText(title).width + gap;
-    g.font = `${narrow ? 11 : 12}px system-ui, sans-serif`;
-    for (const series of this.options.series) {
-      const length = g.measureText(series.name).width;
-      if (at + dash + 5 + length > area.right + 8) return;
-      g.strokeStyle = series.style;
-      g.lineWidth = Math.max(2, series.width ?? 2);
-      g.setLineDash(series.dash ?? []);
-      g.beginPath();
-      g.moveTo(at, 12);
-      g.lineTo(at + dash, 12);
+      g.moveTo(...from);
+      g.lineTo(...to);
       g.stroke();
       g.setLineDash([]);
-      g.fillStyle = MUTED;
-      g.fillText(series.name, at + dash + 5, 12);
-      at += dash + 5 + length + gap;
+    };
+    if (this.line !== null) {
+      const axis = this.options.axes.at(-1), y = u.valToPos(this.line, axis.scale, true);
+      rule([left, y], [left + width, y], ALARM, [10, 4, 2, 4]);
+      g.textAlign = "right";
+      g.fillText("alarm line", left + width - 6 * ratio, y - 4 * ratio);
     }
+    g.textAlign = "left";
+    let free = left - 1; // names must not lie on one another
+    for (const mark of this.marks) {
+      const x = u.valToPos(mark.at_s, "x", true);
+      if (x < left || x > left + width) continue;
+      rule([x, top], [x, top + height], mark.severity === "info" ? css("--muted") : ALARM, [3, 3]);
+      if (x < free) continue;
+      g.fillText(mark.name, x + 3 * ratio, top + 11 * ratio);
+      free = x + g.measureText(mark.name).width + 10 * ratio;
+    }
+    if (this.lost) this.curtain(g, left, top, width, height, ratio);
+    g.restore();
   }
 
-  curtain(g, area, text) {
-    g.fillStyle = "rgba(240, 242, 244, 0.78)";
-    g.fillRect(area.left, area.top, area.right - area.left, area.bottom - area.top);
-    g.fillStyle = ALARM;
-    g.font = "600 15px system-ui, sans-serif";
+  curtain(g, left, top, width, height, ratio) {
+    g.fillStyle = css("--curtain");
+    g.fillRect(left, top, width, height);
+    g.fillStyle = css("--bad");
+    g.font = `600 ${15 * ratio}px system-ui, sans-serif`;
     g.textAlign = "center";
     g.textBaseline = "middle";
-    const wide = g.measureText(text).width > area.right - area.left, lines = wide ? text.split(" \u2013 ") : [text];
-    const middle = (area.top + area.bottom) / 2 - 10 * (lines.length - 1);
-    lines.forEach((line, n) => g.fillText(line, (area.left + area.right) / 2, middle + 20 * n));
+    const wide = g.measureText(this.lost).width > width, lines = wide ? this.lost.split(" \u2013 ") : [this.lost];
+    const middle = top + height / 2 - 10 * ratio * (lines.length - 1);
+    lines.forEach((line, n) => g.fillText(line, left + width / 2, middle + 20 * ratio * n));
   }
 }

@@ -1,0 +1,88 @@
+// The plots of a rig's page: position, current and input, residual and divergence; span, pause, zoom.
+
+import { $ } from "./dom.js";
+import { Plot } from "./plot.js";
+
+const MEASURED = "#0b57a4", TWIN = "#c25e00", REFERENCE = "#3c7a3c", INPUT = "#6b4ba1";
+const DASH = [7, 4];
+
+const PLOTS = {
+  "plot-x": {
+    title: "Position", axes: [{ scale: "mm", label: "mm", minSpan: 0.4, floor: -0.15 }],
+    series: [
+      { kind: "s", low: 3, high: 4, name: "measured", scale: "mm", factor: 1e3, style: MEASURED },
+      { kind: "t", low: 3, high: 4, name: "twin", scale: "mm", factor: 1e3, style: TWIN, dash: DASH, width: 1.8 },
+      { kind: "s", low: 5, high: 5, name: "reference", scale: "mm", factor: 1e3, style: REFERENCE, dash: [2, 3], width: 2 },
+    ],
+  },
+  "plot-i": {
+    title: "Current and input",
+    axes: [{ scale: "A", label: "A", minSpan: 0.1, floor: -0.05 }, { scale: "V", label: "V", minSpan: 0.3, floor: -0.15, side: 1 }],
+    series: [
+      { kind: "s", low: 8, high: 9, name: "u_c, V", scale: "V", style: INPUT, width: 1.1, dash: [1, 2], fill: "22" },
+      { kind: "s", low: 6, high: 7, name: "i_c, A", scale: "A", style: MEASURED },
+      { kind: "t", low: 5, high: 6, name: "twin, A", scale: "A", style: TWIN, dash: DASH, width: 1.8 },
+    ],
+  },
+  "plot-d": {
+    title: "Rig minus twin", noise: { scale: "sigma", low: -2, high: 2 },
+    axes: [{ scale: "sigma", label: "x \u2212 twin, \u03c3 of noise", minSpan: 8 },
+           { scale: "NIS", label: "mean NIS", log: true, floor: 0.5, side: 1, alarm: true }],
+    series: [
+      { kind: "d", low: 3, high: 4, name: "x \u2212 twin (grey: noise, 95 %)", scale: "sigma", style: MEASURED, digits: 1 },
+      { kind: "d", low: 5, high: 5, name: "mean NIS (2 is noise alone)", scale: "NIS", style: TWIN, width: 2, digits: 2 },
+    ],
+  },
+};
+
+export class Plots {
+  constructor(history) {
+    this.history = history;
+    this.span = 20;
+    this.paused = false;
+    this.offset = 0;
+    this.plots = Object.fromEntries(
+      Object.entries(PLOTS).map(([name, options]) => [name, new Plot($(name), options, () => this.pause(true))]),
+    );
+    for (const button of document.querySelectorAll("[data-span]")) {
+      button.addEventListener("click", () => this.show(Number(button.dataset.span)));
+    }
+    this.button = document.querySelector("[data-pause]");
+    this.button.addEventListener("click", () => this.pause(!this.paused));
+    for (const plot of Object.values(this.plots)) plot.u.over.addEventListener("dblclick", () => this.pause(false));
+    this.show(20);
+  }
+
+  show(span) {
+    this.span = span;
+    for (const button of document.querySelectorAll("[data-span]")) {
+      button.setAttribute("aria-pressed", String(Number(button.dataset.span) === span));
+    }
+    this.pause(false);
+  }
+
+  pause(wanted) {
+    this.paused = wanted;
+    this.button.textContent = wanted ? "\u25b6 Go on" : "\u2016 Pause";
+    this.button.setAttribute("aria-pressed", String(wanted));
+  }
+
+  // at: board time at the right edge; now: the newest values; lost: why they are not true now, or "".
+  draw(at, now, lost, marks) {
+    if (now?.host_s && now.t_s !== undefined) {
+      const offset = now.host_s - now.t_s;
+      if (Math.abs(offset - this.offset) > 0.2) this.offset = offset; // else the lines would tremble
+    }
+    const edge = lost ? now?.at || "no sample" : "now";
+    for (const [name, plot] of Object.entries(this.plots)) {
+      const about = `${PLOTS[name].title}, ${this.span} seconds up to ${edge}`;
+      if (plot.place.ariaLabel !== about) plot.place.ariaLabel = about;
+      if (this.paused && plot.lost === lost) continue;
+      plot.lost = lost;
+      plot.marks = marks;
+      if (name === "plot-d") plot.line = now?.nis_on ?? null;
+      if (this.paused) plot.u.redraw();
+      else plot.draw(this.history, at - this.span, at, this.offset);
+    }
+  }
+}
