@@ -34,6 +34,7 @@ INK_OF_A_PLOT = """() => {
     const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
     return pixels.filter((value, n) => n % 4 === 3 && value > 0).length;
 }"""
+PICTURE = "document.querySelector('.plot-x canvas').toDataURL()"
 NOTE_CHANGES = """() => {
     window.changes = 0;
     const options = { childList: true, characterData: true, subtree: true };
@@ -224,6 +225,32 @@ def test_a_campaign_shows_its_progress_and_parks_the_ball_when_interrupted(name:
     expect(page.get_by_text("ended with exit code 1")).to_be_visible()
     wait_for(lambda: bus.states()[-1].mode == pb.MODE_IDLE, "idle")
     expect(page.locator(".job-lines").first).to_contain_text("ball parked, coil off")
+
+
+def test_a_plot_can_be_held_zoomed_and_read(page: Page, bus: Bus) -> None:
+    def later() -> bool:
+        return bus.states()[-1].tick > tick + 250
+
+    page.get_by_role("button", name="1 min").click()
+    expect(page.locator(".plot-x")).to_have_attribute("aria-label", "Position, 60 seconds up to now")
+    page.get_by_role("button", name="Pause").click()
+    held, tick = page.evaluate(PICTURE), bus.states()[-1].tick
+    wait_for(later, "half a second of samples")
+    assert page.evaluate(PICTURE) == held
+    page.get_by_role("button", name="Go on").click()
+    wait_for(lambda: page.evaluate(PICTURE) != held, "a new picture")
+
+    box = page.locator(".plot-x .u-over").bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] * 0.9, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 40, y, steps=4)
+    page.mouse.up()
+    expect(page.get_by_role("button", name="Go on")).to_be_visible()
+    expect(page.locator(".plot-x .u-value").nth(1)).to_have_text(re.compile(r"\d\.\d"))
+    page.get_by_role("button", name="20 s").click()
+    expect(page.get_by_role("button", name="Pause")).to_be_visible()
 
 
 def test_a_lost_board_is_shown_and_comes_back(page: Page, rig: Rig, bus: Bus) -> None:

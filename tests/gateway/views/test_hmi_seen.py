@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Literal
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
@@ -271,9 +272,25 @@ def test_nothing_that_comes_moves_the_controls(page: Page, site: Site) -> None:
     assert page.evaluate(PLACES) == before
 
 
+def test_dark_is_kept_once_it_was_chosen(page: Page, site: Site) -> None:
+    def theme() -> object:
+        return page.evaluate("document.documentElement.dataset.theme")
+
+    page.emulate_media(color_scheme="light")
+    page.goto(f"{site.url}/")
+    assert theme() == "light"
+
+    page.get_by_role("button", name="Light / dark").click()
+    page.goto(f"{site.url}/logs")
+
+    assert theme() == "dark"
+
+
 @pytest.mark.slow
-def test_every_text_can_be_read(page: Page, site: Site) -> None:
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_text_can_be_read(page: Page, site: Site, scheme: Literal["light", "dark"]) -> None:
     """4.5 : 1, WCAG 2 AA."""
+    page.emulate_media(color_scheme=scheme)
     site.gateway.answer = lambda _, command: pb.CommandReply(refused_by="gateway", reason="slew", text="Too far.")
     low: list[object] = []
 

@@ -6,7 +6,6 @@
 /* global uPlot */
 
 const GAP_S = 0.25, COARSE_GAP_S = 5;
-const ALARM = "#b3261e";
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 export class Plot {
@@ -47,7 +46,7 @@ export class Plot {
       }))],
       series: [{ label: title, value: (u, t) => (t == null ? "" : new Date(t * 1000).toLocaleTimeString([], { hour12: false, fractionalSecondDigits: 2 })) },
                ...series.flatMap((one) => this.lines(one))],
-      bands: series.map((one, n) => ({ series: [2 * n + 2, 2 * n + 1], fill: one.style + (one.fill ?? "55") })),
+      bands: series.map((one, n) => ({ series: [2 * n + 2, 2 * n + 1], fill: () => css(one.style) + (one.fill ?? "55") })),
       cursor: { sync: { key: "rig" }, drag: { x: true, y: false }, points: { size: 5 }, focus: { prox: -1 } },
       legend: { live: true },
       hooks: { drawClear: [(u) => this.ground(u)], draw: [(u) => this.over(u)], setSelect: [(u) => u.select.width > 4 && changed(u)] },
@@ -55,7 +54,7 @@ export class Plot {
   }
 
   lines(one) {
-    const line = { scale: one.scale, stroke: one.style, width: one.width ?? 1.6, dash: one.dash, points: { show: false },
+    const line = { scale: one.scale, stroke: () => css(one.style), width: one.width ?? 1.6, dash: one.dash, points: { show: false },
                    value: (u, v) => (v == null ? "" : v.toFixed(one.digits ?? 3)) };
     return [{ ...line, label: one.name }, { ...line, label: `${one.name}, highest`, class: "highest" }];
   }
@@ -138,7 +137,7 @@ export class Plot {
     };
     if (this.line !== null) {
       const axis = this.options.axes.at(-1), y = u.valToPos(this.line, axis.scale, true);
-      rule([left, y], [left + width, y], ALARM, [10, 4, 2, 4]);
+      rule([left, y], [left + width, y], css("--bad"), [10, 4, 2, 4]);
       g.textAlign = "right";
       g.fillText("alarm line", left + width - 6 * ratio, y - 4 * ratio);
     }
@@ -147,10 +146,11 @@ export class Plot {
     for (const mark of this.marks) {
       const x = u.valToPos(mark.at_s, "x", true);
       if (x < left || x > left + width) continue;
-      rule([x, top], [x, top + height], mark.severity === "info" ? css("--muted") : ALARM, [3, 3]);
-      if (x < free) continue;
-      g.fillText(mark.name, x + 3 * ratio, top + 11 * ratio);
-      free = x + g.measureText(mark.name).width + 10 * ratio;
+      rule([x, top], [x, top + height], mark.severity === "info" ? css("--muted") : css("--bad"), [3, 3]);
+      const length = g.measureText(mark.name).width, begin = Math.min(x + 3 * ratio, left + width - length);
+      if (begin < free) continue;
+      g.fillText(mark.name, begin, top + 11 * ratio);
+      free = begin + length + 10 * ratio;
     }
     if (this.lost) this.curtain(g, left, top, width, height, ratio);
     g.restore();

@@ -3,7 +3,7 @@
 import { $ } from "./dom.js";
 import { Plot } from "./plot.js";
 
-const MEASURED = "#0b57a4", TWIN = "#c25e00", REFERENCE = "#3c7a3c", INPUT = "#6b4ba1";
+const MEASURED = "--measured", TWIN = "--twin", REFERENCE = "--reference", INPUT = "--input"; // colours of hmi.css
 const DASH = [7, 4];
 
 const PLOTS = {
