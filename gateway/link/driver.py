@@ -294,6 +294,8 @@ class BoardDriver:
             parameters = parameters_message(
                 message, identity, scaling, session=self.session.number, host_time_ns=host_ns
             )
+            parameters.gateway_x_ref_min_m = self.config.limits.x_ref_min_m
+            parameters.gateway_x_ref_max_m = self.config.limits.x_ref_max_m
             self._sink.send("parameters", parameters, host_ns)
 
     def _accepted(self, wire: WireCommand, command: pb.Command, message: Message) -> None:

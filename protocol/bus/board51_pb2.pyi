@@ -69,7 +69,7 @@ class State(_message.Message):
     def __init__(self, sequence: _Optional[int] = ..., tick: _Optional[int] = ..., session: _Optional[int] = ..., host_time_ns: _Optional[int] = ..., i_c_a: _Optional[float] = ..., x_m: _Optional[float] = ..., u_c_v: _Optional[float] = ..., x_ref_m: _Optional[float] = ..., mode: _Optional[_Union[Mode, str]] = ..., flags: _Optional[int] = ..., t_s: _Optional[float] = ..., lost_before: _Optional[int] = ...) -> None: ...
 
 class Parameters(_message.Message):
-    __slots__ = ("session", "host_time_ns", "firmware", "board_id", "protocol_version", "sample_time_s", "law", "gains", "i_0_a", "x_0_m", "u_0_v", "x_ref_min_m", "x_ref_max_m", "x_ref_step_max_m", "x_ref_slew_m_s", "u_max_v", "stream_divider", "host_loss_policy", "host_loss_timeout_s", "i_lsb_a", "x_lsb_m", "u_lsb_v", "u_min_v", "from_tick", "capture_s")
+    __slots__ = ("session", "host_time_ns", "firmware", "board_id", "protocol_version", "sample_time_s", "law", "gains", "i_0_a", "x_0_m", "u_0_v", "x_ref_min_m", "x_ref_max_m", "x_ref_step_max_m", "x_ref_slew_m_s", "u_max_v", "stream_divider", "host_loss_policy", "host_loss_timeout_s", "i_lsb_a", "x_lsb_m", "u_lsb_v", "u_min_v", "from_tick", "capture_s", "gateway_x_ref_min_m", "gateway_x_ref_max_m")
     SESSION_FIELD_NUMBER: _ClassVar[int]
     HOST_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     FIRMWARE_FIELD_NUMBER: _ClassVar[int]
@@ -95,6 +95,8 @@ class Parameters(_message.Message):
     U_MIN_V_FIELD_NUMBER: _ClassVar[int]
     FROM_TICK_FIELD_NUMBER: _ClassVar[int]
     CAPTURE_S_FIELD_NUMBER: _ClassVar[int]
+    GATEWAY_X_REF_MIN_M_FIELD_NUMBER: _ClassVar[int]
+    GATEWAY_X_REF_MAX_M_FIELD_NUMBER: _ClassVar[int]
     session: int
     host_time_ns: int
     firmware: str
@@ -120,7 +122,9 @@ class Parameters(_message.Message):
     u_min_v: float
     from_tick: int
     capture_s: float
-    def __init__(self, session: _Optional[int] = ..., host_time_ns: _Optional[int] = ..., firmware: _Optional[str] = ..., board_id: _Optional[int] = ..., protocol_version: _Optional[int] = ..., sample_time_s: _Optional[float] = ..., law: _Optional[_Union[Law, str]] = ..., gains: _Optional[_Iterable[float]] = ..., i_0_a: _Optional[float] = ..., x_0_m: _Optional[float] = ..., u_0_v: _Optional[float] = ..., x_ref_min_m: _Optional[float] = ..., x_ref_max_m: _Optional[float] = ..., x_ref_step_max_m: _Optional[float] = ..., x_ref_slew_m_s: _Optional[float] = ..., u_max_v: _Optional[float] = ..., stream_divider: _Optional[int] = ..., host_loss_policy: _Optional[int] = ..., host_loss_timeout_s: _Optional[float] = ..., i_lsb_a: _Optional[float] = ..., x_lsb_m: _Optional[float] = ..., u_lsb_v: _Optional[float] = ..., u_min_v: _Optional[float] = ..., from_tick: _Optional[int] = ..., capture_s: _Optional[float] = ...) -> None: ...
+    gateway_x_ref_min_m: float
+    gateway_x_ref_max_m: float
+    def __init__(self, session: _Optional[int] = ..., host_time_ns: _Optional[int] = ..., firmware: _Optional[str] = ..., board_id: _Optional[int] = ..., protocol_version: _Optional[int] = ..., sample_time_s: _Optional[float] = ..., law: _Optional[_Union[Law, str]] = ..., gains: _Optional[_Iterable[float]] = ..., i_0_a: _Optional[float] = ..., x_0_m: _Optional[float] = ..., u_0_v: _Optional[float] = ..., x_ref_min_m: _Optional[float] = ..., x_ref_max_m: _Optional[float] = ..., x_ref_step_max_m: _Optional[float] = ..., x_ref_slew_m_s: _Optional[float] = ..., u_max_v: _Optional[float] = ..., stream_divider: _Optional[int] = ..., host_loss_policy: _Optional[int] = ..., host_loss_timeout_s: _Optional[float] = ..., i_lsb_a: _Optional[float] = ..., x_lsb_m: _Optional[float] = ..., u_lsb_v: _Optional[float] = ..., u_min_v: _Optional[float] = ..., from_tick: _Optional[int] = ..., capture_s: _Optional[float] = ..., gateway_x_ref_min_m: _Optional[float] = ..., gateway_x_ref_max_m: _Optional[float] = ...) -> None: ...
 
 class Event(_message.Message):
     __slots__ = ("host_time_ns", "tick", "session", "source", "severity", "name", "text")

@@ -10,6 +10,7 @@ import argparse
 import asyncio
 import logging
 import signal
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.client.connection import open_bus
@@ -26,7 +27,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Where, how fast, who."""
     parser.epilog = (
         "examples:\n  board51 opcua                                   opc.tcp://127.0.0.1:4840/board51/\n"
-        "  board51 opcua --security /etc/board51 --listen 0.0.0.0:4840 --rate 50"
+        "  board51 opcua --security /etc/board51 --listen 0.0.0.0:4840 --rate 50\n"
+        "  board51 opcua --export-nodeset board51.NodeSet2.xml     RigType and its parts, for engineering tools"
     )
     add_view_arguments(
         parser, "opcua", security="encryption, logins, roles", insecure="serve other machines without --security"
@@ -49,10 +51,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="what a client without a name may do: with --security off; else on loopback engineer, as everybody on an "
         "unguarded bus, and viewer where others reach it or the bus has roles",
     )
+    parser.add_argument(
+        "--export-nodeset", metavar="FILE", type=Path, help="write the types as a NodeSet2 file and end"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM or SIGINT."""
+    if args.export_nodeset is not None:
+        from gateway.views.opcua.types.nodeset import nodeset
+
+        args.export_nodeset.write_text(nodeset(), encoding="utf-8")
+        return 0
     from gateway.access.listeners import is_loopback
     from gateway.access.roles import Role
     from gateway.config import OpcuaConfig, changed

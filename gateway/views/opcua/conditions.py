@@ -14,17 +14,16 @@ from datetime import UTC, datetime
 from typing import Any
 
 from asyncua import ua
-from asyncua.common.event_objects import AlarmCondition, BaseEvent
+from asyncua.common.event_objects import BaseEvent
 
 from gateway.views.alarms import Alarm
 from gateway.views.feed import BoardFeed
 from gateway.views.opcua.address_space.values import datetime_of
-from gateway.views.opcua.sessions import ConditionNode, GuardedServer
+from gateway.views.opcua.condition_events import SEVERITY, ConditionNode, condition_event
+from gateway.views.opcua.sessions import GuardedServer
 from protocol.bus import board51_pb2 as pb
 
-SEVERITY = {"info": 100, "warning": 500, "fault": 800}
 _SERVER = ua.NodeId(ua.ObjectIds.Server)
-_PROCESS = ua.NodeId(ua.ObjectIds.ProcessConditionClassType)
 
 
 class Conditions:
@@ -79,10 +78,8 @@ class Conditions:
             condition.event_ids.clear()
             condition.comment = None
         if condition.enabled or switched:
-            event = _condition_event(alarm, condition, retain=retain)
-            event.Time = datetime.now(UTC) if switched else datetime_of(alarm.changed_ns)
-            event.add_property("NodeId", node, ua.VariantType.NodeId)
-            await self._send(event)
+            now = datetime.now(UTC) if switched else datetime_of(alarm.changed_ns)
+            await self._send(condition_event(alarm, condition, node, now, retain=retain))
 
     async def _send(self, event: Any) -> None:
         event.ReceiveTime = datetime.now(UTC)
@@ -102,29 +99,6 @@ class Conditions:
         """Those after `last`; all that are kept where it has dropped out."""
         place = next((n for n in range(len(retained) - 1, -1, -1) if retained[n] is last), -1)
         return retained[place + 1 :]
-
-
-def _condition_event(alarm: Alarm, condition: ConditionNode, *, retain: bool) -> Any:
-    event: Any = AlarmCondition(message=alarm.text, severity=SEVERITY[alarm.severity])
-    event.ConditionName, event.ConditionClassId = alarm.name, _PROCESS
-    event.ConditionClassName = ua.LocalizedText("ProcessConditionClassType")
-    event.Retain = retain and condition.enabled
-    event.BranchId = ua.NodeId()
-    event.Quality, event.LastSeverity = ua.StatusCode(), event.Severity
-    comment, by = condition.comment or (alarm.comment, alarm.acknowledged_by)
-    event.Comment, event.ClientUserId = ua.LocalizedText(comment), by
-    event.SuppressedOrShelved = False
-    for state, holds, words in (
-        ("EnabledState", condition.enabled, ("Disabled", "Enabled")),
-        ("ActiveState", alarm.active and retain, ("Inactive", "Active")),
-        ("AckedState", alarm.acknowledged or not retain, ("Unacknowledged", "Acknowledged")),
-        ("ConfirmedState", True, ("Unconfirmed", "Confirmed")),
-    ):
-        setattr(event, f"{state}/Id", holds)
-        setattr(event, state, ua.LocalizedText(words[holds]))
-    event.EventId = uuid.uuid4().bytes
-    condition.event_ids.append(event.EventId)
-    return event
 
 
 def _plain(text: str, severity: str, time_ns: int) -> Any:

@@ -19,14 +19,15 @@ from asyncua import Server, ua
 
 from gateway.access.roles import Role
 from gateway.views.feed import Feed
-from gateway.views.opcua.address_space.build import Builder
 from gateway.views.opcua.address_space.history import Historian, RingHistory
-from gateway.views.opcua.address_space.nodes import BoardNodes
 from gateway.views.opcua.capabilities import describe
 from gateway.views.opcua.conditions import Conditions
+from gateway.views.opcua.nodes import BoardNodes
 from gateway.views.opcua.operations import Operations, Visitor
 from gateway.views.opcua.security import Security
 from gateway.views.opcua.sessions import GuardedServer, Reception
+from gateway.views.opcua.types.build import Builder
+from gateway.views.opcua.types.nodeset import register
 from protocol.errors import ServiceError
 
 APPLICATION_URI = "urn:board51:gateway:opcua"
@@ -94,6 +95,7 @@ async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready:
     server.set_identity_tokens(tokens)
     await describe(server, POLICIES if security is not None else _OPEN, tokens)
     inner.namespace = await server.register_namespace(NAMESPACE.format(site=feed.site))
+    inner.spaces = await register(server)
     history = RingHistory()
     inner.history_manager = Historian(inner, history)
     try:
@@ -112,8 +114,10 @@ async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready:
 async def _keep_up(
     feed: Feed, inner: GuardedServer, history: RingHistory, settings: OpcuaSettings, stop: asyncio.Event
 ) -> None:
-    builder = Builder(inner, inner.namespace)
-    site = builder.folder(ua.NodeId(ua.ObjectIds.ObjectsFolder), feed.site, "the site", events=False)
+    builder = Builder(inner, inner.spaces, inner.namespace)
+    site = builder.object(
+        ua.NodeId(ua.ObjectIds.ObjectsFolder), feed.site, "the site", reference=ua.ObjectIds.Organizes
+    )
     boards: dict[str, tuple[BoardNodes, Conditions]] = {}
     period_s = 1.0 / settings.rate_hz
     due_s = look_s = time.monotonic()

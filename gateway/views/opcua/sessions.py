@@ -10,9 +10,8 @@ Rule 4: every client gets a bounded service: sessions, logins, queues, bytes tha
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -25,8 +24,11 @@ from asyncua.server.internal_session import InternalSession
 from gateway.access.roles import may
 from gateway.views.opcua.address_space import timestamps
 from gateway.views.opcua.address_space.model import methods
+from gateway.views.opcua.condition_events import ConditionNode
 from gateway.views.opcua.operations import NOBODY, SETPOINTS, Operations, Visitor, called, code_of, is_of, written
 from gateway.views.opcua.subscriptions import BoundedSubscriptions
+from gateway.views.opcua.types.build import Namespaces
+from gateway.views.opcua.types.layout import RIG_TYPE
 from protocol.bus import board51_pb2 as pb
 
 S = ua.StatusCodes
@@ -57,18 +59,6 @@ class Guest(User):  # type: ignore[misc]  # asyncua's class is untyped
     """asyncua's user with ours inside."""
 
     visitor: Visitor | None = None
-
-
-@dataclass
-class ConditionNode:
-    """What a condition's node stands for, and what clients did to it; conditions.py tells of it."""
-
-    board: str
-    alarm: str
-    event_ids: deque[bytes] = field(default_factory=lambda: deque(maxlen=64))  # of its present state: may be commented
-    enabled: bool = True  # for the clients of this server
-    comment: tuple[str, str] | None = None  # text, who: of AddComment, newer than that of the acknowledgement
-    is_changed: bool = False  # by a client; not told yet
 
 
 Identify = Callable[[str | None, str | None, bytes | None, str], Visitor | None]
@@ -107,6 +97,7 @@ class GuardedServer(InternalServer):  # type: ignore[misc]  # asyncua's classes 
         self.reception = reception
         self.operations, self.secured = operations, secured
         self.namespace = 0
+        self.spaces = Namespaces(site=0, types=0, di=0, machinery=0)  # until they are registered
         self.conditions: dict[ua.NodeId, ConditionNode] = {}
         self.subscription_service = BoundedSubscriptions(self.aspace, iserver=self)
         self.isession.subscription_service = self.subscription_service
@@ -269,6 +260,14 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
         board, _, path = node.Identifier.partition("/")
         return board, path
 
+    def _method(self, rig: ua.NodeId, method: ua.NodeId) -> tuple[str, str]:
+        """(board, name) of a method; that of RigType may be called at every rig (Part 4, 5.12.2)."""
+        owner, _, name = str(method.Identifier).partition("/")
+        if method.NamespaceIndex == self.iserver.spaces.types and owner == RIG_TYPE:
+            board, path = self._place(rig)
+            return ("", "") if path or rig not in self.aspace else (board, name)
+        return self._place(method)
+
     async def _write(self, item: ua.WriteValue) -> int:
         board, path = self._place(item.NodeId)
         if item.NodeId not in self.aspace:
@@ -291,7 +290,7 @@ class GuardedSession(InternalSession):  # type: ignore[misc]  # as above
             result.StatusCode = ua.StatusCode(code)
             result.InputArgumentResults = [ua.StatusCode(one) for one in codes]
             return result
-        board, name = self._place(request.MethodId)
+        board, name = self._method(request.ObjectId, request.MethodId)
         if request.MethodId not in self.aspace or request.ObjectId != ua.NodeId(board, self.iserver.namespace):
             result.StatusCode = ua.StatusCode(S.BadMethodInvalid)
         elif name in _METHODS:

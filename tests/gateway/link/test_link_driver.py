@@ -61,6 +61,11 @@ def test_a_board_streams_after_the_handshake() -> None:
         assert ticks == list(range(ticks[0], ticks[0] + len(ticks)))
         # the same numbers in SI units by the scalings of IDENTITY, which are singles on the wire
         assert collector.samples[0].x_m == pytest.approx(2 * 1.5e-6, rel=1e-6)
+        parameters, limits = collector.messages["parameters"][0], driver.config.limits
+        assert (parameters.gateway_x_ref_min_m, parameters.gateway_x_ref_max_m) == (
+            limits.x_ref_min_m,
+            limits.x_ref_max_m,
+        )
 
 
 def test_the_gateway_commands_neither_mode_nor_reference_by_itself() -> None:

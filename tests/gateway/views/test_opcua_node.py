@@ -214,6 +214,26 @@ def test_the_alarm_of_an_absent_board_is_acknowledged_by_its_event(node: Path, t
     assert operator["calls"]["Stop"]["code"] == "BadNoCommunication"
 
 
+def test_the_nodeset_is_loaded_on_top_of_the_official_companion_specifications(node: Path) -> None:
+    """Into node-opcua's address space, with DI and Machinery as their publisher has them."""
+    file = ROOT / "protocol/opcua/board51.NodeSet2.xml"
+    done = subprocess.run(
+        ["node", "types.mjs", str(file)], cwd=node, capture_output=True, text=True, check=False, timeout=HANG_S
+    )
+
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""  # each node that it cannot take is a line
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert found["declared"] > 300
+    assert found["made"]["dataType"] == "ns=0;i=11"
+    assert found["made"]["identification"] == "MachineIdentificationType"
+    assert found["made"]["twin"] is False  # optional
+    assert found["ids"] == {
+        "di FunctionalGroupType": "i=1005", "machinery i=1001": "Machines",
+        "machinery MachineryItemIdentificationType": "i=1004", "machinery MachineIdentificationType": "i=1012",
+    }  # fmt: skip
+
+
 def test_20_variables_at_50_hz_for_a_minute_without_loss(plant: Plant, tmp_path: Path) -> None:
     found = judge(plant, tmp_path, "otto", seconds=60.0)
 

@@ -9,9 +9,12 @@ from gateway.views.opcua.address_space import quality
 from gateway.views.opcua.address_space.values import Value, data_value
 
 _V = ua.VariantType
+LINK_STATES = ("live", "silent", "absent", "handshake", "connecting", "streaming", "no-gateway")  # by number
+LINK_CODE = "link/code"
 # Path, type, whether an array, what it is.
 EXTRAS: tuple[tuple[str, ua.VariantType, bool, str], ...] = (
     ("link/state", _V.String, False, "live, or why not: silent, absent, handshake, connecting, no-gateway"),
+    (LINK_CODE, _V.Int32, False, "link/state as a number: 0 is live"),
     ("link/reason", _V.String, False, "a sentence; empty where live"),
     ("alarms/active", _V.UInt32, False, "conditions that hold now"),
     ("alarms/unacknowledged", _V.UInt32, False, "that nobody has seen yet"),
@@ -29,6 +32,9 @@ def extra(feed: BoardFeed, path: str) -> object:
     match path:
         case "link/state":
             return feed.link().state
+        case "link/code":
+            state = feed.link().state
+            return LINK_STATES.index(state) if state in LINK_STATES else None
         case "link/reason":
             return feed.link().reason
         case "alarms/active":

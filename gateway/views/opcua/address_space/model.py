@@ -21,6 +21,7 @@ from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import Message
 
 from gateway.views.opcua.address_space.units import unit_of
+from gateway.views.opcua.address_space.words import ARGUMENTS, METHODS
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 
@@ -69,6 +70,7 @@ class Method:
 
     name: str  # SetReference
     act: str  # set_reference: its field in pb.Command, and its name in the table of rights
+    about: str
     arguments: tuple[Argument, ...]
 
 
@@ -90,7 +92,8 @@ def methods() -> tuple[Method, ...]:
         Method(
             name="".join(word.capitalize() for word in kind.name.split("_")),
             act=kind.name,
-            arguments=tuple(_argument(field) for field in _fields(kind)),
+            about=METHODS[kind.name],
+            arguments=tuple(_argument(kind.name, field) for field in _fields(kind)),
         )
         for kind in kinds
     )
@@ -129,8 +132,8 @@ def _leaves(message: type[Message], descriptor: Any, topic: str, prefix: str) ->
     return found
 
 
-def _argument(field: Any) -> Argument:
-    about = comments().get(f"{field.containing_type.name}.{field.name}", "")
+def _argument(act: str, field: Any) -> Argument:
+    about = ARGUMENTS.get(f"{act}.{field.name}", "") or comments().get(f"{field.containing_type.name}.{field.name}", "")
     if field.enum_type is not None:
         about = f"{', '.join(f'{v.number} {v.name}' for v in field.enum_type.values)}. {about}".strip()
     return Argument(name=field.name, variant=VARIANTS[field.type], is_array=field.is_repeated, about=about)

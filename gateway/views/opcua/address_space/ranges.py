@@ -1,6 +1,8 @@
-"""EURange of each variable, by path: the range of the converters; for the reference, the board's limits.  Pure.
+"""EURange and InstrumentRange of each variable, by path.  Pure.
 
-A variable without a range here has no EURange in the address space: an empty range with a good status would be wrong.
+EURange: normal operation.  For the reference, what gateway and board both let through; else what the converters span.
+InstrumentRange: what the converter can represent; of the setpoint, what the board alone would take.
+A variable without a range here has none in the address space: an empty range with a good status would be wrong.
 """
 
 from __future__ import annotations
@@ -8,15 +10,16 @@ from __future__ import annotations
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import COUNTS_MAX
 
+Span = tuple[float, float]  # lowest, highest
 _ENDS = ("", "/min", "/max")
 
 
-def ranges(parameters: pb.Parameters) -> dict[str, tuple[float, float]]:
-    """(lowest, highest) by path below the board."""
+def ranges(parameters: pb.Parameters) -> dict[str, Span]:
+    """EURange by path below the board."""
     current = (0.0, COUNTS_MAX * abs(parameters.i_lsb_a))
     position = (min(0.0, parameters.x_ref_min_m), max(parameters.x_ref_max_m, COUNTS_MAX * abs(parameters.x_lsb_m)))
     voltage = (min(0.0, parameters.u_min_v), parameters.u_max_v)
-    reference = (parameters.x_ref_min_m, parameters.x_ref_max_m)
+    reference = _reference(parameters)
     found = {"setpoint/x_ref_m": reference}
     for field, span in (("i_c_a", current), ("x_m", position), ("u_c_v", voltage), ("x_ref_m", reference)):
         for topic in ("state", "twin/state"):
@@ -31,4 +34,26 @@ def ranges(parameters: pb.Parameters) -> dict[str, tuple[float, float]]:
     return found
 
 
-RANGED = frozenset(ranges(pb.Parameters()))  # paths that have one, whatever the board
+def instrument_ranges(parameters: pb.Parameters) -> dict[str, Span]:
+    """InstrumentRange by path below the board."""
+    u_end_v = parameters.u_min_v + COUNTS_MAX * parameters.u_lsb_v
+    return {
+        "state/i_c_a": (0.0, COUNTS_MAX * abs(parameters.i_lsb_a)),
+        "state/x_m": (0.0, COUNTS_MAX * abs(parameters.x_lsb_m)),
+        "state/u_c_v": (min(parameters.u_min_v, u_end_v), max(parameters.u_min_v, u_end_v)),
+        "setpoint/x_ref_m": (parameters.x_ref_min_m, parameters.x_ref_max_m),
+    }
+
+
+def _reference(parameters: pb.Parameters) -> Span:
+    """What both let through; the board's alone where the gateway does not state its limits."""
+    if not parameters.gateway_x_ref_max_m:
+        return parameters.x_ref_min_m, parameters.x_ref_max_m
+    return (
+        max(parameters.x_ref_min_m, parameters.gateway_x_ref_min_m),
+        min(parameters.x_ref_max_m, parameters.gateway_x_ref_max_m),
+    )
+
+
+RANGED = frozenset(ranges(pb.Parameters()))  # paths that have an EURange, whatever the board
+INSTRUMENTS = frozenset(instrument_ranges(pb.Parameters()))

@@ -21,26 +21,21 @@ from gateway.views.bins import TopicBins
 from gateway.views.decimate import Bin
 from gateway.views.feed import BoardFeed
 from gateway.views.opcua.address_space import quality
-from gateway.views.opcua.address_space.build import READ, WRITE, Builder, analog
 from gateway.views.opcua.address_space.clock import StampClock
 from gateway.views.opcua.address_space.extras import EXTRAS, extra, extra_value
 from gateway.views.opcua.address_space.history import RingHistory, Track
-from gateway.views.opcua.address_space.model import TICK_TOPICS, TOPICS, Argument, Leaf, leaves, methods
-from gateway.views.opcua.address_space.ranges import RANGED, ranges
-from gateway.views.opcua.address_space.units import unit_of
-from gateway.views.opcua.address_space.values import Value, data_value
+from gateway.views.opcua.address_space.model import TICK_TOPICS, TOPICS, Leaf, leaves
+from gateway.views.opcua.address_space.nameplate import nameplate
+from gateway.views.opcua.address_space.ranges import instrument_ranges, ranges
+from gateway.views.opcua.address_space.values import Value, data_value, datetime_of
+from gateway.views.opcua.types.build import Builder
+from gateway.views.opcua.types.layout import MACHINES, RIG_TYPE, SETPOINTS, Layout
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 
 VALUE = ua.AttributeIds.Value
 _TAPPED = {"state": pb.State, "twin/state": pb.TwinState, "twin/divergence": pb.Divergence}
 _V = ua.VariantType
-OUTPUTS = (
-    Argument(name="accepted", variant=_V.Boolean, is_array=False, about=""),
-    Argument(name="reason", variant=_V.String, is_array=False, about="kebab-case, stable; empty where accepted"),
-    Argument(name="text", variant=_V.String, is_array=False, about="a sentence for people"),
-    Argument(name="tick", variant=_V.UInt64, is_array=False, about="from which it is in force"),
-)
 
 
 @dataclass(slots=True)
@@ -89,63 +84,32 @@ class BoardNodes:
         self._nodes: dict[str, list[_Node]] = {topic: [] for topic in TOPICS}
         self._extras: dict[str, tuple[Any, object]] = {}
         self._tracks: dict[str, Track] = {}
-        self._ranges_of: pb.Parameters | None = None
-        rows = max(2, round(history_s * rate_hz))
-        self.object = builder.folder(parent, self.name, "one rig", events=True)
-        self._build(history, rows, 1000.0 / rate_hz)
+        self._parameters: pb.Parameters | None = None  # those whose ranges and nameplate are shown
+        rig = ua.NodeId(RIG_TYPE, builder.spaces.types)
+        self.object = builder.object(parent, self.name, "one rig", kind=rig, events=True)
+        builder.refer(ua.NodeId(MACHINES, builder.spaces.machinery), ua.ObjectIds.Organizes, self.object)
+        builder.refer(ua.NodeId(ua.ObjectIds.Server), ua.ObjectIds.HasNotifier, self.object)
+        Layout(builder, self.object, self.name, interval_ms=1000.0 / rate_hz)
+        self._attach(history, max(2, round(history_s * rate_hz)))
 
-    # -- building
-
-    def _build(self, history: RingHistory, rows: int, interval_ms: float) -> None:
-        places: dict[str, ua.NodeId] = {"": self.object}
-
-        def place(path: str, about: str) -> ua.NodeId:
-            if path not in places:
-                above, _, _ = path.rpartition("/")
-                places[path] = self._builder.folder(place(above, ""), f"{self.name}/{path}", about)
-            return places[path]
-
+    def _attach(self, history: RingHistory, rows: int) -> None:
+        """Give the variables their values and their history."""
         for topic in TOPICS:
-            above = place(topic, topics.BY_NAME[topic].about)
-            columns = [leaf for leaf in leaves() if leaf.topic == topic and leaf.statistic is not None]
+            ours = [leaf for leaf in leaves() if leaf.topic == topic]
+            columns = [leaf for leaf in ours if leaf.statistic is not None]
             track = self._tracks[topic] = Track(len(columns), rows) if columns else Track(0, 1)
-            for leaf in (leaf for leaf in leaves() if leaf.topic == topic):
-                base = self._builder.id(f"{self.name}/{leaf.path.rpartition('/')[0]}")
-                parent = base if leaf.statistic in ("low", "high") else above
-                node = self._builder.leaf(
-                    parent, self.name, leaf, history=leaf.statistic is not None, min_sampling_ms=interval_ms
-                )
+            for leaf in ours:
                 if leaf.statistic is not None:
-                    history.add(node, track, columns.index(leaf))
-                self._nodes[topic].append(_Node(leaf, self._serve(node, self._reader(leaf))))
-        for path, variant, is_array, about in EXTRAS:
-            folder, _, _ = path.partition("/")
-            node = self._builder.variable(
-                place(folder, ""), f"{self.name}/{path}", variant, about, is_array=is_array, access=READ
-            )
-            self._extras[path] = (self._serve(node, self._extra_reader(path, variant)), None)
-        for path, field, about in (
-            ("setpoint/x_ref_m", "x_ref_m", "write: a new reference, through the gateway's limits"),
-            ("setpoint/mode", "mode", "write: 0 idle (coil off), 1 open loop, 2 closed loop"),
-        ):
-            self._build_setpoint(place("setpoint", "write here"), path, field, about)
-        for method in methods():
-            self._builder.method(self.object, f"{self.name}/{method.name}", "", method.arguments, OUTPUTS)
+                    history.add(self._id(leaf.path), track, columns.index(leaf))
+                self._nodes[topic].append(_Node(leaf, self._serve(self._id(leaf.path), self._reader(leaf))))
+        for path, variant, _, _ in EXTRAS:
+            self._extras[path] = (self._serve(self._id(path), self._extra_reader(path, variant)), None)
+        for path, field, _ in SETPOINTS:
+            leaf = next(leaf for leaf in leaves() if leaf.path == f"state/{field}")
+            self._nodes["state"].append(_Node(leaf, self._serve(self._id(path), self._reader(leaf))))
 
-    def _build_setpoint(self, parent: ua.NodeId, path: str, field: str, about: str) -> None:
-        leaf = next(leaf for leaf in leaves() if leaf.path == f"state/{field}")
-        unit = unit_of(field)
-        node = self._builder.variable(
-            parent,
-            f"{self.name}/{path}",
-            leaf.variant,
-            about,
-            access=READ | WRITE,
-            kind=analog(path) if unit is not None else ua.ObjectIds.BaseDataVariableType,
-        )
-        if unit is not None:
-            self._builder.unit(node, f"{self.name}/{path}", unit, ranged=path in RANGED)
-        self._nodes["state"].append(_Node(leaf, self._serve(node, self._reader(leaf))))
+    def _id(self, path: str) -> ua.NodeId:
+        return self._builder.id(f"{self.name}/{path}")
 
     def _serve(self, node: ua.NodeId, read: Callable[[], Value]) -> Any:
         self._server.set_attribute_value_callback(node, lambda _node, _attribute: read())
@@ -217,7 +181,7 @@ class BoardNodes:
 
     async def update(self) -> None:
         """Send the changes since the last call to their subscribers, and append to the history."""
-        self._update_ranges()
+        await self._update_parameters()
         for topic in TICK_TOPICS:
             down = quality.is_down(self._judged(topic))
             bins = self._taps[topic].take(unfinished=down)
@@ -279,15 +243,25 @@ class BoardNodes:
                     self._extras[path] = (attribute, value)
                     await _tell(attribute, attribute.value_callback(None, VALUE))
 
-    def _update_ranges(self) -> None:
+    async def _update_parameters(self) -> None:
+        """Ranges and nameplate, where the board has stated others."""
         parameters = self.feed.latest(pb.Parameters)
-        if parameters is None or parameters is self._ranges_of:
+        if parameters is None or parameters is self._parameters:
             return
-        self._ranges_of = parameters
-        for path, (low, high) in ranges(parameters).items():
-            node = self._builder.id(f"{self.name}/{path}/EURange")
-            held = self._server.aspace[node].attributes[VALUE]
-            held.value = Value(Value=ua.Variant(ua.Range(Low=low, High=high), _V.ExtensionObject))
+        self._parameters = parameters
+        stamp = datetime_of(parameters.host_time_ns) if parameters.host_time_ns else None
+        for name, spans in (("EURange", ranges(parameters)), ("InstrumentRange", instrument_ranges(parameters))):
+            for path, (low, high) in spans.items():
+                span = ua.Variant(ua.Range(Low=low, High=high), _V.ExtensionObject)
+                await self._hold(f"{path}/{name}", Value(Value=span, SourceTimestamp=stamp))
+        for name, said in nameplate(parameters).items():
+            await self._hold(f"Identification/{name}", Value(Value=said, SourceTimestamp=stamp))
+
+    async def _hold(self, path: str, value: Value) -> None:
+        attribute = self._server.aspace[self._id(path)].attributes[VALUE]
+        if attribute.value.Value != value.Value:
+            attribute.value = value
+            await _tell(attribute, value)
 
 
 async def _tell(attribute: Any, value: Value) -> None:

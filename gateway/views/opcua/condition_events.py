@@ -1,0 +1,113 @@
+"""The event of a condition with every field that Part 9 asks of an AlarmConditionType.  Pure but for the event's id."""
+
+from __future__ import annotations
+
+import uuid
+from collections import deque
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any
+
+from asyncua import ua
+from asyncua.common.event_objects import AlarmCondition
+
+from gateway.board.conditions import LINK, LOG, TO_BOARD
+from gateway.views.alarms import TWIN, Alarm
+from gateway.views.opcua.address_space.values import datetime_of
+
+SEVERITY = {"info": 100, "warning": 500, "fault": 800}
+_PROCESS = ua.NodeId(ua.ObjectIds.ProcessConditionClassType)
+_V = ua.VariantType
+_INPUTS = {  # the variable that an alarm judges, by its name; of the board's faults, its flags
+    "divergence-x": "twin/divergence/x_m.normalised",
+    "divergence-i_c": "twin/divergence/i_c_a.normalised",
+    "innovation": "twin/divergence/nis_mean",
+    "diagnosis-wanted": "twin/divergence/nis_mean",
+    "out-of-step": "twin/divergence/sync",
+    TWIN: "twin/state/sync",
+    LINK: "link/state",
+    LOG: "status/log_state",
+    TO_BOARD: "status/to_board",
+}
+
+
+@dataclass
+class ConditionNode:
+    """What a condition's node stands for, what was said of it and what clients did to it."""
+
+    board: str
+    alarm: str
+    event_ids: deque[bytes] = field(default_factory=lambda: deque(maxlen=64))  # of its present state: may be commented
+    enabled: bool = True  # for the clients of this server
+    comment: tuple[str, str] | None = None  # text, who: of AddComment, newer than that of the acknowledgement
+    is_changed: bool = False  # by a client; not told yet
+    states: dict[str, tuple[bool, datetime]] = field(default_factory=dict)  # what was said last, and since when
+    severity: tuple[int, datetime] | None = None  # said last
+    said: tuple[str, datetime] | None = None  # comment, and since when
+
+
+def condition_event(alarm: Alarm, condition: ConditionNode, node: ua.NodeId, now: datetime, *, retain: bool) -> Any:
+    """The event that tells of a condition as it is.
+
+    Args:
+        alarm: as the feed has it.
+        condition: remembers what this event says.
+        node: ConditionId; its namespace is that of the rig.
+        now: when it became so.
+        retain: whether it is of interest to operators.
+    """
+    severity = SEVERITY[alarm.severity]
+    event: Any = AlarmCondition(message=alarm.text, severity=severity)
+    event.add_property("NodeId", node, _V.NodeId)
+    event.EventId, event.Time = uuid.uuid4().bytes, now
+    condition.event_ids.append(event.EventId)
+    event.ConditionName, event.ConditionClassId = alarm.name, _PROCESS
+    event.ConditionClassName = ua.LocalizedText("ProcessConditionClassType")
+    event.Retain = retain and condition.enabled
+    event.SupportsFilteredRetain = event.SuppressedOrShelved = False
+    event.BranchId = ua.NodeId()
+    event.InputNode = ua.NodeId(f"{alarm.board}/{_INPUTS.get(alarm.name, 'state/flags')}", node.NamespaceIndex)
+    event.Quality = ua.StatusCode()
+    _stamp(event, "Quality/SourceTimestamp", datetime_of(alarm.changed_ns))
+    last = condition.severity or (severity, now)
+    event.LastSeverity = last[0]
+    _stamp(event, "LastSeverity/SourceTimestamp", last[1])
+    condition.severity = severity, now
+    _comment(event, alarm, condition, now)
+    _states(event, alarm, condition, now, retain=retain)
+    return event
+
+
+def _comment(event: Any, alarm: Alarm, condition: ConditionNode, now: datetime) -> None:
+    text, by = condition.comment or (alarm.comment, alarm.acknowledged_by)
+    if condition.said is None or condition.said[0] != text:
+        condition.said = text, now
+    event.Comment, event.ClientUserId = ua.LocalizedText(text), by
+    _stamp(event, "Comment/SourceTimestamp", condition.said[1])
+
+
+def _states(event: Any, alarm: Alarm, condition: ConditionNode, now: datetime, *, retain: bool) -> None:
+    active, acknowledged = alarm.active and retain, alarm.acknowledged or not retain
+    said = {"EnabledState": condition.enabled, "ActiveState": active, "AckedState": acknowledged}
+    words = {
+        "EnabledState": ("Disabled", "Enabled"),
+        "ActiveState": ("Inactive", "Active"),
+        "AckedState": ("Unacknowledged", "Acknowledged"),
+    }
+    for state, holds in said.items():
+        if state not in condition.states or condition.states[state][0] != holds:
+            condition.states[state] = holds, now
+        event.add_property(f"{state}/Id", holds, _V.Boolean)
+        setattr(event, state, ua.LocalizedText(words[state][holds]))
+        _stamp(event, f"{state}/TransitionTime", condition.states[state][1])
+    effective = ", ".join(words[state][holds] for state, holds in said.items() if state != "EnabledState")
+    shown = ua.LocalizedText(effective if condition.enabled else "Disabled")
+    setattr(event, "EnabledState/EffectiveDisplayName", shown)
+    _stamp(event, "EnabledState/EffectiveTransitionTime", max(since for _, since in condition.states.values()))
+    # Nothing waits to be confirmed: what an operator has acknowledged is done.
+    event.ConfirmedState = ua.LocalizedText("Confirmed")
+    setattr(event, "ConfirmedState/Id", True)
+
+
+def _stamp(event: Any, name: str, moment: datetime) -> None:
+    event.add_property(name, moment, _V.DateTime)  # asyncua declares these by a data type, which it cannot encode

@@ -1,0 +1,146 @@
+"""The nodes of OPC UA for Devices (DI) and OPC UA for Machinery that the rigs need.
+
+asyncua brings no file of these specifications.  Ids, names and types are theirs; what no rig has is left out, and the
+metadata of both namespaces says so (IsNamespaceSubset).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from asyncua import ua
+from asyncua.server.internal_server import InternalServer
+
+from gateway.views.opcua.address_space.nameplate import FIELDS
+from gateway.views.opcua.types.build import Builder, Namespaces
+from gateway.views.opcua.types.layout import MACHINE_IDENTIFICATION, MACHINES
+
+DI = "http://opcfoundation.org/UA/DI/"
+MACHINERY = "http://opcfoundation.org/UA/Machinery/"
+_O, _V = ua.ObjectIds, ua.VariantType
+_FUNCTIONAL_GROUP, _ITEM_IDENTIFICATION = 1005, 1004
+_NUMBERS = {  # numeric ids of the specifications, by path
+    "FunctionalGroupType": _FUNCTIONAL_GROUP,
+    "Machines": MACHINES,
+    "MachineryItemIdentificationType": _ITEM_IDENTIFICATION,
+    "MachineIdentificationType": MACHINE_IDENTIFICATION,
+    "MachineryItemIdentificationType/Manufacturer": 6002,
+    "MachineryItemIdentificationType/SerialNumber": 6003,
+    "MachineryItemIdentificationType/Model": 6008,
+    "MachineryItemIdentificationType/HardwareRevision": 6010,
+    "MachineryItemIdentificationType/SoftwareRevision": 6011,
+    "MachineIdentificationType/ProductInstanceUri": 6015,
+    "MachineIdentificationType/DefaultInstanceBrowseName": 6030,
+}
+_MANDATORY = frozenset({"Manufacturer", "SerialNumber", "ProductInstanceUri"})
+_METADATA = {"di": range(15001, 15009), "machinery": (5001, 6033, 6034, 6032, 6031, 6035, 6036, 6037)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Metadata:
+    """What Server/Namespaces says of a namespace."""
+
+    uri: str
+    version: str
+    published: datetime
+    is_subset: bool
+
+
+SAID = {
+    "di": Metadata(uri=DI, version="1.04.0", published=datetime(2022, 11, 3, tzinfo=UTC), is_subset=True),
+    "machinery": Metadata(uri=MACHINERY, version="1.04.0", published=datetime(2025, 7, 1, tzinfo=UTC), is_subset=True),
+}
+
+
+class _Numbered(Builder):
+    """Adds nodes with the numbers of a specification."""
+
+    numbers: dict[str, int]
+
+    def id(self, path: str) -> ua.NodeId:
+        """The node id of a path."""
+        return ua.NodeId(self.numbers[path], self.own)
+
+
+def add_companions(server: InternalServer, spaces: Namespaces) -> None:
+    """Add them to an address space without."""
+    di, machinery = (_Numbered(server, spaces, own) for own in (spaces.di, spaces.machinery))
+    di.numbers = machinery.numbers = _NUMBERS
+    group = object_type(di, ua.NodeId(_O.FolderType), "FunctionalGroupType", "groups parameters and methods")
+    item = object_type(machinery, group, "MachineryItemIdentificationType", "nameplate of a machine or a component")
+    machine = object_type(machinery, item, "MachineIdentificationType", "nameplate of a machine")
+    for path in _NUMBERS:
+        owner, slash, field = path.partition("/")
+        if slash and field in FIELDS:
+            variant, _ = FIELDS[field]
+            name = ua.QualifiedName(field, spaces.di)
+            above = item if owner == "MachineryItemIdentificationType" else machine
+            node = machinery.property(above, path, None, variant, int(variant), about=f"{field} of the item", name=name)
+            rule = _O.ModellingRule_Mandatory if field in _MANDATORY else _O.ModellingRule_Optional
+            machinery.refer(node, _O.HasModellingRule, ua.NodeId(rule), both=False)
+    machinery.property(
+        machine, "MachineIdentificationType/DefaultInstanceBrowseName",
+        ua.QualifiedName("Identification", spaces.di), _V.QualifiedName, _O.QualifiedName, about="name of each",
+        name=ua.QualifiedName("DefaultInstanceBrowseName", 0),
+    )  # fmt: skip
+    machinery.object(
+        ua.NodeId(_O.ObjectsFolder),
+        "Machines",
+        "all machines of this server",
+        kind=_O.FolderType,
+        reference=_O.Organizes,
+        name=ua.QualifiedName("Machines", spaces.machinery),
+    )
+    for which, builder in (("di", di), ("machinery", machinery)):
+        said, numbers = SAID[which], _METADATA[which]
+        paths = (said.uri, *(_below(said, name) for name in metadata_values(said)))
+        builder.numbers = dict(zip(paths, numbers, strict=True))
+        add_metadata(builder, said)
+
+
+def object_type(builder: Builder, above: ua.NodeId, name: str, about: str) -> ua.NodeId:
+    """An object type below another."""
+    attributes: Any = ua.ObjectTypeAttributes()
+    attributes.DisplayName, attributes.Description = ua.LocalizedText(name), ua.LocalizedText(about)
+    attributes.IsAbstract = False
+    return builder.add(above, name, ua.NodeClass.ObjectType, attributes, _O.HasSubtype, None)
+
+
+def metadata_values(said: Metadata) -> dict[str, tuple[Any, ua.VariantType, int, str]]:
+    """(value, variant, data type, description) of each property of NamespaceMetadataType (Part 5, 6.3.14)."""
+    return {
+        "NamespaceUri": (said.uri, _V.String, _O.String, "URI of the namespace"),
+        "NamespaceVersion": (said.version, _V.String, _O.String, "version of the specification"),
+        "NamespacePublicationDate": (said.published, _V.DateTime, _O.DateTime, "when it was published"),
+        "IsNamespaceSubset": (
+            said.is_subset,
+            _V.Boolean,
+            _O.Boolean,
+            "whether nodes of the namespace are missing here",
+        ),
+        "StaticNodeIdTypes": ([], _V.Int32, _O.IdType, "types of node ids that are the same in all servers"),
+        "StaticNumericNodeIdRange": ([], _V.String, _O.NumericRange, "numeric ids that are the same in all servers"),
+        "StaticStringNodeIdPattern": ("", _V.String, _O.String, "string ids that are the same in all servers"),
+    }
+
+
+def add_metadata(builder: Builder, said: Metadata) -> ua.NodeId:
+    """An entry of Server/Namespaces; the paths are its URI and those of its properties below it."""
+    node = builder.object(
+        ua.NodeId(_O.Server_Namespaces),
+        said.uri,
+        f"namespace {said.uri}",
+        kind=_O.NamespaceMetadataType,
+        name=ua.QualifiedName(said.uri, builder.own),
+    )
+    for name, (value, variant, data_type, about) in metadata_values(said).items():
+        builder.property(
+            node, _below(said, name), value, variant, int(data_type), about=about, name=ua.QualifiedName(name, 0)
+        )
+    return node
+
+
+def _below(said: Metadata, name: str) -> str:
+    return f"{said.uri.rstrip('/')}/{name}"

@@ -1,0 +1,211 @@
+"""Everything from Root on, as a generic client walks it: what the standard asks of each node holds for ours."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, field
+from typing import Any
+
+from asyncua import ua
+
+from gateway.access.roles import Role
+from gateway.views.opcua.server import OpcuaSettings
+from gateway.views.opcua.types.companion import DI, MACHINERY
+from gateway.views.opcua.types.rig_type import TYPES
+from protocol.bus import board51_pb2 as pb
+from tests.harness.gateway.bus_peers import played_gateway, ticking
+from tests.harness.gateway.opcua_peers import NAMESPACE, Peer, Served, peer
+
+O, S, V = ua.ObjectIds, ua.StatusCodes, ua.VariantType  # noqa: E741
+A = ua.AttributeIds
+ATTRIBUTES = (A.NodeClass, A.BrowseName, A.DisplayName, A.Description, A.DataType, A.ValueRank, A.Value, A.AccessLevel)
+BATCH = 400
+UNSAID = {S.BadWaitingForInitialData, S.BadNoCommunication, S.BadDataUnavailable, S.UncertainLastUsableValue}
+
+
+@dataclass
+class Seen:
+    """A node with its references."""
+
+    attributes: dict[ua.AttributeIds, ua.DataValue] = field(default_factory=dict)
+    references: list[ua.ReferenceDescription] = field(default_factory=list)
+
+    def value(self, attribute: ua.AttributeIds) -> Any:
+        found = self.attributes[attribute].Value
+        return None if found is None else found.Value
+
+    def to(self, reference: int, *, forward: bool = True) -> list[ua.NodeId]:
+        wanted = ua.NodeId(reference)
+        return [r.NodeId for r in self.references if r.ReferenceTypeId == wanted and r.IsForward == forward]
+
+
+async def walk(client: Peer) -> dict[ua.NodeId, Seen]:
+    """All nodes that can be reached from Root, whatever the reference."""
+    seen: dict[ua.NodeId, Seen] = {}
+    waiting = [ua.NodeId(O.RootFolder)]
+    while waiting:
+        batch, waiting = waiting[:BATCH], waiting[BATCH:]
+        parameters = ua.BrowseParameters(RequestedMaxReferencesPerNode=0)
+        for node in batch:
+            seen[node] = Seen()
+            every = ua.BrowseDescription(NodeId=node, BrowseDirection=ua.BrowseDirection.Both, IncludeSubtypes=True)
+            every.ReferenceTypeId, every.ResultMask = ua.NodeId(O.References), ua.BrowseResultMask.All
+            parameters.NodesToBrowse.append(every)
+        for node, result in zip(batch, await client.client.uaclient.browse(parameters), strict=True):
+            assert result.StatusCode.is_good(), node
+            seen[node].references = result.References
+            waiting += [r.NodeId for r in result.References if r.NodeId not in seen]
+        waiting = list(dict.fromkeys(node for node in waiting if node not in seen))
+    ours = [node for node in seen if node.NamespaceIndex >= 2]
+    for start in range(0, len(ours), BATCH):
+        batch = ours[start : start + BATCH]
+        read = ua.ReadParameters(TimestampsToReturn=ua.TimestampsToReturn.Both)
+        read.NodesToRead = [
+            ua.ReadValueId(NodeId=node, AttributeId=attribute) for node in batch for attribute in ATTRIBUTES
+        ]
+        values = iter(await client.client.uaclient.read(read))
+        for node in batch:
+            seen[node].attributes = {attribute: next(values) for attribute in ATTRIBUTES}
+    return seen
+
+
+def test_every_node_is_as_the_standard_asks() -> None:
+    async def ask(server: Served) -> None:
+        async with peer(server.port) as client:
+            await client.await_status("rig/state/x_m", S.Good)
+            await client.await_status("rig/setpoint/x_ref_m/EURange", S.Good)
+            seen = await walk(client)
+            spaces = await client.client.get_namespace_array()
+        assert spaces[2:] == [NAMESPACE, TYPES, DI, MACHINERY]
+        ours = {node: one for node, one in seen.items() if node.NamespaceIndex >= 2}
+        rig = [node for node in ours if node.NamespaceIndex == 2]
+        assert len(rig) > 300
+        assert len(ours) > 2 * len(rig)
+        faults = [fault for node, one in ours.items() for fault in faults_of(node, one, seen)]
+        assert faults == []
+        expect_machines(seen)
+        expect_rig_like_its_type(seen)
+
+    with played_gateway() as gateway:
+        settings = OpcuaSettings(port=0, anonymous=Role.ENGINEER)
+        with ticking(gateway, "rig"), Served(gateway, settings) as served:
+            asyncio.run(ask(served))
+
+
+def faults_of(node: ua.NodeId, one: Seen, seen: dict[ua.NodeId, Seen]) -> list[str]:
+    """What is wrong with a node of ours."""
+    kind, name = ua.NodeClass(one.value(A.NodeClass)), node.to_string()
+    found = [f"{name}: no {a.name}" for a in (A.BrowseName, A.DisplayName, A.Description) if not text(one.value(a))]
+    typed = one.to(O.HasTypeDefinition)
+    if kind in (ua.NodeClass.Object, ua.NodeClass.Variable) and (len(typed) != 1 or typed[0] not in seen):
+        found.append(f"{name}: type definitions {typed}")
+    parents = [r for r in one.references if not r.IsForward and r.ReferenceTypeId.Identifier in HIERARCHICAL]
+    if not parents:
+        found.append(f"{name}: no parent")
+    for reference in one.references:
+        if reference.ReferenceTypeId.Identifier in HIERARCHICAL:
+            back = seen[reference.NodeId].to(reference.ReferenceTypeId.Identifier, forward=not reference.IsForward)
+            if back.count(node) != 1:
+                found.append(f"{name}: no inverse of {reference.ReferenceTypeId} at {reference.NodeId}")
+    is_property = bool(one.to(O.HasProperty, forward=False))
+    if is_property != (typed == [ua.NodeId(O.PropertyType)]):
+        found.append(f"{name}: property by its reference, not by its type, or the other way round")
+    if kind is ua.NodeClass.Method:
+        named = {reference.BrowseName.Name for reference in one.references if reference.IsForward}
+        if "OutputArguments" not in named or ("InputArguments" in named) == (name.endswith(("/Stop", "/Ping"))):
+            found.append(f"{name}: arguments {named}")
+    if kind is ua.NodeClass.Variable:
+        found += [f"{name}: {fault}" for fault in faults_of_value(one, seen)]
+    below_type = name.startswith("ns=3;s=RigType/")
+    if below_type and len(one.to(O.HasModellingRule)) != 1:
+        found.append(f"{name}: no modelling rule")
+    return found
+
+
+HIERARCHICAL = {O.Organizes, O.HasComponent, O.HasProperty, O.HasSubtype, O.HasAddIn, O.HasNotifier, O.HasEventSource}
+
+
+def faults_of_value(one: Seen, seen: dict[ua.NodeId, Seen]) -> list[str]:
+    """What is wrong with type and value of a variable."""
+    value, data_type, rank = one.attributes[A.Value], one.value(A.DataType), one.value(A.ValueRank)
+    if data_type not in seen:
+        return [f"data type {data_type} is not there"]
+    if not one.value(A.AccessLevel) & 1:
+        return ["cannot be read"]
+    if value.Value is None or value.Value.Value is None:
+        return [] if value.StatusCode.value in UNSAID else [f"no value, and {value.StatusCode}"]
+    if value.StatusCode.is_bad():
+        return [f"a value, and {value.StatusCode}"]
+    is_array = isinstance(value.Value.Value, list)
+    faults = [] if is_array == (rank == 1) else [f"value rank {rank}, array {is_array}"]
+    built_in = lineage(data_type, seen)
+    variant = value.Value.VariantType
+    is_of = O.Structure if variant is V.ExtensionObject else variant.value
+    if is_of not in built_in and not (is_of == O.Int32 and O.Enumeration in built_in):
+        faults.append(f"a {variant} in a variable of {data_type}")
+    return faults
+
+
+def lineage(data_type: ua.NodeId, seen: dict[ua.NodeId, Seen]) -> set[int]:
+    """Numbers of a data type and all above it."""
+    found, above = {data_type.Identifier}, [data_type]
+    while above:
+        above = seen[above.pop()].to(O.HasSubtype, forward=False)
+        found |= {node.Identifier for node in above if node.NamespaceIndex == 0}
+    return found
+
+
+def text(value: Any) -> str:
+    return str(getattr(value, "Text", None) or getattr(value, "Name", None) or "")
+
+
+def expect_machines(seen: dict[ua.NodeId, Seen]) -> None:
+    rig = seen[ua.NodeId("rig", 2)]
+    machines = ua.NodeId(1001, 5)
+    assert machines in seen[ua.NodeId(O.ObjectsFolder)].to(O.Organizes)
+    assert seen[machines].to(O.Organizes) == [ua.NodeId("rig", 2)]
+    assert rig.to(O.HasTypeDefinition) == [ua.NodeId("RigType", 3)]
+    assert rig.to(O.HasNotifier, forward=False) == [ua.NodeId(O.Server)]
+    [plate] = rig.to(O.HasAddIn)
+    assert seen[plate].value(A.BrowseName) == ua.QualifiedName("Identification", 4)
+    fields = [seen[node] for node in seen[plate].to(O.HasProperty)]
+    said = {f"{one.value(A.BrowseName).to_string()}": one.value(A.Value) for one in fields}
+    assert (said["4:SerialNumber"], said["4:SoftwareRevision"]) == ("7", "1.0 test")
+    assert said["4:Manufacturer"].Text in ("", None)
+
+
+def expect_rig_like_its_type(seen: dict[ua.NodeId, Seen]) -> None:
+    """Each declaration of the type is at the rig, under the same path of browse names and of the same kind."""
+    shapes = [shape(ua.NodeId(top, space), seen) for top, space in (("RigType", 3), ("rig", 2))]
+    assert shapes[0] == shapes[1]
+    assert len(shapes[0]) > 300
+
+
+def shape(top: ua.NodeId, seen: dict[ua.NodeId, Seen], path: str = "") -> dict[str, tuple[Any, ...]]:
+    found: dict[str, tuple[Any, ...]] = {}
+    for reference in (O.HasComponent, O.HasProperty, O.HasAddIn):
+        for node in seen[top].to(reference):
+            one = seen[node]
+            here = f"{path}/{one.value(A.BrowseName).to_string()}"
+            found[here] = (one.value(A.NodeClass), one.to(O.HasTypeDefinition), one.value(A.DataType))
+            found |= shape(node, seen, here)
+    return found
+
+
+def test_a_method_of_the_type_is_called_at_the_rig() -> None:
+    async def ask(server: Served) -> None:
+        async with peer(server.port) as client:
+            await client.await_status("rig/state/x_m", S.Good)
+            codes = []
+            for place in ("rig", "rig/state", "another"):
+                request = ua.CallMethodRequest(ObjectId=ua.NodeId(place, 2), MethodId=ua.NodeId("RigType/SetMode", 3))
+                request.InputArguments = [ua.Variant(0, V.UInt32)]
+                codes.append((await client.client.uaclient.call([request]))[0].StatusCode.value)
+            assert codes == [S.Good, S.BadMethodInvalid, S.BadMethodInvalid]
+
+    with played_gateway() as gateway:
+        settings = OpcuaSettings(port=0, anonymous=Role.ENGINEER)
+        with ticking(gateway, "rig"), Served(gateway, settings) as served:
+            asyncio.run(ask(served))
+        assert [command.WhichOneof("what") for _, command in gateway.commands] == ["set_mode"]
+        assert gateway.commands[0][1].set_mode.mode == pb.MODE_IDLE

@@ -1,0 +1,64 @@
+"""The events of a condition: every field that Part 9 asks for, and when each state began."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import pytest
+from asyncua import ua
+
+from gateway.views.alarms import Alarm
+from gateway.views.opcua.address_space.model import leaves
+from gateway.views.opcua.condition_events import _INPUTS, ConditionNode, condition_event
+
+NODE = ua.NodeId("rig/alarm/divergence-x", 2)
+START = datetime(2026, 1, 1, tzinfo=UTC)
+ALARM = Alarm(board="rig", name="divergence-x", severity="warning", text="x is off", since_ns=10**18, changed_ns=10**18)
+FIELDS = (  # mandatory from BaseEventType to AlarmConditionType; SourceNode, SourceName and ReceiveTime come on sending
+    "EventId", "EventType", "Time", "Message", "Severity", "ConditionClassId", "ConditionClassName", "ConditionName",
+    "BranchId", "Retain", "EnabledState", "EnabledState/Id", "Quality", "Quality/SourceTimestamp", "LastSeverity",
+    "LastSeverity/SourceTimestamp", "Comment", "Comment/SourceTimestamp", "ClientUserId", "AckedState", "AckedState/Id",
+    "ActiveState", "ActiveState/Id", "InputNode", "SuppressedOrShelved", "NodeId", "SupportsFilteredRetain",
+)  # fmt: skip
+
+
+def told(condition: ConditionNode, after_s: float, *, retain: bool = True, **changes: Any) -> Any:
+    now = START + timedelta(seconds=after_s)
+    return condition_event(replace(ALARM, **changes), condition, NODE, now, retain=retain)
+
+
+def test_every_field_has_a_value_that_can_be_sent() -> None:
+    event = told(ConditionNode("rig", "divergence-x"), 0)
+
+    assert [name for name in FIELDS if getattr(event, name, None) is None] == []
+    for name in FIELDS:
+        assert isinstance(event.data_types[name], ua.VariantType), name
+        ua.ua_binary.variant_to_binary(ua.Variant(getattr(event, name), event.data_types[name]))
+
+
+def test_each_state_says_since_when() -> None:
+    condition = ConditionNode("rig", "divergence-x")
+    came = told(condition, 0)
+    seen = told(condition, 5, acknowledged=True, acknowledged_by="eva", comment="known")
+    worse = told(condition, 7, acknowledged=True, acknowledged_by="eva", comment="known", severity="fault")
+    gone = told(condition, 9, retain=False, acknowledged=True, acknowledged_by="eva", comment="known")
+
+    def since(event: Any, field: str) -> float:
+        return float((getattr(event, field) - START).total_seconds())
+
+    assert [since(e, "ActiveState/TransitionTime") for e in (came, seen, worse, gone)] == [0, 0, 0, 9]
+    assert [since(e, "AckedState/TransitionTime") for e in (came, seen, worse, gone)] == [0, 5, 5, 5]
+    assert [since(e, "Comment/SourceTimestamp") for e in (came, seen, worse, gone)] == [0, 5, 5, 5]
+    assert [e.LastSeverity for e in (came, seen, worse, gone)] == [500, 500, 500, 800]
+    assert [getattr(e, "EnabledState/EffectiveDisplayName").Text for e in (came, gone)] == [
+        "Active, Unacknowledged",
+        "Inactive, Acknowledged",
+    ]
+    assert len({e.EventId for e in (came, seen, worse, gone)}) == 4
+
+
+@pytest.mark.parametrize("path", sorted({*_INPUTS.values(), "state/flags"}))
+def test_the_input_of_a_condition_is_a_variable_of_the_rig(path: str) -> None:
+    assert path == "link/state" or path in {leaf.path for leaf in leaves()}
