@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Literal
 
 import pytest
@@ -15,6 +16,7 @@ from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticki
 from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import hmi
+from tests.harness.gateway.npm import installed
 
 pytestmark = [
     pytest.mark.xdist_group("hmi-seen"),
@@ -270,6 +272,41 @@ def test_nothing_that_comes_moves_the_controls(page: Page, site: Site) -> None:
     expect(page.locator('[data-live="log"]')).to_contain_text("last known: ")
 
     assert page.evaluate(PLACES) == before
+
+
+@pytest.fixture(scope="module")
+def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The script of axe-core."""
+    folder = installed(Path(__file__).parent / "axe", tmp_path_factory.mktemp("axe"))
+    return (folder / "node_modules" / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_serious_on_any_page(
+    page: Page, site: Site, axe: str, scheme: Literal["light", "dark"]
+) -> None:
+    page.emulate_media(color_scheme=scheme)
+    found: list[object] = []
+    with site.live():
+        raise_alarms(site, 2)
+        for path in ("/", "/rig/rig", "/model/rig", "/logs", "/replay/"):
+            page.goto(site.url + path)
+            page.wait_for_load_state("networkidle" if path == "/logs" else "load")
+            page.evaluate(axe)
+            result = page.evaluate("axe.run()")
+            found += [
+                (path, one["id"], one["help"], [node["html"][:150] for node in one["nodes"][:3]])
+                for one in result["violations"]
+                if one["impact"] in ("serious", "critical")
+            ]
+            assert len(result["passes"]) > 10, "it has looked"
+
+        page.evaluate("document.body.append(document.createElement('input'))")
+        nameless = page.evaluate("axe.run()")["violations"]
+
+    assert found == []
+    assert "label" in [one["id"] for one in nameless], "it would find a field without a name"
 
 
 def test_dark_is_kept_once_it_was_chosen(page: Page, site: Site) -> None:
