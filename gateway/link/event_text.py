@@ -8,16 +8,24 @@ from protocol.wire.messages import FAULT_EVENTS, RESETS, VERSION, EventCode, Mes
 _WARNINGS = frozenset({EventCode.HOST_LOST, EventCode.OVERRUN, EventCode.LIMIT_HIT}) | (RESETS - FAULT_EVENTS)
 _RESET = "The board restarted; resets since power-on: {detail}."
 _TEXT = {
-    EventCode.HOST_LOST: "No frame from the host in time; policy {detail} (0 keep, 1 coil off, 2 hold) has acted.",
+    EventCode.HOST_LOST: "No frame from the host in time; the policy has acted: {policy}.",
     EventCode.HOST_BACK: "The host is back.",
     EventCode.OVER_CURRENT: "The current converter stayed at its top, {detail} counts: coil off.",
     EventCode.SENSOR_FAULT: "The position converter stayed at an end, {detail} counts: coil off.",
     EventCode.OVERRUN: "A tick took longer than T_s; late ticks since the reset: {detail}.",
     EventCode.EXCITATION_DONE: "The excitation has ended.",
     EventCode.CAPTURE_DONE: "The capture is complete.",
-    EventCode.LIMIT_HIT: "A limit was hit: {detail} (0 input, 1 reference).",
+    EventCode.LIMIT_HIT: "The {limited} has reached its limit.",
     EventCode.MODE_CHANGED: "Mode {mode}.",
 }
+
+_POLICIES = ("the coil goes on as before", "coil off", "the reference is held")
+_LIMITED = ("input u_c", "reference")
+
+
+def _word(words: tuple[str, ...], number: int) -> str:
+    """The word of a number; the number itself if it has none."""
+    return words[number] if number < len(words) else str(number)
 
 
 def mode_name(mode: int) -> str:
@@ -29,7 +37,12 @@ def of_board(event: BoardEvent) -> tuple[str, str, str]:
     """Return (name, severity, text) of a board's event."""
     code = event.code
     severity = "fault" if code in FAULT_EVENTS else "warning" if code in _WARNINGS else "info"
-    text = _TEXT.get(code, _RESET).format(detail=event.detail, mode=mode_name(event.detail))
+    text = _TEXT.get(code, _RESET).format(
+        detail=event.detail,
+        mode=mode_name(event.detail),
+        policy=_word(_POLICIES, event.detail),
+        limited=_word(_LIMITED, event.detail),
+    )
     return code.name.lower().replace("_", "-"), severity, text
 
 
