@@ -6,7 +6,7 @@
 /* global uPlot */
 
 const GAP_S = 0.25, COARSE_GAP_S = 5;
-const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 
 export class Plot {
   // options: {title, axes: [{scale, label, side, log, floor, minSpan}], series}; `changed(u)` is called after a zoom.
@@ -35,13 +35,13 @@ export class Plot {
     for (const axis of axes) {
       scales[axis.scale] = { distr: axis.log ? 3 : 1, range: (u, low, high) => this.range(axis, low, high) };
     }
-    const x = { stroke: () => css("--muted"), grid: { stroke: () => css("--edge"), width: 1 }, ticks: { show: false },
+    const x = { stroke: () => css("muted"), grid: { stroke: () => css("edge"), width: 1 }, ticks: { show: false },
                 values: (u, at) => at.map((t) => new Date(t * 1000).toLocaleTimeString([], { hour12: false })), space: 90, size: 24 };
     return {
       width: 300, height: 150, scales, tzDate: (t) => new Date(t * 1000), ms: 1e-3,
       axes: [x, ...axes.map((axis, n) => ({
         scale: axis.scale, label: axis.label, labelSize: 16, labelGap: 0, size: 48, side: axis.side ?? 3, font: "12px system-ui", labelFont: "12px system-ui",
-        stroke: () => css("--muted"), grid: { show: n === 0, stroke: () => css("--edge"), width: 1 }, ticks: { show: false },
+        stroke: () => css("muted"), grid: { show: n === 0, stroke: () => css("edge"), width: 1 }, ticks: { show: false },
         ...(axis.log ? { values: (u, at) => at.map((v) => (Math.abs(Math.log10(v) % 1) < 1e-6 ? `${v}` : "")) } : {}),
       }))],
       series: [{ label: title, value: (u, t) => (t == null ? "" : new Date(t * 1000).toLocaleTimeString([], { hour12: false, fractionalSecondDigits: 2 })) },
@@ -137,7 +137,7 @@ export class Plot {
     };
     if (this.line !== null) {
       const axis = this.options.axes.at(-1), y = u.valToPos(this.line, axis.scale, true);
-      rule([left, y], [left + width, y], css("--bad"), [10, 4, 2, 4]);
+      rule([left, y], [left + width, y], css("bad"), [10, 4, 2, 4]);
       g.textAlign = "right";
       g.fillText("alarm line", left + width - 6 * ratio, y - 4 * ratio);
     }
@@ -146,7 +146,7 @@ export class Plot {
     for (const mark of this.marks) {
       const x = u.valToPos(mark.at_s, "x", true);
       if (x < left || x > left + width) continue;
-      rule([x, top], [x, top + height], mark.severity === "info" ? css("--muted") : css("--bad"), [3, 3]);
+      rule([x, top], [x, top + height], mark.severity === "info" ? css("muted") : css("bad"), [3, 3]);
       const length = g.measureText(mark.name).width, begin = Math.min(x + 3 * ratio, left + width - length);
       if (begin < free) continue;
       g.fillText(mark.name, begin, top + 11 * ratio);
@@ -157,9 +157,9 @@ export class Plot {
   }
 
   curtain(g, left, top, width, height, ratio) {
-    g.fillStyle = css("--curtain");
+    g.fillStyle = css("curtain");
     g.fillRect(left, top, width, height);
-    g.fillStyle = css("--bad");
+    g.fillStyle = css("bad");
     g.font = `600 ${15 * ratio}px system-ui, sans-serif`;
     g.textAlign = "center";
     g.textBaseline = "middle";

@@ -3,7 +3,7 @@
 import { $ } from "./dom.js";
 import { Plot } from "./plot.js";
 
-const MEASURED = "--measured", TWIN = "--twin", REFERENCE = "--reference", INPUT = "--input"; // colours of hmi.css
+const MEASURED = "measured", TWIN = "twin", REFERENCE = "reference", INPUT = "input"; // colours of hmi.css
 const DASH = [7, 4];
 
 const PLOTS = {
