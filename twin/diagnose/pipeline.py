@@ -262,7 +262,7 @@ def _search(
     with timed(stages, "base fit"):
         say(f"{len(records)} recordings, {len(criterion.evidence.series)} samples; the paper's model first")
         try:
-            base = climb(criterion, start, (*BASE, *STOPS))
+            base = climb(criterion, start, (*BASE, *start.colours, *STOPS))
             floor = floor_of(criterion, base.theta)
         except Spent:
             raise DataError(

@@ -9,6 +9,7 @@ from typing import Any
 
 from twin.diagnose.checks.confidence import MOST
 from twin.diagnose.evidence.gather import Evidence
+from twin.diagnose.evidence.noise_levels import colours_json
 from twin.diagnose.evidence.noise_levels import to_json as noise_json
 from twin.diagnose.inference.budget import Budget
 from twin.diagnose.inference.fisher_scoring import Fit
@@ -150,6 +151,7 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
             "left": _number(found.account.left),
         },
         "noise": noise_json(found.fit_evidence.noise, (found.floor.sigma_i_c_a, found.floor.sigma_x_m)),
+        **({"noise_colour": colours} if (colours := colours_json(found.fit_evidence.noise)) else {}),
         "remainder": None if found.remainder is None else _remainder(found.remainder, found.extended),
         "gain": _gain(found.gain),
         "gains": [_gain(gain) for gain in found.gains],

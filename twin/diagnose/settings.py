@@ -40,6 +40,13 @@ RESTLESS = 5.0
 # Level.  Chance that noise is split between instruments, or follows the height, in a campaign where it does neither:
 # over all pairs of recordings; means of the windows' logarithms are near to normal.
 INSTRUMENT_CHANCE = 1e-3
+# Level.  Chance that the noise of a channel is taken for coloured where it is white: the likelihood ratio of two more
+# numbers.  The search for the correlation time makes more of noise than that; of 3000 simulated rests none was
+# coloured.
+COLOUR_CHANCE = 1e-4
+# Level.  Standard errors of the score test below which noise is white without more work: its gain, 4.5 of
+# log-likelihood, is half of what COLOUR_CHANCE asks for.
+COLOUR_SCORE = 3.0
 # Level.  Standard deviations of the fourth difference beyond which a single reading is an outlier: of Gaussian noise
 # one in ten million.
 OUTLIER_ERRORS = 5.3

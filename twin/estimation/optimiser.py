@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.estimation.record import FloatArray
-from twin.estimation.structures import NOISES
+from twin.estimation.structures import COLOURS, NOISES
 
 P = TypeVar("P")  # a point: all parameters of a model
 NEAR = 0.3  # decrement, standard errors, that suffices if convergence is slow: 0.05 of log-likelihood is left
@@ -94,7 +94,7 @@ def climb(surface: Surface[P], start: P, free: Sequence[str], *, passes: int, do
     most = np.array([surface.most(name) for name in free])
     # One factor shortens the step of all physical parameters, which keeps its direction.  The likelihood is flat in a
     # noise level near its floor, so its step can be arbitrarily large: noise levels are limited separately.
-    physics = np.array([name not in NOISES for name in free], np.bool_)
+    physics = np.array([name not in NOISES + COLOURS for name in free], np.bool_)
     decrement, used, slow = math.inf, 0, 0
     for _ in range(passes):
         used += 1

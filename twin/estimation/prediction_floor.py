@@ -18,6 +18,8 @@ tests/twin/estimation/test_prediction_floor.py).  A linearisation at rest is not
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,5 +67,7 @@ def _carry(
             carry(f.F, f.P, f.G, f.m)
             add_process_noise(f, step[k])
         wandered(f, steps.before[n])
+        ratio = noise_ratio[n, 1] if noise_ratio.shape[0] > 0 else 1.0
+        f.share_x = math.sqrt(ratio)
         position_slopes(f, steps.before[n], f.h_x[:])
-        variances[n] = variance(f, f.h_x[:], f.r_x * noise_ratio[n, 1] if noise_ratio.shape[0] > 0 else f.r_x)
+        variances[n] = variance(f, f.h_x[:], f.r_x * ratio)

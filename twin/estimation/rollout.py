@@ -11,6 +11,8 @@ Rule 4: there is no prediction for sample k if the ball met a stop or a sample w
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,7 +24,7 @@ from twin.estimation.ekf.predict import advance
 from twin.estimation.innovations import FLIES, FOLLOWS, LOST, USE_X
 from twin.estimation.propagate import copy
 from twin.estimation.structures import Samples, Stops, System
-from twin.model.extended import SENSOR, Base, position_reading
+from twin.model.extended import SENSOR, X_COLOUR, Base, position_reading
 
 _FOUND = 3  # samples after a lost one whose readings determine its input
 SETTLE_S = 0.1  # eight times 1 / (unstable pole) = 12 ms, within which an estimate forgets its start
@@ -106,7 +108,7 @@ def _roll(
     stops: bool,
     x_hat: NDArray[np.float64],
 ) -> None:
-    t, step, u, _, _, flags, _ = samples
+    t, step, u, _, _, flags, noise_ratio = samples
     y = f.y[:]
     unbroken = 0  # samples of this flight before the present one
     known = 0  # samples of this flight since the last lost one
@@ -126,6 +128,8 @@ def _roll(
             advance(f, y, u, k, t[k - 1], step[k], stops)
         if np.isfinite(y[SENSOR]):
             x_hat[n] = y[SENSOR]
+            if f.x_colour >= 0:
+                x_hat[n] += y[X_COLOUR] * (math.sqrt(noise_ratio[n, 1]) if noise_ratio.shape[0] > 0 else 1.0)
 
 
 @kernel

@@ -17,16 +17,26 @@ OUT_COLUMNS = 5  # nu_i, nu_x, S_ii, S_ix, S_xx; NaN without a prediction
 
 
 class NoiseLevels(NamedTuple):
-    """Standard deviations of white noise."""
+    """Standard deviations of the noise, and the colour of that of the readings.
+
+    A share of a reading's variance is white, the rest is forgotten exponentially (Ornstein-Uhlenbeck).
+    """
 
     sigma_i_c_a: float  # of a reading, A
     sigma_x_m: float  # of a reading, m
     process_i_c_a: float  # disturbance of i_c in a tick, A; its variance is proportional to the interval
     process_a_m_s2: float  # acceleration, constant over an interval, m/s^2
     tick_s: float  # s
+    tau_i_c_s: float = 0.0  # correlation time of the coloured part; 0: all is white
+    white_i_c: float = 1.0  # share of the variance that is white, with a correlation time
+    tau_x_s: float = 0.0
+    white_x: float = 1.0
+    tau_i_c_captured_s: float = 0.0  # of captures and recordings as fast, which another instrument may have taken
+    white_i_c_captured: float = 1.0
 
 
 NOISES = NoiseLevels._fields[:4]
+COLOURS = NoiseLevels._fields[5:]
 
 
 class Stops(NamedTuple):

@@ -4,7 +4,8 @@
     i, x --gain, offset, bow, crosstalk, lag--> sensor readings
 
 State y, shape (STATES,): i_c (A), x (m), x' (m/s), field current f (A), position sensor s (m), warmth w (A^2), the
-rate of the sensor s' (m/s), and how far each of `OFFSETS` has wandered (in its unit; the caller adds it to c).
+rate of the sensor s' (m/s), how far each of `OFFSETS` has wandered (in its unit; the caller adds it to c), and the
+coloured noise of the readings of i_c (A) and x (m), which the caller adds to them.
 
 Rule 1: with `catalogue.neutral()` the model is exactly (1) and (6), and f = i_c, s = x.
 Rule 2: within a substep the amplifier is integrated exactly (for any T_A and slew rate), and the ball by Runge-Kutta
@@ -56,7 +57,8 @@ from twin.model.causes.cause import Vector
 
 I_C, X, V, FIELD, SENSOR, WARMTH, RATE = range(7)
 WANDER = 7  # of the first of `OFFSETS`
-STATES = WANDER + len(OFFSETS)
+I_COLOUR, X_COLOUR = WANDER + len(OFFSETS), WANDER + len(OFFSETS) + 1
+STATES = X_COLOUR + 1
 PARTS = (0.0625, 0.1875, 0.25, 0.5)  # substeps of an interval, as shares of it
 SHORT_S = 1e-4  # a shorter interval, as in a 25 kHz capture, is one substep
 SLOW_SHARE = 1.0 / 16.0  # of T_A: within a shorter interval the current hardly bends, and it is one substep, too

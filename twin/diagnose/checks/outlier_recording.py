@@ -85,7 +85,7 @@ def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | Non
     try:
         # Another rig has its coil at another height, too.
         (coil,) = (name for cause in CATALOGUE if _moves_coil(cause) for name in coordinates_of(cause.name))
-        fit = climb(alone, start.having(coil, 0.0), (*BASE, coil), passes=2 * settings.PASSES)
+        fit = climb(alone, start.having(coil, 0.0), (*BASE, *start.colours, coil), passes=2 * settings.PASSES)
         agreed = climb(others, reinitialised(base.theta), base.free)
         # With the noise of its own sensors: another rig has others.
         quiet = replace(

@@ -31,9 +31,20 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, norm
 
 from twin.diagnose import settings
+from twin.diagnose.evidence.colour import colours_of, expected_gain, fast
 from twin.diagnose.evidence.gather import Evidence
-from twin.diagnose.evidence.noise_levels import Channel, Level, Noise, parts_of
-from twin.estimation.innovations import FLIES, FOLLOWS, LOST, RESTS_HIGH, RESTS_LOW, RESTS_UNSEEN, USE_I, USE_X, Series
+from twin.diagnose.evidence.noise_levels import Channel, Colour, Level, Noise, parts_of
+from twin.estimation.innovations import (
+    FLIES,
+    FOLLOWS,
+    LOST,
+    RESTS_HIGH,
+    RESTS_LOW,
+    RESTS_UNSEEN,
+    USE_I,
+    USE_X,
+    Series,
+)
 from twin.estimation.prediction_floor import TOLERANCE
 from twin.estimation.record import BoolArray, FloatArray, runs
 from twin.estimation.structures import ALIKE
@@ -41,6 +52,7 @@ from twin.estimation.structures import ALIKE
 IntArray = np.ndarray[tuple[int], np.dtype[np.int64]]
 ORDER = 5  # of the difference; the third leaves five times as much of a step of the acceleration
 _GAIN = math.comb(2 * ORDER, ORDER)  # sum of its squared weights
+_DIFFERENCE = np.array([(-1.0) ** k * math.comb(ORDER, k) for k in range(ORDER + 1)])
 WINDOW = 25  # readings
 FEWEST = 8  # windows of a source
 SHOWS = 8  # length of the finite impulse response from u_c to i_c, samples; slower parts are those of `_TIMES`
@@ -65,8 +77,9 @@ class _Windows:
 def instruments(evidences: Sequence[Evidence]) -> Noise:
     """The noise of these recordings; those for fitting and judging may be joined, as no model is used."""
     names = sorted({name for evidence in evidences for name, _ in parts_of(evidence.records, evidence.series)})
-    found = [_channel(_windows(evidences, names, place), names, bends=place == 1) for place in range(2)]
-    return Noise((found[0], found[1]))
+    colours = colours_of(evidences)
+    found = [_channel(_windows(evidences, names, place, colours), names, bends=place == 1) for place in range(2)]
+    return Noise((found[0], found[1]), colours)
 
 
 def with_noise(evidence: Evidence, noise: Noise | None) -> Evidence:
@@ -77,14 +90,19 @@ def with_noise(evidence: Evidence, noise: Noise | None) -> Evidence:
     return replace(evidence, noise=noise, noise_ratio=ratio)
 
 
-def _windows(evidences: Sequence[Evidence], names: Sequence[str], place: int) -> _Windows:
+def _windows(
+    evidences: Sequence[Evidence], names: Sequence[str], place: int, colours: Sequence[Colour | None]
+) -> _Windows:
     rows: list[tuple[float, float, int, bool, bool]] = []
     for evidence in evidences:
-        series = evidence.series
+        series, taken_fast = evidence.series, fast(evidence.series)
         flies = series.flags & FLIES != 0
         rests = series.flags & (RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) != 0
         for name, own in parts_of(evidence.records, evidence.series):
             rough = differences(series.part(own), place)
+            colour = colours[2 if place == 0 and taken_fast[own.start] else place]
+            if colour is not None:  # shown with the level that white noise would have
+                rough /= math.sqrt(expected_gain(colour, float(np.median(series.step[own][1:])), _DIFFERENCE))
             squares, at = [], []
             for piece in runs(np.isfinite(rough), WINDOW):
                 for start in range(piece.start, piece.stop - WINDOW + 1, WINDOW):

@@ -17,6 +17,16 @@ from twin.estimation.record import FloatArray, Record, runs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Colour:
+    """Noise of which a part is white, and the rest is forgotten exponentially."""
+
+    tau_s: float  # correlation time of that rest
+    white: float  # share of the variance that is white
+    sigma: float  # standard deviation of both together, A or m
+    readings: int  # from which it is known
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
     """The noise level of instruments in one channel."""
 
@@ -46,6 +56,7 @@ class Noise:
     """The noise of i_c and x."""
 
     channels: tuple[Channel, Channel] = (Channel(), Channel())
+    colours: tuple[Colour | None, Colour | None, Colour | None] = (None, None, None)  # of i_c, x, and i_c in captures
 
     @property
     def plain(self) -> bool:
@@ -74,6 +85,21 @@ class Noise:
             if name in level.sources and (level.ratio != 1.0 or math.isfinite(self.channels[place].sigma))
         )
         return float(total) / max(int(np.count_nonzero(used)), 1)
+
+
+def colours_json(noise: Noise | None) -> dict[str, Any]:
+    """The colours for diagnosis.json, by channel; empty where all noise is white."""
+    names = ("i_c", "x", "i_c in captures")
+    return {
+        name: {
+            "correlation_time_s": colour.tau_s,
+            "white_share_of_variance": colour.white,
+            "sigma": colour.sigma,
+            "readings": colour.readings,
+        }
+        for name, colour in zip(names, noise.colours if noise is not None else (), strict=False)
+        if colour is not None
+    }
 
 
 def to_json(noise: Noise | None, sigmas: tuple[float, float]) -> dict[str, Any]:

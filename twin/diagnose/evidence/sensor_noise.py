@@ -20,6 +20,8 @@ def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
     squares = _rest_squares(evidence)
     result = [float(np.sqrt(total / count)) if count > 300 and total > 0 else None for total, count in squares]
     if evidence.noise is not None:
+        coloured = zip(result, evidence.noise.colours[:2], strict=True)
+        result = [one.sigma if one is not None else here for here, one in coloured]
         others = [one.sigma if math.isfinite(one.sigma) else None for one in evidence.noise.channels]
         result = [here if here is not None else other for here, other in zip(result, others, strict=True)]
     return result[0], result[1]
@@ -29,6 +31,8 @@ def noise_error(evidence: Evidence) -> float:
     """Standard error of ln sigma for both channels together; sqrt(1 / 2n) each, and that of the noise ratios."""
     squares = [0.5 / count if count > 300 else 0.0 for _, count in _rest_squares(evidence)]
     if evidence.noise is not None:
+        coloured = zip(squares, evidence.noise.colours[:2], strict=True)
+        squares = [0.5 / one.readings if one is not None else here for here, one in coloured]
         squares = [
             own + evidence.noise.error(evidence.records, evidence.series, place) ** 2
             for place, own in enumerate(squares)

@@ -37,7 +37,7 @@ from twin.diagnose.experiments.virtual_recordings import input_limit, simulate
 from twin.diagnose.inference.budget import Budget
 from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.theta import NOISES, PARAMETERS, STOPS, derivative_step, moved
+from twin.diagnose.inference.theta import COLOURS, NOISES, PARAMETERS, STOPS, derivative_step, moved
 from twin.diagnose.search.candidate_fits import Trial
 from twin.estimation.innovations import RESTS_HIGH, RESTS_LOW, information
 from twin.estimation.optimiser import inverse
@@ -193,7 +193,9 @@ class _Tied:
 
 def _tied(own: Fit, member: Fit) -> _Tied:
     places = [
-        place for place, name in enumerate(member.free) if name not in NOISES and member.covariance[place, place] > 0.0
+        place
+        for place, name in enumerate(member.free)
+        if name not in NOISES + COLOURS and member.covariance[place, place] > 0.0
     ]
     gram = inverse(member.covariance[np.ix_(places, places)]) if places else np.zeros((0, 0))
     lead = 2.0 * max(own.loglik - member.loglik, 0.0)
@@ -226,7 +228,7 @@ def _separations(
     spans = []
     for member, tied in zip(members, held, strict=True):
         confounder = member.theta
-        for name in NOISES:
+        for name in NOISES + COLOURS:
             confounder = confounder.having(name, own.theta.value(name))
         names = [name for name in tied.names if "." in name]
         by = [derivative_step(confounder, name, plant) for name in names]

@@ -9,8 +9,9 @@ from protocol.campaign import Plant
 from protocol.errors import DataError
 from twin.diagnose import settings
 from twin.diagnose.evidence.gather import Evidence
+from twin.diagnose.evidence.noise_levels import Noise
 from twin.diagnose.evidence.sensor_noise import sensor_noise
-from twin.diagnose.inference.theta import Theta, most_drag
+from twin.diagnose.inference.theta import COLOURS, Theta, most_drag
 from twin.estimation.record import Record
 from twin.identify.starting.regression import AmplifierStart, amplifier_start, ball_start
 
@@ -53,11 +54,22 @@ def _start(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:
     )
 
 
+def coloured(noise: Noise) -> tuple[tuple[str, float], ...]:
+    """The colour of the noise at rest, as `NoiseLevels` has it; empty where all is white."""
+    i_c, x, captured = noise.colours
+    names = zip(COLOURS[::2], COLOURS[1::2], (i_c, x, captured), strict=True)
+    return tuple(
+        pair for tau, white, one in names if one is not None for pair in ((tau, one.tau_s), (white, one.white))
+    )
+
+
 def no_better(theta: Theta, evidence: Evidence) -> Theta:
-    """Bound the sensor noise from below by a share of the noise at rest."""
+    """Bound the sensor noise from below by a share of the noise at rest, and give it the colour that it has there."""
     sigma_i, sigma_x = sensor_noise(evidence)
     least_i = settings.LEAST_NOISE * sigma_i if sigma_i else theta.least_i_c_a
     least_x = settings.LEAST_NOISE * sigma_x if sigma_x else theta.least_x_m
+    if evidence.noise is not None:
+        theta = theta.all_of(coloured(evidence.noise))
     return replace(
         theta,
         least_i_c_a=least_i,

@@ -26,6 +26,7 @@ from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.evidence.thinned import thinned
 from twin.diagnose.inference.budget import Budget, Spent
 from twin.diagnose.inference.theta import (
+    COLOURS,
     NOISES,
     STOP_UNIT_M,
     STOPS,
@@ -156,10 +157,13 @@ class Criterion:
 
     def _outputs(self, theta: Theta, known: Steps = NO_STEPS) -> FloatArray:
         """Paid for; `known`: as `filtered` takes it."""
-        results = room_for(len(self.evidence.series), states_in(theta.vector()))
+        results = room_for(len(self.evidence.series), self._states(theta))
         self._fill(theta, slice(0, len(results.innovations)), results, known)
         self.evaluations += 1
         return results.innovations
+
+    def _states(self, theta: Theta) -> int:
+        return states_in(theta.vector(), theta.noise(self.tick_s))
 
     def _fill(
         self,
@@ -176,7 +180,7 @@ class Criterion:
     def run(self, theta: Theta) -> Results:
         """Innovations, with the steps that `derivatives` take over from here."""
         self.pay(theta)
-        done = room_for(len(self.evidence.series), states_in(theta.vector()), steps=True)
+        done = room_for(len(self.evidence.series), self._states(theta), steps=True)
         list(self._pool.map(lambda part: self._fill(theta, part, done), self.halves))
         self.evaluations += 1
         return done
@@ -191,7 +195,7 @@ class Criterion:
         """
         known, states, _ = at.steps.slopes.shape
         reuse = [
-            ask if known and states_in(theta.vector()) == states else Reuse.NOTHING
+            ask if known and self._states(theta) == states else Reuse.NOTHING
             for theta, ask in zip(thetas, reuse, strict=True)
         ]
         self.pay(*thetas, reuse=reuse)
@@ -288,8 +292,8 @@ class Criterion:
         else:
             # With dry friction the slopes are taken as wide as the state is uncertain: a matter of the noise as well.
             smooth = not any(name.partition(".")[0] in with_trait("sticks") and value for name, value in theta.causes)
-            near = [rough or (smooth and name in NOISES) for name in steps]
-            reuse = [Reuse.STEPS if name in NOISES else Reuse.SLOPES for name in steps]
+            near = [rough or (smooth and name in NOISES + COLOURS) for name in steps]
+            reuse = [Reuse.STEPS if name in NOISES + COLOURS else Reuse.SLOPES for name in steps]
             reuse = [ask if may else Reuse.NOTHING for ask, may in zip(reuse, near, strict=True)]
             base, outs = at.innovations, self.beside(beside, at, reuse)
         change = np.empty((len(names), *base.shape))

@@ -15,6 +15,7 @@ import numpy as np
 
 from twin.diagnose import settings
 from twin.diagnose.evidence.sensor_noise import noise_error, sensor_noise
+from twin.diagnose.inference.initial_guess import coloured
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import FLOORS, Theta
 from twin.estimation.innovations import USE_X, whitened
@@ -29,6 +30,7 @@ class Floor:
     sigma_x_m: float
     measured: bool  # at rest; else the smallest that any fit has asked for
     logliks: tuple[float, float] = (0.0, 0.0)  # of a right model: of i_c, and of x given i_c
+    colours: tuple[tuple[str, float], ...] = ()  # of the noise at rest, as `NoiseLevels` has them
     counts: tuple[int, int] = (0, 0)  # readings of i_c and x
     error: float = 0.0  # standard error of `loglik` per reading: that of the noise level
     misplaced_m: float = 0.0  # how far from its place the model has that stop which is farther off
@@ -55,7 +57,7 @@ class Floor:
     def quiet(self, theta: Theta) -> Theta:
         """The model with sensor noise and no process noise."""
         return replace(
-            theta,
+            theta.all_of(self.colours),
             sigma_i_c_a=self.sigma_i_c_a,
             sigma_x_m=self.sigma_x_m,
             process_i_c_a=FLOORS["process_i_c_a"],
@@ -96,6 +98,7 @@ def floor_of(criterion: Criterion, theta: Theta) -> Floor:
         sigma_i_c_a=sigma_i or theta.sigma_i_c_a,
         sigma_x_m=sigma_x or theta.sigma_x_m,
         measured=measured,
+        colours=coloured(noise) if (noise := criterion.evidence.noise) is not None else (),
         error=noise_error(criterion.evidence) if measured else 0.0,
     )
     return floor.under(criterion, theta)

@@ -8,6 +8,7 @@ Rule 2: bounds are physical: b is not negative, a cause stays within its range.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from protocol.campaign import Plant
 from twin.estimation.record import FloatArray
+from twin.estimation.structures import COLOURS as COLOURS
 from twin.estimation.structures import NOISES as NOISES
 from twin.estimation.structures import NoiseLevels, Stops, System
 from twin.model.causes.catalogue import BY_NAME, neutral
@@ -26,6 +28,8 @@ PARAMETERS = ("K_A", "T_A", "K_c", "b")
 STOPS = ("stop_low_m", "stop_high_m")
 BASE = PARAMETERS + NOISES
 FLOORS = {"process_i_c_a": 1e-6, "process_a_m_s2": 1e-3}
+TAU_S = (2e-4, 0.1)  # correlation times of coloured noise; a slower one is an offset that wanders
+WHITE = (1e-3, 0.98)  # white share of the variance of coloured noise
 STOP_UNIT_M = 1e-5
 _RESTART_M_S2 = 0.3
 # Below the first no sampling shows a T_A, and its logarithm finds no way back; at the second it does.
@@ -51,6 +55,13 @@ class Theta:
     phases_s: tuple[float, ...] = ()
     least_i_c_a: float = 1e-6  # the sensors are not better than this: a noise level at 0 finds no way back
     least_x_m: float = 1e-8
+    # The colour of the noise, as `NoiseLevels` has it.
+    tau_i_c_s: float = 0.0
+    white_i_c: float = 1.0
+    tau_x_s: float = 0.0
+    white_x: float = 1.0
+    tau_i_c_captured_s: float = 0.0
+    white_i_c_captured: float = 1.0
 
     def value(self, name: str) -> float:
         """The value of one parameter; that of an absent cause is its neutral value."""
@@ -65,6 +76,13 @@ class Theta:
         causes = dict(self.causes)
         causes[name] = value
         return replace(self, causes=tuple(causes.items()))
+
+    def all_of(self, values: Iterable[tuple[str, float]]) -> Theta:
+        """A copy with several parameters changed."""
+        theta = self
+        for name, value in values:
+            theta = theta.having(name, value)
+        return theta
 
     def _with(self, name: str, value: float) -> Theta:
         number: dict[str, Any] = {name: value}
@@ -100,7 +118,14 @@ class Theta:
 
     def noise(self, tick_s: float) -> NoiseLevels:
         """The noise levels, as the filter takes them; `tick_s`: that they refer to, s."""
-        return NoiseLevels(self.sigma_i_c_a, self.sigma_x_m, self.process_i_c_a, self.process_a_m_s2, tick_s)
+        levels = self.sigma_i_c_a, self.sigma_x_m, self.process_i_c_a, self.process_a_m_s2
+        return NoiseLevels(*levels, tick_s, *(self.value(name) for name in COLOURS))
+
+    @property
+    def colours(self) -> tuple[str, ...]:
+        """The coordinates of the colour of its noise; none where all is white."""
+        pairs = zip(COLOURS[::2], COLOURS[1::2], strict=True)
+        return tuple(name for pair in pairs if self.value(pair[0]) > 0.0 for name in pair)
 
     def system(self, plant: Plant, tick_s: float) -> System:
         """The model and its noise, as the filter takes them; `tick_s`: that process noise refers to, s."""
@@ -158,6 +183,9 @@ def moved(theta: Theta, name: str, by: float, plant: Plant) -> Theta:
         return replace(theta, b=min(max(value + by * plant.mass_kg, 0.0), most_drag(plant)))
     if name in STOPS:
         return theta.having(name, value + by * STOP_UNIT_M)
+    if name in COLOURS:
+        low, high = TAU_S if name.startswith("tau") else WHITE
+        return theta.having(name, min(max(value * math.exp(by), low), high))
     return theta.having(name, max(value * math.exp(by), _floor(theta, name)))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from twin.diagnose.evidence.noise_levels import to_json
+from twin.diagnose.evidence.noise_levels import colours_json, to_json
 from twin.diagnose.report.sentences import quantity
 from twin.diagnose.result import Diagnosis
 
@@ -34,6 +34,10 @@ def instruments(found: Diagnosis) -> tuple[list[list[str]], list[str]]:
                 f"{quantity(one['sigma'], unit)} at {quantity(one['x_m'], 'm')}" for one in channel["over_height"]
             ]
             over.append(f"The noise of {name} follows the height: {', '.join(levels)}.")
+    for name, colour in colours_json(noise).items():
+        sigma, tau = quantity(colour["sigma"], "m" if name == "x" else "A"), quantity(colour["correlation_time_s"], "s")
+        white = f"{100.0 * colour['white_share_of_variance']:.2g} %"
+        over.append(f"The noise of {name} at rest is coloured: {sigma}, forgotten within {tau} but for {white} of it.")
     return rows, over
 
 

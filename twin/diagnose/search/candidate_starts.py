@@ -14,7 +14,7 @@ import numpy as np
 
 from protocol.campaign import Plant
 from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.theta import NOISES, PARAMETERS, Theta, most_step, moved
+from twin.diagnose.inference.theta import COLOURS, NOISES, PARAMETERS, Theta, most_step, moved
 from twin.diagnose.search.probes import probes_of
 from twin.diagnose.search.score_test import Score, probed
 from twin.estimation.record import Record
@@ -143,7 +143,7 @@ def _alone_or_all(score: Score) -> list[list[str]]:
     Places of coil, stop and sensor that are one but for bends only move together.  So does a cause in the model that
     has taken up what the candidate does: without it the candidate begins 10 000 of log-likelihood below.
     """
-    names = [name for name, _ in score.beside if name not in NOISES]
+    names = [name for name, _ in score.beside if name not in NOISES + COLOURS]
     alone = [name for name in names if name in PARAMETERS]
     together = "displaces" in BY_NAME[score.cause].traits or any("." in name for name in names)
     return [alone, names] if together else [alone]

@@ -10,9 +10,11 @@ from twin.model.causes.wander import MINUTE_S
 from twin.model.extended import (
     FIELD,
     I_C,
+    I_COLOUR,
     RATE,
     SENSOR,
     WARMTH,
+    X_COLOUR,
     Base,
     V,
     X,
@@ -49,13 +51,31 @@ def forget(f: Memory) -> None:
 def measure_current(f: Memory, reading: float) -> None:
     """Set the current to its reading, A."""
     _forget(f, 0)
+    if f.i_colour >= 0:
+        reading -= f.h_i[f.i_colour] * f.y[I_COLOUR]
     f.y[I_C] = current_of_reading(f.c[:], reading)
     f.P[0, 0] = f.r_i / (f.h_i[0] * f.h_i[0])
+    if f.i_colour >= 0:
+        _share_error(f)
+        return
     if f.i_offset >= 0:
         f.P[0, 0] += f.P[f.i_offset, f.i_offset] / (f.h_i[0] * f.h_i[0])
         for k in range(1, f.m):
             f.P[0, k] = -f.P[f.i_offset, k] / f.h_i[0]
             f.P[k, 0] = f.P[0, k]
+
+
+@kernel
+def _share_error(f: Memory) -> None:
+    """The covariance of a current that was set to its reading, with what else is in this reading."""
+    for k in range(1, f.m):
+        shared = 0.0
+        for a in range(1, f.m):
+            shared += f.h_i[a] * f.P[a, k]
+        f.P[0, k] = -shared / f.h_i[0]
+        f.P[k, 0] = f.P[0, k]
+    for k in range(1, f.m):
+        f.P[0, 0] -= f.h_i[k] * f.P[0, k] / f.h_i[0]
 
 
 @kernel
@@ -70,7 +90,11 @@ def start_recording(f: Memory, reads: bool, reading: float, u: float) -> None:
     """
     for k in range(f.wandering, f.m):
         _forget(f, k)
-        f.y[f.places[k]], f.P[k, k] = 0.0, f.q_w[k - f.wandering] * MINUTE_S
+        f.y[f.places[k]] = 0.0
+        if k < f.coloured:
+            f.P[k, k] = f.q_w[k - f.wandering] * MINUTE_S
+        else:
+            f.P[k, k] = f.v_i if k == f.i_colour else f.v_x
     wandered(f, f.y)
     if reads:
         measure_current(f, reading)
@@ -89,12 +113,17 @@ def start_flight(f: Memory, reading: float) -> None:
     p, c, y, P = Base(*base_of(f)), f.c[:], f.y[:], f.P
     for k in range(1, f.lasting):
         _forget(f, k)
+    r_x = f.r_x
+    if f.x_colour >= 0:
+        share = f.share_x
+        reading -= share * y[X_COLOUR]
+        r_x += share * share * P[f.x_colour, f.x_colour]
     y[X], y[V] = position_of_reading(p, c, reading, y[I_C]), 0.0
     y[SENSOR], y[RATE] = reading, 0.0
     f.in_flight, f.readings = True, 0
     # With crosstalk the error of the current adds to that of the position.
     shown = (position_reading(p, c, y[X], y[I_C] + 1e-3) - position_reading(p, c, y[X], y[I_C])) / 1e-3
-    P[1, 1], P[2, 2] = f.r_x + shown * shown * P[0, 0], SPEED_STD_M_S**2
+    P[1, 1], P[2, 2] = r_x + shown * shown * P[0, 0], SPEED_STD_M_S**2
     if f.field >= 0:
         P[f.field, f.field] = P[0, 0]
         P[0, f.field] = P[0, 0]
@@ -116,15 +145,22 @@ def start_flight(f: Memory, reading: float) -> None:
         for k in range(f.lasting, f.m):
             P[1, k] -= P[f.x_offset, k]
             P[k, 1] = P[1, k]
+    if f.x_colour >= 0:
+        for k in range(f.lasting, f.m):
+            P[1, k] -= f.share_x * P[f.x_colour, k]
+            P[k, 1] = P[1, k]
     if f.sensor >= 0:
         # Behind a lagging sensor the position depends on the unknown speed.
         tau = c[position_sensor_lag.TAU]
         P[1, 1] += (tau * SPEED_STD_M_S) ** 2 + (tau * tau * _ACCELERATION_M_S2) ** 2
-        P[1, f.sensor] = f.r_x
-        P[f.sensor, 1] = f.r_x
+        P[1, f.sensor] = r_x
+        P[f.sensor, 1] = r_x
         P[1, 2] = tau * SPEED_STD_M_S**2
         P[2, 1] = P[1, 2]
-        P[f.sensor, f.sensor] = f.r_x
+        P[f.sensor, f.sensor] = r_x
+        if f.x_colour >= 0:
+            P[f.sensor, f.x_colour] = -f.share_x * P[f.x_colour, f.x_colour]
+            P[f.x_colour, f.sensor] = P[f.sensor, f.x_colour]
     if f.rate >= 0:
         # The sensor's output moves as the ball did a time constant ago.
         for k in range(f.m):
@@ -147,7 +183,7 @@ def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x
     """
     wandered(f, f.y)
     P, m = f.P, f.m
-    n_i, n_x = i - current_reading(f.c[:], f.y[I_C]), 0.0
+    n_i, n_x = i - current_shown(f), 0.0
     if use_x:
         n_x = x - position_slopes(f, f.y[:], f.h_x[:])
         # The first readings of a flight determine the initial speed and the state of the sensor, so they are not
@@ -160,6 +196,8 @@ def take_readings(f: Memory, out: Floats, i: float, x: float, use_i: bool, use_x
                     s_ix += f.h_i[0] * P[0, a] * f.h_x[a]
                     if f.i_offset >= 0:
                         s_ix += P[f.i_offset, a] * f.h_x[a]
+                    if f.i_colour >= 0:
+                        s_ix += f.h_i[f.i_colour] * P[f.i_colour, a] * f.h_x[a]
                 out[3] = s_ix
         f.readings += 1
     if use_i:
@@ -181,6 +219,20 @@ def compare_at_stop(f: Memory, out: Floats, x: float, stop_m: float, use_i: bool
     out[1], out[4] = x - position_reading(Base(*base_of(f)), f.c[:], stop_m, f.y[I_C]), f.r_x
     if use_i:
         out[3] = 0.0
+    if f.x_colour >= 0:
+        out[1] -= f.share_x * f.y[X_COLOUR]
+        for a in range(f.m):
+            f.h_x[a] = f.share_x if a == f.x_colour else 0.0
+        out[4] = correct(f, f.h_x[:], f.r_x, out[1])
+
+
+@inlined
+def current_shown(f: Memory) -> float:
+    """The predicted reading of i_c, A."""
+    shown = current_reading(f.c[:], f.y[I_C])
+    if f.i_colour >= 0:
+        shown += f.h_i[f.i_colour] * f.y[I_COLOUR]
+    return float(shown)
 
 
 @inlined
@@ -188,16 +240,20 @@ def position_slopes(f: Memory, y: Floats, h: Floats) -> float:
     """The reading of x in state y, m; h, shape (m,) or longer, receives its derivatives; c of f is that of y."""
     for a in range(len(h)):
         h[a] = 0.0
+    noise = 0.0
+    if f.x_colour >= 0:
+        h[f.x_colour] = f.share_x
+        noise = f.share_x * y[X_COLOUR]
     if f.sensor >= 0:
         h[f.sensor] = 1.0
-        return float(y[SENSOR])
+        return float(y[SENSOR] + noise)
     p, c = Base(*base_of(f)), f.c[:]
     if f.x_offset >= 0:
         h[f.x_offset] = 1.0
     shown = position_reading(p, c, y[X], y[I_C])
     h[0] = (position_reading(p, c, y[X], y[I_C] + 1e-3) - shown) / 1e-3
     h[1] = (position_reading(p, c, y[X] + 1e-6, y[I_C]) - shown) / 1e-6
-    return shown
+    return shown + noise
 
 
 @inlined

@@ -26,13 +26,23 @@ from twin.compiled import kernel
 from twin.estimation.ekf.correct import (
     compare_at_stop,
     correct,
+    current_shown,
     forget,
     measure_current,
     start_flight,
     start_recording,
     take_readings,
 )
-from twin.estimation.ekf.memory import Memory, base_of, copy_square, memory_for, states_in, wandered
+from twin.estimation.ekf.memory import (
+    Memory,
+    base_of,
+    copy_square,
+    memory_for,
+    scale_noise,
+    see_instrument,
+    states_in,
+    wandered,
+)
 from twin.estimation.ekf.predict import (
     add_process_noise,
     advance,
@@ -40,6 +50,7 @@ from twin.estimation.ekf.predict import (
     differences,
     doubt_input,
     predict_held,
+    slopes_of_colour,
     step_along,
 )
 from twin.estimation.innovations import CAPTURED, FLIES, FOLLOWS, LOST, RESTS_HIGH, RESTS_LOW, USE_I, USE_X
@@ -70,7 +81,7 @@ def filtered(
         spread: whether to return their covariance.
         steps: whether to return the steps.
     """
-    results = room_for(len(samples.u), states_in(system.c), state=state, spread=spread, steps=steps)
+    results = room_for(len(samples.u), states_in(system.c, system.noise), state=state, spread=spread, steps=steps)
     fill(system, samples, known, results)
     return results
 
@@ -85,13 +96,16 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
     t, step, u, y_i, y_x, flags, noise_ratio = samples
     out, state, spread, found = results
     inputs = u.copy()  # those of lost samples are estimated
-    r_i, r_x = f.r_i, f.r_x
+    r_x, fast = f.r_x, False
     for n in range(len(u)):
         for column in range(out.shape[1]):
             out[n, column] = np.nan
-        if noise_ratio.shape[0] > 0:
-            f.r_i, f.r_x = r_i * noise_ratio[n, 0], r_x * noise_ratio[n, 1]
         follows, flies = flags[n] & FOLLOWS != 0 and n > 0, flags[n] & FLIES != 0
+        if not follows:
+            fast = flags[n] & CAPTURED != 0 or (n + 1 < len(u) and step[n + 1] < SHORT_S)
+            see_instrument(f, fast)
+        if noise_ratio.shape[0] > 0:
+            scale_noise(f, fast, r_x, noise_ratio[n, 0], noise_ratio[n, 1])
         wandered(f, f.y)
         use_i, use_x = flags[n] & USE_I != 0, flags[n] & USE_X != 0
         f.in_flight = f.in_flight and flies and follows
@@ -101,13 +115,16 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
             lost = n - 1 - int(delay_s(f.c[:]) / T_s)  # its input comes into force on the way here
             unknown = lost >= f.first and flags[lost] & LOST != 0
             if unknown and use_i:
-                find_input(base_of(f), f.c[:], f.here[:], inputs, lost, n, f.first, t[n - 1], T_s, y_i[n], f.moved[:])
+                # About what it would be without its coloured noise.
+                shown = y_i[n] - (current_shown(f) - current_reading(f.c[:], f.y[I_C]))
+                find_input(base_of(f), f.c[:], f.here[:], inputs, lost, n, f.first, t[n - 1], T_s, shown, f.moved[:])
             if known.after.shape[0] > 0 and not unknown:
-                step_along(f, known.slopes[n], known.before[n], known.after[n - 1])
+                step_along(f, known.slopes[n], known.before[n], known.after[n - 1], T_s)
             else:
                 advance(f, f.y[:], inputs, n, t[n - 1], T_s, False)
             if known.slopes.shape[0] > 0:
                 copy_square(f.F, known.slopes[n], f.m)
+                slopes_of_colour(f, T_s)
             else:
                 differences(f, inputs, n, t[n - 1], T_s)
             if found.slopes.shape[0] > 0:
@@ -136,7 +153,7 @@ def _run(f: Memory, samples: Samples, known: Steps, results: Results) -> None:
                 start_flight(f, y_x[n])
             use_x = False
         if use_i and f.in_flight and n - f.first > 1 and (flags[n - 1] | flags[n - 2]) & LOST != 0:
-            correct(f, f.h_i[:], f.r_i, y_i[n] - current_reading(f.c[:], f.y[I_C]))
+            correct(f, f.h_i[:], f.r_i, y_i[n] - current_shown(f))
             use_i = False
         if use_x and not f.in_flight and flags[n] & (RESTS_LOW | RESTS_HIGH) != 0:
             compare_at_stop(f, out[n], y_x[n], f.low_m if flags[n] & RESTS_LOW != 0 else f.high_m, use_i)

@@ -6,6 +6,7 @@ which took ten times as long as a step with known Jacobian.  Matrices have room 
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import Any, Protocol, cast
 
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.compiled import Packed, inlined
-from twin.estimation.structures import System
+from twin.estimation.structures import NoiseLevels, System
 from twin.model.causes import (
     amplifier_gain_drift,
     current_sensor_gain,
@@ -25,7 +26,7 @@ from twin.model.causes import (
 from twin.model.causes.catalogue import OFFSETS
 from twin.model.causes.cause import PLACES
 from twin.model.causes.wander import MINUTE_S
-from twin.model.extended import FIELD, I_C, RATE, SENSOR, STATES, WANDER, WARMTH, Base, V, X
+from twin.model.extended import FIELD, I_C, I_COLOUR, RATE, SENSOR, STATES, WANDER, WARMTH, X_COLOUR, Base, V, X
 
 Floats = NDArray[np.float64]
 _WANDERS = {offset: WANDER + k for k, (offset, _) in enumerate(OFFSETS)}
@@ -36,6 +37,8 @@ _NAMED = {
     "warmth": WARMTH,
     "x_offset": _WANDERS[position_sensor_offset.OFFSET],
     "i_offset": _WANDERS[current_sensor_offset.OFFSET],
+    "i_colour": I_COLOUR,
+    "x_colour": X_COLOUR,
 }
 
 
@@ -47,22 +50,31 @@ class Memory(Protocol):
     closed_form: bool  # as in `System`
     moments: Floats  # of `transition.py`, shape (9,)
     moments_s: float  # interval that the moments are for, s
-    r_i: float  # variance of a reading of i_c, A^2
+    r_i: float  # variance of the white noise of a reading of i_c, A^2
     r_x: float  # of x, m^2
+    v_i: float  # of the coloured noise
+    v_x: float
+    tau_i: float  # its correlation time, s
+    tau_x: float
+    share_x: float  # of this noise that the instrument of a reading of x shows, 1 for the usual one
+    taken: Floats  # r_i, v_i, tau_i of other recordings, and of captures and those as fast, shape (6,)
     q_i: float  # of the disturbance of i_c, A^2/s
     q_a: float  # of the acceleration, constant over an interval, m^2/s^4
     low_m: float  # position of the ball at the lower stop
     high_m: float  # at the upper stop
     m: int
     places: NDArray[np.int64]  # indices of the m states in the state, I_C, X, V first
-    field: int  # place in the covariance; -1: not in it (likewise the next five)
+    field: int  # place in the covariance; -1: not in it (likewise the next seven)
     sensor: int
     rate: int
     warmth: int
     x_offset: int  # of the states that wander
     i_offset: int
-    lasting: int  # place of the first state that a flight leaves as it is: warmth and what wanders
+    i_colour: int  # of coloured noise
+    x_colour: int
+    lasting: int  # place of the first state that a flight leaves as it is: warmth, what wanders, coloured noise
     wandering: int  # place of the first that wanders
+    coloured: int  # place of the first of coloured noise
     usual: Floats  # c without what has wandered, shape (PLACES,)
     offsets: NDArray[np.int64]  # place in c of each state that wanders
     q_w: Floats  # of the wandering, in the square of its unit per s
@@ -81,13 +93,19 @@ class Memory(Protocol):
     G: Floats  # working array
 
 
-def states_in(c: Floats) -> int:
-    """The number m of active states under the causes c, shape (PLACES,)."""
-    return len(active_states(c))
+def states_in(c: Floats, noise: NoiseLevels) -> int:
+    """The number m of active states under the causes c, shape (PLACES,), and this noise."""
+    return len(active_states(c)) + len(_colours(noise))
+
+
+def _colours(noise: NoiseLevels) -> list[int]:
+    """The states of coloured noise."""
+    coloured = noise.tau_i_c_s > 0.0 or noise.tau_i_c_captured_s > 0.0, noise.tau_x_s > 0.0
+    return [state for state, lives in zip((I_COLOUR, X_COLOUR), coloured, strict=True) if lives]
 
 
 def active_states(c: Floats) -> list[int]:
-    """The states that are independent under the causes c, shape (PLACES,); I_C, X, V first."""
+    """The states of the model that are independent under the causes c, shape (PLACES,); I_C, X, V first."""
     own = (
         (FIELD, c[eddy_current_lag.TAU] > 0.0),
         (SENSOR, c[position_sensor_lag.TAU] > 0.0),
@@ -101,12 +119,13 @@ def active_states(c: Floats) -> list[int]:
 @cache
 def _fields() -> np.dtype[np.void]:
     one, square = (STATES,), (STATES, STATES)
-    numbers = ("moments_s", "r_i", "r_x", "q_i", "q_a", "low_m", "high_m")
-    counts = ("m", *_NAMED, "lasting", "wandering", "first", "readings")
+    numbers = ("moments_s", "r_i", "r_x", "v_i", "v_x", "tau_i", "tau_x", "share_x", "q_i", "q_a", "low_m", "high_m")
+    counts = ("m", *_NAMED, "lasting", "wandering", "coloured", "first", "readings")
     vectors = ("y", "here", "moved", "back", "K", "h_i", "h_x")
     fields: list[Any] = [("base", float, (len(Base._fields),)), *((name, float, (PLACES,)) for name in ("c", "usual"))]
     fields += [(name, float) for name in numbers] + [(name, np.int64) for name in counts]
-    fields += [("places", np.int64, one), ("offsets", np.int64, one), ("q_w", float, one), ("moments", float, (9,))]
+    fields += [("places", np.int64, one), ("offsets", np.int64, one), ("q_w", float, one)]
+    fields += [("moments", float, (9,)), ("taken", float, (6,))]
     fields += [(name, np.bool_) for name in ("closed_form", "in_flight")]
     fields += [(name, float, one) for name in vectors] + [(name, float, square) for name in ("P", "F", "G")]
     return np.dtype(fields, align=True)
@@ -117,9 +136,15 @@ def memory_for(system: System) -> Memory:
     records = np.zeros(1, _fields())
     record: Any = records[0]
     c, noise, places = system.c, system.noise, active_states(system.c)
+    own = len(places)
+    places += _colours(noise)
     record["base"], record["closed_form"] = system.base, system.closed_form
     record["c"] = record["usual"] = c
-    record["r_i"], record["r_x"] = noise.sigma_i_c_a * noise.sigma_i_c_a, noise.sigma_x_m * noise.sigma_x_m
+    record["taken"][:3] = _split(noise.sigma_i_c_a, noise.white_i_c, noise.tau_i_c_s)
+    record["taken"][3:] = _split(noise.sigma_i_c_a, noise.white_i_c_captured, noise.tau_i_c_captured_s)
+    record["r_i"], record["v_i"], record["tau_i"] = record["taken"][:3]
+    record["share_x"] = 1.0
+    record["r_x"], record["v_x"], record["tau_x"] = _split(noise.sigma_x_m, noise.white_x, noise.tau_x_s)
     record["q_i"], record["q_a"] = (
         noise.process_i_c_a * noise.process_i_c_a / noise.tick_s,
         noise.process_a_m_s2 * noise.process_a_m_s2,
@@ -129,23 +154,48 @@ def memory_for(system: System) -> Memory:
     record["places"][: len(places)] = places
     for name, state in _NAMED.items():
         record[name] = places.index(state) if state in places else -1
-    record["wandering"] = sum(state < WANDER for state in places)
+    record["wandering"], record["coloured"] = sum(state < WANDER for state in places), own
     record["lasting"] = record["wandering"] - (WARMTH in places)
-    for k, state in enumerate(places[record["wandering"] :]):
+    for k, state in enumerate(places[record["wandering"] : own]):
         offset, wander = OFFSETS[state - WANDER]
         record["offsets"][k], record["q_w"][k] = offset, c[wander] ** 2 / MINUTE_S
     record["h_i"][0] = c[current_sensor_gain.GAIN]
     if record["i_offset"] >= 0:
         record["h_i"][record["i_offset"]] = 1.0
+    if record["i_colour"] >= 0:
+        record["h_i"][record["i_colour"]] = 1.0
     return cast(Memory, records.view(np.recarray)[0])
+
+
+def _split(sigma: float, white: float, tau_s: float) -> tuple[float, float, float]:
+    """(variance of the white noise, of the coloured noise, its correlation time in s)."""
+    if tau_s > 0.0:
+        return white * sigma * sigma, (1.0 - white) * sigma * sigma, tau_s
+    return sigma * sigma, 0.0, 0.0
 
 
 @inlined
 def wandered(f: Memory, y: Floats) -> None:
     """Set c to what the causes are in state y."""
-    for k in range(f.wandering, f.m):
+    for k in range(f.wandering, f.coloured):
         place = f.offsets[k - f.wandering]
         f.c[place] = f.usual[place] + y[f.places[k]]
+
+
+@inlined
+def see_instrument(f: Memory, fast: bool) -> None:
+    """The noise of i_c from here on: of a capture or a recording as fast, or not."""
+    place = 3 if fast else 0
+    f.r_i, f.v_i, f.tau_i = f.taken[place], f.taken[place + 1], f.taken[place + 2]
+
+
+@inlined
+def scale_noise(f: Memory, fast: bool, r_x: float, ratio_i: float, ratio_x: float) -> None:
+    """The noise of a reading whose instrument has these ratios of variances; `r_x`: of x, where the ratio is 1."""
+    f.r_i, f.r_x = f.taken[3 if fast else 0] * ratio_i, r_x * ratio_x
+    if f.i_colour >= 0:
+        f.h_i[f.i_colour] = math.sqrt(ratio_i)
+    f.share_x = math.sqrt(ratio_x)
 
 
 @inlined

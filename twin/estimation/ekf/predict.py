@@ -15,14 +15,28 @@ from twin.model.causes import (
     coulomb_friction,
 )
 from twin.model.causes.catalogue import OFFSETS
-from twin.model.extended import FIELD, I_C, RATE, SENSOR, WARMTH, Base, V, X, amplifier_alone
+from twin.model.extended import (
+    FIELD,
+    I_C,
+    I_COLOUR,
+    RATE,
+    SENSOR,
+    WARMTH,
+    X_COLOUR,
+    Base,
+    V,
+    X,
+    amplifier_alone,
+)
 
-_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5] + [1e-6] * len(OFFSETS))  # for the Jacobian
+# For the Jacobian; coloured noise needs none.
+_DELTA = np.array([1e-5, 1e-8, 1e-5, 1e-5, 1e-8, 1e-4, 1e-5] + [1e-6] * len(OFFSETS))
 
 
 @inlined
 def advance(f: Memory, y: Floats, inputs: Floats, n: int, t: float, T_s: float, stops: bool) -> None:
     """Advance the state y from n - 1 to n in place, in closed form if the model has one; arguments as `propagate`."""
+    fade(f, y, T_s)
     if not f.closed_form:
         wandered(f, y)
         propagate(base_of(f), f.c[:], y, inputs, n, f.first, t, T_s, stops)
@@ -38,7 +52,31 @@ def advance(f: Memory, y: Floats, inputs: Floats, n: int, t: float, T_s: float, 
 
 
 @inlined
-def step_along(f: Memory, slopes: Floats, before: Floats, after: Floats) -> None:
+def remembered(tau_s: float, T_s: float) -> float:
+    """The share of coloured noise that is left after T_s, s."""
+    return math.exp(-T_s / tau_s) if tau_s > 0.0 else 0.0
+
+
+@inlined
+def fade(f: Memory, y: Floats, T_s: float) -> None:
+    """Coloured noise of the state y in place, T_s later."""
+    if f.i_colour >= 0:
+        y[I_COLOUR] *= remembered(f.tau_i, T_s)
+    if f.x_colour >= 0:
+        y[X_COLOUR] *= remembered(f.tau_x, T_s)
+
+
+@inlined
+def slopes_of_colour(f: Memory, T_s: float) -> None:
+    """Fill the rows and columns of F that belong to coloured noise."""
+    for k in range(f.coloured, f.m):
+        for j in range(f.m):
+            f.F[k, j], f.F[j, k] = 0.0, 0.0
+        f.F[k, k] = remembered(f.tau_i if k == f.i_colour else f.tau_x, T_s)
+
+
+@inlined
+def step_along(f: Memory, slopes: Floats, before: Floats, after: Floats, T_s: float) -> None:
     """The state at n by the step of a nearby model, to first order.
 
     Args:
@@ -46,10 +84,12 @@ def step_along(f: Memory, slopes: Floats, before: Floats, after: Floats) -> None
         slopes: Jacobian of that step, shape (m, m).
         before: the state at which that step ended, before the correction, shape (STATES,).
         after: the state at which that step began, after the correction, shape (STATES,).
+        T_s: interval from n - 1 to n, s.
     """
-    for row in range(f.m):
+    fade(f, f.y, T_s)
+    for row in range(f.coloured):
         total = before[f.places[row]]
-        for k in range(f.m):
+        for k in range(f.coloured):
             total += slopes[row, k] * (f.here[f.places[k]] - after[f.places[k]])
         f.y[f.places[row]] = total
     if f.field < 0:
@@ -61,7 +101,7 @@ def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None
     """Fill F with the Jacobian d state(n) / d state(n - 1); the other arguments as `propagate`."""
     moved, back = f.moved[:], f.back[:]
     rubs = f.c[coulomb_friction.FORCE] != 0.0
-    for column in range(f.m):
+    for column in range(f.coloured):
         a = f.places[column]
         delta = _DELTA[a]
         wide = rubs and a <= V  # dry friction is not smooth: the difference is as wide as the standard deviation
@@ -78,11 +118,12 @@ def differences(f: Memory, inputs: Floats, n: int, t: float, T_s: float) -> None
             if a == I_C and f.field < 0:
                 back[FIELD] = back[I_C]
             advance(f, back, inputs, n, t, T_s, False)
-            for row in range(f.m):
+            for row in range(f.coloured):
                 f.F[row, column] = (moved[f.places[row]] - back[f.places[row]]) / (2.0 * delta)
         else:
-            for row in range(f.m):
+            for row in range(f.coloured):
                 f.F[row, column] = (moved[f.places[row]] - f.y[f.places[row]]) / delta
+    slopes_of_colour(f, T_s)
 
 
 @inlined
@@ -117,9 +158,15 @@ def add_process_noise(f: Memory, T_s: float) -> None:
 
 @inlined
 def wander_on(f: Memory, T_s: float) -> None:
-    """Add to the covariance how far the offsets wander in an interval."""
-    for k in range(f.wandering, f.m):
+    """Add to the covariance how far the offsets wander in an interval, and what is new in coloured noise."""
+    for k in range(f.wandering, f.coloured):
         f.P[k, k] += f.q_w[k - f.wandering] * T_s
+    if f.i_colour >= 0:
+        left = remembered(f.tau_i, T_s)
+        f.P[f.i_colour, f.i_colour] += (1.0 - left * left) * f.v_i
+    if f.x_colour >= 0:
+        left = remembered(f.tau_x, T_s)
+        f.P[f.x_colour, f.x_colour] += (1.0 - left * left) * f.v_x
 
 
 @kernel
@@ -131,10 +178,10 @@ def doubt_input(f: Memory, inputs: Floats, lost: int, n: int, t: float, T_s: flo
     copy(moved, f.here[:])
     propagate(base_of(f), f.c[:], moved, inputs, n, f.first, t, T_s, False)
     inputs[lost] -= INPUT_DELTA_V
-    for row in range(f.m):
+    for row in range(f.coloured):
         K[row] = UNKNOWN_INPUT_V * (moved[f.places[row]] - f.y[f.places[row]]) / INPUT_DELTA_V
-    for row in range(f.m):
-        for column in range(f.m):
+    for row in range(f.coloured):
+        for column in range(f.coloured):
             f.P[row, column] += K[row] * K[column]
 
 
@@ -177,4 +224,10 @@ def predict_held(f: Memory, inputs: Floats, n: int, t: float, T_s: float, readin
         if f.warmth >= 0:
             P[0, k] += f_iw * P[f.warmth, k]
         P[k, 0] = P[0, k]
+    for k in range(f.coloured, f.m):
+        left = remembered(f.tau_i if k == f.i_colour else f.tau_x, T_s)
+        for j in range(f.m):
+            P[k, j] *= left
+            P[j, k] *= left
+    fade(f, y, T_s)
     wander_on(f, T_s)
