@@ -44,6 +44,7 @@ LEAST_ROLE: dict[str, Role] = {
     "set_stream": Role.ENGINEER,
     "set_host_loss": Role.ENGINEER,
     "use_model": Role.ENGINEER,  # of the twin
+    "delete_log": Role.ENGINEER,
     "diagnose": Role.ENGINEER,  # and identify: minutes of the machine's time
     "campaign": Role.ENGINEER,  # sets the stream divider among other things
     "disable_alarm": Role.ENGINEER,  # of OPC UA: its clients do not receive the alarm until it is enabled again

@@ -31,6 +31,7 @@ from protocol.errors import Board51Error
 
 REPLAY_SITE = "replay"  # logs are replayed under this site, and on a bus of their own: never for live
 SUMMARY_S, SUMMARY_CHARACTERS = 120.0, 100_000
+WRITTEN_S = 30.0  # a log that is open is flushed far more often
 SUMMARY_MAX_BYTES = 200_000_000  # a larger log takes minutes
 _EVERYTHING = tuple(
     word for topic in topics.TOPICS if topic.bus and topic.logged for word in ("--topic", topic.name)
@@ -173,6 +174,25 @@ class Actions:
         except subprocess.TimeoutExpired:
             return f"It takes too long to read: use `board51 info {entry.path}`."
         return (done.stdout or done.stderr).replace(str(entry.path), entry.name)[:SUMMARY_CHARACTERS]
+
+    def delete_log(self, session: LoginSession, log: str) -> pb.CommandReply:
+        """Delete a log or recording for good; never one of a campaign, or one that is being written."""
+        refused = self._refused(session, "delete_log")
+        if refused is not None:
+            return refused
+        entry = self.logs.find(log)
+        if entry is None:
+            return refusal("no-log", "There is no such log.")
+        if entry.name.startswith("campaigns/"):
+            return refusal("of-a-campaign", "It belongs to a campaign, which could not be diagnosed without it.")
+        if time.time() - entry.changed_s < WRITTEN_S:
+            return refusal("in-use", f"It was written to in the last {WRITTEN_S:g} s.")
+        try:
+            entry.path.unlink()
+        except OSError as error:
+            return refusal("failed", f"It cannot be deleted: {error.strerror}.")
+        _logger.info("%s deleted %s", session.name, entry.path)
+        return pb.CommandReply(accepted=True, text=f"{entry.name} was deleted.")
 
     def stop_job(self, session: LoginSession, kind: str, board: str) -> pb.CommandReply:
         """Interrupt a job; a campaign parks the ball."""

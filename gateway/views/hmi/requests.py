@@ -5,6 +5,7 @@ POST /api/<board>/command           a Command as protobuf's JSON: {"set_referenc
 POST /api/<board>/acknowledge       {"name": "divergence-x"}
 POST /api/<board>/gains             a file; the command and the table that it makes, nothing is sent to the board
 POST /api/<board>/job               {"kind": "campaign" | "diagnose" | ..., "act": "start" | "stop", ...}, see _starts
+POST /api/*/delete                  {"log": "logs/NAME.mcap"}
 GET  /api/session                   the current user
 GET  /api/summary/<name>            summary of a log
 GET  /log/<name>, /report-file/<name>    a file that the lists name
@@ -79,6 +80,7 @@ class Requests:
             "/api/{board}/acknowledge": self.acknowledge,
             "/api/{board}/gains": self.gains,
             "/api/{board}/job": self.job,
+            "/api/{board}/delete": self.delete,
         }
         reads = {
             "/login": self.login_form,
@@ -147,6 +149,14 @@ class Requests:
             return self._starts[kind](session, board, table)
 
         return await self._act(request, do)
+
+    async def delete(self, request: Request) -> Response:
+        """Delete a log."""
+        table = await _json(request)
+        name = table.get("log") if table is not None else None
+        if not isinstance(name, str):
+            return refusal(400, "malformed", 'Give {"log": "..."}.')
+        return await self._act(request, lambda session: self._actions.delete_log(session, name))
 
     async def acknowledge(self, request: Request) -> Response:
         """Acknowledge an alarm."""

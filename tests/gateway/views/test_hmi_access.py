@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import html
+import os
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -280,6 +281,29 @@ def test_a_refusal_of_the_gateway_comes_back_with_its_reason(server: Server) -> 
     assert answer.status_code == 409
     body = answer.json()
     assert (body["accepted"], body["refused_by"], body["reason"]) == (False, "gateway", "slew")
+
+
+def test_a_log_is_deleted_by_an_engineer_alone_and_never_while_it_is_written(server: Server) -> None:
+    logs, campaign = server.folder / "logs", server.folder / "data" / "campaigns" / "rig-20260303-030303"
+    campaign.mkdir(parents=True)
+    for path in (logs / "old.mcap", logs / "open.mcap", campaign / "rest.mcap"):
+        path.write_bytes(b"log")
+    for path in (logs / "old.mcap", campaign / "rest.mcap"):
+        os.utime(path, (1e9, 1e9))
+
+    def delete(name: str, log: object) -> object:
+        return server.page(name).post("/api/*/delete", {"log": log}).json()["reason"]
+
+    assert delete("ben", "logs/old.mcap") == "not-allowed"
+    assert delete("ana", "logs/open.mcap") == "in-use"
+    assert delete("ana", "campaigns/rig-20260303-030303/rest.mcap") == "of-a-campaign"
+    assert delete("ana", "../secret.mcap") == "no-log"
+    assert delete("ana", 7) == "malformed"
+    assert (logs / "old.mcap").exists()
+    assert delete("ana", "logs/old.mcap") == ""
+    assert not (logs / "old.mcap").exists()
+    for path in (logs / "open.mcap", campaign / "rest.mcap"):
+        path.unlink()
 
 
 def test_a_board_that_nobody_knows_gets_no_command(server: Server) -> None:

@@ -154,7 +154,7 @@ def test_stop_takes_the_current_off_the_coil_at_once(page: Page, bus: Bus, how: 
 
 
 def test_a_refusal_says_who_refused_and_why(page: Page, bus: Bus) -> None:
-    page.get_by_text("input u_c").click()
+    page.get_by_text("input u_c", exact=True).click()
     page.get_by_text("Start excitation").click()
 
     # By whom: just after a change of mode the gateway does not know it yet, and leaves the question to the board.

@@ -124,12 +124,18 @@ class Pages:
 
     async def logs(self, request: Request) -> Response:
         """Files."""
+        session = _session(request)
         logs = await asyncio.to_thread(self._actions.logs.entries)
         reports = await asyncio.to_thread(self._actions.reports.entries)
         body = tag(
             "main",
             _card("Diagnosis reports", *map(_report_row, reports[:REPORTS_SHOWN]), empty=self._how_to_report()),
-            _card("Logs", *map(_log_row, logs), empty="There are no logs in this folder yet."),
+            _card(
+                "Logs",
+                *([_filter()] if logs else []),
+                *(_log_row(one, deletable=self._actions.may(session, "delete_log")) for one in logs),
+                empty="There are no logs in this folder yet.",
+            ),
             tag("dialog", tag("div", class_="file-name"), tag("pre", class_="summary-text"),
                 tag("button", "Close", type="button", data_act="close"), class_="summary card"),
             class_="library",
@@ -281,12 +287,20 @@ def _report_row(entry: LibraryFile) -> Markup:
     return tag("div", link, tag("span", entry.changed, class_="at"), class_="file")
 
 
-def _log_row(entry: LibraryFile) -> Markup:
+def _filter() -> Markup:
+    field = tag("input", type="text", data_filter="log", autocomplete="off", placeholder="part of a name or date")
+    return tag("label", tag("span", "Show logs with"), field, class_="field")
+
+
+def _log_row(entry: LibraryFile, *, deletable: bool) -> Markup:
     acts = (
         tag("button", "Summary", type="button", class_="plain", data_act="summary", data_log=entry.name),
         controls.job("Replay", "replay", "start", log=entry.name, then="/replay/"),
         tag("a", "Download", href=f"/log/{entry.name}"),
+        tag("button", "Delete", type="button", class_="plain", data_act="delete", data_log=entry.name)
+        if deletable and not entry.name.startswith("campaigns/")
+        else "",
     )
     size = f"{entry.changed}, {entry.bytes / 1e6:.1f} MB"
     return tag("div", tag("span", entry.name, class_="file-name"), tag("span", size, class_="at"),
-               tag("div", *acts, class_="file-acts"), class_="file")  # fmt: skip
+               tag("div", *acts, class_="file-acts"), class_="file log")  # fmt: skip

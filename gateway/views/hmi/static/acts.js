@@ -3,6 +3,7 @@
 import { cell as element, put } from "./dom.js";
 import { act, page, server } from "./server.js";
 
+const SURE_MS = 5000;
 const COUNT_M = 5e-7; // the board's reference is in counts of its converter: smaller differences are rounding
 const command = (name, body) => act(name, `/api/${page.board}/command`, body);
 const job = (name, body) => act(name, `/api/${page.board || "*"}/job`, body);
@@ -39,6 +40,7 @@ const ACTS = {
     await fetch("/logout", { method: "POST", headers: { "x-board51-token": page.token } }).catch(() => null);
     location.href = "/login";
   },
+  delete: remove,
   close: (b) => b.closest("dialog").close(),
   summary,
 };
@@ -155,6 +157,26 @@ async function gains(input) {
   buttons.append(send, discard);
   preview.replaceChildren(element("div", `${file.name}: ${answer.law}. Nothing is sent yet.`, "hint"), table, buttons);
 }
+
+// Asks by a second press, and forgets the first one after a while.
+async function remove(button) {
+  if (button.dataset.sure !== "yes") {
+    button.dataset.sure = "yes";
+    button.textContent = "Delete for good?";
+    setTimeout(() => {
+      button.dataset.sure = "";
+      button.textContent = "Delete";
+    }, SURE_MS);
+    return;
+  }
+  const answer = await act(`delete ${button.dataset.log}`, "/api/*/delete", { log: button.dataset.log });
+  if (answer?.accepted) button.closest(".log").remove();
+}
+
+document.querySelector("[data-filter=log]")?.addEventListener("input", (event) => {
+  const wanted = event.target.value.toLowerCase();
+  for (const row of document.querySelectorAll(".log")) row.hidden = !row.textContent.toLowerCase().includes(wanted);
+});
 
 async function summary(button) {
   const dialog = document.querySelector("dialog.summary"), text = dialog.querySelector(".summary-text");
