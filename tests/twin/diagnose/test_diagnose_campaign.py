@@ -114,9 +114,9 @@ def test_what_the_data_cannot_tell_apart_is_one_class(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "strength"), [("wire-spring", 1.5e6), ("force-hysteresis", 0.03)])
-def test_an_effect_outside_the_catalogue_gets_no_false_name(hide: Hide, name: str, strength: float) -> None:
-    found = diagnosed(hide(((name, strength),), 51, "independent", outside=True))
+def test_an_effect_outside_the_catalogue_gets_no_false_name(hide: Hide) -> None:
+    """Others are in the fixed sample; a wire spring is modelled in `remainder`."""
+    found = diagnosed(hide((("force-hysteresis", 0.03),), 51, "independent", outside=True))
 
     assert found.verdict == "unknown-cause"
     assert found.account.unexplained > 0.0 or beyond_floor(found.gain)  # of those for fitting, or of the judges
