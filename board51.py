@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
 
+from protocol.ending import end_is_ordered
 from protocol.errors import Board51Error, missing_extra, one_line
 from protocol.panics import is_panic, told
 
@@ -152,7 +153,8 @@ def _ending_at_a_panic(run: Callable[[argparse.Namespace], int], args: argparse.
                 panic = is_panic(line)
                 with suppress(OSError):  # a terminal that is gone
                     os.write(real, told(line) if panic else line)
-                if panic and not panicked.is_set():
+                # A panic after the order to end is a line and no failure: `systemctl stop` must not leave "failed".
+                if panic and not end_is_ordered() and not panicked.is_set():
                     panicked.set()
                     threading.Thread(target=give_up, daemon=True).start()
                     os.kill(os.getpid(), signal.SIGTERM)

@@ -12,7 +12,6 @@ from __future__ import annotations
 import logging
 import logging.handlers
 import queue
-import signal
 import socket
 import sys
 import threading
@@ -43,6 +42,7 @@ from gateway.record.writer import LogError
 from protocol.bus import topics
 from protocol.bus.endpoint import Mode, zenoh_config
 from protocol.bus.identity import Identity, load_identity
+from protocol.ending import on_end_signal
 from protocol.errors import ConfigError, ServiceError
 
 STATUS_S = 1.0
@@ -332,7 +332,6 @@ def serve(config: GatewayConfig) -> int:
     stop = threading.Event()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     with logging_to_stderr():
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: stop.set())
+        on_end_signal(stop.set)
         run(config, stop)
     return 0

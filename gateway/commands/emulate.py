@@ -9,11 +9,11 @@ import argparse
 import json
 import math
 import os
-import signal
 import sys
 from dataclasses import asdict
 from pathlib import Path
 
+from protocol.ending import on_end_signal
 from protocol.errors import UsageError
 
 
@@ -114,8 +114,7 @@ def run(args: argparse.Namespace) -> int:
         rig=args.rig,
     )
     server = Server(lines, speed=args.speed)
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: server.stop())
+    on_end_signal(server.stop)
     for n, line in enumerate(lines):
         facts = {"board_id": args.board_id + n, "url": line.port.url}
         print(json.dumps(facts) if args.json else f"board {facts['board_id']}: {facts['url']}")

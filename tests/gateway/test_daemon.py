@@ -445,6 +445,43 @@ def test_a_panic_in_a_thread_of_zenoh_ends_it_in_good_order_to_be_started_again(
     assert Scan(log).indexed
 
 
+PANICS_AT_THE_END = """
+import os, signal, sys, threading, time
+import board51
+from protocol.ending import end_is_ordered
+
+def panic():
+    while signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
+        time.sleep(0.01)
+    os.kill(os.getpid(), signal.SIGTERM)
+    while not end_is_ordered():
+        time.sleep(0.001)
+    os.write(2, b"\\nthread 'net-0' (4711) panicked at zenoh/src/net/routing/dispatcher/resource.rs:491:27:\\n")
+
+threading.Thread(target=panic, daemon=True).start()
+sys.exit(board51.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("service", ["gateway", "hmi", "opcua"])
+def test_a_panic_while_zenoh_closes_is_no_failure(service: str, tmp_path: Path) -> None:
+    """zenoh panics in some of its ends; `systemctl stop` must not leave "failed" behind by luck."""
+    with Emulator(tcp=False) as emulator, running(config := gateway_config(*emulator.urls)):
+        endpoint = config.zenoh.listen[0]
+        logs = ["--log-dir", str(tmp_path)]
+        own = {
+            "gateway": ["--board", "rig=/dev/null", "--listen", f"tcp/127.0.0.1:{free_port()}", *logs],
+            "hmi": ["--connect", endpoint, "--listen", f"127.0.0.1:{free_port()}", "--data", str(tmp_path)],
+            "opcua": ["--connect", endpoint, "--listen", f"127.0.0.1:{free_port()}"],
+        }
+        done = subprocess.run(
+            [sys.executable, "-c", PANICS_AT_THE_END, service, *own[service]],
+            stderr=subprocess.PIPE, text=True, timeout=HANG_S, check=False,
+        )  # fmt: skip
+
+    assert done.returncode == 0, done.stderr
+
+
 def test_a_terminal_that_closes_ends_it_cleanly(tmp_path: Path) -> None:
     """As at the end of an ssh connection: the terminal is gone, whoever writes to it gets an error."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
