@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
+PIP    ?=
 PYTEST_ARGS ?=
 STAMP  := $(VENV)/.from-lock
 
@@ -20,6 +21,7 @@ $(STAMP): requirements.lock pyproject.toml
 	  elif command -v sudo >/dev/null; then sudo apt-get update -q && sudo apt-get install -y -q python3-venv; \
 	  else echo "run as root: apt-get install python3-venv" >&2; exit 2; fi; }
 	$(PYTHON) -m venv $(VENV)
+	$(if $(PIP),$(BIN)/python -m pip install --disable-pip-version-check --quiet --upgrade "$(PIP)")
 	$(BIN)/pip install --disable-pip-version-check --quiet --require-hashes -r requirements.lock
 	$(BIN)/pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation -e .
 	$(BIN)/board51 compile

@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-from gateway.campaign.menu import BY_NAME, MENU, Experiment
 from gateway.campaign.plan import CommandLimits
 from gateway.campaign.subscriber import Recorded
 from gateway.record.writer import LogWriter
@@ -22,6 +21,7 @@ from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recor
 from protocol.campaign_text import emit
 from protocol.checked import Number, Whole, checked, key
 from protocol.errors import DataError, ServiceError, UsageError
+from protocol.experiments import BY_NAME, MENU, Experiment
 from protocol.files import parse_json, read_small, replace_text
 
 RUN_FILE = "run.json"

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from gateway.campaign.menu import BY_NAME, LIFT_OFF, Experiment
 from protocol.campaign import Plant
+from protocol.experiments import BY_NAME, LIFT_OFF, Experiment
 
 Standing = Literal["recorded", "already-there", "given-up", "impossible", "skipped", "interrupted", "not-reached"]
 

@@ -12,10 +12,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from gateway.campaign.menu import LIFT_OFF, Burst, CoilOff, Constant, Experiment, Hover, Wave
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Plant
 from protocol.errors import UsageError
+from protocol.experiments import LIFT_OFF, Burst, CoilOff, Constant, Experiment, Hover, Wave
 
 LEFT_SHARE = 0.4  # of a signal's span that must remain within the limits for the signal to be useful
 _SHAPES = {
@@ -159,13 +159,13 @@ def actions_of(experiment: Experiment, scale: Scale) -> tuple[Action, ...] | Imp
             case CoilOff():
                 actions.append(Send(command=pb.Command(set_mode=pb.SetMode(mode=pb.MODE_IDLE)), hold_s=step.duration_s))
             case Constant():
-                constant = pb.Excite(shape=pb.SHAPE_NONE, offset=_volts(step.u, scale))
+                constant = pb.Excite(shape=pb.SHAPE_NONE, offset=_volts(step.value, scale))
                 actions.append(Send(command=pb.Command(excite=constant), hold_s=step.duration_s))
             case Burst():
                 u_from, u_to = _volts(step.u_from, scale), _volts(step.u_to, scale)
                 actions.append(Shoot(u_from_v=u_from, u_to_v=u_to, lead_s=step.lead_s))
             case Hover():
-                actions.append(GoTo(x_ref_m=_metres(step.x, scale), hold_s=step.duration_s))
+                actions.append(GoTo(x_ref_m=_metres(step.value, scale), hold_s=step.duration_s))
             case Wave():
                 played = _on_reference(step, scale) if step.on_reference else _on_input(step, scale)
                 if isinstance(played, Impossible):

@@ -15,7 +15,6 @@ from dataclasses import replace
 
 from gateway.campaign import checks
 from gateway.campaign.folder import Folder, Retained, controller_of, identity_of, plan_of
-from gateway.campaign.menu import LIFT_OFF, Experiment
 from gateway.campaign.outcome import Outcome, Summary, Wishes
 from gateway.campaign.plan import (
     Action,
@@ -34,6 +33,7 @@ from gateway.campaign.rig import Cut, RigControl, Stopped
 from gateway.campaign.subscriber import BoardSubscriber, Recorded, is_foreign
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import Board51Error, ServiceError
+from protocol.experiments import LIFT_OFF, Experiment
 
 ATTEMPTS = 3
 LOWERED = 0.7  # amplitudes of a repetition after the ball fell or something was clipped

@@ -23,8 +23,8 @@ from protocol.bus.topics import check_name
 from protocol.errors import UsageError
 
 if TYPE_CHECKING:
-    from gateway.campaign.menu import Experiment
     from gateway.campaign.outcome import Summary
+    from protocol.experiments import Experiment
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -71,7 +71,8 @@ def _positive(text: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     """0 when everything asked for is in the folder, 1 when not."""
-    from gateway.campaign.menu import BY_NAME, chosen
+    from gateway.campaign.selection import chosen
+    from protocol.experiments import BY_NAME
 
     if args.list:
         _print_menu(as_json=args.json)
@@ -90,12 +91,13 @@ def run(args: argparse.Namespace) -> int:
 
 def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> int:
     from gateway.campaign.folder import CE152, Folder
-    from gateway.campaign.menu import LIFT_OFF, chosen
     from gateway.campaign.outcome import Wishes
     from gateway.campaign.rig import RigControl, Stopped
     from gateway.campaign.runner import Runner
+    from gateway.campaign.selection import chosen
     from gateway.campaign.subscriber import BoardSubscriber
     from protocol.campaign import load_plant
+    from protocol.experiments import LIFT_OFF
 
     plant = load_plant(args.plant) if args.plant is not None else CE152
     if args.plant is None:
@@ -143,7 +145,7 @@ def _say(text: str) -> None:
 
 
 def _print_menu(*, as_json: bool) -> None:
-    from gateway.campaign.menu import MENU
+    from protocol.experiments import MENU
 
     if as_json:
         rows = [

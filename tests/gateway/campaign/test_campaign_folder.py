@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from gateway.campaign.folder import Folder
-from gateway.campaign.menu import MENU
 from protocol.errors import DataError
+from protocol.experiments import MENU
 
 NAME = MENU[0].name
 RECORDING: dict[str, Any] = {"bytes": 3, "seconds": 1.5, "attempts": 1, "plan": {"seed": 1}}

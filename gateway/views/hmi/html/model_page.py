@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from gateway.campaign.menu import BY_NAME
 from gateway.views.hmi.html import controls
 from gateway.views.hmi.html.errors_figure import errors_figure
 from gateway.views.hmi.html.markup import Markup, tag
@@ -17,6 +16,7 @@ from gateway.views.hmi.model.models import ModelFile, about
 from gateway.views.hmi.model.work import LIVE_MIN
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
+from protocol.experiments import BY_NAME
 from protocol.files import parse_json
 
 KINDS = ("campaign", "identify", "diagnose", "hand-over")

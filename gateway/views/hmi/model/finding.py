@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.campaign.menu import BY_NAME
 from protocol.errors import DataError
+from protocol.experiments import BY_NAME
 from protocol.files import parse_json, read_small
 
 _REMEDY = "Diagnose the campaign again"

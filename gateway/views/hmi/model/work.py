@@ -9,13 +9,13 @@ import logging
 import time
 from pathlib import Path
 
-from gateway.campaign.menu import BY_NAME
 from gateway.views.hmi.actions import Actions, Routes, refusal
 from gateway.views.hmi.model.campaigns import DIAGNOSIS, MODEL, CampaignFolder, campaigns_of, find_campaign
 from gateway.views.hmi.model.journal import write_act
 from gateway.views.hmi.model.models import ModelFile, keep, models_of
 from gateway.views.hmi.sessions import LoginSession
 from protocol.bus import board51_pb2 as pb
+from protocol.experiments import BY_NAME
 
 LIVE_MIN = 2.0  # of flight that a diagnosis without a campaign takes
 _logger = logging.getLogger("gateway.hmi")
