@@ -40,6 +40,7 @@ from gateway.link.port import check_url
 from gateway.record.recorder import Recorder
 from gateway.record.writer import LogError
 from protocol.bus import topics
+from protocol.bus.encoding import is_replayed
 from protocol.bus.endpoint import Mode, zenoh_config
 from protocol.bus.identity import Identity, load_identity
 from protocol.ending import on_end_signal
@@ -104,6 +105,8 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             step_ns = clock.step_ns()
             if step_ns:
                 authorizer.clock_stepped(step_ns)
+                for driver in drivers:
+                    link.post(partial(driver.handler.clock_stepped, step_ns))
             if guarded and time.monotonic() >= look_s:
                 look_s += CERTIFICATES_S
                 for text in expiring(config):
@@ -296,7 +299,7 @@ def _log_twin(recorder: Recorder) -> Callable[[zenoh.Sample], None]:
     def log(sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
         place = topics.split(key)
-        if place is not None and topics.BY_NAME[place[2]].logged:
+        if place is not None and topics.BY_NAME[place[2]].logged and not is_replayed(sample.attachment):
             recorder.put(key, sample.payload.to_bytes(), time.time_ns())
 
     return log

@@ -73,12 +73,14 @@ def send(
     identity: Identity | None = None,
     role: str = "",
     typed: bool = True,
+    since_ns: int = 0,
 ) -> pb.CommandReply:
     """Send one command and return the gateway's answer; without an answer `refused_by` is "link".
 
     An empty `command.id` and a missing `issued_ns` are filled in.  A command that is sent again with the same id and
     date, at this or another gateway, is not executed twice.  A gateway that has just started refuses commands that may
-    be older than itself (`not-fresh`); a command that was dated here is then sent again for JUST_STARTED_S.
+    be older than itself (`not-fresh`); a command that was dated here is then sent again for JUST_STARTED_S.  A STOP in
+    between gives it up: the gateway remembers its first arrival.
 
     Args:
         session: of the bus.
@@ -90,6 +92,7 @@ def send(
         role: instead of an identity: the role of `command.who`, whom the caller has authenticated; only the views'
             account may do so.
         typed: whether the user gave endpoint and identity; the message for a missing answer then mentions them.
+        since_ns: when a command without a date was issued, Unix time; 0: now.
     """
     if not command.id:
         command.id = uuid.uuid4().hex
@@ -101,7 +104,7 @@ def send(
     end_s = time.monotonic() + min(timeout_s, JUST_STARTED_S)
     while True:
         if is_new:
-            command.issued_ns = time.time_ns()
+            command.issued_ns, since_ns = since_ns or time.time_ns(), 0
         answer = ask(session, key, command, timeout_s)
         if answer is None:
             return _unanswered(command, f"{site}/{board}", guarded=identity is not None, typed=typed)

@@ -3,7 +3,8 @@
 Rule 1: payloads are sent byte for byte: a twin computes the same from a replay as from the live board.
 Rule 2: the order is that of the log; the pace is log time divided by speed; with speed 0 only the bus limits the pace.
 Rule 3: twin/* is replayed only on request: a live twin publishes it, too, and two sources under one key would mix.
-Rule 4: a replay does not publish under the name of a board that is alive on the bus.
+Rule 4: each message is marked as replayed, beside its payload: views of the live rigs leave it out.
+Rule 5: a replay does not publish under the name of a board that is alive on the bus.
 """
 
 from __future__ import annotations
@@ -131,7 +132,7 @@ class BusReplay:
         data = record.data
         if self.session_offset:
             data = _with_session(record.topic, data, self.session_offset)
-        self._publisher(record.site, record.board, record.topic).put(data)
+        self._publisher(record.site, record.board, record.topic).put(data, attachment=encoding.REPLAYED)
 
     def _publisher(self, site: str, board: str, topic: str) -> zenoh.Publisher:
         key = topics.key(self._site or site, self._rename or board, topic)

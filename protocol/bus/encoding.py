@@ -6,7 +6,7 @@ serialised FileDescriptorSet, so that any protobuf tool can decode a log without
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import SupportsBytes, TypeVar
 
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import DecodeError, Message
@@ -15,6 +15,7 @@ from protocol.bus import board51_pb2 as pb
 
 MIME = "application/protobuf"
 M = TypeVar("M", bound=Message)
+REPLAYED = b"replayed"  # zenoh attachment of each message that a replay sends; its payload is that of the log
 SCHEMA_ENCODING = MESSAGE_ENCODING = "protobuf"
 # Size of a log's chunks before compression, 0.3 s of one board: a damaged byte costs at least one chunk.  Compared with
 # chunks of 1 MiB, files are 22 % larger with zstd and 6 % with lz4.
@@ -29,6 +30,11 @@ def schema_name(message: type[Message]) -> str:
 def zenoh_encoding(message: type[Message]) -> str:
     """Return the zenoh encoding of a message class; subscribers may check it before they parse."""
     return f"{MIME};{schema_name(message)}"
+
+
+def is_replayed(attachment: SupportsBytes | None) -> bool:
+    """Whether the attachment of a message on the bus marks it as sent by a replay."""
+    return attachment is not None and bytes(attachment) == REPLAYED
 
 
 def descriptor_set() -> bytes:

@@ -72,7 +72,7 @@ def serve(settings: HmiSettings, listener: socket.socket, bus: zenoh.Session, re
         replay_bus: where logs are replayed.
     """
     jobs = Jobs()
-    feeds = Feed(bus, settings.site, guarded=settings.guarded), Feed(replay_bus, REPLAY_SITE)
+    feeds = Feed(bus, settings.site, guarded=settings.guarded), Feed(replay_bus, REPLAY_SITE, replays=True)
     config = uvicorn.Config(
         build(settings, *feeds, jobs),
         log_level="warning",
@@ -128,8 +128,8 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
                 await pump
 
     sockets: list[BaseRoute] = []
-    for prefix, snapshots in (("/live", live), (REPLAY, replay)):
-        readers = Live(snapshots, sessions, jobs)
+    for prefix, snapshots, shown in (("/live", live, jobs), (REPLAY, replay, None)):
+        readers = Live(snapshots, sessions, shown)
         sockets.append(WebSocketRoute(prefix, readers.overview))
         sockets.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
     work = ModelWork(actions, data=settings.data, logs=settings.logs, routes=settings.routes)

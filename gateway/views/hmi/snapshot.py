@@ -11,6 +11,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from gateway.board.reference import reference_range_mm
 from gateway.views.alarms import TWIN, Alarm
 from gateway.views.feed import BoardFeed
 from gateway.views.hmi.jobs import Job
@@ -143,6 +144,7 @@ def summary(board: BoardFeed) -> dict[str, Any]:
     alarms = board.alarms()
     return now(board) | {
         "name": board.name,
+        "unseen": board.is_unseen(),
         "alarms": sum(a.active or not a.acknowledged for a in alarms),
         "fault": any(a.active and a.severity == "fault" for a in alarms),
     }
@@ -193,9 +195,10 @@ def _status(board: BoardFeed) -> dict[str, Any] | None:
 def _limits(parameters: pb.Parameters | None) -> dict[str, Any] | None:
     if parameters is None:
         return None
+    low_mm, high_mm = reference_range_mm(parameters)
     return {
-        "x_min_m": parameters.x_ref_min_m,
-        "x_max_m": parameters.x_ref_max_m,
+        "x_min_mm": low_mm,
+        "x_max_mm": high_mm,
         "step_m": parameters.x_ref_step_max_m,
         "u_max_v": parameters.u_max_v,
         "law": "PID" if parameters.law == pb.LAW_PID else "LQI",

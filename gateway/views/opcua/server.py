@@ -19,6 +19,7 @@ from asyncua import Server, ua
 
 from gateway.access.roles import Role
 from gateway.views.feed import Feed
+from gateway.views.opcua import processor
 from gateway.views.opcua.address_space.history import Historian, RingHistory
 from gateway.views.opcua.capabilities import describe
 from gateway.views.opcua.conditions import Conditions
@@ -76,6 +77,7 @@ async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready:
         return security.identify(name, password, certificate, host) if security is not None else None
 
     inner = GuardedServer(Reception(identify), Operations(feed), secured=security is not None)
+    processor.install()
     server = Server(iserver=inner)
     await server.init()
     server.set_endpoint(f"opc.tcp://{settings.host}:{settings.port}/board51/")

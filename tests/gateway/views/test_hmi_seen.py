@@ -249,6 +249,29 @@ def test_a_board_that_does_not_answer_is_told_in_the_bar(page: Page, site: Site)
     ), "no chip is cut off"
 
 
+def test_what_became_of_a_stop_is_told_for_each_rig(page: Page, site: Site) -> None:
+    """The coil of `two` is off, as far as samples say, and nobody is sent to switch it off by hand."""
+
+    def answer(key: str, command: pb.Command) -> pb.CommandReply:
+        if "/two/" in key:
+            return pb.CommandReply(id=command.id, accepted=True, tick=1)
+        return pb.CommandReply(id=command.id, refused_by="link", reason="timed-out", text="No answer.")
+
+    site.gateway.answer = answer
+    site.mode = {"mode": pb.MODE_IDLE}
+    with site.live():
+        page.goto(site.url)
+        page.wait_for_selector(".board-card >> nth=1")
+        page.keyboard.press("Escape")
+        banner = page.locator(SAID)
+        expect(banner).to_contain_text("STOP REFUSED for rig, accepted for the others")
+        expect(banner).to_contain_text("two: coil off")
+        expect(banner).to_contain_text("Its coil is off, says the sample")
+        assert "by hand" not in banner.inner_text()
+    expect(page.locator(SAID)).to_contain_text("Switch rig off by hand")
+    assert "Switch two" not in page.locator(SAID).inner_text()
+
+
 @pytest.mark.slow
 def test_nothing_that_comes_moves_the_controls(page: Page, site: Site) -> None:
     """Alarms, flags, words across the page, marked chips, refusals."""

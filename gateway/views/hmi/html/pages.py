@@ -184,7 +184,7 @@ class Pages:
             tag("link", rel="stylesheet", href="/static/hmi.css"),
             tag("meta", name="board51", data_board=board, data_token=session.csrf, data_live=live, data_prefix=prefix,
                 data_replay="yes" if replayed else "", data_stops=stops, data_now=f"{time.monotonic():.3f}",
-                data_may=" ".join(act for act in LEAST_ROLE if self._actions.may(session, act))),
+                data_may="" if replayed else " ".join(a for a in LEAST_ROLE if self._actions.may(session, a))),
             tag("script", src="/static/vendor/uPlot.iife.min.js") if chips else "",
             tag("script", type="module", src="/static/hmi.js"),
             tag("script", type="module", src=f"/static/{script}") if script else "",

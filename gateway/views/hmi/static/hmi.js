@@ -184,7 +184,7 @@ function lists() {
       row.append(button);
     }
     row.append(cell("div", alarm.text, "text"));
-    if (alarm.model) row.append(toModel());
+    if (alarm.model && !page.replay) row.append(toModel()); // the model's page is that of the live rig
     return row;
   }, "\u2713 no alarms");
   const waiting = rest.alarms.filter((a) => a.active || !a.acknowledged);
@@ -224,6 +224,12 @@ function card(name) {
     stop.type = "button";
     box.append(stop);
   }
+  if (may.has("acknowledge")) {
+    parts.remove = cell("button", `Remove ${name} from the pages`, "plain");
+    Object.assign(parts.remove.dataset, { act: "remove", board: name });
+    Object.assign(parts.remove, { type: "button", hidden: true });
+    box.append(parts.remove);
+  }
   return { box, parts };
 }
 
@@ -237,6 +243,10 @@ function overview() {
   const gap = line.gap(), gone = gap > FRAME_LIMIT_S;
   put("lost", gone ? `NO DATA for ${gap.toFixed(0)} s \u2013 this page has lost its server` : "", gone ? "bad" : "none");
   if (!place) return;
+  for (const name of [...cards.keys()].filter((one) => !boards?.some((board) => board.name === one))) {
+    cards.get(name).box.remove();
+    cards.delete(name);
+  }
   if (!boards?.length) {
     if (!place.childElementCount) place.append(cell("div", NOBODY, "empty"));
     return;
@@ -247,6 +257,7 @@ function overview() {
     const { box, parts } = cards.get(board.name), live = board.link === "live" && !gone;
     if (box.parentElement !== place) place.append(box);
     box.dataset.state = !live || board.fault ? "bad" : board.alarms ? "warn" : "good";
+    if (parts.remove) parts.remove.hidden = !board.unseen || gone;
     parts.link.textContent = gone ? "\u2715 NO SERVER" : LINK_WORDS[board.link] ?? board.link;
     parts.x.textContent = live ? `${shown(board.x_m, 1e3, 3)} mm` : `no data${board.age_s === null ? "" : ` for ${Math.round(board.age_s)} s`}`;
     parts.text.textContent = live ? `reference ${shown(board.x_ref_m, 1e3, 3)} mm \u00b7 ${board.mode} \u00b7 ${board.mode === "idle" ? "coil off" : "coil on"}` : board.reason;

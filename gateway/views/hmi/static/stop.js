@@ -76,6 +76,7 @@ export class Stop {
     const coils = names.map((name) => this.coil(press, name, rigs[name], press.replies?.[name]));
     const said = coils.map(([words], n) => (names.length > 1 ? `${names[n]}: ${words}` : words)).join(" \u00b7 ");
     const by_hand = "Switch the rig off by hand.";
+    const refused = names.filter((name) => press.replies && !press.replies[name].accepted);
     if (press.error) return [`STOP NOT DELIVERED, or not answered (${press.error}). ${by_hand} ${said}`, "bad"];
     if (!press.replies) {
       const late = (performance.now() - press.at) / 1000;
@@ -83,14 +84,19 @@ export class Stop {
       return [`STOP sent, NO ANSWER for ${late.toFixed(0)} s. ${by_hand} ${said}`, "bad"];
     }
     if (!names.length) return ["STOP: no rig is known yet, nothing was stopped", "bad"];
-    if (Object.values(press.replies).some((reply) => !reply.accepted)) return [`STOP REFUSED. ${said}. ${by_hand}`, "bad"];
     const worst = ["bad", "busy", "warn"].find((state) => coils.some(([, its]) => its === state)) ?? "good";
+    if (refused.length === names.length && names.length === 1) return [`STOP REFUSED. ${said}`, worst];
+    if (refused.length) return [`STOP REFUSED for ${refused.join(", ")}${refused.length < names.length ? ", accepted for the others" : ""}: ${said}`, worst];
     return [`STOP accepted after ${press.took} ms: ${said}`, worst];
   }
 
   // [words, state] of one coil, by its samples.
   coil(press, name, rig, reply) {
-    if (reply && !reply.accepted) return [`REFUSED by ${reply.refused_by} (${reply.reason}): ${reply.text}`, "bad"];
+    if (reply && !reply.accepted) {
+      const why = `REFUSED by ${reply.refused_by} (${reply.reason}): ${reply.text}`;
+      if (rig?.fresh && rig.idle) return [`${why} Its coil is off, says the sample of tick ${rig.tick}.`, "bad"];
+      return [`${why} Switch ${name} off by hand.`, "bad"];
+    }
     if (!rig?.fresh) {
       const before = press.off[name] ? `coil off at tick ${press.off[name]}, ` : "";
       return [`${before}no samples come now, so whether the coil is off is not known`, "warn"];
