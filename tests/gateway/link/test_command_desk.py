@@ -50,7 +50,9 @@ class Rig:
             frame("IDENTITY", id=hello.int("id"), tick=self.tick, **identity_values()), self.now_s
         )
         assert isinstance(opened, Opened)
-        self.known.identity, self.known.scaling = opened.identity, scaling_of(opened.identity)
+        scaling = scaling_of(opened.identity)
+        assert not isinstance(scaling, str), scaling
+        self.known.identity, self.known.scaling = opened.identity, scaling
 
     @property
     def now_ns(self) -> int:
