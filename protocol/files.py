@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import stat
-import tomllib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -109,6 +108,8 @@ def make_folder(path: Path, *, mode: int = 0o777) -> None:
 
 def parse_toml(text: str, *, where: str, remedy: str = "Correct that line") -> dict[str, Any]:
     """Parse TOML into a table; `where` names the source in the ConfigError."""
+    import tomllib  # not by a command that reads no file: a STOP shall not wait for it
+
     try:
         table = tomllib.loads(text)
         _check_depth(table)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import DecodeError, Message
 
 from protocol.bus import board51_pb2 as pb
@@ -33,6 +32,8 @@ def zenoh_encoding(message: type[Message]) -> str:
 
 def descriptor_set() -> bytes:
     """Return the serialised FileDescriptorSet of board51.proto, which has no imports."""
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet  # slow to load, and needed by logs alone
+
     files = FileDescriptorSet()
     pb.DESCRIPTOR.CopyToProto(files.file.add())
     return files.SerializeToString(deterministic=True)
