@@ -12,7 +12,6 @@ import json
 import os
 import re
 import stat
-import tomllib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -116,6 +115,8 @@ def make_folder(path: Path, *, mode: int = 0o777) -> None:
 
 def parse_toml(text: str, *, where: str, remedy: str = "Correct that line") -> dict[str, Any]:
     """Parse TOML into a table; `where` names the source in the ConfigError."""
+    import tomllib  # not by a command that reads no file: a STOP shall not wait for it
+
     try:
         if _DOTTED.search(text):
             raise RecursionError  # before parsing: the parser's memory grows with the square of the number of parts

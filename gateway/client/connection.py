@@ -7,8 +7,8 @@ that the client has no rights; it is reported as "not delivered".
 from __future__ import annotations
 
 import argparse
+import os
 import time
-import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -95,7 +95,7 @@ def send(
         since_ns: when a command without a date was issued, Unix time; 0: now.
     """
     if not command.id:
-        command.id = uuid.uuid4().hex
+        command.id = new_id()
     is_new = not command.issued_ns
     command.valid_s = command.valid_s or timeout_s
     if identity is not None:
@@ -111,6 +111,11 @@ def send(
         if not is_new or answer.reason != "not-fresh" or time.monotonic() >= end_s:
             return answer
         time.sleep(0.1)
+
+
+def new_id() -> str:
+    """Return a new command id: 128 random bits."""
+    return os.urandom(16).hex()  # as uuid4, whose module takes a tenth of the start of `board51 send`
 
 
 def send_stop(

@@ -10,22 +10,20 @@ from __future__ import annotations
 
 import contextlib
 import math
-import uuid
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import TYPE_CHECKING, Self, TypeVar
 
 import zenoh
 from google.protobuf.message import Message
 
 from gateway.client import commands
 from gateway.client.commands import HostLoss, Law, Mode, OperatingPoint, Shape
-from gateway.client.connection import ask, open_bus, send, send_stop
+from gateway.client.connection import ask, new_id, open_bus, send, send_stop
 from gateway.client.errors import accepted
 from gateway.client.feed import CAPACITY, Feed, check_topic
-from gateway.client.recording import Recording
 from gateway.client.sample_stream import SampleStream
 from gateway.client.values import Capture, Reply, Samples
 from protocol.bus import board51_pb2 as pb
@@ -33,6 +31,9 @@ from protocol.bus import topics
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.bus.identity import Identity, find_identity, login_name
 from protocol.errors import ServiceError, UsageError
+
+if TYPE_CHECKING:
+    from gateway.client.recording import Recording
 
 SILENCE_S = 3.0  # longest time without a sample; a gateway reconnects a port and reads a board again within it
 NEWEST_WAIT_S = 8.0  # periodic messages are sent at least every 5 s
@@ -252,7 +253,7 @@ class Rig:
             ServiceError: no twin answers.
         """
         command = commands.use_model(Path(model))
-        command.id, command.who = uuid.uuid4().hex, self.who
+        command.id, command.who = new_id(), self.who
         role, who = ("", "") if self.identity is None else (self.identity.role, self.identity.name)
         key = topics.command_key(self.site, self.board, role=role, who=who, topic="twin/command")
         reply = ask(self._session, key, command, self._timeout_s)
@@ -388,6 +389,8 @@ class Rig:
             UsageError: the directory cannot be created.
             LogError: it is read-only or full.
         """
+        from gateway.client.recording import Recording  # with the writer of logs, which no command needs
+
         source = {"record": {"connect": self.connect, "keys": f"{self.site}/{self.board}/**"}}
         recording = Recording(self._session, self.site, self.board, directory, prefix=prefix, metadata=source)
         self._closing.callback(recording.start().close)

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.client.connection import add_bus_arguments, open_bus
+from protocol.arguments import number
 from protocol.bus.identity import find_identity
 from protocol.bus.topics import check_name
 from protocol.errors import UsageError
@@ -60,10 +61,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = number(text)
     if not (math.isfinite(value) and value >= 0.0):
         raise argparse.ArgumentTypeError(f"{text} is not a number of at least 0")
     return value

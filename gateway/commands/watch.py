@@ -39,7 +39,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _line(key: str, message: Message, *, as_json: bool) -> str:
-    fields = MessageToDict(message, preserving_proto_field_name=True)
+    # With zeros: else the mode of an idle board, which is 0, would be missing.
+    fields = MessageToDict(message, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
     if as_json:
         return json.dumps({"key": key, **fields})
     return f"{key}  " + "  ".join(f"{name}={_shown(value)}" for name, value in fields.items())

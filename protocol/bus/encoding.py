@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import SupportsBytes, TypeVar
 
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import DecodeError, Message
 
 from protocol.bus import board51_pb2 as pb
@@ -39,6 +38,8 @@ def is_replayed(attachment: SupportsBytes | None) -> bool:
 
 def descriptor_set() -> bytes:
     """Return the serialised FileDescriptorSet of board51.proto, which has no imports."""
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet  # slow to load, and needed by logs alone
+
     files = FileDescriptorSet()
     pb.DESCRIPTOR.CopyToProto(files.file.add())
     return files.SerializeToString(deterministic=True)
