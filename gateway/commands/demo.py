@@ -124,8 +124,13 @@ def _demo(out: Path, effects: list[str]) -> int:
         finish(diagnose, out, "diagnose", good=NOT_ALL, limit_s=DIAGNOSIS_LIMIT_S)
         found = json.loads((diagnosis / "diagnosis.json").read_text(encoding="utf-8"))
         _wrap(found["sentence"])
-        _hand_over(out, diagnosis / "extended_model.json", endpoint)
-        flights.append(_fly(bus, "extended"))
+        if found["extended_model"]["offered"]:
+            _hand_over(out, diagnosis / "extended_model.json", endpoint)
+            flights.append(_fly(bus, "extended"))
+        else:
+            _wrap(
+                "no model of the diagnosis surely predicts better: the twin keeps the identified one, no third flight"
+            )
         bus.hold(0.3)
         processes.close()
 

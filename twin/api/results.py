@@ -127,6 +127,11 @@ class Diagnosed:
     residuals: Show | None  # errors before and after the extension, as arrays; None for equilibria only
     where: str  # path of the campaign, for the report
 
+    @property
+    def offered(self) -> bool:
+        """Whether a twin gains by `extended`: judged, and not the reference itself."""
+        return bool(self._static.extended.causes) if self.residuals is None else self._flown.offered
+
     def to_json(self) -> dict[str, Any]:
         """diagnosis.json."""
         if self.residuals is None:
@@ -191,7 +196,8 @@ class Diagnosed:
                 lines.append(f"  seen, too small to be named: {one.name} ({sizes(one.name, one.parameters)})")
         lines += [f"  ! {warning}" for warning in self.warnings]
         if saved_in is not None:
-            lines += [f"report   {saved_in / 'report.html'}", f"model    {saved_in / 'extended_model.json'}"]
+            about = "" if self.offered else f" ({self.extended.provenance.get('about', 'the reference')})"
+            lines += [f"report   {saved_in / 'report.html'}", f"model    {saved_in / 'extended_model.json'}{about}"]
         return "\n".join(lines)
 
     def save(self, folder: Path | str) -> None:

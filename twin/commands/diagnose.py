@@ -101,11 +101,11 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None:
         found.save(args.out)
     print(as_text(found.to_json()) if args.json else found.summary(args.out))
-    if args.hand_over and found.extended.causes:
+    if args.hand_over and found.offered:
         # To stderr beside --json: what is parsed stays one object.
         taken = give_to_twin(args, args.out / "extended_model.json", board, say if args.json else print)
         if not taken:
             return 1
     elif args.hand_over:
-        say("no cause was found, and no curve: the twin keeps its model")
+        say("no model of this diagnosis surely predicts better than the reference: the twin keeps its model")
     return 1 if found.verdict in ("unknown-cause", "unfinished") else 0

@@ -29,6 +29,7 @@ from twin.design.loop import (
 )
 from twin.design.margins import Margins, margins
 from twin.design.robust import Robustness, over_intervals, plant_at, stable_range_m
+from twin.model.assumed import assumption_warning
 from twin.model.causes.catalogue import with_trait
 from twin.model.equilibrium import equilibrium
 from twin.model.extension import sentences
@@ -216,7 +217,8 @@ def _judge(
 
 
 def _unsure(model: Model) -> tuple[str, ...]:
-    said = [
+    said = [assumption_warning(model.plant)] if model.plant.assumed else []
+    said += [
         f"{name} = {p.value:.4g} {p.unit} is {p.verdict}: {p.method}"
         for name, p in model.parameters.items()
         if p.verdict in ("weak", "not-identifiable")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 
@@ -24,10 +23,13 @@ from twin.diagnose.inference.fisher_scoring import Fit, spreads
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import Theta
-from twin.diagnose.judge.account import Account, Verdict, account_of, beyond_floor, verdict_of
-from twin.diagnose.judge.prediction_gain import HORIZONS_S, Gain, gain
-from twin.diagnose.judge.reference_model import off_sentence, theta_of
+from twin.diagnose.judge import judgement
+from twin.diagnose.judge.account import Account, Verdict, account_of, beyond_floor
+from twin.diagnose.judge.choice import Choice, at_20_ms, worse
+from twin.diagnose.judge.prediction_gain import Gain
+from twin.diagnose.judge.worth import Bench
 from twin.diagnose.remainder.remainder import Remainder, remainder_of
+from twin.diagnose.report.choice import choice_sentence, harm_sentence, written_model
 from twin.diagnose.report.model_file import model_of
 from twin.diagnose.report.other_causes import minor_effects_of, missing_channels, not_testable, ruled_out
 from twin.diagnose.report.page_remainder import answer_with
@@ -48,8 +50,8 @@ from twin.diagnose.result import (
 )
 from twin.diagnose.search.candidate_fits import Trial
 from twin.diagnose.search.state import Selection
-from twin.estimation.pace import pace_of
 from twin.estimation.record import Record
+from twin.model.assumed import assumption, rests_on_plant
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 from twin.model.parameters import Model, Parameter
@@ -138,25 +140,34 @@ def told(
     with timed(stages, "next experiments"):
         proposals = _proposals(criterion, found, campaign, asked) if asked.experiments else {}
     with timed(stages, "gain"):
-        worth = _worth(done, judge, campaign.plant, asked)
-        at_20_ms = worth.at_20_ms
-        warnings += [worth.off] if worth.off else []
+        lost = lost_samples([*records, *judges])
+        bench = _bench(done, judge, campaign.plant, asked)
+        judged = judgement.judge(
+            found, asked.model, bench, account, fine=done.fine, finished=finished, counted=lost is not None
+        )
+        verdict, choice, whole = judged.verdict, judged.choice, judged.whole
+        warnings += [judged.off] if judged.off else []
     with timed(stages, "remainder"):
-        remainder = _remainder(done, records, judge, at_20_ms, asked)
-    final, final_spread = found.fit, spread
-    if remainder is not None and remainder.fit is not found.fit:
-        final, final_spread = remainder.fit, spreads(criterion, remainder.fit)
-    lost = lost_samples([*records, *judges])
-    verdict = _verdict(done, account, lost, at_20_ms, finished=finished)
+        remainder = _remainder(done, records, judge, whole, choice, asked)
+        if not _harmless(bench, judged.before, choice, remainder):
+            warnings.append("a curve of what is left was tried and refused: with it the judge recordings get worse")
+            remainder = None
+    final = choice.fit if remainder is None else remainder.fit
+    final_spread = spread if final is found.fit else {} if final is None else spreads(criterion, final)
     if verdict == "partly-explained" and remainder is not None and remainder.beside == "paper":
         verdict = "unknown-cause"
-    findings = _findings(found, account, spread, proposals, verdict, lost)
+    findings = _findings(found, account, spread, proposals, verdict, lost, campaign.plant)
     if done.change is not None:
         findings = [_late(one, done.change) for one in findings]
-    if done.fine and at_20_ms is not None and beyond_floor(at_20_ms):
-        where = beyond_sentence(at_20_ms)
+    if done.fine and verdict == "unknown-cause" and choice.refused and choice.refused[0].worse:
+        where = harm_sentence(choice.refused[0])
+    elif done.fine and whole is not None and beyond_floor(whole):
+        where = beyond_sentence(whole)
     warnings += [f"not all is explained {where}"] * bool(where) if done.fine else [done.why_not]
     minor_effects = tuple(minor_effects_of(criterion, found)) if done.fine and done.change is None else ()
+    lacked = under.excess(done.base.loglik)
+    paper = model_of(campaign, done.base, {}, records, lacked, "the paper's model at its best")
+    baseline = asked.model or paper
     diagnosis = Diagnosis(
         verdict=verdict,
         sentence="",
@@ -168,12 +179,16 @@ def told(
         else (),
         account=account,
         unexplained_where=where,
-        gains=worth.gains,
-        gain=at_20_ms,
-        baseline=asked.model or _paper(campaign, done, records, under),
-        extended=model_of(
-            campaign, final, final_spread, records, under.excess(final.loglik), "extended by board51 diagnose"
+        gains=choice.gains,
+        gain=at_20_ms(choice.gains),
+        baseline=baseline,
+        extended=written_model(
+            choice,
+            baseline
+            if final is None
+            else model_of(campaign, final, final_spread, records, under.excess(final.loglik), ""),
         ),
+        choice=choice,
         warnings=tuple(dict.fromkeys(warnings)),
         quick=asked.quick or asked.share < settings.LEAST_SHARE,
         stages_s=stages,
@@ -181,14 +196,14 @@ def told(
         floor=floor,
         fit_evidence=evidence,
         judge_evidence=judge,
-        before=worth.before,
-        after=found.fit.theta,
+        before=judged.before,
+        after=judged.before if choice.fit is None else choice.fit.theta,
         tick_s=criterion.tick_s,
         remainder=remainder,
         budget=asked.budget,
     )
-    sentence = answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=worth.off)
-    return replace(diagnosis, sentence=answer_with(diagnosis, sentence))
+    sentence = answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=judged.off)
+    return replace(diagnosis, sentence=answer_with(diagnosis, sentence) + choice_sentence(diagnosis))
 
 
 def _inconsistent(done: Searched) -> list[str]:
@@ -200,87 +215,45 @@ def _inconsistent(done: Searched) -> list[str]:
     ]
 
 
-def _verdict(done: Searched, account: Account, lost: Lost | None, at_20_ms: Gain | None, *, finished: bool) -> Verdict:
-    return verdict_of(
-        named=bool(done.found.causes) or lost is not None,
-        fine=done.fine,
-        finished=finished,
-        gain=at_20_ms,
-        leading=(done.fine and lost is not None) or any(account.leads(name) for name in done.found.causes),
-    )
-
-
 def _remainder(
-    done: Searched, records: Sequence[Record], judge: Evidence | None, at_20_ms: Gain | None, asked: Asked
+    done: Searched,
+    records: Sequence[Record],
+    judge: Evidence | None,
+    whole: Gain | None,
+    choice: Choice,
+    asked: Asked,
 ) -> Remainder | None:
     """What is left, modelled; None where nothing is, nobody asked, or there is nothing to choose by."""
-    more = not done.fine or (at_20_ms is not None and beyond_floor(at_20_ms))
+    more = not done.fine or (whole is not None and beyond_floor(whole))
     wanted = more and not asked.quick if asked.free_form is None else asked.free_form
-    if not wanted or judge is None or at_20_ms is None or done.change is not None:
+    if not wanted or judge is None or whole is None or choice.fit is None or done.change is not None:
         return None
     asked.say("what is left, as a curve?")
     question = asked.budget.question("what is left, as a curve")
     with suppress(Spent), question, done.criterion.charging(asked.budget):
         candidates = testable_causes(records)
         paper = done.base if more else None
-        return remainder_of(done.criterion, done.found.fit, paper, judge, done.floor, candidates, seed=asked.seed)
+        return remainder_of(done.criterion, choice.fit, paper, judge, done.floor, candidates, seed=asked.seed)
     return None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Worth:
-    """Prediction improvement of the extended model on the judge recordings."""
-
-    before: Theta  # of the reference model, or of the fitted paper's model
-    gains: tuple[Gain, ...]
-    at_20_ms: Gain | None
-    off: str  # a sentence on wrong parameters of the reference model; "" if there are none
-
-
-def _worth(done: Searched, judge: Evidence | None, plant: Plant, asked: Asked) -> _Worth:
-    model, base, after, tick_s = asked.model, done.base.theta, done.found.fit.theta, done.criterion.tick_s
-    before = base if model is None else theta_of(model, base)
-    gains = _gains(judge, before, after, done.floor, plant, tick_s, asked)
-    at_20_ms = next((one for one in gains if abs(one.horizon_s - 0.02) < 0.5 * tick_s), None)
-    off = ""
-    if model is not None and judge is not None and at_20_ms is not None:
-        anew = gain(judge, base, after, done.floor, plant, tick_s, at_20_ms.samples, asked.seed)
-        off = off_sentence(model, base, at_20_ms, anew)
-    return _Worth(before=before, gains=tuple(gains), at_20_ms=at_20_ms, off=off)
-
-
-def _paper(campaign: Campaign, done: Searched, records: Sequence[Record], under: Floor) -> Model:
-    lacks = under.excess(done.base.loglik)
-    return model_of(campaign, done.base, {}, records, lacks, "the paper's model at its best")
-
-
-def _gains(
-    judge: Evidence | None, before: Theta, after: Theta, floor: Floor, plant: Plant, tick_s: float, asked: Asked
-) -> list[Gain]:
+def _bench(done: Searched, judge: Evidence | None, plant: Plant, asked: Asked) -> Bench | None:
     if judge is None or not len(judge.series):
-        return []
+        return None
+    return Bench(
+        judge=judge,
+        floor=done.floor,
+        plant=plant,
+        tick_s=done.criterion.tick_s,
+        seed=asked.seed,
+        workers=asked.workers,
+        budget=asked.budget,
+    )
 
-    def at(samples: int) -> Gain | None:
-        return gain(judge, before, after, floor, plant, tick_s, samples, asked.seed)
 
-    # The longest first, as it takes most time.
-    horizons = sorted({max(round(horizon / tick_s), 1) for horizon in HORIZONS_S}, reverse=True)
-    horizons = _affordable(horizons, judge, (before, after), plant, tick_s, asked.budget)
-    with ThreadPoolExecutor(max_workers=asked.workers) as pool:
-        found = [one for one in pool.map(at, horizons) if one is not None]
-    return found[::-1]
-
-
-def _affordable(
-    horizons: Sequence[int], judge: Evidence, thetas: Sequence[Theta], plant: Plant, tick_s: float, budget: Budget
-) -> list[int]:
-    """The horizons within the budget; that of the answer has priority."""
-    pace, paid = pace_of(judge.series), set()
-    for samples in sorted(horizons, key=lambda samples: abs(samples * tick_s - settings.BENEFIT_HORIZON_S)):
-        with suppress(Spent), budget.question(f"the error of x {1e3 * samples * tick_s:.0f} ms ahead"):
-            budget.take(sum(pace.steps_ahead(theta.base(plant), theta.vector(), samples) for theta in thetas))
-            paid.add(samples)
-    return [samples for samples in horizons if samples in paid]
+def _harmless(bench: Bench | None, before: Theta, choice: Choice, left: Remainder | None) -> bool:
+    """Whether the model with what is left as a curve is no worse than the reference on all of the judge recordings."""
+    return left is None or bench is None or left.fit is choice.fit or not worse(bench.gains(before, left.fit.theta))
 
 
 def _findings(
@@ -290,6 +263,7 @@ def _findings(
     proposals: dict[str, Proposal],
     verdict: Verdict,
     lost: Lost | None,
+    plant: Plant,
 ) -> list[Finding]:
     findings = []
     for cause in found.causes:
@@ -298,7 +272,7 @@ def _findings(
         findings.append(
             Finding(
                 name=cause,
-                sentence=finding_sentence(cause, parameters),
+                sentence=finding_sentence(cause, parameters) + _for(cause, plant),
                 form=form_of(BY_NAME[cause], parameters),
                 parameters=parameters,
                 confidence=confidence_of(
@@ -326,6 +300,11 @@ def _findings(
             )
         )
     return findings
+
+
+def _for(cause: str, plant: Plant) -> str:
+    """For which assumed plant the size of a cause holds; empty if it does not rest on one."""
+    return f", {assumption(plant)}" if plant.assumed and rests_on_plant(BY_NAME[cause]) else ""
 
 
 def _late(finding: Finding, change: Change) -> Finding:

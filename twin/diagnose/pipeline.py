@@ -45,6 +45,7 @@ from twin.estimation.innovations import FLIES, FOLLOWS
 from twin.estimation.record import Record
 from twin.identify.checks.dead_channels import without_dead
 from twin.identify.checks.plausibility import inspect
+from twin.model.assumed import assumption_warning
 from twin.model.parameters import Model
 from twin.readers.campaign import read_campaign
 
@@ -239,7 +240,8 @@ def _wanders(theta: Theta) -> bool:
 
 def _prepared(campaign: Campaign, records: Sequence[Record], quick: bool) -> tuple[list[Record], list[str]]:
     """(recordings without dead channels, shortened for `quick`; warnings)."""
-    warnings = [note for record in records for note in record.notes]
+    warnings = [assumption_warning(campaign.plant)] if campaign.plant.assumed else []
+    warnings += [note for record in records for note in record.notes]
     warnings += inspect(list(records), campaign.plant, campaign.controller)
     retained: list[Record] = []
     for record in records:

@@ -16,6 +16,7 @@ from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import Theta
 from twin.diagnose.judge.account import Account, Verdict
+from twin.diagnose.judge.choice import Choice
 from twin.diagnose.judge.prediction_gain import Gain
 from twin.diagnose.remainder.remainder import Remainder
 from twin.diagnose.search.state import Selection
@@ -100,7 +101,7 @@ class Diagnosis:
     ruled_out: tuple[RuledOut, ...]
     account: Account  # of what the paper's model lacks
     unexplained_where: str
-    gains: tuple[Gain, ...]  # on judge recordings, one per horizon
+    gains: tuple[Gain, ...]  # of `after` over `before` on judge recordings, one per horizon
     gain: Gain | None  # at 20 ms
     baseline: Model
     extended: Model
@@ -111,12 +112,19 @@ class Diagnosis:
     floor: Floor
     fit_evidence: Evidence
     judge_evidence: Evidence | None
-    before: Theta
-    after: Theta
+    before: Theta  # of `baseline`
+    after: Theta  # of `extended`, without a curve of what is left
     tick_s: float
     remainder: Remainder | None = None  # what is left, modelled; `extended` has it
     budget: Budget = field(default_factory=Budget)
     extra: Mapping[str, Any] = field(default_factory=dict)
+    choice: Choice | None = None  # how `extended` was chosen
+
+    @property
+    def offered(self) -> bool:
+        """Whether a twin gains by `extended`: the judge recordings have compared it, and it is not the reference."""
+        chosen = self.choice
+        return chosen is not None and chosen.judged and (bool(self.extended.causes) or chosen.kind == "paper")
 
     def holds(self, cause: Finding) -> bool:
         """Whether a name is a cause, not a candidate: beside a rest that nobody knows, only what was counted is."""
@@ -153,6 +161,8 @@ def to_json(found: Diagnosis) -> dict[str, Any]:
         "noise": noise_json(found.fit_evidence.noise, (found.floor.sigma_i_c_a, found.floor.sigma_x_m)),
         **({"noise_colour": colours} if (colours := colours_json(found.fit_evidence.noise)) else {}),
         "remainder": None if found.remainder is None else _remainder(found.remainder, found.extended),
+        "extended_model": _extended_model(found),
+        "plant_assumed": found.extended.plant.assumed,
         "gain": _gain(found.gain),
         "gains": [_gain(gain) for gain in found.gains],
         "warnings": list(found.warnings),
@@ -229,6 +239,27 @@ def parameters_json(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     return {
         name: {"value": p.value, "unit": p.unit, "std": p.std, "ci95": list(p.ci95) if p.ci95 else None}
         for name, p in parameters.items()
+    }
+
+
+def _extended_model(found: Diagnosis) -> dict[str, Any] | None:
+    """Which model extended_model.json is, and the models that were refused."""
+    chosen = found.choice
+    if chosen is None:
+        return None
+    return {
+        "is": chosen.kind,
+        "causes": [cause.name for cause in found.extended.causes],
+        "judged": chosen.judged,
+        "offered": found.offered,
+        "refused": [
+            {
+                "causes": list(one.causes),
+                "why": "worse" if one.worse else "not surely better",
+                **(_gain(one.gain) or {}),
+            }
+            for one in chosen.refused
+        ],
     }
 
 

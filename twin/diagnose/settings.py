@@ -170,9 +170,14 @@ LONGEST_GAP = 50
 # narrow.
 ERROR_BLOCK_S = 0.5
 ERROR_BLOCKS = 10
-# Level.  One-sided, of one group of errors that is called worse.  Some fifty groups are shown, so one report in five of
-# a right model has such a group: it is a hint where to look, and decides nothing.
-WORSE_LEVEL = 0.005
+# Level.  Family-wise: the chance that a report finds a right model wrong in any test of one family
+# (`twin/diagnose/residuals/family.py`).
+FAMILY_LEVEL = 0.05
+# Reasoned.  Factor on the error of the reference from which a model is worse: nobody would notice less, and right
+# models differ by as much through the errors of their parameters.
+WORSE_ERROR = 1.02
+# Effort.  Models with fewer causes that are judged where the one with all of them is refused.
+FEWER_JUDGED = 4
 
 # --- The remainder: curves through what is left ---
 

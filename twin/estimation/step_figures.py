@@ -61,6 +61,7 @@ class Compared:
     simulation: float
     difference: float  # rig - simulation
     ci95: tuple[float, float] | None  # None: fewer than two steps
+    chance: float = float("nan")  # p value of no difference, two-sided; NaN: fewer than two steps, or no spread
     count: int  # steps in which both have the figure
     steps: int  # all steps
     rig_count: int  # steps in which the rig has it
@@ -267,16 +268,19 @@ def compared(name: str, rig: FloatArray, simulation: FloatArray, bands: Sequence
     n = int(both.sum())
     difference = rig[both] - simulation[both]
     mean = float(difference.mean()) if n else float("nan")
-    ci95 = None
+    ci95, chance = None, float("nan")
     if n > 1:
-        half = float(student.ppf(0.975, n - 1) * difference.std(ddof=1) / np.sqrt(n))
+        error = float(difference.std(ddof=1) / np.sqrt(n))
+        half = float(student.ppf(0.975, n - 1)) * error
         ci95 = (mean - half, mean + half)
+        chance = float(2.0 * student.sf(abs(mean) / error, n - 1)) if error > 0.0 else chance
     return Compared(
         name=name,
         rig=float(rig[both].mean()) if n else float("nan"),
         simulation=float(simulation[both].mean()) if n else float("nan"),
         difference=mean,
         ci95=ci95,
+        chance=chance,
         count=n,
         steps=len(rig),
         rig_count=int(np.isfinite(rig).sum()),

@@ -34,6 +34,7 @@ from twin.identify.result import Identification, noise_of, provenance_of
 from twin.identify.starting.levels import Levels, Shape, find_levels, find_shape
 from twin.identify.starting.liftoff import ForceConstant, equilibria, force_constant, lift_offs
 from twin.identify.starting.regression import AmplifierStart, BallStart, amplifier_start, ball_start
+from twin.model.assumed import assumption_warning, mark
 from twin.model.parameters import Model, Parameter
 from twin.readers.campaign import read_campaign
 
@@ -71,7 +72,8 @@ def identify_records(
 ) -> Identification:
     """`identify` with recordings in memory.  Raises DataError."""
     plant = campaign.plant
-    warnings = [note for record in records for note in record.notes]
+    warnings = [assumption_warning(plant)] if plant.assumed else []
+    warnings += [note for record in records for note in record.notes]
     said = inspect(records, plant, campaign.controller)
     records, left_out = without_dead(records, plant)
     warnings += grouped(said + left_out, [record.name for record in records])
@@ -119,6 +121,7 @@ def identify_records(
         "K_c": verdicts.force_constant(found, intervals, force, ball, flying, plant, warnings),
         "b": verdicts.drag(found, intervals, ball, flying, plant, warnings, coloured=coloured),
     }
+    parameters = mark(parameters, plant)
     model = _model(campaign, parameters, found, white, records, usages, warnings, levels, shape, force)
     return Identification(
         model=model,

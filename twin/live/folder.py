@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -62,9 +63,12 @@ def write(heard: Heard, pieces: Sequence[Piece], plant: Plant, out: Path, *, sit
 
 
 def plant_of(heard: Heard) -> Plant:
-    """Of the model that the live twin runs on; of the nominal CE 152 where no twin is heard."""
+    """Of the model that the live twin runs on; of the nominal CE 152 where no twin is heard.
+
+    The nominal model is what a twin runs on before anybody has stated a plant: its plant is assumed.
+    """
     model = parse_model(heard.model_json, where="the live twin's model") if heard.model_json else nominal()
-    return model.plant
+    return replace(model.plant, assumed=True) if model == nominal() else model.plant
 
 
 def controller_of(parameters: Sequence[pb.Parameters]) -> Controller | None:

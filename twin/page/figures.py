@@ -64,6 +64,20 @@ def grid(
     return figure, [list(row) for row in made]
 
 
+def legend_above(ax: Axes) -> None:
+    """The legend in one line above the axes: inside, it lies over the data of some recordings."""
+    ax.legend(
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=4,
+        frameon=False,
+        borderaxespad=0.1,
+        handlelength=1.4,
+        columnspacing=1.0,
+        handletextpad=0.5,
+    )
+
+
 def ticks_125(ax: Axes, low: float, high: float) -> None:
     """Ticks of a logarithmic y axis at 1, 2, 5, 10 ... from `low` to `high`; at the powers of 10 where it is long."""
     steps = (1, 2, 5) if high / max(low, 1e-12) < 300 else (1,)

@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from twin.estimation.record import FloatArray
 from twin.estimation.step_figures import LoopRun, Response
-from twin.page.figures import MEASURED, MODEL, REFERENCE, grid, styled, ticks_125
+from twin.page.figures import MEASURED, MODEL, REFERENCE, grid, legend_above, styled, ticks_125
 from twin.validate.amplifier import Amplifier, AmplifierTrace
 from twin.validate.ball import Ahead, Windows
 from twin.validate.residuals import Channel
@@ -31,11 +31,11 @@ def amplifier_figure(result: Amplifier, time_constant_s: float) -> Figure:
         axes[0][n].plot(t, trace.measured_a[part], color=MEASURED, lw=0.8, marker=".", ms=3, label="measured")
         axes[0][n].plot(t, trace.simulated_a[part], color=MODEL, lw=1.4, label="(1)")
         axes[1][n].step(t, trace.u_c_v[part], color=REFERENCE, lw=1.0, where="post")
-        axes[0][n].set_title(trace.name)
+        axes[0][n].set_title(trace.name, pad=20)
         axes[1][n].set_xlabel("time [ms]")
     axes[0][0].set_ylabel("current i_c [A]")
     axes[1][0].set_ylabel("input u_c [V]")
-    axes[0][0].legend(loc="best")
+    legend_above(axes[0][0])
     return figure
 
 
@@ -48,7 +48,7 @@ def ball_figure(result: Windows, travel_m: float) -> Figure:
     top.plot(result.t_s, result.simulated_m * 1e3, color=MODEL, lw=1.2, label="(6), each window from a fresh estimate")
     top.set_ylabel("position x [mm]")
     _within_travel(top, travel_m)
-    top.legend(loc="best")
+    legend_above(top)
     error = (result.measured_m - result.simulated_m) * 1e6
     bottom.plot(result.t_s, error, color=MODEL, lw=0.9)
     bottom.axhline(0.0, color="black", lw=0.6)
@@ -71,7 +71,7 @@ def ahead_figure(rows: Sequence[Ahead]) -> Figure:
     _at_least_two_ticks(ax)
     ax.set_xlabel("prediction horizon [ms]")
     ax.set_ylabel("rms error of x [µm]")
-    ax.legend()
+    legend_above(ax)
     return figure
 
 
@@ -92,10 +92,10 @@ def residual_figure(channels: Sequence[Channel]) -> Figure:
             ax.plot(lags, values, "o", color=MODEL, ms=3)
             span = max(1.25 * float(np.max(np.abs(values))), 2.0 * channel.bound)
             ax.set_ylim(-span, span)
-            ax.set_title(title)
+            ax.set_title(title, pad=20 if row == 0 else None)
             ax.set_ylabel("correlation [-]")
         axes[1][n].set_xlabel("lag [samples]")
-    axes[0][0].legend()
+    legend_above(axes[0][0])
     return figure
 
 
@@ -113,14 +113,14 @@ def loop_figure(run: LoopRun, travel_m: float) -> Figure:
     x.plot(t, run.x_ref_m[part] * 1e3, color=REFERENCE, lw=1.0, ls="--", label="reference")
     x.set_ylabel("position x [mm]")
     _within_travel(x, travel_m)
-    x.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
+    legend_above(x)
     against, label = (run.quiet_x_m, "measured - noise-free simulation") if simulated else (run.x_ref_m, "x - x_ref")
     error.plot(t, (run.x_m - against)[part] * 1e6, color=MEASURED, lw=0.7, label=label)
     if np.isfinite(run.expected_std_m):
         band = 2.0 * run.expected_std_m * 1e6
         error.axhspan(-band, band, color=REFERENCE, alpha=0.2, lw=0, label="2 standard deviations of noise alone")
     error.set_ylabel("error [µm]")
-    error.legend(loc="upper right")
+    legend_above(error)
     i.plot(t, run.simulated_i_c_a[0][part], color=MODEL, lw=0.7)
     i.plot(t, run.i_c_a[part], color=MEASURED, lw=0.7)
     i.set_ylabel("current i_c [A]")
@@ -147,7 +147,7 @@ def step_figure(responses: Sequence[Response]) -> Figure:
     top.plot(t, rig.mean(axis=0), color=MEASURED, lw=1.6, label="measured, mean (thin: each step)")
     top.axhline(1.0, color=REFERENCE, lw=0.8, ls="--")
     top.set_ylabel("share of the step [-]")
-    top.legend(loc="lower right")
+    legend_above(top)
     bottom.plot(t, difference.mean(axis=0), color=MEASURED, lw=1.2, label="rig - simulation")
     if len(responses) > 1:
         half = student.ppf(0.975, len(responses) - 1) * difference.std(axis=0, ddof=1) / np.sqrt(len(responses))
@@ -156,7 +156,7 @@ def step_figure(responses: Sequence[Response]) -> Figure:
     bottom.axhline(0.0, color="black", lw=0.6)
     bottom.set_ylabel("difference [% of step]")
     bottom.set_xlabel("time from the change of the reference [ms]")
-    bottom.legend(loc="best")
+    legend_above(bottom)
     return figure
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from twin.estimation.record import FloatArray
 from twin.estimation.step_figures import FIGURES, Alone, Compared, definition
+from twin.model.assumed import assumption
 from twin.page.figures import Picture, inline
 from twin.page.plain import plain
 from twin.page.render import Mark, render, yes_or_no
@@ -63,12 +64,14 @@ def to_dict(result: Validation) -> dict[str, Any]:
 def to_html(result: Validation, *, title: str) -> str:
     """The page."""
     p, loop, failures = result.model.parameters, result.loop, result.failures()
+    plant = result.model.plant
     return render(
         "validate/report.html",
         title=title,
         answer=result.answer(),
         colour={True: "pass", False: "fail", None: ""}[result.passed],
-        values=", ".join(f"{name} = {p[name].value:.5g} {p[name].unit}" for name in p),
+        values=", ".join(f"{name} = {p[name].value:.5g} {p[name].unit}" for name in p)
+        + f"; K_c and b {assumption(plant)}" * plant.assumed,
         result=result,
         failures=failures if len(failures) > 1 else [],
         pictures=_pictures(result),

@@ -24,6 +24,7 @@ from twin.estimation.step_figures import (
     responses,
     rig_alone,
 )
+from twin.model.assumed import assumption_warning
 from twin.model.parameters import Model
 from twin.model.simulate import left_out
 from twin.validate.amplifier import Amplifier, amplifier, fit_percent
@@ -224,7 +225,8 @@ def validate_sources(
     say: Callable[[str], None] = lambda _: None,
 ) -> Validation:
     """`validate` with recordings in memory; the notes begin with `said`."""
-    notes = [*said, *(note for source in sources for note in source.record.notes), *left_out(model)]
+    notes = [assumption_warning(model.plant)] if model.plant.assumed else []
+    notes += [*said, *(note for source in sources for note in source.record.notes), *left_out(model)]
     notes += [
         f"{name} = {p.value:.4g} {p.unit} is not identified: {p.method or 'the model gives no interval'}"
         for name, p in model.parameters.items()

@@ -38,6 +38,7 @@ from twin.diagnose.experiments.external_measurements import measurement_for
 from twin.diagnose.inference.theta import Theta
 from twin.estimation.record import FloatArray, Record
 from twin.model import parameters as file
+from twin.model.assumed import assumption_warning, mark
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.linear import linearised
 from twin.model.nominal import nominal
@@ -109,7 +110,8 @@ def diagnose_points(
         DataError: too few points, or points that this plant cannot have.
     """
     plant, points = campaign.plant, points_of(records, campaign.plant)
-    warnings = [note for record in records for note in record.notes]
+    warnings = [assumption_warning(plant)] if plant.assumed else []
+    warnings += [note for record in records for note in record.notes]
     base = fit_static(points, plant)
     say(f"{len(points)} points of rest; (3) alone is off by {1e3 * base.std_a:.3g} mA")
     computed = computed_current(points)
@@ -139,7 +141,14 @@ def diagnose_points(
         holding_currents(base.theta, plant, points.x_m + 1e-7) - holding_currents(base.theta, plant, points.x_m)
     ) / 1e-7
     reference_off_a = None if model is None else _off(_theta_of(model, base.theta), plant, points)
-    extended, assumed = _extended(campaign, after, members, points, model, computed, base)
+    better = bool(members) and _predicts_better(members[0], judge, points, plant, base)
+    if members and not better:
+        warnings.append(
+            f"extended_model.json is (3) alone: {members[0].name} predicts points that were left out no better"
+        )
+    extended, assumed = _extended(
+        campaign, after if better else base, members if better else (), points, model, computed, base
+    )
     warnings += assumed
     return StaticDiagnosis(
         plant=plant,
@@ -273,6 +282,18 @@ def _judge_points(judges: Sequence[Record], plant: Plant, warnings: list[str]) -
         return None
 
 
+def _predicts_better(
+    first: Explanation,
+    judge: tuple[FloatArray, FloatArray] | None,
+    points: Points,
+    plant: Plant,
+    base: StaticFit,
+) -> bool:
+    """Whether a cause makes the error of points that were not used smaller: of the judges, else of each left out."""
+    before, after = judge or (left_out(points, plant, base), first.left_out_a)
+    return float(np.sum(after**2)) < float(np.sum(before**2))
+
+
 def _off(theta: Theta, plant: Plant, points: Points) -> FloatArray:
     return points.i_c_a - holding_currents(theta, plant, points.x_m)
 
@@ -327,12 +348,14 @@ def _extended(
         causes = (file.ModelCause(name=members[0].name, parameters=parameters_of(members[0])),)
     return file.Model(
         plant=plant,
-        parameters=parameters,
+        parameters=mark(parameters, plant),
         noise=like.noise,
         causes=causes,
         provenance={
             "tool": "board51 diagnose",
             "about": "points of rest alone",
+            "extends": "all-causes" if members else "reference",
+            "judged": True,
             "recordings": sorted(set(points.names)),
             "rms_a": {"paper": math.sqrt(base.rss_a2 / len(points)), "extended": math.sqrt(fit.rss_a2 / len(points))},
         },

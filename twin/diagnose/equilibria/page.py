@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from twin.diagnose.equilibria.diagnosis import Explanation, StaticDiagnosis, proposal_for
 from twin.diagnose.equilibria.points import holding_currents
 from twin.diagnose.equilibria.to_json import named, not_testable, rms, sentence_of, why_not
-from twin.page.figures import EXTENDED, MODEL, inline, styled
+from twin.page.figures import EXTENDED, MODEL, inline, legend_above, styled
 from twin.page.render import render
 
 
@@ -92,6 +92,6 @@ def figure(found: StaticDiagnosis) -> Figure:
     left.set(xlabel="position x [mm]", ylabel="current that holds the ball [A]", ylim=(0.0, None))
     right.axhline(0.0, color="k", lw=0.8)
     right.set(xlabel="position x [mm]", ylabel="measured - model [mA]")
-    left.legend()
-    right.legend()
+    legend_above(left)
+    legend_above(right)
     return drawn

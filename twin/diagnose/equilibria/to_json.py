@@ -95,6 +95,14 @@ def to_json(found: StaticDiagnosis) -> dict[str, Any]:
                 "points": len(found.points),
             },
         },
+        "plant_assumed": found.plant.assumed,
+        "extended_model": {
+            "is": "all-causes" if found.extended.causes else "reference",
+            "causes": [cause.name for cause in found.extended.causes],
+            "judged": True,
+            "offered": bool(found.extended.causes),
+            "refused": [],
+        },
         "static": _rows(found, remains),
         "warnings": list(found.warnings),
     }

@@ -92,7 +92,9 @@ def beyond_floor(gain: Gain | None) -> bool:
     return gain is not None and gain.ci95_floor[0] > TOLERANCE
 
 
-def verdict_of(*, named: bool, fine: bool, gain: Gain | None, finished: bool = True, leading: bool = False) -> Verdict:
+def verdict_of(
+    *, named: bool, fine: bool, gain: Gain | None, finished: bool = True, leading: bool = False, worse: bool = False
+) -> Verdict:
     """The verdict.
 
     Args:
@@ -101,12 +103,13 @@ def verdict_of(*, named: bool, fine: bool, gain: Gain | None, finished: bool = T
         gain: on the judge recordings, 20 ms ahead.
         finished: whether the search examined all that it was asked for.
         leading: whether a cause leads the account.
+        worse: whether the named causes make the prediction of the judge recordings worse; then none of them holds.
     """
     if not finished:
         return "unfinished"
-    if fine and not beyond_floor(gain):
+    if fine and not beyond_floor(gain) and not (named and worse):
         return "causes-found" if named else "model-adequate"
-    return "partly-explained" if named and leading and _holds(gain) else "unknown-cause"
+    return "partly-explained" if named and leading and _holds(gain) and not worse else "unknown-cause"
 
 
 def _holds(gain: Gain | None) -> bool:

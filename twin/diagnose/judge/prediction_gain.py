@@ -44,6 +44,16 @@ class Gain:
     errors_m: FloatArray = field(default_factory=lambda: np.empty((2, 0)), repr=False, compare=False)
 
     @property
+    def ratio(self) -> float:
+        """Extended error over baseline error."""
+        return self.extended_rmse_m / max(self.baseline_rmse_m, 1e-300)
+
+    @property
+    def tick_s(self) -> float:
+        """Sampling interval, s."""
+        return self.horizon_s / self.samples
+
+    @property
     def removed(self) -> float:
         """Removed share of the mean square error above the floor, at most 1; NaN if there was none."""
         excess = self.baseline_rmse_m**2 - self.floor_m**2

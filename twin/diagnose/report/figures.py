@@ -23,7 +23,7 @@ from twin.diagnose.residuals.step_response import Steps
 from twin.diagnose.residuals.summary import Ahead, Piece
 from twin.diagnose.search.forward_step import Round
 from twin.estimation.record import FloatArray
-from twin.page.figures import EXTENDED, MEASURED, MODEL, REFERENCE, styled, ticks_125
+from twin.page.figures import EXTENDED, MEASURED, MODEL, REFERENCE, legend_above, styled, ticks_125
 
 BASELINE, FLOOR = MODEL, REFERENCE
 MOST_BARS = 8
@@ -45,7 +45,7 @@ def ahead_figure(rows: Sequence[Ahead]) -> Figure:
     ticks_125(ax, *ax.get_ylim())
     ax.set_xlabel("predicted so far ahead [ms]")
     ax.set_ylabel("rms error of x [µm]")
-    ax.legend()
+    legend_above(ax)
     return figure
 
 
@@ -60,7 +60,7 @@ def piece_figure(piece: Piece) -> Figure:
     ax.plot(t, piece.x_m * 1e3, color=MEASURED, lw=1.0, label="measured")
     ax.set_xlabel("time [s]")
     ax.set_ylabel("position x [mm]")
-    ax.legend()
+    legend_above(ax)
     return figure
 
 
@@ -76,7 +76,7 @@ def error_figure(piece: Piece, floor_m: float) -> Figure:
         ax.plot(t, (piece.extended_m - piece.x_m) * 1e6, color=EXTENDED, lw=0.9, label="extended")
     ax.set_xlabel("time [s]")
     ax.set_ylabel("predicted - measured [µm]")
-    ax.legend()
+    legend_above(ax)
     return figure
 
 
@@ -85,7 +85,7 @@ def regime_figure(regime: Regime, floor_m: float) -> Figure:
     """Errors in each group."""
     named = not regime.unit
     count = len(regime.bins)
-    figure, ax = _panel(height=max(2.2, 1.0 + 0.34 * count) if named else 3.2, left=0.36 if named else 0.15)
+    figure, ax = _panel(height=max(2.4, 1.2 + 0.34 * count) if named else 3.4, left=0.36 if named else 0.15)
     factor, unit = _SCALES.get(regime.unit, (1.0, regime.unit))
     sides = _sides([one.baseline for one in regime.bins], [one.extended for one in regime.bins])
     for place, (name, colour, own) in enumerate(sides):
@@ -113,7 +113,7 @@ def regime_figure(regime: Regime, floor_m: float) -> Figure:
         ax.set_ylim(bottom=0.0)
         ax.set_xlabel(f"{regime.title} [{unit}]")
         ax.set_ylabel("rms error 20 ms ahead [µm]")
-    ax.legend()
+    legend_above(ax)
     return figure
 
 
@@ -129,7 +129,7 @@ def curve_figure(curve: Curve) -> Figure:
         _bars(ax, at, own, up, name, colour, joined=True)
     ax.set_xlabel(f"{curve.title} [{unit}]")
     ax.set_ylabel(what)
-    ax.legend()
+    legend_above(ax)
     return figure
 
 
@@ -147,7 +147,7 @@ def spectrum_figure(found: Spectrum) -> Figure:
     ticks_125(ax, *ax.get_ylim())
     ax.set_xlabel("frequency [Hz]")
     ax.set_ylabel("error one sample ahead [µm/√Hz]")
-    ax.legend()
+    legend_above(ax)
     return figure
 
 
@@ -161,7 +161,7 @@ def steps_figure(steps: Steps) -> Figure:
         ax.plot(t, own, color=colour, lw=1.3, label=name)
     ax.set_xlabel("time from the change of the reference [ms]")
     ax.set_ylabel("share of the step [-]")
-    ax.legend(loc="lower right")
+    legend_above(ax)
     return figure
 
 
@@ -175,7 +175,7 @@ def step_difference_figure(steps: Steps) -> Figure:
         ax.plot(t, 100.0 * (steps.rig - own), color=colour, lw=1.2, label=f"rig - {name}")
     ax.set_xlabel("time from the change of the reference [ms]")
     ax.set_ylabel("difference [% of the step]")
-    ax.legend()
+    legend_above(ax)
     return figure
 
 
@@ -215,7 +215,7 @@ def shape_figure(shape: Shape) -> Figure:
     ax.plot(at, 100.0 * shape.share, color=EXTENDED, lw=1.3, label="estimate")
     ax.set_xlabel(f"{known.symbol.removeprefix('from ')} [{unit}]")
     ax.set_ylabel(f"% {shape.curve.acts_on}")
-    ax.legend()
+    legend_above(ax)
     return figure
 
 
@@ -263,7 +263,7 @@ def short_label(label: str) -> str:
     return label if len(label) <= 24 else label[:11] + "…" + label[-12:]
 
 
-def _panel(*, height: float = 3.2, left: float = 0.15, top: float = 0.12) -> tuple[Figure, Axes]:
+def _panel(*, height: float = 3.4, left: float = 0.15, top: float = 0.34) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(5.6, height))
     figure.subplots_adjust(left=left, right=0.97, top=1.0 - top / height, bottom=0.6 / height)
     return figure, figure.subplots()

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from protocol.campaign import Campaign
+from protocol.campaign import Campaign, Plant
 from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.theta import PARAMETERS
 from twin.diagnose.result import fit_parameters
 from twin.estimation.record import Record
 from twin.model import parameters as file
+from twin.model.assumed import mark, rests_on_plant
+from twin.model.causes.catalogue import BY_NAME
 
 _EQUATIONS = {"K_A": "(1)", "T_A": "(1)", "K_c": "(3)", "b": "(5)"}
 _METHOD = "maximum likelihood of the innovations, all recordings together"
@@ -44,17 +46,14 @@ def model_of(
     names = list(dict.fromkeys(name.partition(".")[0] for name, _ in theta.causes))
     return file.Model(
         plant=plant,
-        parameters=parameters,
+        parameters=mark(parameters, plant),
         noise=file.Noise(
             sigma_x_m=float(theta.sigma_x_m),
             sigma_i_c_a=float(theta.sigma_i_c_a),
             process_a_m_s2=float(theta.process_a_m_s2),
             process_i_c_a=float(theta.process_i_c_a),
         ),
-        causes=tuple(
-            file.ModelCause(name=name, parameters=fit_parameters(fit, name, _spread(fit, name, spread)))
-            for name in names
-        ),
+        causes=tuple(file.ModelCause(name=name, parameters=_of_cause(fit, name, spread, plant)) for name in names),
         provenance={
             "tool": "board51 diagnose",
             "about": about,
@@ -62,6 +61,11 @@ def model_of(
             "log_likelihood_missing": float(lacks),
         },
     )
+
+
+def _of_cause(fit: Fit, cause: str, spread: Mapping[str, float], plant: Plant) -> dict[str, file.Parameter]:
+    parameters = fit_parameters(fit, cause, _spread(fit, cause, spread))
+    return mark(parameters, plant, tuple(parameters)) if rests_on_plant(BY_NAME[cause]) else parameters
 
 
 def _spread(fit: Fit, cause: str, spread: Mapping[str, float]) -> dict[str, float]:

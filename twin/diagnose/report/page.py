@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from twin.diagnose.inference.budget import millions
+from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.report import figures
 from twin.diagnose.report.page_causes import causes
 from twin.diagnose.report.page_errors import errors
@@ -24,6 +25,7 @@ from twin.diagnose.residuals.regimes import Estimate
 from twin.diagnose.residuals.summary import HORIZON_S, Ahead, Show
 from twin.diagnose.result import Diagnosis
 from twin.estimation.prepare import Usage
+from twin.model.assumed import RESTING, assumption, assumption_warning
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.parameters import Parameter
 from twin.page.figures import Picture, inline
@@ -62,9 +64,9 @@ def to_html(found: Diagnosis, show: Show, *, campaign: Path, out: Path) -> str:
         pictures=_pictures(show),
         ahead=[_ahead_row(row, alone) for row in show.ahead],
         growth_ms=f"{_growth_s(found) * 1e3:.0f}",
-        worse=[f"{one.horizon_s * 1e3:.3g} ms ahead" for one in show.ahead if one.ratio[0] > 1.0] + show.worse(),
+        worse=show.worse(),
         added=_added(sum(len(cause.parameters) for cause in found.extended.causes)),
-        loglik_gain=f"{found.selection.fit.loglik - found.selection.base.loglik:.0f}",
+        loglik_gain=f"{_written(found).loglik - found.selection.base.loglik:.0f}",
         numbers=[[row[0], row[2]] if alone else row for row in _numbers(found)],
         floor=_floor(found),
         instruments=rows,
@@ -81,7 +83,9 @@ def to_html(found: Diagnosis, show: Show, *, campaign: Path, out: Path) -> str:
 
 
 def _banners(found: Diagnosis, show: Show) -> list[str]:
-    lines = []
+    lines = [assumption_warning(found.extended.plant)] if found.extended.plant.assumed else []
+    if found.choice is not None and not found.choice.judged:
+        lines.append("No recording judged the extended model: it may predict worse than the baseline.")
     if found.quick:
         lines.append(
             "Made with --quick: few confounders of several causes were searched for, and the confidence of several is"
@@ -110,7 +114,7 @@ def _about(found: Diagnosis, campaign: Path) -> str:
 
 def _pictures(show: Show) -> list[Picture]:
     drawn = []
-    if show.ahead:
+    if len(show.ahead) > 1:  # of one horizon the table says all
         drawn.append(
             (figures.ahead_figure(show.ahead), "Error of the predicted position over the horizon, 95 % intervals")
         )
@@ -150,6 +154,12 @@ def _added(count: int) -> str:
     return f"{count} parameter{'s' if count > 1 else ''}" if count else ""
 
 
+def _written(found: Diagnosis) -> Fit:
+    """The fit behind extended_model.json."""
+    chosen = None if found.choice is None else found.choice.fit
+    return chosen or found.selection.fit
+
+
 def _floor(found: Diagnosis) -> str:
     at_rest = "" if found.floor.measured else ", taken from the fit: it never rested long enough"
     return f"{quantity(found.floor.sigma_x_m, 'm')} and {quantity(found.floor.sigma_i_c_a, 'A')}{at_rest}."
@@ -177,7 +187,8 @@ def _numbers(found: Diagnosis) -> list[list[str]]:
     first, second = found.baseline.parameters, found.extended.parameters
     for name, after in second.items():
         before = first.get(name)
-        rows.append([f"{name} {_of(after)}", _value(before) if before else "-", _value(after)])
+        suffix = f", {assumption(found.extended.plant)}" if found.extended.plant.assumed and name in RESTING else ""
+        rows.append([f"{name} {_of(after)}{suffix}", _value(before) if before else "-", _value(after)])
     for cause in found.extended.causes:
         known = BY_NAME[cause.name]
         for entry in known.parameters:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
-from twin.diagnose.judge.account import beyond_floor
 from twin.diagnose.report import figures
-from twin.diagnose.report.sentences import LACKED, WHERE_JUDGED, capital, percent
+from twin.diagnose.report.sentences import LACKED, WHERE_JUDGED, capital, percent, quantity
+from twin.diagnose.residuals.family import holm
+from twin.diagnose.residuals.force import Curve
 from twin.diagnose.residuals.step_response import Steps
 from twin.diagnose.residuals.summary import Show
 from twin.diagnose.result import Diagnosis
-from twin.estimation.step_figures import FIGURES, definition
+from twin.estimation.step_figures import FIGURES, Compared, definition
 from twin.page.figures import inline
 
 _QUICK_REGIMES = ("position", "speed")
@@ -33,6 +35,7 @@ def errors(found: Diagnosis, show: Show) -> dict[str, Any]:
         )
         by_group.append(inline(figures.spectrum_figure(show.spectrum), caption))
     missing = [*show.force, *(() if found.quick else show.current)]
+    curves = [one for one in missing if len(one.points) > 1]
     steps = show.steps
     return {
         "by_group": by_group,
@@ -46,9 +49,11 @@ def errors(found: Diagnosis, show: Show) -> dict[str, Any]:
         ],
         "step_rows": [] if isinstance(steps, str) else _step_rows(steps, alone),
         "pace": "" if isinstance(steps, str) else _pace(steps, alone),
+        "unlike": "" if isinstance(steps, str) or alone else unlike(steps),
         "residuals": [
-            inline(figures.curve_figure(one), f"{_MISSING[one.residual_unit]}, over {one.title}") for one in missing
+            inline(figures.curve_figure(one), f"{_MISSING[one.residual_unit]}, over {one.title}") for one in curves
         ],
+        "single": [_single(one) for one in missing if len(one.points) == 1],
         "rest": _rest(found) if found.verdict in _UNEXPLAINED else "",
         "largest": _largest(show) if found.verdict in _UNEXPLAINED else [],
     }
@@ -78,7 +83,7 @@ def _pace(steps: Steps, alone: bool) -> str:
         return ""
     low, high = first.ci95
     same = "the simulation" if alone else "the baseline simulation"
-    if low <= 0.0 <= high:
+    if "rise_s" not in significant([pair[0] for pair in steps.figures]):
         return f"The rig is as fast as {same}, within {max(abs(low), abs(high)) * 1e3:.2g} ms."
     slower = "slower" if first.difference > 0.0 else "faster"
     text = (
@@ -86,14 +91,41 @@ def _pace(steps: Steps, alone: bool) -> str:
     )
     if alone or second.ci95 is None:
         return text
-    gone = second.ci95[0] <= 0.0 <= second.ci95[1]
-    rest = "The extended model is as fast as the rig." if gone else "The extended model does not explain all of it."
+    left = "rise_s" in significant([pair[1] for pair in steps.figures])
+    rest = "The extended model does not explain all of it." if left else "The extended model is as fast as the rig."
     return f"{text} {rest}"
+
+
+def significant(figures: Sequence[Compared]) -> list[str]:
+    """Names of the figures of a step in which rig and simulation surely differ, as one family of tests."""
+    shown = [one for one in figures if one.name in _STEP_FIGURES]
+    return [one.name for one, differs in zip(shown, holm([one.chance for one in shown]), strict=True) if differs]
+
+
+def unlike(steps: Steps) -> str:
+    """In which figures of a step the extended model surely differs from the rig; empty if in none."""
+    names = [FIGURES[name][0] for name in significant([pair[1] for pair in steps.figures])]
+    return " and ".join(names)
+
+
+def _single(curve: Curve) -> str:
+    """A curve of one point, as a sentence: a chart of it shows nothing."""
+    (point,) = curve.points
+    sides = [("baseline", point.baseline), ("extended", point.extended)]
+    if point.baseline == point.extended:
+        sides = [("model", point.baseline)]
+    values = ", ".join(
+        f"{name} {quantity(one.value, curve.residual_unit)} "
+        f"({quantity(one.low, curve.residual_unit)} to {quantity(one.high, curve.residual_unit)})"
+        for name, one in sides
+    )
+    at = quantity(point.at, curve.unit)
+    return f"{_MISSING[curve.residual_unit]}, over {curve.title}: one group alone, at {at}: {values}."
 
 
 def _rest(found: Diagnosis) -> str:
     """What is left, and of which quantity."""
-    if beyond_floor(found.gain) and found.unexplained_where.startswith(WHERE_JUDGED):
+    if found.unexplained_where.startswith(WHERE_JUDGED):
         return f"Nothing measurable of the recordings for fitting, but not all is explained {found.unexplained_where}."
     share = percent(found.account.unexplained)
     text = f"{capital(share)} of {LACKED} on the recordings for fitting is left, and it is no sensor noise."

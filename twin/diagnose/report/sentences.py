@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from twin.diagnose import settings
 from twin.diagnose.inference.budget import millions
 from twin.diagnose.search.forward_step import Round
 from twin.diagnose.search.score_test import Score
@@ -31,7 +32,6 @@ _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"))
 _SCALED = ("m", "A", "s", "N", "V", "m/A")
 LACKED = "the log-likelihood that the model lacks"  # on the recordings for fitting, against sensor noise alone
 WHERE_JUDGED = "on the judge recordings"
-_HARDLY = 1.02  # a factor on the error that nobody would notice
 _NUMBERS = {2: "Two", 3: "Three", 4: "Four"}
 
 
@@ -271,9 +271,9 @@ def _worth(found: Diagnosis) -> str:
     ratio = gain.baseline_rmse_m / max(gain.extended_rmse_m, 1e-12)
     error = f"{gain.horizon_s * 1e3:.0f} ms prediction error"
     change = f"hardly changes the {error}"
-    if ratio >= _HARDLY:
+    if ratio >= settings.WORSE_ERROR:
         change = f"cuts the {error} by a factor of {_times(ratio)}"
-    elif ratio < 1.0 / _HARDLY:
+    elif ratio < 1.0 / settings.WORSE_ERROR:
         change = f"makes the {error} {_times(1.0 / ratio)} times as large"
     return (
         f" On the judge recordings extending the model {change}: from {micrometres(gain.baseline_rmse_m)} to "

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.diagnose import settings
+from twin.diagnose.residuals.family import chance_of_worse
 from twin.estimation.record import BoolArray, FloatArray
 
 Labels = NDArray[np.int64]  # group of each sample, -1: none
@@ -41,7 +42,8 @@ class Bin:
     count: int
     baseline: Estimate
     extended: Estimate
-    worse: bool  # whether the extended model is significantly worse here
+    chance: float  # p value of the extended model's error being larger here; NaN without a spread
+    worse: bool = False  # whether it is, by `family.holm` over all groups and horizons
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,8 +148,8 @@ def error_bins(errors_m: FloatArray, labels: Labels, names: Sequence[str], at: F
             estimate(float(np.sqrt(mean[group])), np.sqrt(np.maximum(drawn[:, group], 0.0)))
             for mean, drawn, _, _ in squares
         ]
-        ratio = squares[1][1][:, group] / np.maximum(squares[0][1][:, group], 1e-300)
-        ratio = ratio[np.isfinite(ratio)]
+        drawn = squares[1][1][:, group] / np.maximum(squares[0][1][:, group], 1e-300)
+        ratio = float(squares[1][0][group] / max(squares[0][0][group], 1e-300))
         found.append(
             Bin(
                 label=names[group],
@@ -155,7 +157,7 @@ def error_bins(errors_m: FloatArray, labels: Labels, names: Sequence[str], at: F
                 count=int(samples[group]),
                 baseline=both[0],
                 extended=both[1],
-                worse=bool(len(ratio)) and float(np.quantile(ratio, settings.WORSE_LEVEL)) > 1.0,
+                chance=chance_of_worse(ratio, drawn),
             )
         )
     return found

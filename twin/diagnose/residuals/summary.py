@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +19,7 @@ import numpy as np
 from protocol.campaign import Controller, Plant
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.judge.prediction_gain import Gain, gain
+from twin.diagnose.residuals.family import chance_of_worse, holm
 from twin.diagnose.residuals.force import Curve, Filtered, current_curves, filtered, force_curves
 from twin.diagnose.residuals.groups import sorted_errors
 from twin.diagnose.residuals.regimes import Blocks, Estimate, Regime, blocks_of, estimate, means
@@ -45,6 +46,8 @@ class Ahead:
     ratio: tuple[float, float]  # 95 % interval of extended over baseline
     removed: float  # removed part of the mean square above the floor; NaN if there was none
     count: int
+    chance: float  # p value of the extended model's error being larger; NaN without a spread
+    worse: bool = False  # whether it is, by `family.holm` over all groups and horizons
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,8 +76,9 @@ class Show:
     floor_m: float  # at HORIZON_S
 
     def worse(self) -> list[str]:
-        """Groups in which the extended model is significantly worse."""
-        return [f"{regime.title}: {one.label}" for regime in self.regimes for one in regime.bins if one.worse]
+        """Horizons and groups in which the extended model is significantly worse."""
+        ahead = [f"{one.horizon_s * 1e3:.3g} ms ahead" for one in self.ahead if one.worse]
+        return ahead + [f"{regime.title}: {one.label}" for regime in self.regimes for one in regime.bins if one.worse]
 
 
 def shown(found: Diagnosis, controller: Controller | None, *, quick: bool = False, seed: int = 0) -> Show:
@@ -100,9 +104,10 @@ def shown(found: Diagnosis, controller: Controller | None, *, quick: bool = Fals
         bins = sorted_errors(at_20.errors_m, evidence, models[1], blocks)
         piece = _piece(at_20.errors_m, evidence, found.tick_s)
     first = _nearest(gains, found.tick_s)
+    ahead, bins = _together(tuple(_ahead(one, blocks) for one in gains), bins)
     return Show(
         judged=judged,
-        ahead=tuple(_ahead(one, blocks) for one in gains),
+        ahead=ahead,
         piece=piece,
         regimes=bins,
         spectrum=spectrum(first.errors_m, first.floor_m, found.tick_s) if first is not None else None,
@@ -147,10 +152,11 @@ def _nearest(gains: Sequence[Gain], horizon_s: float) -> Gain | None:
 def _ahead(one: Gain, blocks: Blocks) -> Ahead:
     known = np.isfinite(one.errors_m).all(axis=0)
     labels = np.where(known, 0, -1).astype(np.int64)
-    sides = []
+    sides, draws = [], []
     for errors in one.errors_m:
         mean, drawn, _, _ = means(np.where(known, errors**2, 0.0), labels, 1, blocks)
-        sides.append(estimate(float(np.sqrt(mean[0])), np.sqrt(drawn[:, 0])))
+        draws.append(np.sqrt(drawn[:, 0]))
+        sides.append(estimate(float(np.sqrt(mean[0])), draws[-1]))
     return Ahead(
         horizon_s=one.horizon_s,
         baseline=sides[0],
@@ -159,6 +165,20 @@ def _ahead(one: Gain, blocks: Blocks) -> Ahead:
         ratio=one.ci95_ratio,
         removed=one.removed,
         count=one.count,
+        chance=chance_of_worse(one.ratio, draws[1] / np.maximum(draws[0], 1e-300)),
+    )
+
+
+def _together(ahead: tuple[Ahead, ...], regimes: tuple[Regime, ...]) -> tuple[tuple[Ahead, ...], tuple[Regime, ...]]:
+    """The same with `worse` decided over all of them as one family of tests."""
+    bins = [one for regime in regimes for one in regime.bins]
+    significant = iter(holm([*(one.chance for one in ahead), *(one.chance for one in bins)]))
+    return (
+        tuple(replace(one, worse=next(significant)) for one in ahead),
+        tuple(
+            replace(regime, bins=tuple(replace(one, worse=next(significant)) for one in regime.bins))
+            for regime in regimes
+        ),
     )
 
 

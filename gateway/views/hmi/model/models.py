@@ -65,8 +65,14 @@ def models_of(data: Path, board: str, campaigns: list[CampaignFolder], running: 
     return [
         ModelFile(name=name, path=path, kind=kind, made=made, content=content, in_use=content == now)
         for name, path, kind, made in _files(data, board, campaigns)
-        if (content := _read(path)) is not None
+        if (content := _read(path)) is not None and not _is_reference(content)
     ]
+
+
+def _is_reference(content: dict[str, Any]) -> bool:
+    """Whether a diagnosis found no model that predicts better: its extended_model.json is the reference itself."""
+    provenance = content.get("provenance")
+    return isinstance(provenance, dict) and provenance.get("extends") == "reference" and not content.get("causes")
 
 
 def keep(data: Path, running: pb.TwinModel, board: str) -> Path:

@@ -1,0 +1,144 @@
+"""Which model a diagnosis writes as extended: the last one of the search that predicts no worse than the reference.
+
+The search maximises the likelihood, which weighs errors one sample ahead.  Where an unknown effect is at work, a cause
+that imitates it raises the likelihood, and process noise hides the harm.  The error of a longer prediction may grow
+meanwhile.  So the judge recordings decide on the file.
+
+Rule 1: a model is worse if its error exceeds WORSE_ERROR times that of the reference at any horizon, or surely (95 %)
+        exceeds that of the reference 20 ms ahead.  A worse model is refused.
+Rule 2: a model whose names do not hold is refused, too, unless it surely predicts better 20 ms ahead: nothing else
+        speaks for it.
+Rule 3: after a refusal come the models with fewer causes, the likeliest first, then the paper's model fitted anew, and
+        at last the reference itself.
+Rule 4: without judge recordings nothing is compared: the model is written, and marked as not judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from twin.diagnose import settings
+from twin.diagnose.inference.fisher_scoring import Fit
+from twin.diagnose.inference.theta import Theta
+from twin.diagnose.judge.prediction_gain import Gain
+from twin.diagnose.search.state import Selection
+
+Kind = Literal["all-causes", "fewer-causes", "paper", "reference"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate:
+    """A model of the search."""
+
+    kind: Kind
+    fit: Fit
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """The names of its causes."""
+        return causes_of(self.fit)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Refusal:
+    """A model that was not written, and the error that decided."""
+
+    causes: tuple[str, ...]
+    gain: Gain | None  # None: the budget did not pay for its errors
+    worse: bool  # otherwise: not surely better
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """The model that is written."""
+
+    kind: Kind
+    fit: Fit | None  # None: the reference as it was given
+    gains: tuple[Gain, ...]  # over the reference, one per horizon
+    judged: bool
+    refused: tuple[Refusal, ...] = ()
+
+
+def causes_of(fit: Fit) -> tuple[str, ...]:
+    """The names of the causes of a fit."""
+    return tuple(dict.fromkeys(name.partition(".")[0] for name, _ in fit.theta.causes))
+
+
+def at_20_ms(gains: Sequence[Gain]) -> Gain | None:
+    """The gain at the horizon that decides."""
+    return next((one for one in gains if abs(one.horizon_s - settings.BENEFIT_HORIZON_S) < 0.5 * one.tick_s), None)
+
+
+def worse(gains: Sequence[Gain]) -> Gain | None:
+    """The gain that shows the model to be worse than the reference, the nearest to 20 ms; None if it is not worse."""
+    decisive = at_20_ms(gains)
+    near = sorted(gains, key=lambda one: abs(one.horizon_s - settings.BENEFIT_HORIZON_S))
+    surely = decisive is not None and decisive.ci95_ratio[0] > 1.0
+    return next((one for one in near if one.ratio > settings.WORSE_ERROR or (surely and one is decisive)), None)
+
+
+def refusal_of(candidate: Candidate, gains: Sequence[Gain], *, sure: bool) -> Refusal | None:
+    """Why a model is not written; None if it is.
+
+    Args:
+        candidate: the model.
+        gains: over the reference.
+        sure: whether its names hold by their own evidence.
+    """
+    harm, decisive = worse(gains), at_20_ms(gains)
+    if harm is not None:
+        return Refusal(causes=candidate.causes, gain=harm, worse=True)
+    if decisive is None or not (sure or decisive.ci95_ratio[1] < 1.0):
+        return Refusal(causes=candidate.causes, gain=decisive, worse=False)
+    return None
+
+
+def not_judged(found: Selection, *, given: bool) -> Choice:
+    """The model of a search that no recording judges; `given`: whether the reference is a model that was given."""
+    kind: Kind = "all-causes" if found.causes else "paper" if given else "reference"
+    return Choice(kind=kind, fit=found.fit, gains=(), judged=False)
+
+
+def choose(
+    candidates: Iterable[Candidate],
+    reference: Fit | None,
+    measure: Callable[[Theta], Sequence[Gain]],
+    *,
+    sure: bool,
+) -> Choice:
+    """The first of the candidates that is not refused, or the reference.
+
+    Args:
+        candidates: models of the search, the best first.
+        reference: the fit of the reference; None: it is a model that was given.
+        measure: the gains of a model over the reference, on the judge recordings.
+        sure: whether the names of the first candidate hold by their own evidence.
+    """
+    refused: list[Refusal] = []
+    for place, candidate in enumerate(candidates):
+        gains = measure(candidate.fit.theta)
+        refusal = refusal_of(candidate, gains, sure=sure and place == 0)
+        if refusal is None:
+            return Choice(
+                kind=candidate.kind, fit=candidate.fit, gains=tuple(gains), judged=True, refused=tuple(refused)
+            )
+        refused.append(refusal)
+    return Choice(kind="reference", fit=reference, gains=(), judged=True, refused=tuple(refused))
+
+
+def candidates_of(found: Selection, *, given: bool) -> list[Candidate]:
+    """The models of a search with causes in the order in which they are tried.
+
+    Args:
+        found: the result of the search.
+        given: whether the reference is a model that was given; then the paper's model, fitted anew, is one of them.
+    """
+    fewer = [fit for fit in found.smaller.values() if causes_of(fit) and set(causes_of(fit)) < set(found.causes)]
+    fewer.sort(key=lambda fit: -fit.loglik)
+    return [
+        *([Candidate(kind="all-causes", fit=found.fit)] if found.causes else []),
+        *(Candidate(kind="fewer-causes", fit=fit) for fit in fewer[: settings.FEWER_JUDGED]),
+        *([Candidate(kind="paper", fit=found.base)] if given else []),
+    ]

@@ -1,0 +1,54 @@
+"""A plant that nobody stated: which numbers rest on it, in words.
+
+The recordings show accelerations and the boards' metres.  They do not show the mass of the ball, and they show the
+travel only as far as the ball touches both stops.  So K_c, b and every force scale with the mass that was assumed, and
+whatever is a function of the air gap with the travel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from protocol.campaign import Plant
+from twin.model.causes.cause import Cause
+from twin.model.parameters import Parameter
+
+REMEDY = (
+    "State mass and travel in [plant] of campaign.toml and remove `assumed = true`, or give `--plant FILE` to"
+    " `campaign run` and `diagnose --live`"
+)
+RESTING = ("K_c", "b")  # parameters of (1) and (6) that rest on mass and travel
+# Causes of the amplifier and of the current that are functions of the gap.
+_OF_THE_GAP = ("motional-emf", "position-dependent-inductance")
+_FREE_OF_IT = ("amplifier", "timing")
+
+
+def assumption(plant: Plant) -> str:
+    """For which plant a number holds, as the end of a sentence; empty if somebody stated it."""
+    if not plant.assumed:
+        return ""
+    return f"for an assumed ball of {plant.mass_kg * 1e3:.3g} g and travel of {plant.travel_m * 1e3:.3g} mm"
+
+
+def assumption_warning(plant: Plant) -> str:
+    """The warning of a command; empty if somebody stated the plant."""
+    if not plant.assumed:
+        return ""
+    return f"K_c and b are {assumption(plant)}: nobody stated the plant of this rig. {REMEDY}"
+
+
+def mark(parameters: Mapping[str, Parameter], plant: Plant, names: tuple[str, ...] = RESTING) -> dict[str, Parameter]:
+    """The parameters; those with these names say in `method` for which assumed plant they hold."""
+    suffix = assumption(plant)
+    return {
+        name: replace(one, method=f"{one.method}; {suffix}") if suffix and name in names else one
+        for name, one in parameters.items()
+    }
+
+
+def rests_on_plant(cause: Cause) -> bool:
+    """Whether the size of a cause depends on mass or travel."""
+    if cause.name in _OF_THE_GAP:
+        return True
+    return cause.family not in _FREE_OF_IT and "current sensor" not in cause.acts_on
