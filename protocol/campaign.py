@@ -19,7 +19,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from protocol.checked import KEYS, Number, RuleError, checked, key
+from protocol.checked import KEYS, Flag, Number, RuleError, checked, key
 from protocol.errors import DataError, shown
 from protocol.files import parse_toml, read_small
 from protocol.units import unit_of_name
@@ -53,6 +53,7 @@ class Plant:
     travel_m: Annotated[Number, key("highest position of the ball (top stop); 0 is the sensor", 1e-4, 0.5)]
     x_max_m: Annotated[Number, key("x_max of eq. (3)", 1e-4, 0.5)]
     gravity_m_s2: Annotated[Number, key("acceleration of gravity", 1.0, 20.0)]
+    assumed: Flag = False  # nobody stated it: K_c and b, which rest on it, may be wrong
 
 
 def _with_defaults(plant: object) -> object:
@@ -216,6 +217,7 @@ class Campaign:
     travel_m = 5.7e-3
     x_max_m = 5.7e-3           # optional, default travel_m
     gravity_m_s2 = 9.81        # optional
+    assumed = false            # optional; true: nobody stated the plant
     [controller]               # optional
     kind = "lqi"               # lqi | pid
     gains = [0.49, 1700.0, 17.7, -17600.0]

@@ -33,6 +33,8 @@ def _plant(plant: Plant) -> list[str]:
         lines.append(f"x_max_m = {_number(plant.x_max_m)}")
     if plant.gravity_m_s2 != GRAVITY_M_S2:
         lines.append(f"gravity_m_s2 = {_number(plant.gravity_m_s2)}")
+    if plant.assumed:
+        lines.append("assumed = true")
     return lines
 
 

@@ -31,7 +31,7 @@ lengths = st.floats(1e-4, 0.5)
 
 plants = st.builds(
     Plant, name=words, mass_kg=st.floats(1e-4, 2.0), travel_m=lengths, x_max_m=lengths,
-    gravity_m_s2=st.floats(1.0, 20.0),
+    gravity_m_s2=st.floats(1.0, 20.0), assumed=st.booleans(),
 )  # fmt: skip
 controllers = st.builds(
     Controller, kind=st.sampled_from(CONTROLLERS), gains=st.tuples(finite, finite, finite, finite),
