@@ -156,7 +156,8 @@ class Pages:
 
     def _how_to_report(self) -> str:
         folder = self._actions.reports.folders[0]
-        return f"None yet. `board51 diagnose CAMPAIGN --model MODEL --out {folder}/NAME` writes one."
+        command = f"board51 diagnose CAMPAIGN --model MODEL --out {folder}/NAME"
+        return f"None yet. Press Diagnose on the page of a rig's model, or use `{command}`."
 
     def _replay_banner(self) -> Markup:
         job = self._actions.jobs.get("replay", "*")
