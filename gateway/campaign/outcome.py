@@ -55,6 +55,7 @@ class Wishes:
     plant: Plant
     lift_off: Experiment = BY_NAME[LIFT_OFF]  # recorded first if its result is needed and unknown
     seed: int = 1
+    quick: bool = False
     u_max_v: float | None = None
     x_min_m: float | None = None
     x_max_m: float | None = None

@@ -44,7 +44,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     run_.add_argument("--board", default="", help="name of the board")
     add_bus_arguments(run_)
     run_.add_argument(
-        "--plant", type=Path, metavar="FILE", help="TOML with the [plant] of this rig (default: the published CE 152)"
+        "--plant",
+        type=Path,
+        metavar="FILE",
+        help="TOML with the [plant] of this rig (default: that of FOLDER, else a published CE 152)",
     )
     run_.add_argument("--quick", action="store_true", help="about 25 s of data instead of 90 s")
     run_.add_argument(
@@ -88,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> int:
-    from gateway.campaign.folder import CE152, Folder
+    from gateway.campaign.folder import ASSUMED, Folder
     from gateway.campaign.outcome import Wishes
     from gateway.campaign.rig import RigControl, Stopped
     from gateway.campaign.runner import Runner
@@ -97,9 +100,8 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
     from protocol.campaign import load_plant
     from protocol.experiments import LIFT_OFF
 
-    plant = load_plant(args.plant) if args.plant is not None else CE152
-    if args.plant is None:
-        _say("no --plant: the published constants of a CE 152 are taken (8.28 g, 5.7 mm)")
+    folder = Folder(args.folder)
+    plant = load_plant(args.plant) if args.plant is not None else folder.plant or ASSUMED
     stop = threading.Event()
     identity = find_identity(args.identity)
     with open_bus(args.connect, identity) as session:
@@ -109,14 +111,14 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
         )
         wishes = Wishes(
             experiments=experiments, plant=plant, lift_off=chosen((LIFT_OFF,), quick=args.quick)[0],
-            seed=args.seed, u_max_v=args.u_max,
+            seed=args.seed, quick=args.quick, u_max_v=args.u_max,
             x_min_m=None if args.x_min is None else args.x_min * 1e-3,
             x_max_m=None if args.x_max is None else args.x_max * 1e-3,
             ask=lambda experiment: "" if args.yes else _ask(experiment, stop),
         )  # fmt: skip
         handlers = {n: signal.signal(n, lambda *_: stop.set()) for n in (signal.SIGINT, signal.SIGTERM)}
         try:
-            summary = Runner(rig, subscriber, Folder(args.folder), args.board, wishes, _say).run()
+            summary = Runner(rig, subscriber, folder, args.board, wishes, _say).run()
         except Stopped:
             _say("interrupted before the board's first sample: nothing was sent to it")
             return 1

@@ -275,6 +275,8 @@ def _starts(
         return str(table.get(name) or "")
 
     def campaign(session: LoginSession, board: str, table: dict[str, object]) -> pb.CommandReply:
+        if table.get("resume") is True:
+            return work.resume_campaign(session, board, word(table, "campaign"))
         if "experiment" in table:
             prepared = table.get("prepared") is True
             return work.add_experiment(

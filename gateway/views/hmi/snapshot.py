@@ -145,7 +145,8 @@ def summary(board: BoardFeed) -> dict[str, Any]:
     return now(board) | {
         "name": board.name,
         "unseen": board.is_unseen(),
-        "alarms": sum(a.active or not a.acknowledged for a in alarms),
+        "alarms": sum(a.active for a in alarms),
+        "gone": sum(not a.active for a in alarms),  # that nobody has acknowledged
         "fault": any(a.active and a.severity == "fault" for a in alarms),
     }
 

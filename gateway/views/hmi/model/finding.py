@@ -45,6 +45,7 @@ class Found:
     verdict: str
     sentence: str
     calibrated: bool
+    plant_assumed: bool  # nobody stated the plant of the rig
     sure: bool  # whether `causes` are causes, and not candidates
     causes: tuple[FoundCause, ...]
     ahead: tuple[Ahead, ...]
@@ -65,6 +66,7 @@ def read_found(path: Path) -> Found:
             verdict=str(table["verdict"]),
             sentence=str(table["sentence"]),
             calibrated=bool(table.get("calibrated", True)),
+            plant_assumed=table.get("plant_assumed") is True,
             sure=bool(table.get("causes")),
             causes=tuple(map(_cause, causes)),
             ahead=tuple(_ahead(one) for one in show.get("ahead", ())) if show.get("judged") else (),

@@ -60,9 +60,16 @@ async function pressed(button) {
   }
 }
 
+// The second click of a double click, and a press while the first one waits for its answer, are no presses of their own.
+let before = null; // the button of the last click
+
 document.addEventListener("click", (event) => {
-  const button = event.target.closest?.("[data-command], [data-job], [data-act]");
-  if (button && button.dataset.act !== "stop") pressed(button);
+  const button = event.target.closest?.("button");
+  if (!button || button.dataset.act === "stop") return;
+  const again = button === before && event.detail > 1;
+  before = button;
+  if (again || button.hasAttribute("aria-busy")) event.preventDefault();
+  else if (button.matches("[data-command], [data-job], [data-act]")) pressed(button);
 });
 document.addEventListener("submit", (event) => {
   if (!event.target.dataset.form) return;

@@ -187,10 +187,8 @@ function lists() {
     if (alarm.model && !page.replay) row.append(toModel()); // the model's page is that of the live rig
     return row;
   }, "\u2713 no alarms");
-  const waiting = rest.alarms.filter((a) => a.active || !a.acknowledged);
-  const faults = waiting.filter((a) => a.active && a.severity === "fault").length;
-  counted = [waiting.length ? `${faults ? "\u2716" : "\u25b2"} ${waiting.length} alarm${waiting.length > 1 ? "s" : ""}` : "\u2713 no alarms",
-             faults ? "bad" : waiting.length ? "warn" : "good"];
+  const active = rest.alarms.filter((a) => a.active), fault = active.some((a) => a.severity === "fault");
+  counted = [alarmWords(active.length, rest.alarms.length - active.length, fault), fault ? "bad" : rest.alarms.length ? "warn" : "good"];
   fill("events", rest.events, (event) => {
     const row = cell("div", "", "entry");
     row.dataset.state = event.severity;
@@ -206,6 +204,13 @@ function lists() {
     return row;
   }, "no commands since this page's server started");
   ball?.setTravel(rest.travel_m);
+}
+
+// How many alarms hold; those that are gone and wait to be acknowledged are not counted among them.
+function alarmWords(active, gone, fault) {
+  const waiting = gone ? `${gone} gone, not acknowledged` : "";
+  if (!active) return waiting ? `\u25bd ${waiting}` : "\u2713 no alarms";
+  return `${fault ? "\u2716" : "\u25b2"} ${active} alarm${active > 1 ? "s" : ""}${waiting ? ` \u00b7 ${waiting}` : ""}`;
 }
 
 const cards = new Map();
@@ -256,12 +261,12 @@ function overview() {
     if (!cards.has(board.name)) cards.set(board.name, card(board.name));
     const { box, parts } = cards.get(board.name), live = board.link === "live" && !gone;
     if (box.parentElement !== place) place.append(box);
-    box.dataset.state = !live || board.fault ? "bad" : board.alarms ? "warn" : "good";
     if (parts.remove) parts.remove.hidden = !board.unseen || gone;
+    box.dataset.state = !live || board.fault ? "bad" : board.alarms + board.gone ? "warn" : "good";
     parts.link.textContent = gone ? "\u2715 NO SERVER" : LINK_WORDS[board.link] ?? board.link;
     parts.x.textContent = live ? `${shown(board.x_m, 1e3, 3)} mm` : `no data${board.age_s === null ? "" : ` for ${Math.round(board.age_s)} s`}`;
     parts.text.textContent = live ? `reference ${shown(board.x_ref_m, 1e3, 3)} mm \u00b7 ${board.mode} \u00b7 ${board.mode === "idle" ? "coil off" : "coil on"}` : board.reason;
-    parts.alarms.textContent = board.alarms ? `${board.fault ? "\u2716" : "\u25b2"} ${board.alarms} alarm${board.alarms > 1 ? "s" : ""}` : "\u2713 no alarms";
+    parts.alarms.textContent = alarmWords(board.alarms, board.gone, board.fault);
   }
 }
 
