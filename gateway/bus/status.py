@@ -91,14 +91,14 @@ class StatusMaker:
             holding[TO_BOARD] = Condition(text=driver.unanswered.text, since_ns=driver.unanswered.host_time_ns)
         sample = driver.known.sample
         if sample is not None and sample.state.flags & Flag.FAULT:
-            holding |= _fault(driver.fault, sample.state.u_c)
+            holding |= fault_condition(driver.fault, sample.state.u_c)
         if log is not None and log.state not in ("writing", "off"):
             holding[LOG] = Condition(text=f"The log is not written: {log.state}.")
         seen = driver.handler.annotations.acknowledged
         return self._standing.tell(holding, seen, host_ns=driver.host_ns(), now_s=now_s)
 
 
-def _fault(event: pb.Event | None, u_c: int) -> dict[str, Condition]:
+def fault_condition(event: pb.Event | None, u_c: int) -> dict[str, Condition]:
     """Return the fault that the FAULT flag means: the event before it, unless u_c contradicts that event."""
     if u_c > 0 and (event is None or event.name not in faults.COIL):
         return {faults.OUTPUT_FAULT: Condition(text=faults.OUTPUT_UNCONFIRMED)}

@@ -128,7 +128,7 @@ def test_a_step_of_a_capture_that_is_not_confirmed_ends_it() -> None:
 def test_a_current_while_u_c_is_0_is_a_fault() -> None:
     bench = Bench(i_a=ONE_A)
     host = Host(bench)
-    host.run(UNCOMMANDED_TICKS - 2)
+    host.run(UNCOMMANDED_TICKS - 1)
     before = host.codes()
 
     host.run(1)
