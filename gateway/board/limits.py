@@ -269,7 +269,7 @@ def _needs(board: BoardView, command: pb.Command) -> Refusal | None:
     if board.mode is None:
         return None  # no state yet: the board checks itself
     if board.flags & Flag.FAULT:
-        return Refusal("fault-active", "A fault is active and the coil is off; set a mode first to clear it.")
+        return Refusal("fault-active", "A fault is active; set a mode first to clear it.")
     good: tuple[Mode, ...]
     if command.WhichOneof("what") == "capture":
         good = (Mode.IDLE, Mode.OPEN_LOOP)

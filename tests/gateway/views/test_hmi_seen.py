@@ -12,6 +12,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from protocol.bus import board51_pb2 as pb
+from protocol.wire.messages import Flag
 from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
 from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
 from tests.harness.gateway.gateway_peers import wait_for
@@ -212,6 +213,24 @@ def test_the_banner_waits_for_a_sample_and_believes_no_answer(page: Page, site: 
         expect(page.locator(SAID)).to_contain_text("COIL ON, say the samples: closed loop")
         expect(page.locator(SAID)).to_have_attribute("data-state", "bad")
     expect(page.locator(SAID)).to_contain_text("whether the coil is off is not known")
+
+
+def test_a_coil_that_the_board_cannot_switch_off_is_never_called_off(page: Page, site: Site) -> None:
+    """Idle by its samples, STOP accepted, and the board has a fault that it cannot end."""
+    idle = {"mode": pb.MODE_IDLE, "flags": Flag.FAULT, "u_c_v": 2.0}
+    site.gateway.answer = lambda _, command: pb.CommandReply(id=command.id, accepted=True, tick=1)
+    with ticking(site.gateway, "rig", "two", values=lambda _: idle):
+        page.goto(f"{site.url}/rig/rig")
+        page.wait_for_selector("body[data-live=yes]")
+        site.gateway.send("event", pb.Event(name="output-fault", severity="fault", text="cut", session=1), "rig")
+        expect(page.locator('[data-live="mode"]')).to_have_text("idle \u00b7 COIL MAY BE ON")
+
+        page.keyboard.press("Escape")
+
+        expect(page.locator(SAID)).to_contain_text("THE COIL MAY BE ON: cut its supply")
+        expect(page.locator(SAID)).to_have_attribute("data-state", "bad")
+    with ticking(site.gateway, "rig", "two"):  # no fault any more, for the tests behind this one
+        expect(page.locator('[data-live="mode"]')).not_to_contain_text("MAY BE ON")
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import { Line } from "./line.js";
 import { History } from "./history.js";
 import { Plots } from "./plots.js";
 import { may, page } from "./server.js";
-import { Stop } from "./stop.js";
+import { IN_DOUBT, Stop } from "./stop.js";
 
 const FRAME_LIMIT_S = 0.7; // without a frame for so long, the server or the line to it is gone
 const ACTED_EVERY_S = 20;
@@ -93,9 +93,9 @@ function values() {
   put("i_c", shown(now.i_c_a, 1, 3));
   put("u_c", shown(now.u_c_v, 1, 3));
   put("twin_x", shown(now.twin_x_m, 1e3, 3));
-  const coil = now.mode === "idle" ? "coil off" : "coil on";
   put("runs", gone ? "" : running().join(" \u00b7 "), "on");
-  chip("mode", now.mode ? `${now.mode} \u00b7 ${coil}` : "\u2013", now.mode === "idle" ? "idle" : "on", gone);
+  const calm = now.mode === "idle" ? "idle" : "on";
+  chip("mode", now.mode ? `${now.mode} \u00b7 ${now.coil}` : "\u2013", now.coil === IN_DOUBT ? "bad" : calm, gone);
   const flags = now.flags ?? [];
   put("flags", flags.length ? `\u25b2 ${flags.join(", ")}` : "no flags", flags.includes("FAULT") ? "bad" : flags.length ? "warn" : "none");
   const above = now.nis_mean !== null && now.nis_on && now.nis_mean > now.nis_on;
@@ -265,7 +265,7 @@ function overview() {
     box.dataset.state = !live || board.fault ? "bad" : board.alarms + board.gone ? "warn" : "good";
     parts.link.textContent = gone ? "\u2715 NO SERVER" : LINK_WORDS[board.link] ?? board.link;
     parts.x.textContent = live ? `${shown(board.x_m, 1e3, 3)} mm` : `no data${board.age_s === null ? "" : ` for ${Math.round(board.age_s)} s`}`;
-    parts.text.textContent = live ? `reference ${shown(board.x_ref_m, 1e3, 3)} mm \u00b7 ${board.mode} \u00b7 ${board.mode === "idle" ? "coil off" : "coil on"}` : board.reason;
+    parts.text.textContent = live ? `reference ${shown(board.x_ref_m, 1e3, 3)} mm \u00b7 ${board.mode} \u00b7 ${board.coil}` : board.reason;
     parts.alarms.textContent = alarmWords(board.alarms, board.gone, board.fault);
   }
 }
@@ -321,7 +321,7 @@ function draw() {
 // What samples say now of each rig that STOP here is for.
 function rigs() {
   const gone = liveLine.gap() > FRAME_LIMIT_S;
-  const rig = (b, fresh) => ({ fresh, idle: b.mode === "idle", mode: b.mode, tick: b.tick, session: b.session });
+  const rig = (b, fresh) => ({ fresh, idle: b.mode === "idle", mode: b.mode, coil: b.coil, tick: b.tick, session: b.session });
   if (page.stops !== "*") return now ? { [page.stops]: rig(now, lost() === "") } : {};
   const known = (page.replay ? liveRigs : boards) ?? [];
   return Object.fromEntries(known.map((b) => [b.name, rig(b, b.link === "live" && !gone)]));

@@ -10,8 +10,10 @@ import { page, server, toast } from "./server.js";
 
 const UNANSWERED = 3, LATE_S = 3, SHOWN_S = 6, AGAIN_SHOWN_S = 20;
 
+export const IN_DOUBT = "COIL MAY BE ON"; // of a fault that the board cannot end
+
 export class Stop {
-  // rigs(): {name: {fresh, idle, mode, tick, session}} as samples say now; say(text, state): the words across the page
+  // rigs(): {name: {fresh, idle, mode, coil, tick, session}} as samples say now; say(text, state): the words across the page
   constructor(rigs, say) {
     this.rigs = rigs;
     this.say = say;
@@ -101,6 +103,7 @@ export class Stop {
       const before = press.off[name] ? `coil off at tick ${press.off[name]}, ` : "";
       return [`${before}no samples come now, so whether the coil is off is not known`, "warn"];
     }
+    if (rig.coil === IN_DOUBT) return ["THE COIL MAY BE ON: cut its supply", "bad"];
     // A sample older than the STOP says nothing of it.
     const after = reply && (rig.tick >= reply.tick || rig.session !== press.sessions[name]);
     if (rig.idle) {
