@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import argparse
 import os
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
 from datetime import UTC, datetime
 
@@ -61,6 +63,25 @@ def open_bus(connect: str, identity: Identity | None = None) -> Iterator[zenoh.S
         raise refused_by_router([connect], identity) from None
     with session:
         yield session
+
+
+def subscribe(session: zenoh.Session, key: str, callback: Callable[[zenoh.Sample], None]) -> zenoh.Subscriber[None]:
+    """Subscribe so that the interpreter can end with the subscription open.
+
+    zenoh calls back in a Python thread, and the interpreter waits for each thread that is not a daemon.  zenoh has no
+    option for that, but a thread inherits it from the one that starts it.  Callbacks without a thread of their own
+    (`indirect=False`) would hold up zenoh's receiver, and with it lose samples while another thread computes.
+    """
+    declared: Future[zenoh.Subscriber[None]] = Future()
+
+    def declare() -> None:
+        try:
+            declared.set_result(session.declare_subscriber(key, callback))
+        except BaseException as error:
+            declared.set_exception(error)
+
+    threading.Thread(target=declare, name="subscribe", daemon=True).start()
+    return declared.result()
 
 
 def send(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import weakref
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -84,6 +85,7 @@ class Rig:
         self._has_moved = False
         self._open: zenoh.Session | None = None
         self._closing = contextlib.ExitStack()
+        weakref.finalize(self, self._closing.close)  # of a rig that nobody closed; also when the interpreter ends
 
     # --- opening and closing
 
@@ -100,7 +102,9 @@ class Rig:
             self.close()
 
     def open(self) -> Self:
-        """Join the bus without `with`, as in a notebook.  Call `close` at the end, or the process will not end.
+        """Join the bus without `with`, as in a notebook.
+
+        The end of the program, whatever its cause, closes the rig; as `close` does, it sends the board no command.
 
         Raises:
             ServiceError: there is no router, or it refuses this identity.

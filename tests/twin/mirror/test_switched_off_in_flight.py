@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -109,6 +110,19 @@ def test_a_landing_raises_no_alarm_however_the_ball_bounces(restitution: float) 
         flight.switch_off("stop", into_tick_us=250 * seed)
 
         assert alarms(watched(true_model(rig), flight.states)) == [], (seed, x_m)
+
+
+def test_the_flight_after_a_bounce_is_judged_and_predicted() -> None:
+    """A landing is no mute window: the restitution is unknown for one sample, then the readings tell the speed."""
+    rig = replace(CE152, restitution=0.9)
+    flight = Flight(2.76e-3, seed=3, rig=rig)
+    off = flight.switch_off("stop", into_tick_us=750)
+    landing = next(b.tick for a, b in pairwise(flight.states) if b.tick > off + 2 and b.x_m > a.x_m)
+
+    hop = judged(watched(true_model(rig), flight.states), since=landing)
+
+    assert len(hop) >= 15  # 0.2 m/s up and down again: 40 ms, without the sample at the stop
+    assert max(hop) < 42.0
 
 
 @pytest.mark.parametrize(
