@@ -40,7 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--share",
         type=float,
-        default=settings.LEAST_SHARE,
+        default=settings.MIN_SHARE,
         metavar="S",
         help="least part of what is left in a channel that a cause must explain (%(default)s); less, down to 0.01,"
         " lists smaller ones beside a rest that nothing explains: confidence is not calibrated then",

@@ -24,7 +24,7 @@ from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import Theta
 from twin.diagnose.judge import judgement
-from twin.diagnose.judge.account import Account, Verdict, account_of, beyond_floor
+from twin.diagnose.judge.account import Account, Verdict, account_of, exceeds_floor
 from twin.diagnose.judge.choice import Choice, at_20_ms, worse
 from twin.diagnose.judge.prediction_gain import Gain
 from twin.diagnose.judge.worth import Bench
@@ -143,7 +143,7 @@ def told(
         lost = lost_samples([*records, *judges])
         bench = _bench(done, judge, campaign.plant, asked)
         judged = judgement.judge(
-            found, asked.model, bench, account, fine=done.fine, finished=finished, counted=lost is not None
+            found, asked.model, bench, account, is_adequate=done.fine, finished=finished, counted=lost is not None
         )
         verdict, choice, whole = judged.verdict, judged.choice, judged.whole
         warnings += [judged.off] if judged.off else []
@@ -161,7 +161,7 @@ def told(
         findings = [_late(one, done.change) for one in findings]
     if done.fine and verdict == "unknown-cause" and choice.refused and choice.refused[0].worse:
         where = harm_sentence(choice.refused[0])
-    elif done.fine and whole is not None and beyond_floor(whole):
+    elif done.fine and whole is not None and exceeds_floor(whole):
         where = beyond_sentence(whole)
     warnings += [f"not all is explained {where}"] * bool(where) if done.fine else [done.why_not]
     minor_effects = tuple(minor_effects_of(criterion, found)) if done.fine and done.change is None else ()
@@ -190,7 +190,7 @@ def told(
         ),
         choice=choice,
         warnings=tuple(dict.fromkeys(warnings)),
-        quick=asked.quick or asked.share < settings.LEAST_SHARE,
+        quick=asked.quick or asked.share < settings.MIN_SHARE,
         stages_s=stages,
         selection=found,
         floor=floor,
@@ -224,7 +224,7 @@ def _remainder(
     asked: Asked,
 ) -> Remainder | None:
     """What is left, modelled; None where nothing is, nobody asked, or there is nothing to choose by."""
-    more = not done.fine or (whole is not None and beyond_floor(whole))
+    more = not done.fine or (whole is not None and exceeds_floor(whole))
     wanted = more and not asked.quick if asked.free_form is None else asked.free_form
     if not wanted or judge is None or whole is None or choice.fit is None or done.change is not None:
         return None
@@ -281,7 +281,7 @@ def _findings(
                     verdict if verdict == "causes-found" or account.leads(cause) else "unknown-cause",
                 ),
                 indistinguishable_from=tuple(_member(trial) for trial in near),
-                share_of_excess_explained=account.by_cause[cause],
+                share_of_excess_explained=account.cause_shares[cause],
                 loglik_gain=account.gains[cause],
                 next_experiment=proposals.get(cause),
             )

@@ -33,7 +33,7 @@ from twin.diagnose.evidence.shorten import shortened
 from twin.diagnose.inference.adequacy import adequate
 from twin.diagnose.inference.budget import FULL, QUICK, RESERVED, Budget, Spent, millions
 from twin.diagnose.inference.fisher_scoring import climb
-from twin.diagnose.inference.initial_guess import no_better, start_theta
+from twin.diagnose.inference.initial_guess import start_theta, with_noise_bounds
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import floor_of
 from twin.diagnose.inference.theta import BASE, STOPS, Theta, parameter_of
@@ -59,7 +59,7 @@ def diagnose(
     data: Path | None = None,
     model: Model | None = None,
     quick: bool = False,
-    share: float = settings.LEAST_SHARE,
+    share: float = settings.MIN_SHARE,
     experiments: bool | None = None,
     free_form: bool | None = None,
     seed: int = 0,
@@ -119,7 +119,7 @@ def diagnose_records(
     *,
     model: Model | None = None,
     quick: bool = False,
-    share: float = settings.LEAST_SHARE,
+    share: float = settings.MIN_SHARE,
     experiments: bool | None = None,
     free_form: bool | None = None,
     seed: int = 0,
@@ -164,7 +164,7 @@ def _diagnosed(
         evidence, judge, noise = _evidence(records, judges, plant)
         warnings += evidence.notes
     warnings += _missing(records, judges)
-    start = no_better(start_theta(records, plant), evidence)
+    start = with_noise_bounds(start_theta(records, plant), evidence)
     enough(evidence)
     criterion = Criterion(evidence, plant, tick_of(records), workers=asked.workers, budget=budget)
     with ExitStack() as closing:
@@ -276,7 +276,14 @@ def _search(
     candidates = testable_causes(records)
     with timed(stages, "search"):
         found = select(
-            criterion, base, floor, candidates=candidates, few=few, quick=asked.quick, share=asked.share, say=say
+            criterion,
+            base,
+            floor,
+            candidates=candidates,
+            max_candidates=few,
+            quick=asked.quick,
+            share=asked.share,
+            report=say,
         )
     with timed(stages, "what is left"):
         with criterion.free():
@@ -286,7 +293,7 @@ def _search(
         unasked = "whether an effect begins or ends in the middle of the campaign"
         with timed(stages, "change"), suppress(Spent), asked.budget.question(unasked):
             change = find_change(
-                criterion, found, floor, candidates=candidates, few=few, workers=asked.workers, say=say
+                criterion, found, floor, candidates=candidates, max_candidates=few, workers=asked.workers, report=say
             )
     if change is not None:
         criterion, found, fine, why_not = change.criterion, change.selection, True, ""

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from twin.diagnose.checks.confidence import MOST
+from twin.diagnose.checks.confidence import MAX_CONFIDENCE
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.evidence.noise_levels import colours_json
 from twin.diagnose.evidence.noise_levels import to_json as noise_json
@@ -124,13 +124,13 @@ class Diagnosis:
     def offered(self) -> bool:
         """Whether a twin gains by `extended`: the judge recordings have compared it, and it is not the reference."""
         chosen = self.choice
-        return chosen is not None and chosen.judged and (bool(self.extended.causes) or chosen.kind == "paper")
+        return chosen is not None and chosen.compared and (bool(self.extended.causes) or chosen.kind == "paper")
 
     def holds(self, cause: Finding) -> bool:
         """Whether a name is a cause, not a candidate: beside a rest that nobody knows, only what was counted is."""
         if self.verdict == "partly-explained" and self.account.leads(cause.name):
             return True
-        return self.verdict == "causes-found" or cause.confidence > MOST[self.verdict]
+        return self.verdict == "causes-found" or cause.confidence > MAX_CONFIDENCE[self.verdict]
 
 
 def to_json(found: Diagnosis) -> dict[str, Any]:
@@ -250,7 +250,7 @@ def _extended_model(found: Diagnosis) -> dict[str, Any] | None:
     return {
         "is": chosen.kind,
         "causes": [cause.name for cause in found.extended.causes],
-        "judged": chosen.judged,
+        "judged": chosen.compared,
         "offered": found.offered,
         "refused": [
             {

@@ -10,7 +10,7 @@ Log-likelihoods are natural logarithms.  Twice a gain of one parameter is chi-sq
 the parameter is absent (S. S. Wilks, Annals of Mathematical Statistics 9(1), 1938), so a gain g is z = sqrt(2 g)
 standard errors.  What each number does to the answers when it is halved and doubled: docs/theory/settings.md.
 
-Modules read these as attributes (`settings.LEAST_GAIN`), so that a benchmark can vary them.
+Modules read these as attributes (`settings.MIN_GAIN`), so that a benchmark can vary them.
 """
 
 # --- Noise and adequacy: is what is left only sensor noise? ---
@@ -27,13 +27,13 @@ NOISE_ERRORS = 3.0
 AUTOCORRELATION_ERRORS = 4.0
 # Reasoned.  Autocorrelation below which nothing physical is missing, however many samples prove it: such a rest adds
 # less than 0.4 % to the error of a one-step prediction.
-MOST_AUTOCORRELATION = 0.06
+MAX_AUTOCORRELATION = 0.06
 # Reasoned.  How well a plant's data give the place of a stop, m, one standard deviation (a caliper).
 STOP_STD_M = 2e-5
 # Level.  A stop farther from its place contradicts the plant: 5 standard deviations, 6e-7 two-sided.
 MISPLACED_STOP_M = 5.0 * STOP_STD_M
 # Reasoned.  The fit may not make the sensors better than this share of their noise at rest.
-LEAST_NOISE = 0.7
+MIN_NOISE_SHARE = 0.7
 # Level.  Sum of squares of a window at rest over the median window's: above, something moved.  Of 1e4 windows of white
 # noise none is expected there (chi-square with 23 degrees of freedom: 1e-13 each).
 RESTLESS = 5.0
@@ -65,22 +65,22 @@ UNEVEN_SQUARE = 1.5
 # leave out a displaced sensor, which shows most at rest, where the places of the stops take it up.
 VISIBLE = 1e-7
 # Level.  Standard errors that a cause of its usual strength makes: with less than one it cannot be seen.
-LEAST_INFORMATION = 1.0
+MIN_INFORMATION = 1.0
 
 # --- Stepwise selection: does a cause earn its place? ---
 
 # Level.  Gain of log-likelihood: z = 4.5, two-sided 7.7e-6 for one cause, 2.3e-4 for the best of thirty.
-LEAST_GAIN = 10.0
+MIN_GAIN = 10.0
 # Tuned.  Share of what is missing, in the part of the data where it gains most (i_c, x, points of rest), that a cause
 # must explain while more than noise is missing: a significant but minor effect beside a large unexplained rest is how a
 # false name looks.
-LEAST_SHARE = 0.2
+MIN_SHARE = 0.2
 # Tuned.  The same for a cause that leaves, together with others, nothing but noise; and for the last of them.
-LEAST_SHARE_TOGETHER = 0.05
-LEAST_SHARE_LAST = 0.8
+MIN_SHARE_TOGETHER = 0.05
+MIN_SHARE_LAST = 0.8
 # Tuned.  A smaller share is enough for a cause that removes this much of the mean square error of x, BENEFIT_HORIZON_S
 # ahead, over at least BENEFIT_PREDICTIONS predictions.
-LEAST_BENEFIT = 0.5
+MIN_BENEFIT = 0.5
 BENEFIT_HORIZON_S = 0.02
 BENEFIT_PREDICTIONS = 200
 # Tuned.  Share of what the causes gain together, below which a gain corrects their form and is no cause of its own.
@@ -88,8 +88,8 @@ MINOR_SHARE = 0.005
 # Tuned.  The same once hardly more than noise is left.
 MINOR_SHARE_AT_NOISE = 0.015
 # Reasoned.  Causes in one answer; causes that are asked to explain together what none explains alone.
-MOST_CAUSES = 4
-MOST_TOGETHER = 3
+MAX_CAUSES = 4
+MAX_TOGETHER = 3
 
 # --- Equivalence classes: which other cause would do as well? ---
 
@@ -101,7 +101,7 @@ OUT_OF_CLASS_GAIN = 60.0
 # Tuned.  Share of the cause's own score from which a candidate may be its equivalent, and from which it is fitted again
 # from the cause's own numbers.
 COMPARABLE_SCORE = 0.2
-ALIKE_SCORE = 0.8
+SIMILAR_SCORE = 0.8
 # Reasoned.  Share of a periodic force's gain that phases of another cause may cost (8 degrees cost a quarter), and the
 # number of candidates that are fitted with phases of their own.
 PHASE_SHARE = 0.5
@@ -115,13 +115,13 @@ PHASE_GAIN = EQUIVALENT_GAIN  # phases that gain less say the same
 # --- Effort: which candidates are fitted, and how far.  Tuned for time; a wrong number costs a name, not its truth. ---
 
 CANDIDATES = 5  # fitted in a round
-LEAST_SCORE_SHARE = 0.02  # of the best score: candidates below are not fitted
+MIN_SCORE_SHARE = 0.02  # of the best score: candidates below are not fitted
 PASSES = 30  # of a fit, at most
 PASSES_FIRST = 2  # of a candidate's first fit
 # Samples that lead a fit to where it begins, its passes over them, and how many times as many are worth the detour.
-NEAR_SAMPLES = 8000
-PASSES_NEAR = 12
-NEAR_WORTH = 3.0
+APPROACH_SAMPLES = 8000
+PASSES_APPROACH = 12
+APPROACH_RATIO = 3.0
 PASSES_QUICK = 10  # of a model without one of its causes, with --quick
 HALVING = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))  # then: passes, least share of the best gain, most candidates
 STEEPNESS = 8.0  # a likelihood rises at most so much above what its slope promises (five times was seen)
@@ -150,7 +150,7 @@ CHANGE_GAIN = 25.0
 CHANGE_AHEAD = 1.2  # reasoned: and so many times the score without a change
 CHANGE_SHARE = 0.4  # reasoned: share of what is left that each cause must explain
 CHANGE_SAME = 0.01  # reasoned: share of the gain by which two places are the same
-CHANGE_PLACES = 2  # effort: places that are searched with fits
+CHANGE_POSITIONS = 2  # effort: places that are searched with fits
 # Level.  Gain by parameters of its own that makes a recording an outlier (z > 9 for four parameters, 1e-20).
 OUTLIER_GAIN = 50.0
 OUTLIER_SAMPLES = 500  # reasoned: in flight; fewer do not fix four parameters
@@ -160,8 +160,8 @@ OUTLIER_RECORDINGS = 4  # reasoned: of two that disagree, neither is known to be
 
 # Reasoned.  Gaps of a recording and share of missing samples from which lost samples are a cause: one gap or two are an
 # interruption.  A gap of more sampling intervals is a pause.
-FEWEST_GAPS = 5
-LEAST_MISSING = 5e-4
+MIN_GAPS = 5
+MIN_MISSING = 5e-4
 LONGEST_GAP = 50
 
 # --- Errors of prediction ---
@@ -177,18 +177,18 @@ FAMILY_LEVEL = 0.05
 # models differ by as much through the errors of their parameters.
 WORSE_ERROR = 1.02
 # Effort.  Models with fewer causes that are judged where the one with all of them is refused.
-FEWER_JUDGED = 4
+FEWER_CAUSES_COMPARED = 4
 
 # --- The remainder: curves through what is left ---
 
 # Effort.  Curves that are fitted in a round, the best by the score test.
 CURVES_FITTED = 3
 # Reasoned.  Curves beside the causes: of more the parts are not told apart.
-MOST_CURVES = 2
+MAX_CURVES = 2
 # Effort.  Passes of such a fit, at most, and the step in standard errors at which it ends: its error tells it from
 # others long before its maximum is known.
 CURVE_PASSES = 30
-CURVE_DONE = 0.2
+CURVE_TOLERANCE = 0.2
 # Reasoned.  A curve is taken if the error of x surely (95 %) falls below this share of what it was.
 CURVE_RATIO = 0.95
 # Reasoned.  A cause has the form of a curve that takes up so much of what the recordings could show of it, if it gains

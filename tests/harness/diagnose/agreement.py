@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from twin.diagnose.checks.confidence import MOST
+from twin.diagnose.checks.confidence import MAX_CONFIDENCE
 from twin.diagnose.report.sentences import micrometres, percent
 from twin.estimation.prediction_floor import TOLERANCE
 
@@ -65,7 +65,7 @@ def _verdict(data: Mapping[str, Any]) -> Iterator[str]:
 
 def _confidence(data: Mapping[str, Any]) -> Iterator[str]:
     for cause in _listed(data):
-        most = 1.0 if cause["name"] == COUNTED else MOST.get(data["verdict"], 0.0)
+        most = 1.0 if cause["name"] == COUNTED else MAX_CONFIDENCE.get(data["verdict"], 0.0)
         if not 0.0 <= cause["confidence"] <= most + _ROUNDING:
             yield f"{cause['name']} is sure to {cause['confidence']} beside {data['verdict']}"
 

@@ -78,14 +78,14 @@ def diagnosis(
     spread = {name: 0.01 * abs(rig.value(name)) for name in coordinates_of(cause)}
     own = Trial(cause=cause, fit=after_fit, gain=logliks[1] - logliks[0])
     score = Score(
-        cause=cause, probe=value, gain=own.gain, step=1.0, z=9.0, detectable=9.0, visible=1.0, beside=(), others=()
+        cause=cause, probe=value, gain=own.gain, step=1.0, z=9.0, detectable=9.0, visible=1.0, moves=(), other_values=()
     )
     selection = Selection(
         base=before_fit,
         fit=after_fit,
         causes=(cause,) if extended else (),
         gains={cause: own.gain},
-        rounds=(Round(scores=(score,), trials=(own,), taken=cause if extended else "", best=own),),
+        rounds=(Round(scores=(score,), trials=(own,), selected=cause if extended else "", best=own),),
     )
     account = account_of(selection, floor.excess(logliks[1]), extended)
     records = fit.records
@@ -96,7 +96,9 @@ def diagnosis(
     found = Diagnosis(
         verdict="causes-found" if extended else "unknown-cause",
         sentence="",
-        causes=(_finding(cause, after_fit, spread, account.by_cause[cause], account.gains[cause]),) if extended else (),
+        causes=(_finding(cause, after_fit, spread, account.cause_shares[cause], account.gains[cause]),)
+        if extended
+        else (),
         not_testable=(NotTestable(name="current-sensor-gain", why="absorbed by K_A and K_c"),),
         minor_effects=(),
         ruled_out=(RuledOut(name="coulomb-friction", why="F_f is at most 3 µN (95 %)"),),

@@ -36,19 +36,19 @@ INSIDE = (
     "BENEFIT_PREDICTIONS",
     "LINE_NEIGHBOURS_HZ",
     "RESTLESS",
-    "LEAST_NOISE",
+    "MIN_NOISE_SHARE",
 )
 _FUNCTIONS = (
     (pipeline, "_prepared"),
     (gather, "gather"),
     (initial_guess, "start_theta"),
-    (initial_guess, "no_better"),
+    (initial_guess, "with_noise_bounds"),
     (dead_time, "dead_time"),
     (fisher_scoring, "climb"),
     (fisher_scoring, "spreads"),
     (score_test, "screen"),
     (periodic, "find_line"),
-    (prediction_benefit, "removed"),
+    (prediction_benefit, "error_reduction"),
     (consistency, "stretches"),
     (prediction_gain, "gain"),
 )

@@ -40,24 +40,24 @@ VARIED = (
     "NOISE_TOLERANCE",
     "NOISE_ERRORS",
     "AUTOCORRELATION_ERRORS",
-    "MOST_AUTOCORRELATION",
+    "MAX_AUTOCORRELATION",
     "MISPLACED_STOP_M",
     "VISIBLE",
-    "LEAST_INFORMATION",
-    "LEAST_GAIN",
-    "LEAST_SHARE",
-    "LEAST_BENEFIT",
+    "MIN_INFORMATION",
+    "MIN_GAIN",
+    "MIN_SHARE",
+    "MIN_BENEFIT",
     "MINOR_SHARE",
     "MINOR_SHARE_AT_NOISE",
     "EQUIVALENT_GAIN",
     "OUT_OF_CLASS_GAIN",
     "COMPARABLE_SCORE",
-    "ALIKE_SCORE",
+    "SIMILAR_SCORE",
     "PARTLY_ERROR",
     "PARTLY_SHARE",
 )
 # Nothing that is asked with --quick.
-VARIED_FULL = ("LEAST_SHARE_TOGETHER", "LEAST_SHARE_LAST", "CHANGE_GAIN", "OUTLIER_GAIN")
+VARIED_FULL = ("MIN_SHARE_TOGETHER", "MIN_SHARE_LAST", "CHANGE_GAIN", "OUTLIER_GAIN")
 
 
 @contextmanager
@@ -98,7 +98,7 @@ def play(hidden: Hidden, *, full: bool) -> dict[str, Any]:
                         records,
                         judges,
                         quick=not full,
-                        share=settings.LEAST_SHARE,
+                        share=settings.MIN_SHARE,
                         workers=1,
                         budget=Budget(FULL if full else QUICK, RESERVED),
                     )

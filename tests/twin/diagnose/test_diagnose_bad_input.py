@@ -18,7 +18,7 @@ from protocol.campaign import load
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from tests.harness.twin.independent_plant import Ball, wandering
 from twin.diagnose import settings
-from twin.diagnose.checks.change_point import apart, in_time
+from twin.diagnose.checks.change_point import in_time, share_clock
 from twin.diagnose.checks.consistency import beginnings, contradictions
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.evidence.sample_loss import lost_samples
@@ -391,7 +391,7 @@ def test_recordings_are_put_into_the_order_of_one_clock_only_where_there_is_one(
     own_clocks = [replace(record, t=record.t - record.t[0]) for record in shuffled]
 
     assert in_time(shuffled) == [1, 2, 0]
-    assert not apart(own_clocks)
+    assert not share_clock(own_clocks)
     assert in_time(own_clocks) == [0, 1, 2]
 
 

@@ -18,7 +18,7 @@ import board51
 from protocol.campaign import load
 from tests.harness.diagnose.agreement import disagreements
 from tests.harness.diagnose.hidden_campaign import PlantName, make_campaign
-from twin.diagnose.judge.account import beyond_floor
+from twin.diagnose.judge.account import exceeds_floor
 from twin.diagnose.pipeline import diagnose
 from twin.diagnose.result import Diagnosis, to_json
 from twin.model.parameters import Model, load_model, model_to_dict
@@ -119,7 +119,7 @@ def test_an_effect_outside_the_catalogue_gets_no_false_name(hide: Hide) -> None:
     found = diagnosed(hide((("force-hysteresis", 0.03),), 51, "independent", outside=True))
 
     assert found.verdict == "unknown-cause"
-    assert found.account.unexplained > 0.0 or beyond_floor(found.gain)  # of those for fitting, or of the judges
+    assert found.account.unexplained > 0.0 or exceeds_floor(found.gain)  # of those for fitting, or of the judges
     assert found.unexplained_where
 
 

@@ -14,11 +14,11 @@ from tests.harness.diagnose.hidden_campaign import make_campaign
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.evidence.sensor_noise import sensor_noise
 from twin.diagnose.inference.fisher_scoring import climb
-from twin.diagnose.inference.initial_guess import no_better, start_theta
+from twin.diagnose.inference.initial_guess import start_theta, with_noise_bounds
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import BASE, STOPS, Theta
-from twin.diagnose.search.candidate_starts import beside, start_of
-from twin.diagnose.search.prediction_benefit import removed
+from twin.diagnose.search.candidate_starts import start_of, substitute_start
+from twin.diagnose.search.prediction_benefit import error_reduction
 from twin.diagnose.search.score_test import screen
 from twin.estimation.innovations import RESTS_LOW, USE_X
 from twin.model.causes.catalogue import BY_NAME
@@ -41,7 +41,7 @@ def criterion(campaign: Campaign) -> Iterator[Criterion]:
 
 @pytest.fixture(scope="module")
 def fitted(campaign: Campaign, criterion: Criterion) -> Theta:
-    start = no_better(start_theta(read_campaign(campaign), campaign.plant), criterion.evidence)
+    start = with_noise_bounds(start_theta(read_campaign(campaign), campaign.plant), criterion.evidence)
     return climb(criterion, start, (*BASE, *STOPS)).theta
 
 
@@ -87,18 +87,18 @@ def test_the_fit_begins_with_sensors_that_are_not_too_good(campaign: Campaign, c
     """A noise level below what it may have would be a place that no step leaves."""
     start = start_theta(read_campaign(campaign), campaign.plant)
 
-    theta = no_better(replace(start, sigma_i_c_a=1e-6, sigma_x_m=1e-9), criterion.evidence)
+    theta = with_noise_bounds(replace(start, sigma_i_c_a=1e-6, sigma_x_m=1e-9), criterion.evidence)
 
-    assert theta.sigma_i_c_a == theta.least_i_c_a > 1e-4
-    assert theta.sigma_x_m == theta.least_x_m > 1e-7
+    assert theta.sigma_i_c_a == theta.min_sigma_i_c_a > 1e-4
+    assert theta.sigma_x_m == theta.min_sigma_x_m > 1e-7
 
 
 def test_what_is_removed_of_the_prediction_error(criterion: Criterion, fitted: Theta) -> None:
     wrong = replace(fitted, K_c=0.97 * fitted.K_c)
 
-    assert removed(criterion, wrong, fitted) > 0.3
-    assert removed(criterion, fitted, wrong) < -0.3
-    assert removed(criterion, fitted, fitted) == 0.0
+    assert error_reduction(criterion, wrong, fitted) > 0.3
+    assert error_reduction(criterion, fitted, wrong) < -0.3
+    assert error_reduction(criterion, fitted, fitted) == 0.0
 
 
 def test_a_confounder_is_tried_at_the_size_of_the_cause_whose_place_it_takes(campaign: Campaign, fitted: Theta) -> None:
@@ -109,7 +109,7 @@ def test_a_confounder_is_tried_at_the_size_of_the_cause_whose_place_it_takes(cam
     late = replace(evidence, series=replace(evidence.series, u=np.roll(evidence.series.u, -1)))
     delayed = Criterion(late, campaign.plant, 2e-3, workers=1)
     try:
-        found = beside(delayed, fitted.having("actuation-delay.delay_s", size), own, confounder)
+        found = substitute_start(delayed, fitted.having("actuation-delay.delay_s", size), own, confounder)
         values = delayed.values([fitted.having("sampling-delay.delay_s", one) for one in (0.8 * size, size)])
     finally:
         delayed.close()

@@ -22,22 +22,22 @@ def test_what_is_varied_is_a_setting_that_decides_and_nothing_is_computed_by() -
 
 
 def test_a_setting_is_itself_again_after_it_was_varied() -> None:
-    before = settings.LEAST_GAIN
-    with varied("LEAST_GAIN", 2.0):
-        assert settings.LEAST_GAIN == 2.0 * before
-    assert before == settings.LEAST_GAIN
+    before = settings.MIN_GAIN
+    with varied("MIN_GAIN", 2.0):
+        assert settings.MIN_GAIN == 2.0 * before
+    assert before == settings.MIN_GAIN
 
 
 def test_the_table_shows_the_settings_that_change_an_answer() -> None:
     right = {"verdict": "model-adequate", "named": [], "right": True, "found": 0, "truths": 0, "false_names": 0}
     answers = {label: dict(right) for label, _, _ in variants(False)}
-    answers["LEAST_GAIN halved"] |= {"verdict": "causes-found", "named": ["coulomb-friction"], "false_names": 1}
+    answers["MIN_GAIN halved"] |= {"verdict": "causes-found", "named": ["coulomb-friction"], "false_names": 1}
 
     shown = table([{"part": "nulls", "seed": 0, "full": False, "answers": answers}], False).splitlines()
 
-    assert [line.split("|")[1].strip() for line in shown[4:6]] == [AS_IT_IS, "LEAST_GAIN halved"]
+    assert [line.split("|")[1].strip() for line in shown[4:6]] == [AS_IT_IS, "MIN_GAIN halved"]
     assert "1 of 1" in shown[5]
-    assert "LEAST_GAIN doubled" in shown[-1]
+    assert "MIN_GAIN doubled" in shown[-1]
     assert "VISIBLE" in shown[-1]
 
 
@@ -50,11 +50,11 @@ def test_a_remembered_answer_is_the_one_that_would_be_computed(tmp_path: Path) -
     def asked() -> Diagnosis:
         return diagnose_records(campaign, records, judges, quick=True, workers=1)
 
-    with varied("LEAST_GAIN", 2.0):
+    with varied("MIN_GAIN", 2.0):
         anew = asked()
     with remembered():
         asked()
-        with varied("LEAST_GAIN", 2.0):
+        with varied("MIN_GAIN", 2.0):
             again = asked()
 
     def said(found: Diagnosis) -> dict[str, object]:

@@ -52,13 +52,13 @@ class Change:
     selection: Selection
     criterion: Criterion
 
-    def of(self, others: Sequence[Record]) -> list[Record]:
+    def of(self, other_records: Sequence[Record]) -> list[Record]:
         """Those of other recordings that were taken on its side of the change; all where no common clock says it."""
         records = self.criterion.evidence.records
-        if not apart([*records, *others]):
-            return list(others)
+        if not share_clock([*records, *other_records]):
+            return list(other_records)
         edge = next(float(record.t[0]) for record in records if record.name == self.after)
-        return [record for record in others if (float(record.t[0]) >= edge) == self.begins]
+        return [record for record in other_records if (float(record.t[0]) >= edge) == self.begins]
 
 
 class Switched(Criterion):
@@ -93,24 +93,24 @@ class Switched(Criterion):
 
 def find_change(
     criterion: Criterion,
-    found: Selection,
+    selection: Selection,
     floor: Floor,
     *,
     candidates: Sequence[Cause],
-    few: int,
+    max_candidates: int,
     workers: int = 2,
-    say: Callable[[str], None] = lambda line: None,
+    report: Callable[[str], None] = lambda line: None,
 ) -> Change | None:
     """Find the change between two recordings that leaves only noise; None if there is none.
 
     Args:
         criterion: of the recordings for fitting.
-        found: result of the search without a change.
+        selection: result of the search without a change.
         floor: what sensor noise alone leaves.
         candidates: the causes to try.
-        few: candidates that are fitted in a round.
+        max_candidates: number of candidates that are fitted in a round, at most.
         workers: threads.
-        say: takes lines of progress.
+        report: receives lines of progress.
 
     Raises:
         Spent: the budget ended before the answer.
@@ -122,28 +122,30 @@ def find_change(
     order = in_time(records)
     # The phase of a periodic force is each recording's own anyway.
     candidates = [cause for cause in candidates if cause.found_by != "spectral-line"]
-    for place, begins in _places(criterion, found, candidates, order):
-        first, second = order[:place], order[place:]
+    for cut, begins in _promising_cuts(criterion, selection, candidates, order):
+        first, second = order[:cut], order[cut:]
         names = records[first[-1]].name, records[second[0]].name
         side = second if begins else first
-        say(f"did something change between {names[0]} and {names[1]}?")
+        report(f"did something change between {names[0]} and {names[1]}?")
         switched = Switched(criterion, [n in side for n in range(len(records))], workers=workers)
         chosen = select(
             switched,
-            found.base,
+            selection.base,
             floor,
             candidates=candidates,
-            few=few,
+            max_candidates=max_candidates,
             share=settings.CHANGE_SHARE,
             classes=False,
-            say=say,
+            report=report,
         )
         if criterion.budget.closed:
             raise Spent
         if chosen.causes and adequate(switched, chosen.fit, floor.under(switched, chosen.fit.theta))[0]:
-            chosen = find_classes(switched, chosen, candidates=candidates, few=few, quick=True, say=say)
+            chosen = find_classes(
+                switched, chosen, candidates=candidates, max_candidates=max_candidates, quick=True, report=report
+            )
             always = climb(criterion, chosen.fit.theta, chosen.fit.free, passes=settings.PASSES)
-            gain = chosen.fit.loglik - max(always.loglik, found.fit.loglik)
+            gain = chosen.fit.loglik - max(always.loglik, selection.fit.loglik)
             if gain > settings.CHANGE_GAIN:
                 return Change(
                     before=names[0],
@@ -161,10 +163,10 @@ def find_change(
 def in_time(records: Sequence[Record]) -> list[int]:
     """The recordings in the order of one clock, where they have one; else as the campaign lists them."""
     places = range(len(records))
-    return sorted(places, key=lambda n: float(records[n].t[0])) if apart(records) else list(places)
+    return sorted(places, key=lambda n: float(records[n].t[0])) if share_clock(records) else list(places)
 
 
-def apart(records: Sequence[Record]) -> bool:
+def share_clock(records: Sequence[Record]) -> bool:
     """Whether the times of the recordings are those of one clock: none begins before another has ended."""
     if any(not len(record.t) or not np.isfinite(record.t).all() for record in records):
         return False
@@ -172,57 +174,62 @@ def apart(records: Sequence[Record]) -> bool:
     return all(a[1] < b[0] for a, b in itertools.pairwise(spans))
 
 
-def _places(
-    criterion: Criterion, found: Selection, candidates: Sequence[Cause], order: Sequence[int]
+def _promising_cuts(
+    criterion: Criterion, selection: Selection, candidates: Sequence[Cause], order: Sequence[int]
 ) -> list[tuple[int, bool]]:
     """The most promising (place in the order, whether the effect is after it), by the score test of every cause there.
 
     Sums over recordings are taken once: a change only says which of them a cause's signature keeps.
     """
-    theta, free = found.base.theta, found.base.free
+    theta, free = selection.base.theta, selection.base.free
     trials = [(cause, probe) for cause in candidates for probe in probes_of(cause, criterion.evidence.series)]
     steps = [derivative_step(theta, name, criterion.plant) for name in free]
-    thetas = [theta, *(moved(theta, name, by, criterion.plant) for name, by in zip(free, steps, strict=True))]
+    thetas = [theta, *(moved(theta, name, step, criterion.plant) for name, step in zip(free, steps, strict=True))]
     base, *outs = criterion.several([*thetas, *(probed(theta, cause, probe) for cause, probe in trials)])
     scales = [*steps, *(1.0 for _ in trials)]
-    change = np.stack([(out - base) / by for out, by in zip(outs, scales, strict=True)])
+    change = np.stack([(out - base) / step for out, step in zip(outs, scales, strict=True)])
     del outs
     number, count, k = criterion.evidence.series.recording, len(scales), len(free)
     scores, fishers = np.zeros((len(order), count)), np.zeros((len(order), count, count))
-    for place, recording in enumerate(order):
+    for cut, recording in enumerate(order):
         for piece in runs(np.asarray(number == recording)):
             each = np.empty((piece.stop - piece.start, count))
-            information(base[piece], np.ascontiguousarray(change[:, piece]), each, fishers[place])
-            scores[place] += each.sum(axis=0)
+            information(base[piece], np.ascontiguousarray(change[:, piece]), each, fishers[cut])
+            scores[cut] += each.sum(axis=0)
     inner = inverse(fishers[:, :k, :k].sum(axis=0))
     whole = _best_gain(scores, fishers, np.ones(len(order), np.bool_), inner, k)
     gains = []
-    for place in range(1, len(order)):
+    for cut in range(1, len(order)):
         for begins in (True, False):
-            side = (np.arange(len(order)) >= place) == begins
-            gains.append((_best_gain(scores, fishers, np.asarray(side), inner, k), place, begins))
+            side = (np.arange(len(order)) >= cut) == begins
+            gains.append((_best_gain(scores, fishers, np.asarray(side), inner, k), cut, begins))
     gains.sort(key=lambda entry: -entry[0])
     chosen: list[tuple[float, int, bool]] = []
-    for gain, place, begins in gains:
+    for gain, cut, begins in gains:
         # Recordings that no cause shows in lie on either side with the same gain, and would have the same answer.
         other = all(abs(gain - known) > settings.CHANGE_SAME * gain or begins != side for known, _, side in chosen)
         if (
             gain > settings.CHANGE_AHEAD * whole + settings.CHANGE_GAIN
             and other
-            and len(chosen) < settings.CHANGE_PLACES
+            and len(chosen) < settings.CHANGE_POSITIONS
         ):
-            chosen.append((gain, place, begins))
-    return [(place, begins) for _, place, begins in chosen]
+            chosen.append((gain, cut, begins))
+    return [(cut, begins) for _, cut, begins in chosen]
 
 
 def _best_gain(scores: FloatArray, fishers: FloatArray, side: BoolArray, inner: FloatArray, k: int) -> float:
     total = scores[:, :k].sum(axis=0)
     best = 0.0
     score, fisher = scores[side].sum(axis=0), fishers[side].sum(axis=0)
-    for place in range(k, scores.shape[1]):
-        cross, own = fisher[:k, place], float(fisher[place, place])
-        left = own - float(cross @ inner @ cross)
-        if own > 0.0 and math.isfinite(own) and left > settings.VISIBLE * own and left > settings.LEAST_INFORMATION:
-            slope = float(score[place] - cross @ inner @ total)
+    for index in range(k, scores.shape[1]):
+        cross, diagonal = fisher[:k, index], float(fisher[index, index])
+        left = diagonal - float(cross @ inner @ cross)
+        if (
+            diagonal > 0.0
+            and math.isfinite(diagonal)
+            and left > settings.VISIBLE * diagonal
+            and left > settings.MIN_INFORMATION
+        ):
+            slope = float(score[index] - cross @ inner @ total)
             best = max(best, 0.5 * slope * slope / left)
     return best

@@ -14,7 +14,7 @@ from twin.diagnose.search.state import Selection
 
 # At most, by verdict: the share of names that were right.  Beside `causes-found` 133 of 135, beside `partly-explained`
 # 8 of 12, of the candidates beside `unknown-cause` 6 of 21.
-MOST: dict[Verdict, float] = {
+MAX_CONFIDENCE: dict[Verdict, float] = {
     "causes-found": 0.98,
     "partly-explained": 0.64,
     "unknown-cause": 0.294,
@@ -22,14 +22,14 @@ MOST: dict[Verdict, float] = {
 }
 
 
-def confidence_of(found: Selection, cause: str, verdict: Verdict) -> float:
+def confidence_of(selection: Selection, cause: str, verdict: Verdict) -> float:
     """Probability that the truth is `cause` or in its class.
 
     Args:
-        found: the selection.
+        selection: result of the search.
         cause: one of its causes.
         verdict: of the answer; while more than noise is left, a name may imitate an unknown cause.
     """
-    lead = found.runner_up.get(cause, found.gains.get(cause, 0.0))
+    lead = selection.runner_up.get(cause, selection.gains.get(cause, 0.0))
     sure = 1.0 - 0.5 * math.exp(-max(lead, 0.0) / settings.CONFIDENCE_LEAD)
-    return round(MOST[verdict] * sure, 3)
+    return round(MAX_CONFIDENCE[verdict] * sure, 3)

@@ -66,15 +66,15 @@ def stretches(criterion: Criterion, fit: Fit, names: Sequence[str]) -> dict[str,
         n = block.stop - block.start
         fisher, each = np.zeros((len(names), len(names))), np.empty((n, len(names)))
         information(base[block], np.ascontiguousarray(change[:, block]), each, fisher)
-        for place, name in enumerate(names):
-            own = float(fisher[place, place])
-            if own > 1e-12:
+        for index, name in enumerate(names):
+            information_sum = float(fisher[index, index])
+            if information_sum > 1e-12:
                 result[name].append(
                     Stretch(
                         recording=int(series.recording[block.start]),
                         t_s=float(t[block.start]),
-                        move=float(each[:, place].sum()) / own,
-                        std=1.0 / math.sqrt(own),
+                        move=float(each[:, index].sum()) / information_sum,
+                        std=1.0 / math.sqrt(information_sum),
                     )
                 )
     return result
@@ -83,18 +83,18 @@ def stretches(criterion: Criterion, fit: Fit, names: Sequence[str]) -> dict[str,
 def contradictions(criterion: Criterion, fit: Fit) -> list[Contradiction]:
     """Recordings that support another K_A or K_c than the rest."""
     names = tuple(settings.DRIFT)
-    asked = stretches(criterion, fit, names)
-    found = []
-    for name, least in settings.DRIFT.items():
+    moves = stretches(criterion, fit, names)
+    result = []
+    for name, min_change in settings.DRIFT.items():
         for number, recording in enumerate(criterion.evidence.names()):
-            own = [stretch for stretch in asked[name] if stretch.recording == number]
-            if not own:
+            of_recording = [stretch for stretch in moves[name] if stretch.recording == number]
+            if not of_recording:
                 continue
-            weights = np.array([stretch.std**-2 for stretch in own])
-            move = float(np.sum(weights * [stretch.move for stretch in own]) / weights.sum())
-            if abs(move) > least and abs(move) * math.sqrt(float(weights.sum())) > settings.DRIFT_ERRORS:
-                found.append(Contradiction(recording=recording, parameter=name, change=math.expm1(move)))
-    return found
+            weights = np.array([stretch.std**-2 for stretch in of_recording])
+            move = float(np.sum(weights * [stretch.move for stretch in of_recording]) / weights.sum())
+            if abs(move) > min_change and abs(move) * math.sqrt(float(weights.sum())) > settings.DRIFT_ERRORS:
+                result.append(Contradiction(recording=recording, parameter=name, change=math.expm1(move)))
+    return result
 
 
 def beginnings(criterion: Criterion, fit: Fit, causes: Sequence[str]) -> list[Beginning]:
@@ -102,22 +102,22 @@ def beginnings(criterion: Criterion, fit: Fit, causes: Sequence[str]) -> list[Be
     names = [f"{cause}.{BY_NAME[cause].strength.name}" for cause in causes]
     if not names:
         return []
-    asked = stretches(criterion, fit, names)
-    found = []
+    moves = stretches(criterion, fit, names)
+    result = []
     for cause, name in zip(causes, names, strict=True):
         parameter = parameter_of(name)
-        here = parameter.coordinate(fit.theta.value(name)) / unit_of(parameter)
-        own = asked[name]
-        if len(own) < 4 or here == 0.0:
+        strength = parameter.coordinate(fit.theta.value(name)) / unit_of(parameter)
+        moves_of_cause = moves[name]
+        if len(moves_of_cause) < 4 or strength == 0.0:
             continue
-        weights = np.array([stretch.std**-2 for stretch in own])
-        strengths = here + np.array([stretch.move for stretch in own])
-        place, gain, before, after = _split(strengths, weights)
-        late = abs(before) < settings.BEGINNING_ABSENT * abs(after) and after * here > 0.0
-        sure = abs(after) * math.sqrt(float(weights[place:].sum())) > settings.BEGINNING_Z
-        if gain > settings.BEGINNING_GAIN and late and sure:
-            stretch = own[place]
-            found.append(
+        weights = np.array([stretch.std**-2 for stretch in moves_of_cause])
+        strengths = strength + np.array([stretch.move for stretch in moves_of_cause])
+        index, gain, before, after = _split(strengths, weights)
+        is_absent_before = abs(before) < settings.BEGINNING_ABSENT * abs(after) and after * strength > 0.0
+        is_significant = abs(after) * math.sqrt(float(weights[index:].sum())) > settings.BEGINNING_Z
+        if gain > settings.BEGINNING_GAIN and is_absent_before and is_significant:
+            stretch = moves_of_cause[index]
+            result.append(
                 Beginning(
                     cause=cause,
                     recording=criterion.evidence.names()[stretch.recording],
@@ -125,21 +125,21 @@ def beginnings(criterion: Criterion, fit: Fit, causes: Sequence[str]) -> list[Be
                     gain=gain,
                 )
             )
-    return found
+    return result
 
 
 def _split(values: FloatArray, weights: FloatArray) -> tuple[int, float, float, float]:
     """(first block after the best split, gain of log-likelihood, weighted mean before, after)."""
     total_w, total = weights.cumsum(), (weights * values).cumsum()
     best = (1, -math.inf, 0.0, 0.0)
-    for place in range(1, len(values)):
-        w_1, w_2 = total_w[place - 1], total_w[-1] - total_w[place - 1]
+    for index in range(1, len(values)):
+        w_1, w_2 = total_w[index - 1], total_w[-1] - total_w[index - 1]
         if w_1 <= 0.0 or w_2 <= 0.0:
             continue
-        first, second = total[place - 1] / w_1, (total[-1] - total[place - 1]) / w_2
+        first, second = total[index - 1] / w_1, (total[-1] - total[index - 1]) / w_2
         gain = 0.5 * w_1 * w_2 / (w_1 + w_2) * (first - second) ** 2
         if gain > best[1]:
-            best = (place, float(gain), float(first), float(second))
+            best = (index, float(gain), float(first), float(second))
     return best
 
 
@@ -154,8 +154,8 @@ def _blocks(
     for a, b in zip(edges, np.append(edges[1:], len(flags)), strict=True):
         if b - a < 20:
             continue
-        lasts = float(step[a + 1 : b].sum())
-        count = max(round(lasts / BLOCK_S), 1)
+        duration_s = float(step[a + 1 : b].sum())
+        count = max(round(duration_s / BLOCK_S), 1)
         cuts = np.linspace(a, b, count + 1).astype(int)
         pieces += [slice(int(c), int(d)) for c, d in pairwise(cuts) if d > c]
     return pieces

@@ -23,7 +23,7 @@ from twin.diagnose.evidence.instruments import with_noise
 from twin.diagnose.evidence.outliers import without_outliers
 from twin.diagnose.inference.adequacy import adequate
 from twin.diagnose.inference.fisher_scoring import Fit, climb
-from twin.diagnose.inference.initial_guess import no_better, start_theta
+from twin.diagnose.inference.initial_guess import start_theta, with_noise_bounds
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor, expected
 from twin.diagnose.inference.theta import BASE, FLOORS, coordinates_of, reinitialised
@@ -58,10 +58,10 @@ def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | Non
     out, change = criterion.derivatives(base.theta, names)
     best: tuple[float, int] = (settings.OUTLIER_GAIN, -1)
     for number in range(len(evidence.records)):
-        own = np.asarray(series.recording == number)
-        if np.count_nonzero(series.flags[own] & FLIES) < settings.OUTLIER_SAMPLES:
+        in_recording = np.asarray(series.recording == number)
+        if np.count_nonzero(series.flags[in_recording] & FLIES) < settings.OUTLIER_SAMPLES:
             continue
-        (piece,) = runs(own)
+        (piece,) = runs(in_recording)
         each, fisher = np.empty((piece.stop - piece.start, len(names))), np.zeros((len(names), len(names)))
         information(out[piece], np.ascontiguousarray(change[:, piece]), each, fisher)
         score = each.sum(axis=0)
@@ -71,36 +71,38 @@ def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | Non
     if number < 0:
         return None
     record = evidence.records[number]
-    rest = [one for place, one in enumerate(evidence.records) if place != number]
+    rest = [other for index, other in enumerate(evidence.records) if index != number]
     plant, stops = criterion.plant, (evidence.low_m, evidence.high_m)
     try:
-        start = no_better(start_theta([record], plant), evidence)
+        start = with_noise_bounds(start_theta([record], plant), evidence)
     except DataError:
         return None  # alone it says too little
     budget = criterion.budget
     parts = [gather([record], plant, stops), gather(rest, plant, stops)]
     parts = [with_noise(without_outliers(part), evidence.noise) for part in parts]
-    alone = Criterion(parts[0], plant, criterion.tick_s, budget=budget)
-    others = Criterion(parts[1], plant, criterion.tick_s, budget=budget)
+    single = Criterion(parts[0], plant, criterion.tick_s, budget=budget)
+    agreeing = Criterion(parts[1], plant, criterion.tick_s, budget=budget)
     try:
         # Another rig has its coil at another height, too.
         (coil,) = (name for cause in CATALOGUE if _moves_coil(cause) for name in coordinates_of(cause.name))
-        fit = climb(alone, start.having(coil, 0.0), (*BASE, *start.colours, coil), passes=2 * settings.PASSES)
-        agreed = climb(others, reinitialised(base.theta), base.free)
+        fit = climb(single, start.having(coil, 0.0), (*BASE, *start.colours, coil), passes=2 * settings.PASSES)
+        agreed = climb(agreeing, reinitialised(base.theta), base.free)
         # With the noise of its own sensors: another rig has others.
         quiet = replace(
             fit.theta,
             process_i_c_a=FLOORS["process_i_c_a"],
             process_a_m_s2=FLOORS["process_a_m_s2"],
         )
-        logliks, counts = expected(alone.outputs(quiet))
-        if not adequate(alone, fit, replace(floor, logliks=logliks, counts=counts))[0]:
+        logliks, counts = expected(single.outputs(quiet))
+        if not adequate(single, fit, replace(floor, logliks=logliks, counts=counts))[0]:
             return None
         moves = {name: math.log(fit.theta.value(name) / agreed.theta.value(name)) for name in settings.DRIFT}
     finally:
-        alone.close()
-        others.close()
-    large = tuple((name, math.expm1(by)) for name, by in moves.items() if abs(by) > settings.DRIFT[name])
+        single.close()
+        agreeing.close()
+    large = tuple(
+        (name, math.expm1(logarithm)) for name, logarithm in moves.items() if abs(logarithm) > settings.DRIFT[name]
+    )
     return Outlier(recording=number, name=record.name, moves=large) if large else None
 
 

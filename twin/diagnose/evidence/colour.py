@@ -73,18 +73,18 @@ class _Fit:
 def colours_of(evidences: Sequence[Evidence]) -> tuple[Colour | None, Colour | None, Colour | None]:
     """The colours of i_c, x, and i_c in captures; None: white, or not known."""
     i_c, x, captured = (
-        [one for evidence in evidences for one in _windows(evidence.series, place, captures=captures)]
-        for place, captures in ((0, False), (1, False), (0, True))
+        [entry for evidence in evidences for entry in _windows(evidence.series, column, captures=captures)]
+        for column, captures in ((0, False), (1, False), (0, True))
     )
-    own, alone = _colour(i_c), _colour(captured)
-    if own is not None and captured:
-        both, apart = (
+    i_c_colour, captured_colour = _colour(i_c), _colour(captured)
+    if i_c_colour is not None and captured:
+        joint, separate = (
             _coloured([*i_c, *captured]),
             _coloured(i_c).total + max(_white(captured).total, _coloured(captured).total),
         )
-        if 2.0 * (apart - both.total) < chi2.isf(settings.COLOUR_CHANCE, 3):
-            own = alone = both.colour
-    return own, _colour(x), alone
+        if 2.0 * (separate - joint.total) < chi2.isf(settings.COLOUR_CHANCE, 3):
+            i_c_colour = captured_colour = joint.colour
+    return i_c_colour, _colour(x), captured_colour
 
 
 def expected_gain(colour: Colour, step_s: float, weights: FloatArray) -> float:
@@ -95,21 +95,23 @@ def expected_gain(colour: Colour, step_s: float, weights: FloatArray) -> float:
         step_s: interval of the readings, s.
         weights: of the readings, shape (n,).
     """
-    kept = colour.white * np.eye(len(weights)) + (1.0 - colour.white) * _forgotten(colour.tau_s, step_s, len(weights))
-    return float(weights @ kept @ weights / (weights @ weights))
+    covariance = colour.white * np.eye(len(weights)) + (1.0 - colour.white) * _forgotten(
+        colour.tau_s, step_s, len(weights)
+    )
+    return float(weights @ covariance @ weights / (weights @ weights))
 
 
 def _colour(windows: Sequence[_Windows]) -> Colour | None:
-    if sum(len(one.rows) for one in windows) < FEWEST:
+    if sum(len(part.rows) for part in windows) < FEWEST:
         return None
     if max(_score(windows, tau_s) for tau_s in _TAU_S[::5].tolist()) < settings.COLOUR_SCORE:
         return None
     white, coloured = _white(windows), _coloured(windows)
     gains = coloured.each - white.each
-    least = 0.5 * float(chi2.isf(settings.COLOUR_CHANCE, 2))
-    surely = float(gains.sum() - gains.max()) > least and coloured.total > _wandering(windows).total
+    min_gain = 0.5 * float(chi2.isf(settings.COLOUR_CHANCE, 2))
+    surely = float(gains.sum() - gains.max()) > min_gain and coloured.total > _wandering(windows).total
     assert coloured.colour is not None
-    material = max(_next(coloured.colour, one.step_s) for one in windows) > settings.MOST_AUTOCORRELATION
+    material = max(_next(coloured.colour, part.step_s) for part in windows) > settings.MAX_AUTOCORRELATION
     return coloured.colour if surely and material else None
 
 
@@ -120,14 +122,16 @@ def _next(colour: Colour, step_s: float) -> float:
 
 def _score(windows: Sequence[_Windows], tau_s: float) -> float:
     """Score test of a small part of this correlation time in white noise, in standard errors; costs next to nothing."""
-    variance = sum(float(np.sum(one.rows**2)) for one in windows) / sum(one.rows.size for one in windows)
+    variance = sum(float(np.sum(part.rows**2)) for part in windows) / sum(part.rows.size for part in windows)
     slope = information = trace = 0.0
-    for one in windows:
-        shape = _free_of_trend(tau_s, one.step_s)
-        slope += 0.5 * (float(np.sum(one.rows @ shape * one.rows)) / variance - len(one.rows) * float(np.trace(shape)))
-        information += 0.5 * len(one.rows) * float(np.sum(shape**2))
-        trace += len(one.rows) * float(np.trace(shape))
-    information -= 0.5 * trace**2 / sum(one.rows.size for one in windows)
+    for part in windows:
+        shape = _free_of_trend(tau_s, part.step_s)
+        slope += 0.5 * (
+            float(np.sum(part.rows @ shape * part.rows)) / variance - len(part.rows) * float(np.trace(shape))
+        )
+        information += 0.5 * len(part.rows) * float(np.sum(shape**2))
+        trace += len(part.rows) * float(np.trace(shape))
+    information -= 0.5 * trace**2 / sum(part.rows.size for part in windows)
     return slope / math.sqrt(information)
 
 
@@ -147,18 +151,18 @@ def _forgotten(tau_s: float, step_s: float, count: int) -> FloatArray:
 
 
 def _white(windows: Sequence[_Windows]) -> _Fit:
-    return _Fit(each=_likelihood([(one.rows**2, np.ones(WINDOW - 2)) for one in windows])[0])
+    return _Fit(each=_likelihood([(part.rows**2, np.ones(WINDOW - 2)) for part in windows])[0])
 
 
 def _coloured(windows: Sequence[_Windows]) -> _Fit:
     best: _Fit | None = None
     for tau_s in _TAU_S.tolist():
-        turned = []
-        for one in windows:
-            values, axes = _axes(tau_s, one.step_s)
-            turned.append(((one.rows @ axes) ** 2, values))
+        transformed = []
+        for part in windows:
+            values, axes = _axes(tau_s, part.step_s)
+            transformed.append(((part.rows @ axes) ** 2, values))
         for white in _WHITE.tolist():
-            each, sigma = _likelihood([(squares, white + (1.0 - white) * values) for squares, values in turned])
+            each, sigma = _likelihood([(squares, white + (1.0 - white) * values) for squares, values in transformed])
             if best is None or each.sum() > best.total:
                 best = _Fit(
                     each=each, colour=Colour(tau_s=tau_s, white=white, sigma=sigma, readings=each.size * WINDOW)
@@ -172,51 +176,52 @@ def _wandering(windows: Sequence[_Windows]) -> _Fit:
     values, axes = np.linalg.eigh(_WALK)
     fits = []
     for white in _WHITE.tolist():
-        turned = [
-            ((one.rows @ axes) ** 2, white + (1.0 - white) * one.step_s / windows[0].step_s * values) for one in windows
+        transformed = [
+            ((part.rows @ axes) ** 2, white + (1.0 - white) * part.step_s / windows[0].step_s * values)
+            for part in windows
         ]
-        fits.append(_Fit(each=_likelihood(turned)[0]))
+        fits.append(_Fit(each=_likelihood(transformed)[0]))
     return max(fits, key=lambda fit: fit.total)
 
 
-def _likelihood(turned: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, float]:
+def _likelihood(transformed: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, float]:
     """(log-likelihood of each window, standard deviation at its maximum) from squares and their relative variances."""
-    squares = [rows / variances for rows, variances in turned]
-    variance = sum(float(one.sum()) for one in squares) / sum(one.size for one in squares)
+    squares = [rows / variances for rows, variances in transformed]
+    variance = sum(float(values.sum()) for values in squares) / sum(values.size for values in squares)
     each = [
-        -0.5 * (one.sum(axis=1) / variance + float(np.log(variance * variances).sum()))
-        for one, (_, variances) in zip(squares, turned, strict=True)
+        -0.5 * (values.sum(axis=1) / variance + float(np.log(variance * variances).sum()))
+        for values, (_, variances) in zip(squares, transformed, strict=True)
     ]
     return np.concatenate(each), math.sqrt(variance)
 
 
-def _windows(series: Series, place: int, *, captures: bool) -> list[_Windows]:
-    """Windows of i_c (place 0) or x under a constant input, with the ball at rest or from captures."""
-    values = (series.i, series.x)[place]
-    use = (USE_I, USE_X)[place]
+def _windows(series: Series, column: int, *, captures: bool) -> list[_Windows]:
+    """Windows of i_c (column 0) or x under a constant input, with the ball at rest or from captures."""
+    values = (series.i, series.x)[column]
+    use = (USE_I, USE_X)[column]
     follows = series.flags & FOLLOWS != 0
     changed = ~follows | (np.diff(series.u, prepend=series.u[:1]) != 0.0)
-    taken = fast(series)
+    captured = is_fast(series)
     used = (series.flags & use != 0) & _whole(series, values, use)
     since = np.arange(len(values)) - np.maximum.accumulate(np.where(changed, np.arange(len(values)), 0))
     if captures:
         steps = np.cumsum(changed & follows) - np.maximum.accumulate(np.where(follows, 0, np.cumsum(changed & follows)))
-        allowed = used & taken & ((steps == 0) | (since >= SETTLES_FAST))
+        allowed = used & captured & ((steps == 0) | (since >= SETTLES_FAST))
     else:
         rest = series.flags & (RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) != 0
-        allowed = used & ~taken & rest & (series.flags & FLIES == 0) & (since >= SETTLES)
-    found: dict[float, list[FloatArray]] = {}
+        allowed = used & ~captured & rest & (series.flags & FLIES == 0) & (since >= SETTLES)
+    rows_of_step: dict[float, list[FloatArray]] = {}
     for piece in runs(allowed, WINDOW):
         for start in range(piece.start, piece.stop - WINDOW + 1, WINDOW):
             window = slice(start, start + WINDOW)
             if changed[window][1:].any():
                 continue
             step_s = float(f"{np.median(series.step[start + 1 : start + WINDOW]):.3g}")
-            found.setdefault(step_s, []).append(_FREE @ values[window])
-    return [one for step_s, rows in found.items() if (one := _calm(step_s, np.array(rows))) is not None]
+            rows_of_step.setdefault(step_s, []).append(_FREE @ values[window])
+    return [calm for step_s, rows in rows_of_step.items() if (calm := _calm(step_s, np.array(rows))) is not None]
 
 
-def fast(series: Series) -> BoolArray:
+def is_fast(series: Series) -> BoolArray:
     """Which samples are of captures, or were as fast, shape (n,): of an instrument of their own, perhaps."""
     begins = series.flags & FOLLOWS == 0
     step_s = np.where(begins, np.append(series.step[1:], np.inf), series.step)  # the first has none of its own
@@ -234,6 +239,6 @@ def _whole(series: Series, values: FloatArray, use: int) -> BoolArray:
     """Where no noise is cut off by the end of a converter, shape (n,)."""
     whole = np.ones(len(values), np.bool_)
     for number in np.unique(series.recording):
-        own = np.flatnonzero((series.recording == number) & (series.flags & use != 0))
-        whole[own[near_converter_end(values[own])]] = False
+        used = np.flatnonzero((series.recording == number) & (series.flags & use != 0))
+        whole[used[near_converter_end(values[used])]] = False
     return whole

@@ -24,40 +24,40 @@ _COARSE_S = 2e-4
 
 def dead_time(records: Sequence[Record]) -> tuple[float, float] | None:
     """(delay, T_A), s; None without a step response that is sampled fast enough, or without a delay."""
-    steps = [only for record in records for only in _fast(record)]
+    steps = [step for record in records for step in _fast(record)]
     if not steps:
         return None
-    interval = min(_interval(one) for one in steps)
-    coarse, most = max(round(_COARSE_S / interval), 1), round(_LONGEST_S / interval)
-    errors = {late: _error(steps, late) for late in range(0, most + 1, coarse)}
-    best = min(errors, key=lambda late: errors[late])
-    near = range(max(best - coarse + 1, 0), best + coarse)
-    errors |= {late: _error(steps, late) for late in near if late not in errors}
-    best = min(errors, key=lambda late: errors[late])
-    start = amplifier_start([_late(one, best) for one in steps])
+    interval = min(_interval(record) for record in steps)
+    coarse, longest = max(round(_COARSE_S / interval), 1), round(_LONGEST_S / interval)
+    errors = {delay: _error(steps, delay) for delay in range(0, longest + 1, coarse)}
+    best = min(errors, key=lambda delay: errors[delay])
+    neighbours = range(max(best - coarse + 1, 0), best + coarse)
+    errors |= {delay: _error(steps, delay) for delay in neighbours if delay not in errors}
+    best = min(errors, key=lambda delay: errors[delay])
+    start = amplifier_start([_delayed(record, best) for record in steps])
     return (best * interval, start.T_A) if best and start is not None else None
 
 
 def _fast(record: Record) -> list[Record]:
-    nothing = record.t[:0]
+    empty = record.t[:0]
     captures = tuple(capture for capture in record.captures if capture.sample_time_s <= _FAST_S)
-    found = []
+    result = []
     if captures:
-        found.append(replace(record, captures=captures, t=nothing, u_c=nothing, i_c=nothing, x=nothing, x_ref=nothing))
+        result.append(replace(record, captures=captures, t=empty, u_c=empty, i_c=empty, x=empty, x_ref=empty))
     if record.kind == "amplifier-step" and len(record.t) > 1 and record.interval_s <= _FAST_S:
-        found.append(replace(record, captures=()))
-    return found
+        result.append(replace(record, captures=()))
+    return result
 
 
 def _interval(record: Record) -> float:
     return record.captures[0].sample_time_s if record.captures else record.interval_s
 
 
-def _late(record: Record, samples: int) -> Record:
-    captures = tuple(replace(one, step_index=one.step_index + samples) for one in record.captures)
+def _delayed(record: Record, samples: int) -> Record:
+    captures = tuple(replace(capture, step_index=capture.step_index + samples) for capture in record.captures)
     return replace(delayed(record, samples) if len(record.t) else record, captures=captures)
 
 
-def _error(steps: Sequence[Record], late: int) -> float:
-    start = amplifier_start([_late(one, late) for one in steps])
+def _error(steps: Sequence[Record], delay: int) -> float:
+    start = amplifier_start([_delayed(record, delay) for record in steps])
     return start.sigma_i_c_a if start is not None else np.inf

@@ -81,14 +81,14 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
     notes: list[str] = []
     blind = range_ends(records, held)
     noise_shows = least_noise(records) > converter_step(records)
-    seen = [still & ~np.isin(record.x, blind) for record, still in zip(records, held, strict=True)]
-    low, high = stop_readings(records, seen, plant, notes) if stops is None else stops
-    lifted = [_on_platform(record, still, low, plant) for record, still in zip(records, seen, strict=True)]
+    visible = [is_held & ~np.isin(record.x, blind) for record, is_held in zip(records, held, strict=True)]
+    low, high = stop_readings(records, visible, plant, notes) if stops is None else stops
+    lifted = [_on_platform(record, is_held, low, plant) for record, is_held in zip(records, visible, strict=True)]
     if stops is None and any(lifted):
         # The resting places of a ball that was lifted off a platform are not stops of the other recordings.
-        retained = [place for place, platform in enumerate(lifted) if not platform]
+        retained = [index for index, platform in enumerate(lifted) if not platform]
         low, high = stop_readings(
-            [records[place] for place in retained], [seen[place] for place in retained], plant, notes
+            [records[index] for index in retained], [visible[index] for index in retained], plant, notes
         )
     parts: list[Series] = []
     times: list[FloatArray] = []
@@ -96,17 +96,17 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
     platform: list[Record] = []
     departures = [point.i_c_a for point in lift_offs(list(records), plant)]
     lifts_at = LIFTS_SHARE * min(departures) if departures else None
-    for number, (record, still) in enumerate(zip(records, held, strict=True)):
+    for number, (record, is_held) in enumerate(zip(records, held, strict=True)):
         if record.kind == "equilibria":
             continue
-        on_stop = on_stops(record, seen[number], low, high, plant)
+        on_stop = on_stops(record, visible[number], low, high, plant)
         if lifted[number]:
             platform.append(record)
             on_stop = (on_stop[0] & False, on_stop[1] & False)
         flies = record.kind == "sawtooth" and not lifted[number]
         scale, shift = _rescaling(low, high, plant)
-        told = replace(record, x=(record.x - shift) * scale, kind="prbs" if flies else record.kind)
-        series, (usage,) = prepare([told], plant)
+        rescaled = replace(record, x=(record.x - shift) * scale, kind="prbs" if flies else record.kind)
+        series, (usage,) = prepare([rescaled], plant)
         usage.kind = record.kind
         usages.append(usage)
         if not len(series):
@@ -117,15 +117,17 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
         t[:n] = np.where(np.isfinite(record.t), record.t, 0.0)
         if n:
             cut = at_converter_end(record.x) if noise_shows else np.zeros(n, np.bool_)
-            own = flags[:n]
-            _flag(own, record, told.kind, still, blind, plant)
-            _flag_rest(own, record, on_stop, cut)
+            row_flags = flags[:n]
+            _flag(row_flags, record, rescaled.kind, is_held, blind, plant)
+            _flag_rest(row_flags, record, on_stop, cut)
             if not lifted[number]:
-                own[beyond_range(record, still, blind) & (own & FLIES == 0)] |= np.uint16(RESTS_UNSEEN)
-            if told.kind in OPEN_LOOP:
+                row_flags[beyond_range(record, is_held, blind) & (row_flags & FLIES == 0)] |= np.uint16(RESTS_UNSEEN)
+            if rescaled.kind in OPEN_LOOP:
                 # Between bounces the speed is unknown, and so is its effect on the current.
-                own[own & (FLIES | RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) == 0] &= np.uint16(~USE_I & 0xFFFF)
-            mark(own, rows[number][1])
+                row_flags[row_flags & (FLIES | RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) == 0] &= np.uint16(
+                    ~USE_I & 0xFFFF
+                )
+            mark(row_flags, rows[number][1])
             for values in (x, i):
                 between(values[:n], rows[number][1])
         if record.kind == "amplifier-step" and lifts_at is not None:
@@ -146,43 +148,45 @@ def gather(records: Sequence[Record], plant: Plant, stops: tuple[float | None, f
 
 
 def _flag(
-    own: NDArray[np.uint16], record: Record, kind: str, still: BoolArray, blind: list[float], plant: Plant
+    flags: NDArray[np.uint16], record: Record, kind: str, is_held: BoolArray, blind: list[float], plant: Plant
 ) -> None:
-    """Clear the flags of readings that are not used, in place: `own`, shape (n,), of the samples of `record`."""
+    """Clear the flags of readings that are not used, in place; `flags`: of the samples of `record`, shape (n,)."""
     no_flight = np.uint16(~(FLIES | USE_X) & 0xFFFF)
-    own[at_converter_end(record.i_c)] &= np.uint16(~USE_I & 0xFFFF)
-    own[np.isin(record.x, blind)] &= no_flight
-    own[bounces(record, plant)] &= no_flight
+    flags[at_converter_end(record.i_c)] &= np.uint16(~USE_I & 0xFFFF)
+    flags[np.isin(record.x, blind)] &= no_flight
+    flags[bounces(record, plant)] &= no_flight
     if kind in OPEN_LOOP:
-        _trim(own)
-    own[still & (own & FLIES != 0)] &= no_flight
+        _trim(flags)
+    flags[is_held & (flags & FLIES != 0)] &= no_flight
     # If the paper's model has the coil too low, a single sample near the pole has a score of 32 000 in K_c (others at
     # most 60); it dominates the fit and makes the score tests meaningless.
-    own[(plant.x_max_m - record.x < POLE_SHARE * plant.travel_m) & (own & FLIES != 0)] &= no_flight
+    flags[(plant.x_max_m - record.x < POLE_SHARE * plant.travel_m) & (flags & FLIES != 0)] &= no_flight
 
 
-def _flag_rest(own: NDArray[np.uint16], record: Record, on_stop: tuple[BoolArray, BoolArray], cut: BoolArray) -> None:
+def _flag_rest(flags: NDArray[np.uint16], record: Record, on_stop: tuple[BoolArray, BoolArray], cut: BoolArray) -> None:
     """Set the flags of readings at a stop, in place; `cut`: where the converter's end cuts off the noise of x."""
     for mask, bit in zip(on_stop, (RESTS_LOW, RESTS_HIGH), strict=True):
-        rests = mask & (own & FLIES == 0) & np.isfinite(record.x)
-        own[rests] |= np.uint16(bit)
-        own[rests & ~cut] |= np.uint16(USE_X)
+        rests = mask & (flags & FLIES == 0) & np.isfinite(record.x)
+        flags[rests] |= np.uint16(bit)
+        flags[rests & ~cut] |= np.uint16(USE_X)
 
 
-def _on_platform(record: Record, still: BoolArray, low: float | None, plant: Plant) -> bool:
+def _on_platform(record: Record, is_held: BoolArray, low: float | None, plant: Plant) -> bool:
     """Whether a sawtooth lifts the ball off a platform and not off the lower stop."""
-    return record.kind == "sawtooth" and not on_stops(record, still, low, None, plant)[0].any()
+    return record.kind == "sawtooth" and not on_stops(record, is_held, low, None, plant)[0].any()
 
 
 def _until_lifted(flags: np.ndarray[tuple[int], np.dtype[np.uint16]], series: Series, lifts_at: float) -> None:
     """Leave out i_c after a step of the amplifier has lifted the ball, as its motion is unknown."""
     chain = chains(series)
     for number in np.unique(chain):
-        own = np.flatnonzero(chain == number)
-        over = np.flatnonzero(series.i[own] > lifts_at)
+        in_chain = np.flatnonzero(chain == number)
+        over = np.flatnonzero(series.i[in_chain] > lifts_at)
         if len(over):
-            gone = own[np.cumsum(series.step[own]) > series.step[own][: over[0] + 1].sum() + STAYS_S]
-            flags[gone] &= np.uint16(~USE_I & 0xFFFF)
+            after_lift = in_chain[
+                np.cumsum(series.step[in_chain]) > series.step[in_chain][: over[0] + 1].sum() + STAYS_S
+            ]
+            flags[after_lift] &= np.uint16(~USE_I & 0xFFFF)
 
 
 def _trim(flags: np.ndarray[tuple[int], np.dtype[np.uint16]]) -> None:
@@ -203,12 +207,12 @@ def _rescaling(low: float | None, high: float | None, plant: Plant) -> tuple[flo
 
 def _join(parts: list[Series]) -> Series:
     if not parts:
-        nothing = np.empty(0)
+        empty = np.empty(0)
         return Series(
-            step=nothing,
-            u=nothing,
-            i=nothing,
-            x=nothing,
+            step=empty,
+            u=empty,
+            i=empty,
+            x=empty,
             flags=np.empty(0, np.uint16),
             recording=np.empty(0, np.int32),
         )

@@ -31,7 +31,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, norm
 
 from twin.diagnose import settings
-from twin.diagnose.evidence.colour import colours_of, expected_gain, fast
+from twin.diagnose.evidence.colour import colours_of, expected_gain, is_fast
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.evidence.noise_levels import Channel, Colour, Level, Noise, parts_of
 from twin.estimation.innovations import (
@@ -70,16 +70,16 @@ class _Windows:
     flies: BoolArray
     rests: BoolArray
 
-    def where(self, kept: BoolArray) -> _Windows:
-        return _Windows(**{name: getattr(self, name)[kept] for name in _Windows.__slots__})
+    def where(self, mask: BoolArray) -> _Windows:
+        return _Windows(**{name: getattr(self, name)[mask] for name in _Windows.__slots__})
 
 
 def instruments(evidences: Sequence[Evidence]) -> Noise:
     """The noise of these recordings; those for fitting and judging may be joined, as no model is used."""
     names = sorted({name for evidence in evidences for name, _ in parts_of(evidence.records, evidence.series)})
     colours = colours_of(evidences)
-    found = [_channel(_windows(evidences, names, place, colours), names, bends=place == 1) for place in range(2)]
-    return Noise((found[0], found[1]), colours)
+    channels = [_channel(_windows(evidences, names, column, colours), names, bends=column == 1) for column in range(2)]
+    return Noise((channels[0], channels[1]), colours)
 
 
 def with_noise(evidence: Evidence, noise: Noise | None) -> Evidence:
@@ -91,38 +91,38 @@ def with_noise(evidence: Evidence, noise: Noise | None) -> Evidence:
 
 
 def _windows(
-    evidences: Sequence[Evidence], names: Sequence[str], place: int, colours: Sequence[Colour | None]
+    evidences: Sequence[Evidence], names: Sequence[str], column: int, colours: Sequence[Colour | None]
 ) -> _Windows:
     rows: list[tuple[float, float, int, bool, bool]] = []
     for evidence in evidences:
-        series, taken_fast = evidence.series, fast(evidence.series)
+        series, captured = evidence.series, is_fast(evidence.series)
         flies = series.flags & FLIES != 0
         rests = series.flags & (RESTS_LOW | RESTS_HIGH | RESTS_UNSEEN) != 0
-        for name, own in parts_of(evidence.records, evidence.series):
-            rough = differences(series.part(own), place)
-            colour = colours[2 if place == 0 and taken_fast[own.start] else place]
+        for name, part in parts_of(evidence.records, evidence.series):
+            rough = differences(series.part(part), column)
+            colour = colours[2 if column == 0 and captured[part.start] else column]
             if colour is not None:  # shown with the level that white noise would have
-                rough /= math.sqrt(expected_gain(colour, float(np.median(series.step[own][1:])), _DIFFERENCE))
-            squares, at = [], []
+                rough /= math.sqrt(expected_gain(colour, float(np.median(series.step[part][1:])), _DIFFERENCE))
+            squares, windows = [], []
             for piece in runs(np.isfinite(rough), WINDOW):
                 for start in range(piece.start, piece.stop - WINDOW + 1, WINDOW):
-                    window = slice(own.start + start, own.start + start + WINDOW)
+                    window = slice(part.start + start, part.start + start + WINDOW)
                     if flies[window].all() or not flies[window].any():
                         squares.append(float(np.mean(rough[start : start + WINDOW] ** 2)) / _GAIN)
-                        at.append(window)
+                        windows.append(window)
             for kind in (True, False):
-                alike = [place for place, window in enumerate(at) if flies[window.start] == kind]
-                most = settings.RESTLESS * float(np.median([squares[place] for place in alike])) if alike else 0.0
+                usual = [index for index, window in enumerate(windows) if flies[window.start] == kind]
+                max_square = settings.RESTLESS * float(np.median([squares[index] for index in usual])) if usual else 0.0
                 rows += [
                     (
-                        0.5 * math.log(squares[place]),
-                        float(np.mean(series.x[at[place]])),
+                        0.5 * math.log(squares[index]),
+                        float(np.mean(series.x[windows[index]])),
                         names.index(name),
                         kind,
-                        bool(rests[at[place]].all()),
+                        bool(rests[windows[index]].all()),
                     )
-                    for place in alike
-                    if 0.0 < squares[place] <= most
+                    for index in usual
+                    if 0.0 < squares[index] <= max_square
                 ]
     table = np.array(rows).reshape(-1, 5)
     return _Windows(
@@ -134,34 +134,34 @@ def _windows(
     )
 
 
-def differences(series: Series, place: int) -> FloatArray:
-    """Fifth differences of i_c (place 0) or x of one recording, shape (n,); NaN if a reading is missing."""
-    values, whole = smooth(series, place, before=ORDER)
+def differences(series: Series, column: int) -> FloatArray:
+    """Fifth differences of i_c (column 0) or x of one recording, shape (n,); NaN if a reading is missing."""
+    values, whole = smooth(series, column, before=ORDER)
     result = np.full(len(values), np.nan)
     result[ORDER:] = np.diff(values, ORDER)
     result[~whole] = np.nan
     return result
 
 
-def smooth(series: Series, place: int, *, before: int = 0, around: int = 0) -> tuple[FloatArray, BoolArray]:
+def smooth(series: Series, column: int, *, before: int = 0, around: int = 0) -> tuple[FloatArray, BoolArray]:
     """Prepare a channel of one recording for differences.
 
     Args:
         series: of one recording.
-        place: 0 for i_c, 1 for x.
+        column: 0 for i_c, 1 for x.
         before: readings before a sample that its difference uses.
         around: readings on each side of a sample that its difference uses.
 
     Returns:
         (i_c without the response to u_c, or x; whether all readings of the difference are present), both of shape (n,).
     """
-    used = series.flags & (USE_I, USE_X)[place] != 0
+    used = series.flags & (USE_I, USE_X)[column] != 0
     chain = np.cumsum(series.flags & FOLLOWS == 0)
     # For SHOWS samples i_c depends on the unknown u_c of a lost sample, or on that before the first sample of a chain.
-    told = np.ones(len(used), np.bool_)
+    input_known = np.ones(len(used), np.bool_)
     for at in np.flatnonzero((series.flags & LOST != 0) | (np.diff(chain, prepend=1) != 0)):
-        told[at : at + SHOWS] = False
-    known = used & told if place == 0 else used
+        input_known[at : at + SHOWS] = False
+    known = used & input_known if column == 0 else used
     if np.count_nonzero(known) < FEWEST * WINDOW:
         return series.x, np.zeros(len(used), np.bool_)
     whole = known.copy()
@@ -170,16 +170,16 @@ def smooth(series: Series, place: int, *, before: int = 0, around: int = 0) -> t
         whole[:lag] = False
     if around:
         whole = np.concatenate((whole[around:], np.zeros(around, np.bool_)))
-    return without_input(series.i, series.u, known) if place == 0 else series.x, whole
+    return without_input(series.i, series.u, known) if column == 0 else series.x, whole
 
 
 def without_input(i: FloatArray, u: FloatArray, used: BoolArray) -> FloatArray:
     """i_c minus its linear regression on filtered u_c, over the samples `used`; all of shape (n,)."""
     before = np.concatenate((u[:1], u[:-1]))
-    late = [np.concatenate((np.full(lag, u[0]), u[:-lag])) for lag in range(1, SHOWS + 1)]
+    lagged = [np.concatenate((np.full(lag, u[0]), u[:-lag])) for lag in range(1, SHOWS + 1)]
     slow = [u[0] + lfilter([-math.expm1(-1.0 / time)], [1.0, -math.exp(-1.0 / time)], before - u[0]) for time in _TIMES]
-    given = np.column_stack([np.ones(len(u)), *late, *slow])
-    return np.asarray(i - given @ np.linalg.lstsq(given[used], i[used], rcond=None)[0])
+    regressors = np.column_stack([np.ones(len(u)), *lagged, *slow])
+    return np.asarray(i - regressors @ np.linalg.lstsq(regressors[used], i[used], rcond=None)[0])
 
 
 def _channel(windows: _Windows, names: Sequence[str], *, bends: bool) -> Channel:
@@ -189,12 +189,12 @@ def _channel(windows: _Windows, names: Sequence[str], *, bends: bool) -> Channel
     rests = bool(windows.rests.any())
     reference = sigma = math.nan
     for flies in (False, True) if rests else (True, False):
-        own = windows.where(windows.flies == flies)
-        groups = _groups(own)
+        flown = windows.where(windows.flies == flies)
+        groups = _groups(flown)
         if not groups:
             continue
         if math.isnan(reference):
-            group = _reference(groups, own)
+            group = _reference(groups, flown)
             reference, sigma = group.level, group.sigma
         elif rests:
             reference = min((group.level for group in groups), key=lambda level: abs(level - reference))
@@ -238,7 +238,7 @@ class _Group:
         """Standard deviation; the mean of the logarithms is 5 % below it, the same for all groups."""
         return float(np.sqrt(np.mean(np.exp(2.0 * self.log))))
 
-    def apart(self, other: _Group) -> float:
+    def separation(self, other: _Group) -> float:
         """Difference of the levels in standard errors."""
         return abs(self.level - other.level) / math.hypot(self.error, other.error)
 
@@ -246,14 +246,16 @@ class _Group:
 def _groups(windows: _Windows) -> list[_Group]:
     """Groups of sources that do not differ significantly (hierarchical merging); most windows first."""
     present, counts = np.unique(windows.source, return_counts=True)
-    groups = [_Group((int(one),), windows.log[windows.source == one]) for one in present[counts >= FEWEST]]
+    groups = [_Group((int(first),), windows.log[windows.source == first]) for first in present[counts >= FEWEST]]
     surely = float(norm.isf(0.5 * settings.INSTRUMENT_CHANCE / max(math.comb(len(groups), 2), 1)))
     while len(groups) > 1:
-        apart, one, other = min(((a.apart(b), a, b) for a, b in combinations(groups, 2)), key=lambda pair: pair[0])
-        if apart > surely and abs(one.level - other.level) > math.log(TOLERANCE):
+        separation, first, second = min(
+            ((a.separation(b), a, b) for a, b in combinations(groups, 2)), key=lambda pair: pair[0]
+        )
+        if separation > surely and abs(first.level - second.level) > math.log(TOLERANCE):
             break
-        groups = [group for group in groups if group not in (one, other)]
-        groups.append(_Group(one.sources + other.sources, np.concatenate((one.log, other.log))))
+        groups = [group for group in groups if group not in (first, second)]
+        groups.append(_Group(first.sources + second.sources, np.concatenate((first.log, second.log))))
     return sorted(groups, key=lambda group: -len(group.log))
 
 
@@ -263,11 +265,11 @@ def _curve(windows: _Windows) -> Channel:
     if len(flown.log) < FEWEST * (_BENDS + 1) or not _fitted(flown, flown.source).bend:
         return Channel()
     groups = _groups(flown)
-    alike = windows.where(windows.rests | (windows.flies & np.isin(windows.source, groups[0].sources)))
-    curve = _fitted(alike, np.zeros(len(alike.log), np.int64))
-    if alike.rests.any() and not _follows(alike.where(alike.flies), curve):
+    comparable = windows.where(windows.rests | (windows.flies & np.isin(windows.source, groups[0].sources)))
+    curve = _fitted(comparable, np.zeros(len(comparable.log), np.int64))
+    if comparable.rests.any() and not _follows(comparable.where(comparable.flies), curve):
         return Channel()
-    at = alike.height_m[alike.rests] if alike.rests.any() else alike.height_m
+    at = comparable.height_m[comparable.rests] if comparable.rests.any() else comparable.height_m
     return replace(curve, reference=float(np.mean(curve.log_at(at))))
 
 

@@ -32,20 +32,20 @@ def bridged(record: Record) -> tuple[Record, BoolArray]:
     if not len(single) or even < 0.5 * len(steps):
         return record, np.zeros(len(record.t), np.bool_)
     lost[single + 1 + np.arange(len(single))] = True
-    middle, nothing = record.t[single] + interval, np.full(len(single), np.nan)
+    middle, missing = record.t[single] + interval, np.full(len(single), np.nan)
     return replace(
         record,
         t=_with(record.t, lost, middle),
         u_c=_with(record.u_c, lost, record.u_c[single]),
-        i_c=_with(record.i_c, lost, nothing),
-        x=_with(record.x, lost, nothing),
+        i_c=_with(record.i_c, lost, missing),
+        x=_with(record.x, lost, missing),
         x_ref=_with(record.x_ref, lost, record.x_ref[single]),
     ), lost
 
 
-def _with(values: FloatArray, lost: BoolArray, there: FloatArray) -> FloatArray:
+def _with(values: FloatArray, lost: BoolArray, inserted: FloatArray) -> FloatArray:
     result = np.empty(len(lost))
-    result[~lost], result[lost] = values, there
+    result[~lost], result[lost] = values, inserted
     return result
 
 

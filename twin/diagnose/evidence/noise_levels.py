@@ -61,28 +61,28 @@ class Noise:
     @property
     def plain(self) -> bool:
         """Whether each channel has a single noise level."""
-        return not any(channel.bend or any(one.ratio != 1.0 for one in channel.levels) for channel in self.channels)
+        return not any(channel.bend or any(level.ratio != 1.0 for level in channel.levels) for channel in self.channels)
 
     def noise_ratio(self, records: Sequence[Record], series: Series) -> FloatArray:
         """Variance of the noise of each reading of i_c and x over the reference of its channel, shape (n, 2)."""
         ratio, flies = np.zeros((len(series), 2)), series.flags & FLIES != 0
-        for place, channel in enumerate(self.channels):
-            for name, own in parts_of(records, series):
+        for column, channel in enumerate(self.channels):
+            for name, samples in parts_of(records, series):
                 for level in channel.levels:
                     if name in level.sources:
-                        ratio[own, place][flies[own] == level.flies] = math.log(level.ratio)
-            ratio[:, place] += channel.log_at(series.x)
+                        ratio[samples, column][flies[samples] == level.flies] = math.log(level.ratio)
+            ratio[:, column] += channel.log_at(series.x)
         return np.asarray(np.exp(2.0 * ratio))
 
-    def error(self, records: Sequence[Record], series: Series, place: int) -> float:
+    def error(self, records: Sequence[Record], series: Series, column: int) -> float:
         """Standard error of ln sigma due to the ratios, averaged over the readings of a channel (0: i_c, 1: x)."""
-        used = series.flags & (USE_I, USE_X)[place] != 0
+        used = series.flags & (USE_I, USE_X)[column] != 0
         flies = series.flags & FLIES != 0
         total = sum(
-            level.error * np.count_nonzero(used[own] & (flies[own] == level.flies))
-            for name, own in parts_of(records, series)
-            for level in self.channels[place].levels
-            if name in level.sources and (level.ratio != 1.0 or math.isfinite(self.channels[place].sigma))
+            level.error * np.count_nonzero(used[samples] & (flies[samples] == level.flies))
+            for name, samples in parts_of(records, series)
+            for level in self.channels[column].levels
+            if name in level.sources and (level.ratio != 1.0 or math.isfinite(self.channels[column].sigma))
         )
         return float(total) / max(int(np.count_nonzero(used)), 1)
 

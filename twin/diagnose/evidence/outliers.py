@@ -32,46 +32,47 @@ def without_outliers(evidence: Evidence) -> Evidence:
     """The evidence without outliers of i_c and x, if there are more than a few (rule 2)."""
     series = evidence.series
     flags, usages = series.flags.copy(), [replace(usage) for usage in evidence.usages]
-    by_name = {usage.name: usage for usage in usages}
+    usage_of = {usage.name: usage for usage in usages}
     parts = parts_of(evidence.records, series)
-    for place, use in enumerate((USE_I, USE_X)):
+    for column, use in enumerate((USE_I, USE_X)):
         wild = np.zeros(len(series), np.bool_)
-        for _, own in parts:
-            wild[own] = _wild(series.part(own), place)
+        for _, samples in parts:
+            wild[samples] = _wild(series.part(samples), column)
         if np.count_nonzero(wild) <= settings.OUTLIER_SHARE * np.count_nonzero(series.flags & use):
             continue
         flags[wild] &= np.uint16(~use & 0xFFFF)
         for number, record in enumerate(evidence.records):
-            if record.name in by_name:
-                by_name[record.name].outliers += int(np.count_nonzero(wild & (series.recording == number)))
+            if record.name in usage_of:
+                usage_of[record.name].outliers += int(np.count_nonzero(wild & (series.recording == number)))
     if np.array_equal(flags, series.flags):
         return evidence
     return replace(evidence, series=replace(series, flags=flags), usages=tuple(usages))
 
 
-def _wild(series: Series, place: int) -> BoolArray:
-    """Which readings of one recording are outliers, shape (n,); `place`: 0 for i_c, 1 for x."""
+def _wild(series: Series, column: int) -> BoolArray:
+    """Which readings of one recording are outliers, shape (n,); `column`: 0 for i_c, 1 for x."""
     if len(series) < _FEWEST:
         return np.zeros(len(series), np.bool_)
-    values, whole = smooth(series, place, around=2)
+    values, whole = smooth(series, column, around=2)
     off = np.full(len(values), np.nan)
     off[2:-2] = np.convolve(values, _SPIKE, mode="valid")
     off[~whole] = np.nan
     scaled = np.full(len(values), np.nan)
     flies = series.flags & FLIES != 0
-    least = _count(values) * np.sqrt(_POWER / 12.0)  # due to rounding alone
+    min_spread = _count(values) * np.sqrt(_POWER / 12.0)  # due to rounding alone
     for kind in (flies, ~flies):
-        own = off[kind & whole]
-        if len(own) >= _FEWEST:
-            spread = max(1.4826 * float(np.median(np.abs(own))), least)
+        usual = off[kind & whole]
+        if len(usual) >= _FEWEST:
+            spread = max(1.4826 * float(np.median(np.abs(usual))), min_spread)
             scaled[kind] = off[kind] / spread if spread > 0.0 else np.nan
     wild = np.abs(np.nan_to_num(scaled)) > settings.OUTLIER_ERRORS
-    if place == 0:
+    if column == 0:
         wild &= ~_steps(series.u)
-    for at in np.flatnonzero(wild):
-        near = scaled[at - 2 : at + 3]
-        left = float(near @ near - (near @ _SPIKE) ** 2 / _POWER)
-        wild[at] = left < settings.OUTLIER_SHAPE and abs(near[2]) >= np.abs(near).max()  # NaN compares False
+    for index in np.flatnonzero(wild):
+        neighbours = scaled[index - 2 : index + 3]
+        left = float(neighbours @ neighbours - (neighbours @ _SPIKE) ** 2 / _POWER)
+        # Comparison with NaN is False: a reading with an unknown neighbour is not an outlier.
+        wild[index] = left < settings.OUTLIER_SHAPE and abs(neighbours[2]) >= np.abs(neighbours).max()
     return np.asarray(wild)
 
 

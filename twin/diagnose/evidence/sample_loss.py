@@ -40,7 +40,7 @@ def lost_samples(records: Sequence[Record]) -> Lost | None:
         missing, gaps, total = missing + int(lost.sum()), gaps + len(lost), total + len(record.t)
         if lost.sum() > worst[1]:
             worst = (record.name, int(lost.sum()))
-    if gaps < settings.FEWEST_GAPS or missing < settings.LEAST_MISSING * total:
+    if gaps < settings.MIN_GAPS or missing < settings.MIN_MISSING * total:
         return None
     n = missing + total
     p, z = missing / n, 1.96

@@ -21,9 +21,9 @@ def sensor_noise(evidence: Evidence) -> tuple[float | None, float | None]:
     result = [float(np.sqrt(total / count)) if count > 300 and total > 0 else None for total, count in squares]
     if evidence.noise is not None:
         coloured = zip(result, evidence.noise.colours[:2], strict=True)
-        result = [one.sigma if one is not None else here for here, one in coloured]
-        others = [one.sigma if math.isfinite(one.sigma) else None for one in evidence.noise.channels]
-        result = [here if here is not None else other for here, other in zip(result, others, strict=True)]
+        result = [colour.sigma if colour is not None else sigma for sigma, colour in coloured]
+        in_flight = [channel.sigma if math.isfinite(channel.sigma) else None for channel in evidence.noise.channels]
+        result = [sigma if sigma is not None else other for sigma, other in zip(result, in_flight, strict=True)]
     return result[0], result[1]
 
 
@@ -32,10 +32,10 @@ def noise_error(evidence: Evidence) -> float:
     squares = [0.5 / count if count > 300 else 0.0 for _, count in _rest_squares(evidence)]
     if evidence.noise is not None:
         coloured = zip(squares, evidence.noise.colours[:2], strict=True)
-        squares = [0.5 / one.readings if one is not None else here for here, one in coloured]
+        squares = [0.5 / colour.readings if colour is not None else square for square, colour in coloured]
         squares = [
-            own + evidence.noise.error(evidence.records, evidence.series, place) ** 2
-            for place, own in enumerate(squares)
+            square + evidence.noise.error(evidence.records, evidence.series, column) ** 2
+            for column, square in enumerate(squares)
         ]
     return 0.5 * float(np.sqrt(sum(squares)))
 
@@ -53,18 +53,18 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
         for start in range(piece.start, piece.stop - HELD_SAMPLES + 1, HELD_SAMPLES):
             window = slice(start, start + HELD_SAMPLES)
             usable = whole[0][window].all() and np.ptp(series.u[window]) == 0.0, whole[1][window].all()
-            for place, values in ((0, series.i[window]), (1, series.x[window])):
-                if not usable[place]:
+            for column, values in ((0, series.i[window]), (1, series.x[window])):
+                if not usable[column]:
                     continue
                 line = np.polynomial.polynomial.polyfit(_LINE, values, 1)
                 residual = values - np.polynomial.polynomial.polyval(_LINE, line)
                 if len(evidence.noise_ratio):  # scaled to the reference instrument
-                    residual = residual / np.sqrt(evidence.noise_ratio[window, place])
-                squares[place].append(float(residual @ residual))
+                    residual = residual / np.sqrt(evidence.noise_ratio[window, column])
+                squares[column].append(float(residual @ residual))
     result = []
     for channel in squares:
         middle = float(np.median(channel)) if channel else 0.0
-        usual = [one for one in channel if one <= settings.RESTLESS * middle] if middle > 0.0 else channel
+        usual = [square for square in channel if square <= settings.RESTLESS * middle] if middle > 0.0 else channel
         result.append((sum(usual), len(usual) * (HELD_SAMPLES - 2)))
     return result
 
@@ -73,6 +73,6 @@ def _not_cut(series: Series, values: FloatArray, use: int) -> BoolArray:
     """Which readings are used and not near the converter's end, which cuts off noise, shape (n,)."""
     used, known = series.flags & use != 0, series.flags & (use | RESTS_LOW | RESTS_HIGH) != 0
     for number in np.unique(series.recording):
-        own = np.flatnonzero(known & (series.recording == number))
-        used[own[near_converter_end(values[own])]] = False
+        readings = np.flatnonzero(known & (series.recording == number))
+        used[readings[near_converter_end(values[readings])]] = False
     return np.asarray(used)

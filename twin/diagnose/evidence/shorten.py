@@ -18,11 +18,13 @@ def shortened(records: Sequence[Record]) -> tuple[list[Record], str]:
     """(the recordings, long ones shortened; a sentence about it, empty if none was shortened)."""
     result, cut = [], 0
     flights = [min(len(record.t), FLIGHT_SAMPLES) for record in records if record.kind in _LONG]
-    most = FLIGHT_SAMPLES if sum(flights) <= ALL_SAMPLES else ALL_SAMPLES // len(flights)
+    max_samples = FLIGHT_SAMPLES if sum(flights) <= ALL_SAMPLES else ALL_SAMPLES // len(flights)
     for record in records:
-        if record.kind in _LONG and len(record.t) > most:
+        if record.kind in _LONG and len(record.t) > max_samples:
             cut += 1
-            record = record.part(slice(0, most))
+            record = record.part(slice(0, max_samples))
         result.append(record)
-    said = f"--quick: only the first {most} samples of {cut} recordings were used for choosing" if cut else ""
-    return result, said
+    sentence = (
+        f"--quick: only the first {max_samples} samples of {cut} recordings were used for choosing" if cut else ""
+    )
+    return result, sentence

@@ -33,7 +33,7 @@ def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
         return False, f"it needs {_misplaced(floor)}; if the travel in the campaign file is wrong, mend it there"
     counts = [count for count in np.isfinite(white).sum(axis=0).tolist() if count]
     chance = settings.AUTOCORRELATION_ERRORS / math.sqrt(min(counts)) if counts else math.inf
-    if colour.worst > max(settings.MOST_AUTOCORRELATION, chance):
+    if colour.worst > max(settings.MAX_AUTOCORRELATION, chance):
         return False, f"what is left is not white: its autocorrelation reaches {colour.worst:.2f}"
     return True, ""
 
@@ -53,19 +53,19 @@ def where_left(criterion: Criterion, fit: Fit, floor: Floor) -> str:
     for column, channel in ((0, "i_c"), (1, "x")):
         values = white[:, column] ** 2
         for number, name in enumerate(names):
-            own = values[(series.recording == number) & np.isfinite(values)]
-            if len(own) >= 100:
-                worst.append((float(own.mean()), f"{channel} in {name}"))
+            values_of_recording = values[(series.recording == number) & np.isfinite(values)]
+            if len(values_of_recording) >= 100:
+                worst.append((float(values_of_recording.mean()), f"{channel} in {name}"))
     flying = (series.flags & FLIES != 0) & np.isfinite(white[:, 1])
     parts = []
     if worst:
-        most = max(worst)
-        parts.append(f"most in {most[1]} (mean square {most[0]:.2g} times its share)")
+        largest = max(worst)
+        parts.append(f"most in {largest[1]} (mean square {largest[0]:.2g} times its share)")
     if flying.sum() > 500:
         x, w = series.x[flying], white[flying, 1] ** 2
         edges = np.quantile(x, np.linspace(0.0, 1.0, 6))
         means = [float(w[(x >= a) & (x <= b)].mean()) for a, b in pairwise(edges)]
-        place = int(np.argmax(means))
-        if means[place] > settings.UNEVEN_SQUARE * min(means):
-            parts.append(f"with the ball at {edges[place] * 1e3:.2f} to {edges[place + 1] * 1e3:.2f} mm")
+        index = int(np.argmax(means))
+        if means[index] > settings.UNEVEN_SQUARE * min(means):
+            parts.append(f"with the ball at {edges[index] * 1e3:.2f} to {edges[index + 1] * 1e3:.2f} mm")
     return "; ".join(parts)

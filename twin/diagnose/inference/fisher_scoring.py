@@ -11,13 +11,13 @@ import numpy as np
 from protocol.campaign import Plant
 from twin.diagnose import settings
 from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.theta import Theta, most_step, moved, prior_spread
+from twin.diagnose.inference.theta import Theta, max_step, moved, prior_spread
 from twin.estimation import optimiser
 from twin.estimation.optimiser import CLOSE, NEAR, Slopes, active_of, covariance_of
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import Results
 
-DONE = 0.02  # of a standard error
+TOLERANCE = 0.02  # of a standard error
 _ROUGH = 0.5  # log-likelihood that slopes that cost less may leave: 0.1 to 2 was seen
 
 
@@ -36,13 +36,13 @@ class Fit:
         """Standard error in the unit of the parameter; inf if it was not free."""
         if name not in self.free:
             return math.inf
-        place = self.free.index(name)
-        spread = math.sqrt(max(float(self.covariance[place, place]), 0.0))
-        here = self.theta.value(name)
-        beyond = moved(self.theta, name, 1e-3, plant).value(name)
-        if beyond == here:
-            beyond = moved(self.theta, name, -1e-3, plant).value(name)
-        return spread * abs(beyond - here) / 1e-3
+        index = self.free.index(name)
+        spread = math.sqrt(max(float(self.covariance[index, index]), 0.0))
+        value = self.theta.value(name)
+        shifted = moved(self.theta, name, 1e-3, plant).value(name)
+        if shifted == value:
+            shifted = moved(self.theta, name, -1e-3, plant).value(name)
+        return spread * abs(shifted - value) / 1e-3
 
 
 def spreads(criterion: Criterion, fit: Fit) -> dict[str, float]:
@@ -59,22 +59,22 @@ def climb(
     free: Sequence[str],
     *,
     passes: int = settings.PASSES,
-    done: float = DONE,
-    near: bool = False,
+    tolerance: float = TOLERANCE,
+    approximate: bool = False,
 ) -> Fit:
     """Climb to the maximum from `start`; coordinates not in `free` stay.
 
     With `near`, not to the end: slopes that cost less say where to go, and the fit has not converged.
     """
-    surface = _Surface(criterion, near=near)
-    top = optimiser.climb(surface, start, free, passes=passes, done=NEAR if near else done, patience=2)
+    surface = _Surface(criterion, approximate=approximate)
+    top = optimiser.climb(surface, start, free, passes=passes, done=NEAR if approximate else tolerance, patience=2)
     return Fit(
         theta=top.point,
         loglik=top.loglik + narrowing(free, top.covariance),
         free=tuple(free),
         covariance=top.covariance,
-        converged=top.converged and not near,
-        ahead=max(top.ahead, _ROUGH) if near else top.ahead,
+        converged=top.converged and not approximate,
+        ahead=max(top.ahead, _ROUGH) if approximate else top.ahead,
     )
 
 
@@ -86,10 +86,10 @@ def approach(criterion: Criterion, start: Theta, free: Sequence[str]) -> Fit:
     """
     part = criterion.thinner
     if part is not criterion:
-        fit = climb(part, start, free, passes=settings.PASSES_NEAR, near=True)
+        fit = climb(part, start, free, passes=settings.PASSES_APPROACH, approximate=True)
         before, after = criterion.values([start, fit.theta])
     if part is criterion or after < before:  # what the part does not show was led astray
-        return climb(criterion, start, free, passes=settings.PASSES_FIRST, near=True)
+        return climb(criterion, start, free, passes=settings.PASSES_FIRST, approximate=True)
     covariance = part.share * fit.covariance
     return replace(
         fit,
@@ -111,11 +111,11 @@ def narrowing(free: Sequence[str], covariance: FloatArray) -> float:
         covariance: of the coordinates, shape (count, count).
     """
     spreads = {name: prior_spread(name) for name in free}
-    places = [k for k, name in enumerate(free) if math.isfinite(spreads[name]) and covariance[k, k] > 0.0]
-    if not places or not np.isfinite(covariance).all():
+    priors = [k for k, name in enumerate(free) if math.isfinite(spreads[name]) and covariance[k, k] > 0.0]
+    if not priors or not np.isfinite(covariance).all():
         return 0.0
-    prior = np.array([spreads[free[k]] for k in places])
-    _, logarithm = np.linalg.slogdet(covariance[np.ix_(places, places)] / np.outer(prior, prior))
+    prior = np.array([spreads[free[k]] for k in priors])
+    _, logarithm = np.linalg.slogdet(covariance[np.ix_(priors, priors)] / np.outer(prior, prior))
     return min(0.5 * float(logarithm), 0.0)
 
 
@@ -127,14 +127,14 @@ class _Surface:
         near: whether near the maximum is good enough.
     """
 
-    def __init__(self, criterion: Criterion, *, near: bool = False) -> None:
-        self._criterion, self._near = criterion, near
+    def __init__(self, criterion: Criterion, *, approximate: bool = False) -> None:
+        self._criterion, self._approximate = criterion, approximate
 
     def moved(self, point: Theta, name: str, by: float) -> Theta:
         return moved(point, name, by, self._criterion.plant)
 
     def most(self, name: str) -> float:
-        return most_step(name)
+        return max_step(name)
 
     def visit(self, point: Theta) -> tuple[float, Results]:
         run = self._criterion.run(point)
@@ -148,7 +148,7 @@ class _Surface:
             return self._of(point, seen, free, before.retained, exact=before.exact, fresh=False)
         rough = self._criterion.mean_square(seen.innovations) < settings.EXACT_SLOPES_SQUARE
         _, change = self._criterion.derivatives(point, free, seen, rough=rough)
-        return self._of(point, seen, free, change, exact=self._near or not rough)
+        return self._of(point, seen, free, change, exact=self._approximate or not rough)
 
     def exact(self, point: Theta, seen: Results, free: Sequence[str]) -> Slopes:
         _, change = self._criterion.derivatives(point, free, seen)
@@ -157,12 +157,12 @@ class _Surface:
     def _of(
         self,
         point: Theta,
-        seen: Results,
+        run: Results,
         free: Sequence[str],
         change: FloatArray,
         *,
         exact: bool = True,
         fresh: bool = True,
     ) -> Slopes:
-        _, score, fisher = self._criterion.slopes(point, free, seen.innovations, change)
+        _, score, fisher = self._criterion.slopes(point, free, run.innovations, change)
         return Slopes(score=score, fisher=fisher, exact=exact, fresh=fresh, retained=change)

@@ -11,7 +11,7 @@ from twin.diagnose import settings
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.evidence.noise_levels import Noise
 from twin.diagnose.evidence.sensor_noise import sensor_noise
-from twin.diagnose.inference.theta import COLOURS, Theta, most_drag
+from twin.diagnose.inference.theta import COLOURS, Theta, max_drag
 from twin.estimation.record import Record
 from twin.identify.starting.regression import AmplifierStart, amplifier_start, ball_start
 
@@ -38,7 +38,7 @@ def start_theta(records: Sequence[Record], plant: Plant) -> Theta:
             "no recording shows the ball in flight for long enough",
             remedy="Record closed-loop flights or an open-loop prbs with x: without them only the amplifier is known",
         )
-    return _start(amplifier, ball.k * plant.mass_kg, min(max(ball.d * plant.mass_kg, 0.0), 0.9 * most_drag(plant)))
+    return _start(amplifier, ball.k * plant.mass_kg, min(max(ball.d * plant.mass_kg, 0.0), 0.9 * max_drag(plant)))
 
 
 def _start(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:
@@ -59,21 +59,24 @@ def coloured(noise: Noise) -> tuple[tuple[str, float], ...]:
     i_c, x, captured = noise.colours
     names = zip(COLOURS[::2], COLOURS[1::2], (i_c, x, captured), strict=True)
     return tuple(
-        pair for tau, white, one in names if one is not None for pair in ((tau, one.tau_s), (white, one.white))
+        pair
+        for tau, white, colour in names
+        if colour is not None
+        for pair in ((tau, colour.tau_s), (white, colour.white))
     )
 
 
-def no_better(theta: Theta, evidence: Evidence) -> Theta:
+def with_noise_bounds(theta: Theta, evidence: Evidence) -> Theta:
     """Bound the sensor noise from below by a share of the noise at rest, and give it the colour that it has there."""
     sigma_i, sigma_x = sensor_noise(evidence)
-    least_i = settings.LEAST_NOISE * sigma_i if sigma_i else theta.least_i_c_a
-    least_x = settings.LEAST_NOISE * sigma_x if sigma_x else theta.least_x_m
+    min_sigma_i = settings.MIN_NOISE_SHARE * sigma_i if sigma_i else theta.min_sigma_i_c_a
+    min_sigma_x = settings.MIN_NOISE_SHARE * sigma_x if sigma_x else theta.min_sigma_x_m
     if evidence.noise is not None:
         theta = theta.all_of(coloured(evidence.noise))
     return replace(
         theta,
-        least_i_c_a=least_i,
-        least_x_m=least_x,
-        sigma_i_c_a=max(theta.sigma_i_c_a, least_i),
-        sigma_x_m=max(theta.sigma_x_m, least_x),
+        min_sigma_i_c_a=min_sigma_i,
+        min_sigma_x_m=min_sigma_x,
+        sigma_i_c_a=max(theta.sigma_i_c_a, min_sigma_i),
+        sigma_x_m=max(theta.sigma_x_m, min_sigma_x),
     )

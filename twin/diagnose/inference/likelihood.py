@@ -69,27 +69,27 @@ class Criterion:
         self._pool = ThreadPoolExecutor(max_workers=workers)
         self._climbers = ThreadPoolExecutor(max_workers=workers) if workers > 1 else None
         self.whole = budget or Budget()
-        self._own = threading.local()
+        self._local = threading.local()
         self.evaluations = 0
 
     @cached_property
-    def _few(self) -> Evidence:
-        return thinned(self.evidence, settings.NEAR_SAMPLES / max(len(self.evidence.series), 1))
+    def _thinned(self) -> Evidence:
+        return thinned(self.evidence, settings.APPROACH_SAMPLES / max(len(self.evidence.series), 1))
 
     @property
     def thinner(self) -> Criterion:
         """The likelihood of part of the samples, for the way to where a fit begins; itself, where there are too few."""
-        if len(self.evidence.series) < settings.NEAR_WORTH * settings.NEAR_SAMPLES:
+        if len(self.evidence.series) < settings.APPROACH_RATIO * settings.APPROACH_SAMPLES:
             return self
-        other, series = copy(self), self._few.series
-        other.evidence, other.pace, other.halves = self._few, pace_of(series), _halves(series)
+        other, series = copy(self), self._thinned.series
+        other.evidence, other.pace, other.halves = self._thinned, pace_of(series), _halves(series)
         other.share = len(series) / len(self.evidence.series)
         return other
 
     @property
     def budget(self) -> Budget:
         """The budget of this thread; inside `each` a share of it."""
-        return getattr(self._own, "budget", self.whole)
+        return getattr(self._local, "budget", self.whole)
 
     @contextmanager
     def charging(self, budget: Budget) -> Iterator[None]:
@@ -111,7 +111,7 @@ class Criterion:
             Spent: they are not affordable.
         """
         each = zip(thetas, reuse or [Reuse.NOTHING] * len(thetas), strict=True)
-        self.budget.take(sum(self.pace.steps(theta.base(self.plant), theta.vector(), ask) for theta, ask in each))
+        self.budget.take(sum(self.pace.steps(theta.base(self.plant), theta.vector(), mode) for theta, mode in each))
 
     def close(self) -> None:
         """Stop the worker threads."""
@@ -130,23 +130,23 @@ class Criterion:
         shares = self.budget.shares(len(items))
 
         def paid(item: T, share: Budget) -> R | Spent:
-            self._own.budget = share
+            self._local.budget = share
             try:
                 return work(item)
             except Spent as spent:
                 return spent  # the others end all the same: what is spent must not depend on who is first
             finally:
-                del self._own.budget
+                del self._local.budget
 
         results = list((map if self._climbers is None else self._climbers.map)(paid, items, shares))
         self.budget.settle(shares)
-        done = [result for result in results if not isinstance(result, Spent)]
-        if len(done) < len(results):
+        finished = [result for result in results if not isinstance(result, Spent)]
+        if len(finished) < len(results):
             raise Spent
-        return done
+        return finished
 
     @cached_property
-    def late(self) -> tuple[float, float] | None:
+    def dead_time(self) -> tuple[float, float] | None:
         """`dead_time` of the recordings, which no model changes."""
         return dead_time(self.evidence.records)
 
@@ -180,12 +180,12 @@ class Criterion:
     def run(self, theta: Theta) -> Results:
         """Innovations, with the steps that `derivatives` take over from here."""
         self.pay(theta)
-        done = room_for(len(self.evidence.series), self._states(theta), steps=True)
-        list(self._pool.map(lambda part: self._fill(theta, part, done), self.halves))
+        results = room_for(len(self.evidence.series), self._states(theta), steps=True)
+        list(self._pool.map(lambda part: self._fill(theta, part, results), self.halves))
         self.evaluations += 1
-        return done
+        return results
 
-    def beside(self, thetas: Sequence[Theta], at: Results, reuse: Sequence[Reuse]) -> list[FloatArray]:
+    def outputs_reusing(self, thetas: Sequence[Theta], at: Results, reuse: Sequence[Reuse]) -> list[FloatArray]:
         """`outputs` of models near that of `at`, with what was found there.
 
         Args:
@@ -195,12 +195,12 @@ class Criterion:
         """
         known, states, _ = at.steps.slopes.shape
         reuse = [
-            ask if known and self._states(theta) == states else Reuse.NOTHING
-            for theta, ask in zip(thetas, reuse, strict=True)
+            mode if known and self._states(theta) == states else Reuse.NOTHING
+            for theta, mode in zip(thetas, reuse, strict=True)
         ]
         self.pay(*thetas, reuse=reuse)
         steps = {Reuse.NOTHING: NO_STEPS, Reuse.SLOPES: at.steps.slopes_alone, Reuse.STEPS: at.steps}
-        return list(self._pool.map(lambda theta, ask: self._outputs(theta, steps[ask]), thetas, reuse))
+        return list(self._pool.map(lambda theta, mode: self._outputs(theta, steps[mode]), thetas, reuse))
 
     def several(self, thetas: Sequence[Theta]) -> list[FloatArray]:
         """`outputs` of each."""
@@ -246,12 +246,14 @@ class Criterion:
         return -0.5 * float(residuals @ residuals)
 
     def outside_slopes(
-        self, theta: Theta, beside: Sequence[Theta], steps: Sequence[float]
+        self, theta: Theta, models: Sequence[Theta], steps: Sequence[float]
     ) -> tuple[FloatArray, FloatArray]:
         """(score, Fisher information) of `outside`, from models beside `theta`, each by its step."""
-        here = self._residuals(theta)
-        change = np.array([(self._residuals(other) - here) / by for other, by in zip(beside, steps, strict=True)])
-        return -change @ here, change @ change.T
+        residuals = self._residuals(theta)
+        change = np.array(
+            [(self._residuals(other) - residuals) / step for other, step in zip(models, steps, strict=True)]
+        )
+        return -change @ residuals, change @ change.T
 
     def _residuals(self, theta: Theta) -> FloatArray:
         """Of the stops, the static points and the causes' shapes, in standard errors."""
@@ -286,35 +288,37 @@ class Criterion:
                 as large as the filter says it is good enough for where to go, not for where the maximum is.
         """
         steps = {name: derivative_step(theta, name, self.plant) for name in names if name not in STOPS}
-        beside = [moved(theta, name, by, self.plant) for name, by in steps.items()]
+        models = [moved(theta, name, step, self.plant) for name, step in steps.items()]
         if at is None:
-            base, *outs = self.several([theta, *beside])
+            base, *outs = self.several([theta, *models])
         else:
             # With dry friction the slopes are taken as wide as the state is uncertain: a matter of the noise as well.
             smooth = not any(name.partition(".")[0] in with_trait("sticks") and value for name, value in theta.causes)
-            near = [rough or (smooth and name in NOISES + COLOURS) for name in steps]
+            is_reused = [rough or (smooth and name in NOISES + COLOURS) for name in steps]
             reuse = [Reuse.STEPS if name in NOISES + COLOURS else Reuse.SLOPES for name in steps]
-            reuse = [ask if may else Reuse.NOTHING for ask, may in zip(reuse, near, strict=True)]
-            base, outs = at.innovations, self.beside(beside, at, reuse)
+            reuse = [mode if is_allowed else Reuse.NOTHING for mode, is_allowed in zip(reuse, is_reused, strict=True)]
+            base, outs = at.innovations, self.outputs_reusing(models, at, reuse)
         change = np.empty((len(names), *base.shape))
         filtered = iter(outs)
-        for place, name in enumerate(names):
+        for index, name in enumerate(names):
             if name in STOPS:
-                self._by_stop(theta, name, base, change[place])
+                self._stop_derivative(theta, name, base, change[index])
             else:
-                np.subtract(next(filtered), base, out=change[place])
-                change[place] /= steps[name]
+                np.subtract(next(filtered), base, out=change[index])
+                change[index] /= steps[name]
         return base, change
 
-    def _by_stop(self, theta: Theta, name: str, base: FloatArray, change: FloatArray) -> None:
+    def _stop_derivative(self, theta: Theta, name: str, base: FloatArray, change: FloatArray) -> None:
         """The derivative by the place of a stop: nothing but the readings of a ball that rests there."""
-        flags, reading = self.evidence.series.flags, self.plant.travel_m if name == "stop_high_m" else 0.0
+        flags, nominal_m = self.evidence.series.flags, self.plant.travel_m if name == "stop_high_m" else 0.0
         low = flags & RESTS_LOW != 0
-        there = low if name == "stop_low_m" else (flags & RESTS_HIGH != 0) & ~low
-        p, c, stop = theta.base(self.plant), theta.vector(), reading + theta.value(name)
-        here, beyond = (position_reading(p, c, place, 0.0) for place in (stop, stop + STOP_UNIT_M))
+        at_stop = low if name == "stop_low_m" else (flags & RESTS_HIGH != 0) & ~low
+        p, c, stop = theta.base(self.plant), theta.vector(), nominal_m + theta.value(name)
+        reading_at_stop, reading_above = (
+            position_reading(p, c, position, 0.0) for position in (stop, stop + STOP_UNIT_M)
+        )
         np.multiply(base, 0.0, out=change)  # what is no number stays none
-        change[there & (flags & FLIES == 0), 1] -= beyond - here
+        change[at_stop & (flags & FLIES == 0), 1] -= reading_above - reading_at_stop
 
     def gradient(self, theta: Theta, names: Sequence[str]) -> tuple[float, FloatArray, FloatArray]:
         """(log-likelihood, score, Fisher information) in the coordinates `names`."""
@@ -330,8 +334,8 @@ class Criterion:
         total = whiten(base, np.empty(n), np.empty((n, 2))) + self.outside(theta)
         information(base, change, each, fisher)
         steps = [derivative_step(theta, name, self.plant) for name in names]
-        beside = [moved(theta, name, by, self.plant) for name, by in zip(names, steps, strict=True)]
-        score, curvature = self.outside_slopes(theta, beside, steps)
+        models = [moved(theta, name, step, self.plant) for name, step in zip(names, steps, strict=True)]
+        score, curvature = self.outside_slopes(theta, models, steps)
         return total, each.sum(axis=0) + score, fisher + curvature
 
 

@@ -86,7 +86,7 @@ class Floor:
             points: number of lift-off points and equilibria.
         """
         excess = np.array([*self.logliks, -0.5 * points]) - logliks
-        return np.where(excess > [*(self.tolerance * np.array(self.counts)), settings.LEAST_GAIN], excess, np.inf)
+        return np.where(excess > [*(self.tolerance * np.array(self.counts)), settings.MIN_GAIN], excess, np.inf)
 
 
 def floor_of(criterion: Criterion, theta: Theta) -> Floor:
@@ -112,7 +112,7 @@ def expected(out: FloatArray) -> tuple[tuple[float, float], tuple[int, int]]:
     return (i_c, x), (int(counts[0]), int(counts[1]))
 
 
-def by_part(criterion: Criterion, *thetas: Theta) -> list[FloatArray]:
+def part_logliks(criterion: Criterion, *thetas: Theta) -> list[FloatArray]:
     """Log-likelihood of i_c, of x given i_c, and of the points (lift-off, equilibria), shape (3,), for each model."""
     return [
         np.append(
@@ -126,6 +126,6 @@ def by_part(criterion: Criterion, *thetas: Theta) -> list[FloatArray]:
 def _log_variances(out: FloatArray) -> FloatArray:
     """Logarithm of the variance of each innovation of i_c, and of x given i_c, shape (n, 2); NaN without one."""
     both = np.isfinite(out[:, 2])
-    given = out[:, 4] - np.where(both, out[:, 3] ** 2 / out[:, 2], 0.0)
+    conditional = out[:, 4] - np.where(both, out[:, 3] ** 2 / out[:, 2], 0.0)
     with np.errstate(invalid="ignore"):
-        return np.log(np.column_stack([out[:, 2], given]))
+        return np.log(np.column_stack([out[:, 2], conditional]))

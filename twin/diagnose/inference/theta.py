@@ -53,8 +53,8 @@ class Theta:
     causes: tuple[tuple[str, float], ...] = ()  # (coordinate, value), in the order of acceptance
     # Phases of a periodic force, as shifts of the time of each recording, s: its clock is not the board's.  (): all 0.
     phases_s: tuple[float, ...] = ()
-    least_i_c_a: float = 1e-6  # the sensors are not better than this: a noise level at 0 finds no way back
-    least_x_m: float = 1e-8
+    min_sigma_i_c_a: float = 1e-6  # the sensors are not better than this: a noise level at 0 finds no way back
+    min_sigma_x_m: float = 1e-8
     # The colour of the noise, as `NoiseLevels` has it.
     tau_i_c_s: float = 0.0
     white_i_c: float = 1.0
@@ -144,10 +144,10 @@ def coordinates_of(cause: str) -> tuple[str, ...]:
     return tuple(f"{cause}.{entry.name}" for entry in BY_NAME[cause].parameters)
 
 
-_SHAPES = tuple(one for cause in BY_NAME.values() for one in cause.shapes)
-_PLACES = np.array([one.place for one in _SHAPES], np.intp)
-_NEUTRAL = np.array([one.neutral for one in _SHAPES])
-_SPREAD = np.array([one.spread for one in _SHAPES])
+_SHAPES = tuple(shape for cause in BY_NAME.values() for shape in cause.shapes)
+_PLACES = np.array([shape.place for shape in _SHAPES], np.intp)
+_NEUTRAL = np.array([shape.neutral for shape in _SHAPES])
+_SPREAD = np.array([shape.spread for shape in _SHAPES])
 
 
 def shape_residuals(theta: Theta) -> FloatArray:
@@ -172,25 +172,25 @@ def unit_of(parameter: CauseParameter) -> float:
     return scale if scale > 0.0 else 0.3 * abs(parameter.neutral)
 
 
-def moved(theta: Theta, name: str, by: float, plant: Plant) -> Theta:
+def moved(theta: Theta, name: str, step: float, plant: Plant) -> Theta:
     """One coordinate moved, kept within its bounds."""
     value = theta.value(name)
     if "." in name:
         parameter = parameter_of(name)
-        coordinate = parameter.coordinate(value) + by * unit_of(parameter)
+        coordinate = parameter.coordinate(value) + step * unit_of(parameter)
         return theta.having(name, parameter.value(coordinate))
     if name == "b":
-        return replace(theta, b=min(max(value + by * plant.mass_kg, 0.0), most_drag(plant)))
+        return replace(theta, b=min(max(value + step * plant.mass_kg, 0.0), max_drag(plant)))
     if name in STOPS:
-        return theta.having(name, value + by * STOP_UNIT_M)
+        return theta.having(name, value + step * STOP_UNIT_M)
     if name in COLOURS:
         low, high = TAU_S if name.startswith("tau") else WHITE
-        return theta.having(name, min(max(value * math.exp(by), low), high))
-    return theta.having(name, max(value * math.exp(by), _floor(theta, name)))
+        return theta.having(name, min(max(value * math.exp(step), low), high))
+    return theta.having(name, max(value * math.exp(step), _floor(theta, name)))
 
 
 def _floor(theta: Theta, name: str) -> float:
-    return {"sigma_i_c_a": theta.least_i_c_a, "sigma_x_m": theta.least_x_m}.get(name, FLOORS.get(name, 0.0))
+    return {"sigma_i_c_a": theta.min_sigma_i_c_a, "sigma_x_m": theta.min_sigma_x_m}.get(name, FLOORS.get(name, 0.0))
 
 
 def reinitialised(theta: Theta) -> Theta:
@@ -203,18 +203,18 @@ def reinitialised(theta: Theta) -> Theta:
     )
 
 
-def most_drag(plant: Plant) -> float:
+def max_drag(plant: Plant) -> float:
     """Upper bound of b, N s/m: the drag that equals the unstable pole in the middle of the travel."""
     return plant.mass_kg * math.sqrt(2.0 * plant.gravity_m_s2 / (plant.x_max_m - 0.5 * plant.travel_m))
 
 
 def derivative_step(theta: Theta, name: str, plant: Plant) -> float:
     """A step for differences in that coordinate, inwards at a bound."""
-    by = 1e-2 if name == "b" else 0.05 if name in STOPS else 1e-3 if "." in name else 1e-4
-    return by if moved(theta, name, by, plant) != theta else -by
+    step = 1e-2 if name == "b" else 0.05 if name in STOPS else 1e-3 if "." in name else 1e-4
+    return step if moved(theta, name, step, plant) != theta else -step
 
 
-def most_step(name: str) -> float:
+def max_step(name: str) -> float:
     """The largest move of a coordinate in one pass."""
     if name == "b":
         return 20.0

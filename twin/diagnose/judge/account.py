@@ -37,7 +37,9 @@ Verdict = Literal["causes-found", "partly-explained", "model-adequate", "unknown
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Account:
-    """Shares of what the paper's model lacks; `by_cause`, `jointly` and `unexplained` sum to 1 where it lacks anything.
+    """The shares of what the paper's model lacks.
+
+    `cause_shares`, `jointly` and `unexplained` sum to 1 where it lacks anything.
 
     `explained`, `left` and `gains`, what is lost without each cause, are log-likelihoods.
     """
@@ -45,61 +47,67 @@ class Account:
     explained: float
     left: float
     gains: Mapping[str, float]
-    by_cause: Mapping[str, float]
+    cause_shares: Mapping[str, float]
     jointly: float
     unexplained: float
 
     def leads(self, cause: str) -> bool:
         """Whether a cause alone explains at least as much as is left and as several explain jointly."""
-        return self.by_cause.get(cause, 0.0) >= self.unexplained + self.jointly
+        return self.cause_shares.get(cause, 0.0) >= self.unexplained + self.jointly
 
 
-def account_of(found: Selection, lacks: float, fine: bool) -> Account:
+def account_of(selection: Selection, lacks: float, is_adequate: bool) -> Account:
     """Account for the result of a search.
 
     Args:
-        found: its result.
+        selection: its result.
         lacks: log-likelihood that its model lacks under its own floor.
-        fine: whether that is noise.
+        is_adequate: whether that is noise.
     """
-    explained = max(found.fit.loglik - found.base.loglik, 0.0) if found.causes else 0.0
-    left = 0.0 if fine else max(lacks, 0.0)
+    explained = max(selection.fit.loglik - selection.base.loglik, 0.0) if selection.causes else 0.0
+    left = 0.0 if is_adequate else max(lacks, 0.0)
     total = explained + left
-    gains = {cause: min(max(found.gains.get(cause, 0.0), 0.0), explained) for cause in found.causes}
+    gains = {cause: min(max(selection.gains.get(cause, 0.0), 0.0), explained) for cause in selection.causes}
     if total <= 0.0:
         return Account(
             explained=0.0,
             left=0.0,
             gains=gains,
-            by_cause=dict.fromkeys(found.causes, 0.0),
+            cause_shares=dict.fromkeys(selection.causes, 0.0),
             jointly=0.0,
-            unexplained=0.0 if fine else 1.0,
+            unexplained=0.0 if is_adequate else 1.0,
         )
-    taken = sum(gains.values())
-    scale = min(1.0, explained / max(taken, 1e-300)) / total
+    gain_sum = sum(gains.values())
+    scale = min(1.0, explained / max(gain_sum, 1e-300)) / total
     return Account(
         explained=explained,
         left=left,
         gains=gains,
-        by_cause={cause: gain * scale for cause, gain in gains.items()},
-        jointly=max(explained - taken, 0.0) / total,
+        cause_shares={cause: gain * scale for cause, gain in gains.items()},
+        jointly=max(explained - gain_sum, 0.0) / total,
         unexplained=left / total,
     )
 
 
-def beyond_floor(gain: Gain | None) -> bool:
+def exceeds_floor(gain: Gain | None) -> bool:
     """Whether the error on the judge recordings lies significantly above the noise floor and its tolerance."""
     return gain is not None and gain.ci95_floor[0] > TOLERANCE
 
 
 def verdict_of(
-    *, named: bool, fine: bool, gain: Gain | None, finished: bool = True, leading: bool = False, worse: bool = False
+    *,
+    named: bool,
+    is_adequate: bool,
+    gain: Gain | None,
+    finished: bool = True,
+    leading: bool = False,
+    worse: bool = False,
 ) -> Verdict:
     """The verdict.
 
     Args:
         named: whether anything is named.
-        fine: whether what is left of the recordings for fitting is noise.
+        is_adequate: whether what is left of the recordings for fitting is noise.
         gain: on the judge recordings, 20 ms ahead.
         finished: whether the search examined all that it was asked for.
         leading: whether a cause leads the account.
@@ -107,7 +115,7 @@ def verdict_of(
     """
     if not finished:
         return "unfinished"
-    if fine and not beyond_floor(gain) and not (named and worse):
+    if is_adequate and not exceeds_floor(gain) and not (named and worse):
         return "causes-found" if named else "model-adequate"
     return "partly-explained" if named and leading and _holds(gain) and not worse else "unknown-cause"
 

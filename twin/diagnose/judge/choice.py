@@ -57,7 +57,7 @@ class Choice:
     kind: Kind
     fit: Fit | None  # None: the reference as it was given
     gains: tuple[Gain, ...]  # over the reference, one per horizon
-    judged: bool
+    compared: bool
     refused: tuple[Refusal, ...] = ()
 
 
@@ -68,15 +68,15 @@ def causes_of(fit: Fit) -> tuple[str, ...]:
 
 def at_20_ms(gains: Sequence[Gain]) -> Gain | None:
     """The gain at the horizon that decides."""
-    return next((one for one in gains if abs(one.horizon_s - settings.BENEFIT_HORIZON_S) < 0.5 * one.tick_s), None)
+    return next((gain for gain in gains if abs(gain.horizon_s - settings.BENEFIT_HORIZON_S) < 0.5 * gain.tick_s), None)
 
 
 def worse(gains: Sequence[Gain]) -> Gain | None:
     """The gain that shows the model to be worse than the reference, the nearest to 20 ms; None if it is not worse."""
     decisive = at_20_ms(gains)
-    near = sorted(gains, key=lambda one: abs(one.horizon_s - settings.BENEFIT_HORIZON_S))
+    ordered = sorted(gains, key=lambda gain: abs(gain.horizon_s - settings.BENEFIT_HORIZON_S))
     surely = decisive is not None and decisive.ci95_ratio[0] > 1.0
-    return next((one for one in near if one.ratio > settings.WORSE_ERROR or (surely and one is decisive)), None)
+    return next((gain for gain in ordered if gain.ratio > settings.WORSE_ERROR or (surely and gain is decisive)), None)
 
 
 def refusal_of(candidate: Candidate, gains: Sequence[Gain], *, sure: bool) -> Refusal | None:
@@ -95,10 +95,10 @@ def refusal_of(candidate: Candidate, gains: Sequence[Gain], *, sure: bool) -> Re
     return None
 
 
-def not_judged(found: Selection, *, given: bool) -> Choice:
-    """The model of a search that no recording judges; `given`: whether the reference is a model that was given."""
-    kind: Kind = "all-causes" if found.causes else "paper" if given else "reference"
-    return Choice(kind=kind, fit=found.fit, gains=(), judged=False)
+def choice_without_judges(selection: Selection, *, has_model: bool) -> Choice:
+    """Return the model of a search that no recording judges; `has_model`: whether the user gave a reference model."""
+    kind: Kind = "all-causes" if selection.causes else "paper" if has_model else "reference"
+    return Choice(kind=kind, fit=selection.fit, gains=(), compared=False)
 
 
 def choose(
@@ -117,28 +117,30 @@ def choose(
         sure: whether the names of the first candidate hold by their own evidence.
     """
     refused: list[Refusal] = []
-    for place, candidate in enumerate(candidates):
+    for index, candidate in enumerate(candidates):
         gains = measure(candidate.fit.theta)
-        refusal = refusal_of(candidate, gains, sure=sure and place == 0)
+        refusal = refusal_of(candidate, gains, sure=sure and index == 0)
         if refusal is None:
             return Choice(
-                kind=candidate.kind, fit=candidate.fit, gains=tuple(gains), judged=True, refused=tuple(refused)
+                kind=candidate.kind, fit=candidate.fit, gains=tuple(gains), compared=True, refused=tuple(refused)
             )
         refused.append(refusal)
-    return Choice(kind="reference", fit=reference, gains=(), judged=True, refused=tuple(refused))
+    return Choice(kind="reference", fit=reference, gains=(), compared=True, refused=tuple(refused))
 
 
-def candidates_of(found: Selection, *, given: bool) -> list[Candidate]:
+def candidates_of(selection: Selection, *, has_model: bool) -> list[Candidate]:
     """The models of a search with causes in the order in which they are tried.
 
     Args:
-        found: the result of the search.
-        given: whether the reference is a model that was given; then the paper's model, fitted anew, is one of them.
+        selection: the result of the search.
+        has_model: whether the user gave a reference model; then the paper's model, fitted anew, is one of them.
     """
-    fewer = [fit for fit in found.smaller.values() if causes_of(fit) and set(causes_of(fit)) < set(found.causes)]
+    fewer = [
+        fit for fit in selection.smaller.values() if causes_of(fit) and set(causes_of(fit)) < set(selection.causes)
+    ]
     fewer.sort(key=lambda fit: -fit.loglik)
     return [
-        *([Candidate(kind="all-causes", fit=found.fit)] if found.causes else []),
-        *(Candidate(kind="fewer-causes", fit=fit) for fit in fewer[: settings.FEWER_JUDGED]),
-        *([Candidate(kind="paper", fit=found.base)] if given else []),
+        *([Candidate(kind="all-causes", fit=selection.fit)] if selection.causes else []),
+        *(Candidate(kind="fewer-causes", fit=fit) for fit in fewer[: settings.FEWER_CAUSES_COMPARED]),
+        *([Candidate(kind="paper", fit=selection.base)] if has_model else []),
     ]

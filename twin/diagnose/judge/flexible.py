@@ -19,7 +19,7 @@ from twin.estimation.record import FloatArray
 
 PAST = 4  # readings of x and i_c, and inputs before them
 FEATURES = 600
-MOST_WINDOWS = 20_000
+MAX_WINDOWS = 20_000
 _PENALTIES = tuple(10.0**power for power in range(-6, 3))
 
 
@@ -34,12 +34,12 @@ def flexible_errors(fit: Evidence, judge: Evidence, samples: int, seed: int) -> 
     """
     errors = np.full(len(judge.series), np.nan)
     ends, inputs, moved = _windows(fit, samples)
-    asked, rows, wanted = _windows(judge, samples)
-    if len(ends) < 20 * PAST or not len(asked):
+    predicted, rows, targets = _windows(judge, samples)
+    if len(ends) < 20 * PAST or not len(predicted):
         return errors
     rng = np.random.default_rng(seed)
-    if len(ends) > MOST_WINDOWS:
-        chosen = np.sort(rng.choice(len(ends), MOST_WINDOWS, replace=False))
+    if len(ends) > MAX_WINDOWS:
+        chosen = np.sort(rng.choice(len(ends), MAX_WINDOWS, replace=False))
         inputs, moved = inputs[chosen], moved[chosen]
     mean, spread = inputs.mean(axis=0), inputs.std(axis=0) + 1e-12
     directions = rng.normal(size=(inputs.shape[1], FEATURES)) / np.sqrt(inputs.shape[1])
@@ -52,16 +52,18 @@ def flexible_errors(fit: Evidence, judge: Evidence, samples: int, seed: int) -> 
     train, unit = features(inputs), moved.std() + 1e-12
     first = np.arange(len(train)) % 500 < 400  # blocks: neighbouring windows share their readings
     best = min(_PENALTIES, key=lambda p: _missed(train, moved / unit, first, p))
-    errors[asked] = features(rows) @ _ridge(train, moved / unit, best) * unit - wanted
+    errors[predicted] = features(rows) @ _ridge(train, moved / unit, best) * unit - targets
     return errors
 
 
-def _ridge(rows: FloatArray, wanted: FloatArray, penalty: float) -> FloatArray:
-    return np.asarray(np.linalg.solve(rows.T @ rows + penalty * len(rows) * np.eye(rows.shape[1]), rows.T @ wanted))
+def _ridge(rows: FloatArray, targets: FloatArray, penalty: float) -> FloatArray:
+    return np.asarray(np.linalg.solve(rows.T @ rows + penalty * len(rows) * np.eye(rows.shape[1]), rows.T @ targets))
 
 
-def _missed(rows: FloatArray, wanted: FloatArray, first: np.ndarray[tuple[int], np.dtype[np.bool_]], p: float) -> float:
-    return float(np.mean((rows[~first] @ _ridge(rows[first], wanted[first], p) - wanted[~first]) ** 2))
+def _missed(
+    rows: FloatArray, targets: FloatArray, first: np.ndarray[tuple[int], np.dtype[np.bool_]], p: float
+) -> float:
+    return float(np.mean((rows[~first] @ _ridge(rows[first], targets[first], p) - targets[~first]) ** 2))
 
 
 def _windows(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.theta import Theta
 from twin.diagnose.judge.account import Account, Verdict, verdict_of
-from twin.diagnose.judge.choice import Choice, at_20_ms, candidates_of, choose, not_judged, worse
+from twin.diagnose.judge.choice import Choice, at_20_ms, candidates_of, choice_without_judges, choose, worse
 from twin.diagnose.judge.prediction_gain import Gain
 from twin.diagnose.judge.reference_model import off_sentence, theta_of
 from twin.diagnose.judge.worth import Bench
@@ -27,50 +27,52 @@ class Judgement:
 
 
 def judge(
-    found: Selection,
+    selection: Selection,
     model: Model | None,
     bench: Bench | None,
     account: Account,
     *,
-    fine: bool,
+    is_adequate: bool,
     finished: bool,
     counted: bool,
 ) -> Judgement:
     """Judge the result of a search.
 
     Args:
-        found: the result.
+        selection: the result.
         model: the reference model that was given; None: the paper's model, fitted.
         bench: the judge recordings; None: there are none.
         account: of the shares.
-        fine: whether what is left of the recordings for fitting is noise.
+        is_adequate: whether what is left of the recordings for fitting is noise.
         finished: whether the search examined all that it was asked for.
         counted: whether lost samples are a cause.
     """
-    before = found.base.theta if model is None else theta_of(model, found.base.theta)
-    first = bench.gains(before, found.fit.theta) if bench is not None else []
+    before = selection.base.theta if model is None else theta_of(model, selection.base.theta)
+    first = bench.gains(before, selection.fit.theta) if bench is not None else []
     whole = at_20_ms(first)
     verdict = verdict_of(
-        named=bool(found.causes) or counted,
-        fine=fine,
+        named=bool(selection.causes) or counted,
+        is_adequate=is_adequate,
         finished=finished,
         gain=whole,
-        leading=(fine and counted) or any(account.leads(name) for name in found.causes),
+        leading=(is_adequate and counted) or any(account.leads(name) for name in selection.causes),
         worse=worse(first) is not None,
     )
     if bench is None or not first:
-        choice = not_judged(found, given=model is not None)
+        choice = choice_without_judges(selection, has_model=model is not None)
         return Judgement(before=before, whole=whole, verdict=verdict, choice=choice, off="")
 
     def measure(theta: Theta) -> list[Gain]:
-        return first if theta is found.fit.theta else bench.gains(before, theta)
+        return first if theta is selection.fit.theta else bench.gains(before, theta)
 
-    reference: Fit | None = found.base if model is None else None
-    candidates = candidates_of(found, given=model is not None)
+    reference: Fit | None = selection.base if model is None else None
+    candidates = candidates_of(selection, has_model=model is not None)
     choice = choose(candidates, reference, measure, sure=verdict in ("causes-found", "partly-explained"))
     if choice.kind == "reference":
         choice = replace(choice, gains=tuple(measure(before)))
     off = ""
     if model is not None and whole is not None:
-        off = off_sentence(model, found.base.theta, whole, bench.gain(found.base.theta, found.fit.theta, whole.samples))
+        off = off_sentence(
+            model, selection.base.theta, whole, bench.gain(selection.base.theta, selection.fit.theta, whole.samples)
+        )
     return Judgement(before=before, whole=whole, verdict=verdict, choice=choice, off=off)

@@ -57,8 +57,8 @@ class Gain:
     def removed(self) -> float:
         """Removed share of the mean square error above the floor, at most 1; NaN if there was none."""
         excess = self.baseline_rmse_m**2 - self.floor_m**2
-        gone = self.baseline_rmse_m**2 - self.extended_rmse_m**2
-        return min(gone / excess, 1.0) if excess > 0.0 else math.nan
+        reduction = self.baseline_rmse_m**2 - self.extended_rmse_m**2
+        return min(reduction / excess, 1.0) if excess > 0.0 else math.nan
 
 
 def predictions(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float, samples: int) -> FloatArray:

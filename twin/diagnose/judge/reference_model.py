@@ -28,10 +28,10 @@ def check_plant(model: Model, plant: Plant) -> None:
         DataError: names the first field that differs, with both values.
     """
     for name in _KNOWN:
-        own, asked = float(getattr(model.plant, name)), float(getattr(plant, name))
-        if abs(own - asked) > settings.SAME_PLANT * abs(asked):
+        value, expected = float(getattr(model.plant, name)), float(getattr(plant, name))
+        if abs(value - expected) > settings.SAME_PLANT * abs(expected):
             raise DataError(
-                f"--model is of another plant: its {name} is {own:g}, [plant] of the campaign has {asked:g}",
+                f"--model is of another plant: its {name} is {value:g}, [plant] of the campaign has {expected:g}",
                 remedy="Give a model that was identified with this [plant], or correct [plant]",
             )
 
@@ -70,7 +70,7 @@ def off_sentence(model: Model, fitted: Theta, gain: Gain | None, refitted: Gain 
     if gain is None or refitted is None or gain.baseline_rmse_m < _WORSE * refitted.baseline_rmse_m:
         return ""
     moves = {name: fitted.value(name) / max(getattr(model, name), 1e-300) - 1.0 for name in PARAMETERS if name != "b"}
-    listed = ", ".join(f"{name} {100.0 * by:+.1f} %" for name, by in moves.items() if abs(by) > _OFF)
+    listed = ", ".join(f"{name} {100.0 * change:+.1f} %" for name, change in moves.items() if abs(change) > _OFF)
     return (
         f"the numbers of the given model are off: it predicts x {gain.horizon_s * 1e3:.0f} ms ahead to "
         f"{gain.baseline_rmse_m * 1e6:.3g} µm, the paper's model fitted anew to {refitted.baseline_rmse_m * 1e6:.3g} µm"

@@ -39,8 +39,8 @@ class Bench:
             return self.gain(before, after, samples)
 
         with ThreadPoolExecutor(max_workers=self.workers) as pool:
-            found = [one for one in pool.map(at, horizons) if one is not None]
-        return found[::-1]
+            gains = [result for result in pool.map(at, horizons) if result is not None]
+        return gains[::-1]
 
     def gain(self, before: Theta, after: Theta, samples: int) -> Gain | None:
         """The gain at one horizon, which is not charged to the budget; None if nothing can be predicted."""

@@ -101,12 +101,12 @@ def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[Curve
 def begun(criterion: Criterion, at: Fit, score: CurveScore) -> Fit:
     """`at` with a curve, everything fitted again, not to the end: near enough to tell which predicts better."""
     fit = approach(criterion, score.start, (*at.free, *coefficients(score.curve)))
-    return climb(criterion, fit.theta, fit.free, passes=settings.CURVE_PASSES, near=True)
+    return climb(criterion, fit.theta, fit.free, passes=settings.CURVE_PASSES, approximate=True)
 
 
 def ended(criterion: Criterion, fit: Fit) -> Fit:
     """The same, fitted to the end."""
-    return climb(criterion, fit.theta, fit.free, passes=settings.CURVE_PASSES, done=settings.CURVE_DONE)
+    return climb(criterion, fit.theta, fit.free, passes=settings.CURVE_PASSES, tolerance=settings.CURVE_TOLERANCE)
 
 
 def band(fit: Fit, curve: Cause, at: FloatArray, weights_at: FloatArray) -> tuple[FloatArray, FloatArray]:

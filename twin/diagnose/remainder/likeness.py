@@ -13,7 +13,7 @@ from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.remainder.curve_fits import coefficients, ranged, visited
-from twin.diagnose.search.candidate_fits import Trial, climbed, fitted, inside
+from twin.diagnose.search.candidate_fits import Trial, fit_candidates, refine, within_range
 from twin.diagnose.search.score_test import screen
 from twin.model.causes.cause import Cause
 
@@ -46,10 +46,12 @@ def alike(criterion: Criterion, at: Fit, curve: Cause, gain: float, candidates: 
     absorbed = {
         name: 1.0 - beside[name].visible / score.visible
         for name, score in alone.items()
-        if name in beside and score.gain > max(settings.LEAST_GAIN, settings.LIKE_GAIN * gain)
+        if name in beside and score.gain > max(settings.MIN_GAIN, settings.LIKE_GAIN * gain)
     }
     like = [alone[name] for name, share in absorbed.items() if share >= settings.LIKE_SHARE][:MOST]
-    trials = [climbed(criterion, trial) for trial in fitted(criterion, at, like)] if like else []
+    trials = [refine(criterion, trial) for trial in fit_candidates(criterion, at, like)] if like else []
     return [
-        Alike(trial=trial, absorbed=absorbed[trial.cause]) for trial in trials if inside(trial) and trial.gain > 0.0
+        Alike(trial=trial, absorbed=absorbed[trial.cause])
+        for trial in trials
+        if within_range(trial) and trial.gain > 0.0
     ]

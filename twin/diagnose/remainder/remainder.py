@@ -187,7 +187,7 @@ def remainder_of(
         return None
     tried: list[Tried] = []
     best = _Grown(beside="causes", fit=found, squares=before)
-    best = _grow(judging, best, candidates, tried, most=settings.MOST_CURVES)
+    best = _grow(judging, best, candidates, tried, most=settings.MAX_CURVES)
     if paper is not None and found.theta.causes:
         bare = _Grown(beside="paper", fit=paper, squares=judging.squares(paper.theta))
         bare = _grow(judging, bare, (), tried, most=1)
@@ -219,7 +219,7 @@ def _grow(judging: _Judge, at: _Grown, candidates: Sequence[Cause], tried: list[
     criterion = judging.criterion
     for _ in range(most):
         asked = scores(criterion, at.fit, [curve for curve in CURVES if curve not in at.curves])
-        asked = [one for one in asked[: settings.CURVES_FITTED] if one.evidence > settings.LEAST_GAIN]
+        asked = [one for one in asked[: settings.CURVES_FITTED] if one.evidence > settings.MIN_GAIN]
         best = _best(judging, at, asked, tried)
         if best is None or not judging.ratio(at.squares, best[2], judging.chooses)[1] < settings.CURVE_RATIO:
             break

@@ -25,7 +25,7 @@ def written_model(choice: Choice, model: Model) -> Model:
         choice: how it was chosen.
         model: the model of the choice.
     """
-    said = {"about": _ABOUT[choice.kind], "extends": choice.kind, "judged": choice.judged}
+    said = {"about": _ABOUT[choice.kind], "extends": choice.kind, "judged": choice.compared}
     return replace(model, provenance={**model.provenance, **said})
 
 

@@ -188,10 +188,10 @@ def round_figure(step: Round, number: int, threshold: float) -> Figure:
     rows = sorted(rows, key=lambda row: -row[1])[:MOST_BARS]
     figure, ax = _panel(height=1.3 + 0.28 * max(len(rows), 3), left=0.4, top=0.35)
     for place, (cause, gain, own) in enumerate(rows):
-        colour = EXTENDED if cause == step.taken else BASELINE if own else FLOOR
+        colour = EXTENDED if cause == step.selected else BASELINE if own else FLOOR
         ax.barh(place, max(gain, 0.0), height=0.7, color=colour, alpha=1.0 if own else 0.35)
     ax.axvline(threshold, color="black", lw=0.8, ls=":")
-    names = [cause + (" ✓" if cause == step.taken else "") for cause, _, _ in rows]
+    names = [cause + (" ✓" if cause == step.selected else "") for cause, _, _ in rows]
     ax.set_yticks(range(len(rows)), names)
     ax.invert_yaxis()
     ax.set_xscale("symlog", linthresh=threshold)
@@ -199,7 +199,7 @@ def round_figure(step: Round, number: int, threshold: float) -> Figure:
     ax.xaxis.set_minor_locator(matplotlib.ticker.NullLocator())
     ax.xaxis.set_major_formatter("{x:g}")
     ax.set_xlabel("gain of log-likelihood")
-    ax.set_title(f"round {number}: " + (f"{step.taken} taken" if step.taken else "nothing taken"))
+    ax.set_title(f"round {number}: " + (f"{step.selected} taken" if step.selected else "nothing taken"))
     return figure
 
 

@@ -9,7 +9,7 @@ from twin.diagnose.inference.fisher_scoring import spreads
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.report.sentences import bound_sentence
 from twin.diagnose.result import MinorEffect, NotTestable, RuledOut, fit_parameters
-from twin.diagnose.search.candidate_fits import inside
+from twin.diagnose.search.candidate_fits import within_range
 from twin.diagnose.search.state import Selection
 from twin.estimation.record import Record
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
@@ -53,13 +53,13 @@ def ruled_out(found: Selection, said: set[str]) -> list[RuledOut]:
 def minor_effects_of(criterion: Criterion, found: Selection) -> list[MinorEffect]:
     """What the last round refused although chance does not explain its gain, best first."""
     last = found.rounds[-1] if found.rounds else None
-    if last is None or last.taken:
+    if last is None or last.selected:
         return []
     classes = {trial.cause for members in found.classes.values() for trial in members}
     entries = []
     for trial in last.trials:
         beside = {name.partition(".")[0] for name in trial.fit.free if "." in name} - {trial.cause}
-        seen = trial.gain >= settings.LEAST_GAIN and inside(trial) and trial.fit.converged
+        seen = trial.gain >= settings.MIN_GAIN and within_range(trial) and trial.fit.converged
         # Where one cause took the place of another since, the round was about another model.
         if seen and trial.cause not in classes and beside == set(found.causes):
             parameters = fit_parameters(trial.fit, trial.cause, spreads(criterion, trial.fit))

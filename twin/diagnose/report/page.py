@@ -84,7 +84,7 @@ def to_html(found: Diagnosis, show: Show, *, campaign: Path, out: Path) -> str:
 
 def _banners(found: Diagnosis, show: Show) -> list[str]:
     lines = [assumption_warning(found.extended.plant)] if found.extended.plant.assumed else []
-    if found.choice is not None and not found.choice.judged:
+    if found.choice is not None and not found.choice.compared:
         lines.append("No recording judged the extended model: it may predict worse than the baseline.")
     if found.quick:
         lines.append(

@@ -20,9 +20,9 @@ def causes(found: Diagnosis) -> dict[str, Any]:
     account = found.account
     return {
         "lacked": LACKED,
-        "least_gain": f"{settings.LEAST_GAIN:g}",
+        "least_gain": f"{settings.MIN_GAIN:g}",
         "rounds": [
-            inline(figures.round_figure(step, number, settings.LEAST_GAIN), f"Round {number}: {round_sentence(step)}")
+            inline(figures.round_figure(step, number, settings.MIN_GAIN), f"Round {number}: {round_sentence(step)}")
             for number, step in enumerate(found.selection.rounds, start=1)
             if step.scores
         ],
@@ -30,7 +30,7 @@ def causes(found: Diagnosis) -> dict[str, Any]:
             _card(one, f"{number}. " if len(found.causes) > 1 else "")
             for number, one in enumerate(found.causes, start=1)
         ],
-        "several": None if len(account.by_cause) < 2 else _shares(account),
+        "several": None if len(account.cause_shares) < 2 else _shares(account),
         "minor_effects": [
             [
                 *_sized(one.name, one.parameters),
@@ -84,7 +84,7 @@ def _experiment(proposal: Proposal | None) -> dict[str, Any]:
 
 def _shares(account: Account) -> dict[str, str]:
     return {
-        "alone": percent(sum(account.by_cause.values())),
+        "alone": percent(sum(account.cause_shares.values())),
         "jointly": percent(account.jointly),
         "left": percent(account.unexplained),
     }

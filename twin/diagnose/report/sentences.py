@@ -159,7 +159,7 @@ def round_sentence(step: Round) -> str:
     if best is None:
         return "nothing in the catalogue gains anything"
     if not step.refusal:
-        return ("instead, " if step.instead else "") + f"log-likelihood +{best.gain:.0f}"
+        return ("instead, " if step.on_trial else "") + f"log-likelihood +{best.gain:.0f}"
     because = {
         "chance": f", with a gain of {best.gain:.1f}: chance does that",
         "outside its range": ", but outside its physical range",

@@ -16,7 +16,7 @@ from twin.diagnose.inference.fisher_scoring import Fit, approach, climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import coordinates_of, parameter_of
 from twin.diagnose.search.candidate_starts import start_of
-from twin.diagnose.search.prediction_benefit import removed
+from twin.diagnose.search.prediction_benefit import error_reduction
 from twin.diagnose.search.score_test import Score
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 
@@ -32,30 +32,30 @@ class Trial:
     gain: float  # of log-likelihood, against the model without it, beyond what the search makes out of noise
 
 
-def fitted(
+def fit_candidates(
     criterion: Criterion,
-    at: Fit,
+    current: Fit,
     scores: Sequence[Score],
-    wanted: float = 0.0,
-    pays: float = 1.0,
-    beaten: float = -math.inf,
+    min_gain: float = 0.0,
+    min_reduction: float = 1.0,
+    cutoff_gain: float = -math.inf,
 ) -> list[Trial]:
     """Fit the candidates, the leading ones to the end; best first.
 
     Args:
         criterion: of the recordings for fitting.
-        at: the model without them.
+        current: the model without them.
         scores: the candidates.
-        wanted: the gain below which none will be selected, unless it improves the prediction.
-        pays: share of the mean square prediction error that it must remove in that case.
-        beaten: the gain below which a candidate is not fitted further.
+        min_gain: gain below which no candidate will be selected, unless it improves the prediction.
+        min_reduction: share of the mean square prediction error that it must remove in that case.
+        cutoff_gain: gain below which a candidate is not fitted further.
     """
     names = [score.cause for score in scores]
-    copies = {same: one for same, one in _SAME.items() if one in names and same in names}
+    copies = {copy: original for copy, original in _SAME.items() if original in names and copy in names}
     scores = [score for score in scores if score.cause not in copies]
-    trials = criterion.each(partial(_begun, criterion, at), scores)
+    trials = criterion.each(partial(_start_trial, criterion, current), scores)
     favourites = {score.cause for score in scores[: settings.SAFE_CANDIDATES]}
-    for stage, (passes, hopeless, most) in enumerate(settings.HALVING):
+    for stage, (passes, min_share, max_candidates) in enumerate(settings.HALVING):
         trials.sort(key=lambda trial: -_expected(trial))
         best = max((trial.gain for trial in trials), default=0.0)
         last = stage == len(settings.HALVING) - 1 and bool(trials)
@@ -64,49 +64,49 @@ def fitted(
             if last
             else (1.0 - settings.STEEPNESS_DOUBT) * best - settings.EQUIVALENT_GAIN
         )
-        if last and all(_promise(trial) < wanted for trial in trials):
+        if last and all(_promise(trial) < min_gain for trial in trials):
             leader = max(trials, key=lambda trial: trial.gain)
-            least_pay = 0.5 * pays
-            if least_pay >= 0.5 or removed(criterion, at.theta, leader.fit.theta) < least_pay:
+            enough = 0.5 * min_reduction
+            if enough >= 0.5 or error_reduction(criterion, current.theta, leader.fit.theta) < enough:
                 break
-        going: set[str] = set()
-        for place, trial in enumerate(trials):
-            goes_on = place < most and _expected(trial) >= hopeless * best and _promise(trial) >= overtaken
-            goes_on = goes_on and _promise(trial) >= beaten
+        active: set[str] = set()
+        for rank, trial in enumerate(trials):
+            goes_on = rank < max_candidates and _expected(trial) >= min_share * best and _promise(trial) >= overtaken
+            goes_on = goes_on and _promise(trial) >= cutoff_gain
             if goes_on or (stage == 0 and trial.cause in favourites):
-                going.add(trial.cause)
-        trials = criterion.each(partial(_further, criterion, going, passes, last), trials)
+                active.add(trial.cause)
+        trials = criterion.each(partial(_refine_active, criterion, active, passes, last), trials)
     else:
-        trials = _first_ended(criterion, trials, going)
-    by_name = {trial.cause: trial for trial in trials}
-    trials += [renamed(by_name[one], same) for same, one in copies.items()]
+        trials = _finish_first(criterion, trials, active)
+    trial_of = {trial.cause: trial for trial in trials}
+    trials += [renamed(trial_of[original], copy) for copy, original in copies.items()]
     return sorted(trials, key=lambda trial: -trial.gain)
 
 
-def _first_ended(criterion: Criterion, trials: list[Trial], ended: set[str]) -> list[Trial]:
+def _finish_first(criterion: Criterion, trials: list[Trial], ended: set[str]) -> list[Trial]:
     """The best that is inside its range may be taken: it is fitted to the end, if it is not among those that were."""
     trials = sorted(trials, key=lambda trial: -trial.gain)
-    first = next((n for n, trial in enumerate(trials) if inside(trial)), len(trials))
+    first = next((n for n, trial in enumerate(trials) if within_range(trial)), len(trials))
     if first < len(trials) and trials[first].cause not in ended and not trials[first].fit.converged:
-        trials[first] = climbed(criterion, trials[first])
+        trials[first] = refine(criterion, trials[first])
     return trials
 
 
-def _begun(criterion: Criterion, at: Fit, score: Score) -> Trial:
-    start = start_of(criterion.thinner, at.theta, score)
-    fit = approach(criterion, start, _with(at.free, score.cause))
-    return Trial(cause=score.cause, fit=fit, gain=fit.loglik - at.loglik - score.chance)
+def _start_trial(criterion: Criterion, current: Fit, score: Score) -> Trial:
+    start = start_of(criterion.thinner, current.theta, score)
+    fit = approach(criterion, start, _with(current.free, score.cause))
+    return Trial(cause=score.cause, fit=fit, gain=fit.loglik - current.loglik - score.chance)
 
 
-def _further(criterion: Criterion, going: set[str], passes: int, last: bool, trial: Trial) -> Trial:
-    if trial.cause not in going or trial.fit.converged:
+def _refine_active(criterion: Criterion, active: set[str], passes: int, last: bool, trial: Trial) -> Trial:
+    if trial.cause not in active or trial.fit.converged:
         return trial
-    return climbed(criterion, trial, passes, near=not last)
+    return refine(criterion, trial, passes, approximate=not last)
 
 
 def same_as(cause: str) -> set[str]:
     """The causes whose effect on the samples is identical."""
-    return {two if cause == one else one for two, one in _SAME.items() if cause in (one, two)}
+    return {copy if cause == original else original for copy, original in _SAME.items() if cause in (original, copy)}
 
 
 def renamed(trial: Trial, cause: str) -> Trial:
@@ -123,13 +123,13 @@ def renamed(trial: Trial, cause: str) -> Trial:
     )
 
 
-def climbed(criterion: Criterion, trial: Trial, passes: int = settings.PASSES, *, near: bool = False) -> Trial:
+def refine(criterion: Criterion, trial: Trial, passes: int = settings.PASSES, *, approximate: bool = False) -> Trial:
     """Fit a trial further; the arguments are those of `climb`."""
-    fit = climb(criterion, trial.fit.theta, trial.fit.free, passes=passes, near=near)
+    fit = climb(criterion, trial.fit.theta, trial.fit.free, passes=passes, approximate=approximate)
     return replace(trial, fit=fit, gain=trial.gain + fit.loglik - trial.fit.loglik)
 
 
-def worth_the_whole(trial: Trial, best: Trial) -> bool:
+def deserves_full_fit(trial: Trial, best: Trial) -> bool:
     """Whether a trial is near enough to the best to be fitted to the end."""
     return trial.gain >= settings.HALVING[-1][1] * best.gain
 
@@ -141,10 +141,10 @@ def _expected(trial: Trial) -> float:
 
 def _promise(trial: Trial) -> float:
     """Upper bound of the gain that a trial may still reach."""
-    return trial.gain if trial.fit.converged else trial.gain + rises(trial.cause) * trial.fit.ahead
+    return trial.gain if trial.fit.converged else trial.gain + steepness(trial.cause) * trial.fit.ahead
 
 
-def rises(cause: str) -> float:
+def steepness(cause: str) -> float:
     """Factor by which the likelihood may rise above the parabola of its slope."""
     return settings.STEEPNESS_DELAY if BY_NAME[cause].family == "timing" else settings.STEEPNESS
 
@@ -153,7 +153,7 @@ def _with(free: tuple[str, ...], cause: str) -> tuple[str, ...]:
     return free + coordinates_of(cause)
 
 
-def inside(trial: Trial) -> bool:
+def within_range(trial: Trial) -> bool:
     """Whether every parameter of the cause is within its physical range, not at its end."""
     for name in coordinates_of(trial.cause):
         parameter = parameter_of(name)

@@ -14,7 +14,7 @@ import numpy as np
 
 from protocol.campaign import Plant
 from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.inference.theta import COLOURS, NOISES, PARAMETERS, Theta, most_step, moved
+from twin.diagnose.inference.theta import COLOURS, NOISES, PARAMETERS, Theta, max_step, moved
 from twin.diagnose.search.probes import probes_of
 from twin.diagnose.search.score_test import Score, probed
 from twin.estimation.record import Record
@@ -23,8 +23,8 @@ from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause
 from twin.model.extended import position_of_reading, position_reading
 
-_REACH = 20.0  # probes: farther the signature is another
-_LEAST = 0.05
+_MAX_REACH = 20.0  # probes: farther the signature is another
+_MIN_REACH = 0.05
 _PARTS = (1.0, 0.3, 0.1)  # of the linear step: where the likelihood is far from a parabola the whole one overshoots
 _GRID = (0.5, 0.7, 0.85, 1.0, 1.4, 2.0, 3.0, 5.0)  # of the probes
 _STEADY = 5  # samples of the same u_c
@@ -33,20 +33,22 @@ _STEADY = 5  # samples of the same u_c
 def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
     """The best of the starts by the likelihood itself."""
     cause, theta = BY_NAME[score.cause], replace(theta, phases_s=score.phases_s or theta.phases_s)
-    starts = [_linear(criterion, theta, score, cause, part, names) for names in _alone_or_all(score) for part in _PARTS]
+    starts = [
+        _linear(criterion, theta, score, cause, part, names) for names in _coordinate_sets(score) for part in _PARTS
+    ]
     if cause.family == "amplifier":
         gains, times = {theta.K_A}, {theta.T_A}
         robust = robust_gain(criterion.evidence.records)
         if robust is not None:
             gains.add(robust)
-        quick = quickest(criterion.evidence.records)
+        quick = shortest_time_constant(criterion.evidence.records)
         if quick is not None:
             times.add(min(quick, theta.T_A))
-        own = [(name, value) for name, value in score.others if name.startswith(f"{cause.name}.")]
+        values = [(name, value) for name, value in score.other_values if name.startswith(f"{cause.name}.")]
         for K_A in sorted(gains):
             for T_A in sorted(times):
                 for probe in probes_of(cause, criterion.evidence.series):
-                    starts.append(probed(replace(theta, K_A=K_A, T_A=T_A), cause, probe, own))
+                    starts.append(probed(replace(theta, K_A=K_A, T_A=T_A), cause, probe, values))
     starts = _with_stops(criterion.plant, theta, starts, cause)
     return starts[int(np.argmax(criterion.values(starts)))]
 
@@ -60,10 +62,10 @@ def _with_stops(plant: Plant, theta: Theta, starts: list[Theta], cause: Cause) -
     if cause.family != "sensing":
         return starts
     at_home = [replace(start, stop_low_m=0.0, stop_high_m=0.0) for start in starts]
-    return [*starts, *at_home, *(_shown_alike(plant, theta, start) for start in starts)]
+    return [*starts, *at_home, *(_same_readings(plant, theta, start) for start in starts)]
 
 
-def _shown_alike(plant: Plant, theta: Theta, start: Theta) -> Theta:
+def _same_readings(plant: Plant, theta: Theta, start: Theta) -> Theta:
     p, before, after = theta.base(plant), theta.vector(), start.vector()
     low, high = (
         float(position_of_reading(p, after, position_reading(p, before, stop, 0.0), 0.0))
@@ -72,8 +74,8 @@ def _shown_alike(plant: Plant, theta: Theta, start: Theta) -> Theta:
     return replace(start, stop_low_m=low, stop_high_m=high - plant.travel_m)
 
 
-def beside(criterion: Criterion, theta: Theta, own: Cause, confounder: Cause) -> Theta:
-    """The best strength of `confounder` with the numbers of `theta`, in which it takes the place of `own`.
+def substitute_start(criterion: Criterion, theta: Theta, cause: Cause, confounder: Cause) -> Theta:
+    """The best strength of `confounder` with the numbers of `theta`, in which it replaces `cause`.
 
     From the bent numbers of the model without either, one of two causes that do the same may never get there; two that
     are measured in the same unit, or in V and in A, may even be of the same size.
@@ -81,14 +83,14 @@ def beside(criterion: Criterion, theta: Theta, own: Cause, confounder: Cause) ->
     strength = confounder.strength
     at = [strength.coordinate(probe) * factor for probe in strength.probes for factor in _GRID]
     if strength.low < strength.neutral < strength.high:
-        at += [-one for one in at]
-    sizes = [strength.value(one) for one in at]
+        at += [-coordinate for coordinate in at]
+    sizes = [strength.value(coordinate) for coordinate in at]
     same = {(strength.unit, strength.unit): 1.0, ("V", "A"): theta.K_A, ("A", "V"): 1.0 / theta.K_A}
-    if (own.strength.unit, strength.unit) in same:
-        size = theta.value(f"{own.name}.{own.strength.name}") * same[own.strength.unit, strength.unit]
-        sizes += [one for one in (size, -size) if strength.low <= one <= strength.high]
-    bare = theta.without(own.name)
-    starts = _with_stops(criterion.plant, theta, [probed(bare, confounder, one) for one in sizes], confounder)
+    if (cause.strength.unit, strength.unit) in same:
+        size = theta.value(f"{cause.name}.{cause.strength.name}") * same[cause.strength.unit, strength.unit]
+        sizes += [signed for signed in (size, -size) if strength.low <= signed <= strength.high]
+    bare = theta.without(cause.name)
+    starts = _with_stops(criterion.plant, theta, [probed(bare, confounder, size) for size in sizes], confounder)
     return starts[int(np.argmax(criterion.values(starts)))]
 
 
@@ -99,11 +101,11 @@ def robust_gain(records: Sequence[Record]) -> float | None:
         if record.kind == "equilibria" or not record.has("u_c", "i_c") or len(record.t) < 2 * _STEADY:
             continue
         u, i = record.u_c, record.i_c
-        still = np.ones(len(u), np.bool_)
+        steady = np.ones(len(u), np.bool_)
         for lag in range(1, _STEADY):
-            still[lag:] &= np.abs(u[lag:] - u[:-lag]) <= 0.02 * np.abs(u[lag:])
-        still[:_STEADY] = False
-        good = still & (u > 0.2 * np.nanmax(u)) & np.isfinite(i)
+            steady[lag:] &= np.abs(u[lag:] - u[:-lag]) <= 0.02 * np.abs(u[lag:])
+        steady[:_STEADY] = False
+        good = steady & (u > 0.2 * np.nanmax(u)) & np.isfinite(i)
         if good.sum() >= 20:
             ratios.append(i[good] / u[good])
     if not ratios:
@@ -112,9 +114,9 @@ def robust_gain(records: Sequence[Record]) -> float | None:
     return gain if gain > 0.0 else None
 
 
-def quickest(records: Sequence[Record]) -> float | None:
+def shortest_time_constant(records: Sequence[Record]) -> float | None:
     """The shortest T_A that any single recording or capture of steps asks for, s."""
-    found = []
+    time_constants = []
     for record in records:
         singles = [
             replace(
@@ -133,33 +135,33 @@ def quickest(records: Sequence[Record]) -> float | None:
         for single in singles:
             start = amplifier_start([single])
             if start is not None and start.K_A > 0.0 and start.share > 0.9:
-                found.append(start.T_A)
-    return min(found) if found else None
+                time_constants.append(start.T_A)
+    return min(time_constants) if time_constants else None
 
 
-def _alone_or_all(score: Score) -> list[list[str]]:
+def _coordinate_sets(score: Score) -> list[list[str]]:
     """What moves with a candidate: the paper's parameters, or all but the noise levels, which find their own way.
 
     Places of coil, stop and sensor that are one but for bends only move together.  So does a cause in the model that
     has taken up what the candidate does: without it the candidate begins 10 000 of log-likelihood below.
     """
-    names = [name for name, _ in score.beside if name not in NOISES + COLOURS]
-    alone = [name for name in names if name in PARAMETERS]
+    names = [name for name, _ in score.moves if name not in NOISES + COLOURS]
+    paper = [name for name in names if name in PARAMETERS]
     together = "displaces" in BY_NAME[score.cause].traits or any("." in name for name in names)
-    return [alone, names] if together else [alone]
+    return [paper, names] if together else [paper]
 
 
 def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause, part: float, names: Sequence[str]) -> Theta:
     strength = cause.strength
-    most_reach = _REACH / min(score.fineness, 1.0)
-    reach = min(max(score.step, -most_reach), most_reach)
-    reach = reach if abs(reach) > _LEAST else 0.3
+    max_reach = _MAX_REACH / min(score.fineness, 1.0)
+    reach = min(max(score.step, -max_reach), max_reach)
+    reach = reach if abs(reach) > _MIN_REACH else 0.3
     shorter = min(
-        [1.0, *(most_step(name) / max(abs(by * reach), 1e-300) for name, by in score.beside if name in names)]
+        [1.0, *(max_step(name) / max(abs(move * reach), 1e-300) for name, move in score.moves if name in names)]
     )
-    reach *= max(shorter, _LEAST / abs(reach)) * part
-    for name, by in score.beside:
+    reach *= max(shorter, _MIN_REACH / abs(reach)) * part
+    for name, move in score.moves:
         if name in names:
-            most = most_step(name)  # what nothing in the data holds would run away
-            theta = moved(theta, name, min(max(by * reach, -most), most), criterion.plant)
-    return probed(theta, cause, strength.value(strength.coordinate(score.probe) * reach), score.others)
+            max_move = max_step(name)  # what nothing in the data holds would run away
+            theta = moved(theta, name, min(max(move * reach, -max_move), max_move), criterion.plant)
+    return probed(theta, cause, strength.value(strength.coordinate(score.probe) * reach), score.other_values)

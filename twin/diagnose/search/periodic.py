@@ -23,11 +23,11 @@ from twin.model.causes.catalogue import found_by
 CAUSE = found_by("spectral-line")
 AMPLITUDE, FREQUENCY = (f"{CAUSE.name}.{parameter.name}" for parameter in CAUSE.parameters)
 _PAD = 1 << 16
-_TURNS = 4  # of the phases, at most
+_MAX_ROUNDS = 4  # of the phases, at most
 _STEP = 0.1  # rad, to take the slope of a phase by
 _FAR_STEPS = 4.0  # of these at once
 _LONG_SAMPLES = 500  # for a spectrum
-_FEW_SAMPLES = 50  # for a phase: with none of its own, a recording would be shaken at a wrong time
+_MIN_SAMPLES = 50  # for a phase: with none of its own, a recording would be shaken at a wrong time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +53,7 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
     quarter = 0.25 / frequency
     base = criterion.outputs(theta)
     # Not with the phases of a line that was found before: the two would be no quarter of a period apart.
-    sine, cosine = (criterion.outputs(replace(at, phases_s=(by,) * count)) for by in (0.0, quarter))
+    sine, cosine = (criterion.outputs(replace(at, phases_s=(shift_s,) * count)) for shift_s in (0.0, quarter))
     scale = np.sqrt(base[:, 4])
     residual = base[:, 1] / scale
     columns = np.column_stack((sine[:, 1] - base[:, 1], cosine[:, 1] - base[:, 1])) / scale[:, None]
@@ -61,9 +61,9 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
     phases_s = [0.0] * count
     gain, weighted, weight, phases = 0.0, 0.0, 0.0, 0
     for number in np.unique(series.recording):
-        own = series.recording == number
-        use = own & good
-        if use.sum() < _FEW_SAMPLES:
+        in_recording = series.recording == number
+        use = in_recording & good
+        if use.sum() < _MIN_SAMPLES:
             continue
         design = columns[use]
         normal = design.T @ design
@@ -77,8 +77,8 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
         size = math.hypot(*pair)
         weighted, weight = weighted + size * float(np.trace(normal)), weight + float(np.trace(normal))
         pair = -pair
-        by = math.atan2(pair[1], pair[0]) / (2.0 * math.pi * frequency)
-        phases_s[number] = _about(by, float(criterion.evidence.t[use].mean()), frequency)
+        shift_s = math.atan2(pair[1], pair[0]) / (2.0 * math.pi * frequency)
+        phases_s[number] = _without_whole_periods(shift_s, float(criterion.evidence.t[use].mean()), frequency)
     if weight == 0.0:
         return None
     return Line(
@@ -90,52 +90,55 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
     )
 
 
-def rephased(criterion: Criterion, fit: Fit, passes: int) -> Fit:
+def fit_phases(criterion: Criterion, fit: Fit, passes: int) -> Fit:
     """The fit with phases that belong to its own frequency; the old one where they gain nothing."""
     frequency = fit.theta.value(FREQUENCY)
     line = find_line(criterion, fit.theta.without(CAUSE.name), frequency)
-    return fit if line is None else _turned(criterion, fit, line.phases_s, passes)
+    return fit if line is None else _with_phases(criterion, fit, line.phases_s, passes)
 
 
-def settled(criterion: Criterion, fit: Fit, passes: int) -> Fit:
+def refine_phases(criterion: Criterion, fit: Fit, passes: int) -> Fit:
     """The fit with the phase of each recording where its own likelihood is largest.
 
     Those of `rephased` are a linear answer: a ramp in which the force decides when the ball lifts off wants others, and
     a lag beside them came out 3 % short.
     """
-    for _ in range(_TURNS):
-        turned = _turned(criterion, fit, _nearer(criterion, fit.theta), passes)
-        gained, fit = turned.loglik - fit.loglik, turned
+    for _ in range(_MAX_ROUNDS):
+        again = _with_phases(criterion, fit, _newton_phases(criterion, fit.theta), passes)
+        gained, fit = again.loglik - fit.loglik, again
         if gained < settings.PHASE_GAIN:
             break
     return fit
 
 
-def _turned(criterion: Criterion, fit: Fit, phases_s: tuple[float, ...], passes: int) -> Fit:
+def _with_phases(criterion: Criterion, fit: Fit, phases_s: tuple[float, ...], passes: int) -> Fit:
     """The fit with these phases; where they gain nothing it and its own."""
     again = climb(criterion, replace(fit.theta, phases_s=phases_s), fit.free, passes=passes)
     return again if again.loglik > fit.loglik else fit
 
 
-def _nearer(criterion: Criterion, theta: Theta) -> tuple[float, ...]:
+def _newton_phases(criterion: Criterion, theta: Theta) -> tuple[float, ...]:
     """Phases a Newton step nearer to the best of each recording, s."""
     series = criterion.evidence.series
     phases_s = list(theta.phases_s or (0.0,) * len(criterion.evidence.records))
     step = _STEP / (2.0 * math.pi * theta.value(FREQUENCY))
-    less, here, more = (
-        criterion.white(replace(theta, phases_s=tuple(phase + by for phase in phases_s)))[0]
-        for by in (-step, 0.0, step)
+    less, middle, more = (
+        criterion.white(replace(theta, phases_s=tuple(phase + shift_s for phase in phases_s)))[0]
+        for shift_s in (-step, 0.0, step)
     )
     for number in np.unique(series.recording):
-        own = series.recording == number
-        slope, curve = float(np.sum((more - less)[own])), float(np.sum((more - 2.0 * here + less)[own]))
-        by = step * float(np.clip(0.5 * slope / curve, -_FAR_STEPS, _FAR_STEPS)) if curve < 0.0 else 0.0
-        middle = float(criterion.evidence.t[own].mean())
-        phases_s[number] = _about(phases_s[number] - by, middle, theta.value(FREQUENCY))
+        in_recording = series.recording == number
+        slope, curve = (
+            float(np.sum((more - less)[in_recording])),
+            float(np.sum((more - 2.0 * middle + less)[in_recording])),
+        )
+        shift_s = step * float(np.clip(0.5 * slope / curve, -_FAR_STEPS, _FAR_STEPS)) if curve < 0.0 else 0.0
+        middle_s = float(criterion.evidence.t[in_recording].mean())
+        phases_s[number] = _without_whole_periods(phases_s[number] - shift_s, middle_s, theta.value(FREQUENCY))
     return tuple(phases_s)
 
 
-def _about(shift_s: float, middle_s: float, frequency_hz: float) -> float:
+def _without_whole_periods(shift_s: float, middle_s: float, frequency_hz: float) -> float:
     """The shift less whole periods, so that another frequency turns the phase about the middle of the recording.
 
     A minute off, a thousandth of a hertz would turn all of it, and phases and frequency hold each other where they are.
@@ -154,8 +157,8 @@ def _strongest(criterion: Criterion, theta: Theta) -> float | None:
     power = np.zeros(len(frequencies))
     count = 0
     for number in np.unique(series.recording):
-        own = series.recording == number
-        for piece in runs(own & (np.abs(series.step - interval) < 0.02 * interval), _LONG_SAMPLES):
+        in_recording = series.recording == number
+        for piece in runs(in_recording & (np.abs(series.step - interval) < 0.02 * interval), _LONG_SAMPLES):
             if flying[piece].sum() < _LONG_SAMPLES:
                 continue
             part = values[piece][:_PAD]
@@ -164,7 +167,7 @@ def _strongest(criterion: Criterion, theta: Theta) -> float | None:
     if not count:
         return None
     low, high = CAUSE.parameters[1].low, min(CAUSE.parameters[1].high, 0.4 / interval)
-    inside = (frequencies >= low) & (frequencies <= high)
+    in_range = (frequencies >= low) & (frequencies <= high)
     width = max(round(settings.LINE_NEIGHBOURS_HZ / float(frequencies[1])), 3)
-    around = np.convolve(power, np.ones(2 * width + 1) / (2 * width + 1), mode="same")
-    return float(frequencies[inside][int(np.argmax((power / np.maximum(around, 1e-12))[inside]))])
+    local_mean = np.convolve(power, np.ones(2 * width + 1) / (2 * width + 1), mode="same")
+    return float(frequencies[in_range][int(np.argmax((power / np.maximum(local_mean, 1e-12))[in_range]))])

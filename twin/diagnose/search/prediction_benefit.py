@@ -15,7 +15,7 @@ from twin.estimation.rollout import predict_ahead
 from twin.estimation.rollout_periodic import has_phase
 
 
-def removed(criterion: Criterion, before: Theta, after: Theta) -> float:
+def error_reduction(criterion: Criterion, before: Theta, after: Theta) -> float:
     """Share of the mean square error of x 20 ms ahead that `after` removes; 0 where nothing can be predicted."""
     if has_phase(before.vector()) or has_phase(after.vector()):
         return 0.0  # the phase was fitted to these very recordings

@@ -12,18 +12,18 @@ from twin.model.causes.cause import Cause
 
 _RATE_SPAN_S = 4e-4  # over which a rate of change is taken: in one sample of a capture it is all noise
 # The places of coil, stop and sensor are one but for bends: in the signature of a wide probe those hide the difference.
-_FINE_PART = 0.02
+_SMALL_PART = 0.02
 _ENOUGH = 20
 
 
 def probes_of(cause: Cause, series: Series) -> tuple[float, ...]:
     """Values of the cause's strength at which its signature is taken."""
-    own, asked = cause.strength.probes, cause.measured_probes
-    if asked is not None:
-        size = _SIZES[asked.of](series)
-        at = tuple(size * factor for factor in asked.times) if size > 0.0 else ()
-        return at if math.isinf(cause.strength.neutral) else (*own, *(one for one in at if one > own[0]))
-    return (*own, _FINE_PART * own[0]) if "displaces" in cause.traits else own
+    usual, measured = cause.strength.probes, cause.measured_probes
+    if measured is not None:
+        size = _SIZES[measured.of](series)
+        at = tuple(size * factor for factor in measured.times) if size > 0.0 else ()
+        return at if math.isinf(cause.strength.neutral) else (*usual, *(value for value in at if value > usual[0]))
+    return (*usual, _SMALL_PART * usual[0]) if "displaces" in cause.traits else usual
 
 
 def largest_current(series: Series) -> float:

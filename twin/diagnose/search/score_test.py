@@ -39,15 +39,15 @@ class Score:
     z: float  # how far from absent, in standard errors, signed
     detectable: float  # standard errors by which the probe itself would show
     visible: float  # share of the signature that nothing in the model takes up
-    beside: tuple[tuple[str, float], ...]  # moves of the other coordinates that go with a whole step
+    moves: tuple[tuple[str, float], ...]  # moves of the other coordinates that go with a whole step
     chance: float = 0.0  # gain that the search for the cause's other parameters makes out of nothing
     phases_s: tuple[float, ...] = ()  # of a periodic force, as `Theta` has them
-    others: tuple[tuple[str, float], ...] = ()  # values of the cause's other parameters, where not the usual ones
+    other_values: tuple[tuple[str, float], ...] = ()  # values of the cause's other parameters, where not the usual ones
 
     @property
     def testable(self) -> bool:
         """Whether these data can show it."""
-        return self.visible >= settings.VISIBLE and self.detectable >= settings.LEAST_INFORMATION * min(
+        return self.visible >= settings.VISIBLE and self.detectable >= settings.MIN_INFORMATION * min(
             self.fineness, 1.0
         )
 
@@ -74,52 +74,52 @@ def screen(
         for shape in shapes_of(cause)
     ]
     run = criterion.run(theta)
-    base, by_free = criterion.derivatives(theta, free, run, rough=True)
+    base, free_change = criterion.derivatives(theta, free, run, rough=True)
     k, count = len(free), len(free) + len(trials)
     change = np.empty((count, *base.shape))
-    change[:k] = by_free
-    beside = [probed(theta, cause, probe, shape) for cause, probe, shape in trials]
+    change[:k] = free_change
+    models = [probed(theta, cause, probe, shape) for cause, probe, shape in trials]
     # The slopes of a ball that may stick are not those of one that cannot.
     reuse = [Reuse.NOTHING if "sticks" in cause.traits else Reuse.SLOPES for cause, *_ in trials]
-    outs = criterion.beside(beside, run, reuse)
-    for place, out in enumerate(outs, k):
-        np.subtract(out, base, out=change[place])
+    outs = criterion.outputs_reusing(models, run, reuse)
+    for index, out in enumerate(outs, k):
+        np.subtract(out, base, out=change[index])
     del outs
     fisher, each = np.zeros((count, count)), np.empty((len(base), count))
     information(base, change, each, fisher)
-    by = [derivative_step(theta, name, criterion.plant) for name in free]
-    moves = [moved(theta, name, step, criterion.plant) for name, step in zip(free, by, strict=True)]
-    score, curvature = criterion.outside_slopes(theta, [*moves, *beside], [*by, *(1.0 for _ in trials)])
+    steps = [derivative_step(theta, name, criterion.plant) for name in free]
+    free_models = [moved(theta, name, step, criterion.plant) for name, step in zip(free, steps, strict=True)]
+    score, curvature = criterion.outside_slopes(theta, [*free_models, *models], [*steps, *(1.0 for _ in trials)])
     score, fisher = each.sum(axis=0) + score, fisher + curvature
     inner = inverse(fisher[:k, :k])
     best: dict[str, Score] = {}
-    for place, (cause, probe, shape) in enumerate(trials, k):
-        cross = fisher[:k, place]
-        own = float(fisher[place, place])
-        left = own - float(cross @ inner @ cross)
-        slope = float(score[place] - cross @ inner @ score[:k])
-        if not (own > 0.0 and math.isfinite(own)):
+    for index, (cause, probe, shape) in enumerate(trials, k):
+        cross = fisher[:k, index]
+        total = float(fisher[index, index])
+        left = total - float(cross @ inner @ cross)
+        slope = float(score[index] - cross @ inner @ score[:k])
+        if not (total > 0.0 and math.isfinite(total)):
             continue
-        left = max(left, 1e-12 * own)
+        left = max(left, 1e-12 * total)
         step = slope / left
         if step < 0.0 and not _two_sided(cause):
             gain, step = 0.0, 0.0
         else:
             gain = 0.5 * slope * slope / left
-        found = Score(
+        entry = Score(
             cause=cause.name,
             probe=probe,
             gain=gain / criterion.share,
             step=step,
             z=slope / math.sqrt(left * criterion.share),
             detectable=math.sqrt(left / criterion.share),
-            visible=left / own,
-            beside=tuple(zip(free, (-(inner @ cross)).tolist(), strict=True)),
-            others=shape,
+            visible=left / total,
+            moves=tuple(zip(free, (-(inner @ cross)).tolist(), strict=True)),
+            other_values=shape,
         )
-        if cause.name not in best or found.gain > best[cause.name].gain:
-            best[cause.name] = found
-    return sorted(best.values(), key=lambda found: -found.gain)
+        if cause.name not in best or entry.gain > best[cause.name].gain:
+            best[cause.name] = entry
+    return sorted(best.values(), key=lambda entry: -entry.gain)
 
 
 def shapes_of(cause: Cause) -> list[tuple[tuple[str, float], ...]]:
@@ -134,11 +134,11 @@ def shapes_of(cause: Cause) -> list[tuple[tuple[str, float], ...]]:
     ]
 
 
-def probed(theta: Theta, cause: Cause, value: float, others: Sequence[tuple[str, float]] = ()) -> Theta:
-    """With that strength of a cause, its other parameters at their usual values, and then `others`."""
+def probed(theta: Theta, cause: Cause, value: float, other_values: Sequence[tuple[str, float]] = ()) -> Theta:
+    """With that strength of a cause, its other parameters at their usual values, and then `other_values`."""
     strength, *rest = coordinates_of(cause.name)
     usual = [(name, parameter.neutral) for name, parameter in zip(rest, cause.parameters[1:], strict=True)]
-    for name, known in (*usual, (strength, value), *others):
+    for name, known in (*usual, (strength, value), *other_values):
         theta = theta.having(name, known)
     return theta
 

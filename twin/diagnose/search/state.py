@@ -28,7 +28,7 @@ class Selection:
     rounds: tuple[Round, ...] = ()
     smaller: Mapping[frozenset[str], Fit] = field(default_factory=dict)  # fits of fewer causes, by what is free in them
 
-    def knowing(self, fits: Iterable[Fit]) -> Selection:
+    def with_fits(self, fits: Iterable[Fit]) -> Selection:
         """The same with fits for `recall`."""
         return replace(self, smaller={**self.smaller, **{frozenset(fit.free): fit for fit in fits}})
 
@@ -45,25 +45,25 @@ class Selection:
         return replace(self, causes=causes, gains=gains, fit=fit)
 
 
-def material(criterion: Criterion, found: Selection, floor: Floor) -> bool:
+def material(criterion: Criterion, selection: Selection, floor: Floor) -> bool:
     """Whether the model leaves more than noise."""
-    return floor.under(criterion, found.fit.theta).material(found.fit.loglik)
+    return floor.under(criterion, selection.fit.theta).material(selection.fit.loglik)
 
 
-def superfluous(criterion: Criterion, found: Selection, floor: Floor, smaller: Fit) -> bool:
+def superfluous(criterion: Criterion, selection: Selection, floor: Floor, smaller: Fit) -> bool:
     """Whether `smaller`, the model without one of its causes, does as well by the criteria of a forward step."""
-    loss = found.fit.loglik - smaller.loglik
-    minor_effect = loss < settings.MINOR_SHARE_AT_NOISE * (found.fit.loglik - found.base.loglik)
-    return loss < settings.LEAST_GAIN or (
+    loss = selection.fit.loglik - smaller.loglik
+    minor_effect = loss < settings.MINOR_SHARE_AT_NOISE * (selection.fit.loglik - selection.base.loglik)
+    return loss < settings.MIN_GAIN or (
         minor_effect and not floor.under(criterion, smaller.theta).material(smaller.loglik)
     )
 
 
-def without(criterion: Criterion, found: Selection, cause: str, passes: int = settings.PASSES) -> Fit:
-    """Fit the model without one of its causes, or return the fit if `found` knows it already."""
-    free = tuple(name for name in found.fit.free if not name.startswith(cause + "."))
-    known = found.recall(free)
+def fit_without(criterion: Criterion, selection: Selection, cause: str, passes: int = settings.PASSES) -> Fit:
+    """Fit the model without one of its causes, or return the fit if `selection` knows it already."""
+    free = tuple(name for name in selection.fit.free if not name.startswith(cause + "."))
+    known = selection.recall(free)
     if known is not None and (known.converged or known.ahead < settings.EQUIVALENT_GAIN):
         return known
-    start = reinitialised(found.fit.theta.without(cause)) if known is None else known.theta
+    start = reinitialised(selection.fit.theta.without(cause)) if known is None else known.theta
     return climb(criterion, start, free, passes=passes)

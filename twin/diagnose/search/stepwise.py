@@ -3,7 +3,7 @@
     forward: add the best candidate, if it meets rule 1 -> backward: remove causes that are no longer needed -> repeat
     at the end, for each selected cause: find the causes that explain the data equally well (equivalence.py)
 
-Rule 1: a cause is selected if it raises the log-likelihood by more than LEAST_GAIN, if its strength is inside its
+Rule 1: a cause is selected if it raises the log-likelihood by more than MIN_GAIN, if its strength is inside its
         physical range, and, while more than noise is unexplained, if it explains a fair share of that.  A significant
         but minor effect beside a large unexplained rest is typical of a false name.
 Rule 2: the judge recordings are not used here.
@@ -23,10 +23,10 @@ from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import reinitialised
 from twin.diagnose.search import periodic
-from twin.diagnose.search.candidate_fits import climbed, inside, worth_the_whole
+from twin.diagnose.search.candidate_fits import deserves_full_fit, refine, within_range
 from twin.diagnose.search.equivalence import find_classes
-from twin.diagnose.search.forward_step import Round, Say, decided, forward
-from twin.diagnose.search.state import Selection, material, superfluous, without
+from twin.diagnose.search.forward_step import Reporter, Round, decide, forward
+from twin.diagnose.search.state import Selection, fit_without, material, superfluous
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.causes.cause import Cause
 
@@ -37,11 +37,11 @@ def select(
     floor: Floor,
     *,
     candidates: Sequence[Cause] = CATALOGUE,
-    few: int = settings.CANDIDATES,
+    max_candidates: int = settings.CANDIDATES,
     quick: bool = False,
-    share: float = settings.LEAST_SHARE,
+    share: float = settings.MIN_SHARE,
     classes: bool = True,
-    say: Say = lambda line: None,
+    report: Reporter = lambda line: None,
 ) -> Selection:
     """Select causes: forward steps, backward steps, equivalence classes.
 
@@ -50,113 +50,123 @@ def select(
         base: the model without causes, at its best.
         floor: what sensor noise alone leaves, under any model.
         candidates: the causes to try.
-        few: candidates that are fitted in a round.
+        max_candidates: number of candidates that are fitted in a round, at most.
         quick: skip combinations of causes that explain too little alone, and most of the class search where several
             causes were found.
-        share: smallest part of the unexplained rest that a cause must explain; below LEAST_SHARE more causes are
+        share: smallest part of the unexplained rest that a cause must explain; below MIN_SHARE more causes are
             selected, too.
         classes: whether to find the equivalence classes; otherwise `find_classes` can do so later.
-        say: takes lines of progress.
+        report: receives lines of progress.
     """
-    found = Selection(base=base, fit=base)
+    selection = Selection(base=base, fit=base)
     unanswered = criterion.budget.unanswered
     try:
-        for after in _search(criterion, found, floor, candidates, few, quick, share, classes, say):
-            found = after
+        for step_result in _search(
+            criterion, selection, floor, candidates, max_candidates, quick, share, classes, report
+        ):
+            selection = step_result
     except Spent:
-        rest = [cause for cause in found.causes if cause not in found.classes]
-        if classes and rest and _confounders_asked(rest) not in unanswered:
-            unanswered.append(_confounders_asked(rest))
-    return found
+        rest = [cause for cause in selection.causes if cause not in selection.classes]
+        if classes and rest and _confounder_question(rest) not in unanswered:
+            unanswered.append(_confounder_question(rest))
+    return selection
 
 
-def _confounders_asked(causes: Sequence[str]) -> str:
+def _confounder_question(causes: Sequence[str]) -> str:
     return f"whether other causes explain as much as {' or '.join(causes)}"
 
 
 def _search(
     criterion: Criterion,
-    found: Selection,
+    selection: Selection,
     floor: Floor,
     candidates: Sequence[Cause],
-    few: int,
+    max_candidates: int,
     quick: bool,
     share: float,
     classes: bool,
-    say: Say,
+    report: Reporter,
 ) -> Iterator[Selection]:
     """Yield the selection after each step."""
-    most = settings.MOST_CAUSES if share >= settings.LEAST_SHARE else len(candidates)
-    thorough = share == settings.LEAST_SHARE and not quick
+    max_causes = settings.MAX_CAUSES if share >= settings.MIN_SHARE else len(candidates)
+    thorough = share == settings.MIN_SHARE and not quick
     for _ in range(settings.ROUND_TRIPS if thorough and classes else 1):
         passes = settings.PASSES_QUICK if quick else settings.PASSES
-        while len(found.causes) < most:
-            for after in _add(criterion, found, floor, candidates, few, share, say, passes):
-                yield (found := after)
-            if not found.rounds[-1].taken:
+        while len(selection.causes) < max_causes:
+            for step_result in _add(criterion, selection, floor, candidates, max_candidates, share, report, passes):
+                yield (selection := step_result)
+            if not selection.rounds[-1].selected:
                 break
-        # `_together` continues from a refused step; with MOST_CAUSES there is none.
-        if thorough and len(found.causes) < most and material(criterion, found, floor):
-            yield (found := _together(criterion, found, floor, candidates, few, say))
+        # `_together` continues from a refused step; with MAX_CAUSES there is none.
+        if thorough and len(selection.causes) < max_causes and material(criterion, selection, floor):
+            yield (selection := _together(criterion, selection, floor, candidates, max_candidates, report))
         if not classes:
             break
-        before = set(found.causes)
-        yield (found := _settled(criterion, found, thorough))
-        with criterion.budget.question(_confounders_asked(found.causes)):
+        before = set(selection.causes)
+        yield (selection := _refine_phases(criterion, selection, thorough))
+        with criterion.budget.question(_confounder_question(selection.causes)):
             doubt = floor if thorough else None
-            found = find_classes(criterion, found, doubt, candidates=candidates, few=few, quick=quick, say=say)
-        yield found
-        yield (found := _settled(criterion, found, thorough))
+            selection = find_classes(
+                criterion,
+                selection,
+                doubt,
+                candidates=candidates,
+                max_candidates=max_candidates,
+                quick=quick,
+                report=report,
+            )
+        yield selection
+        yield (selection := _refine_phases(criterion, selection, thorough))
         # A cause that was refused beside a false name may be needed beside the right one.
-        if set(found.causes) == before or not material(criterion, found, floor):
+        if set(selection.causes) == before or not material(criterion, selection, floor):
             break
 
 
-def _settled(criterion: Criterion, found: Selection, thorough: bool) -> Selection:
+def _refine_phases(criterion: Criterion, selection: Selection, thorough: bool) -> Selection:
     """Fit the phases of a periodic force together with all other causes."""
-    if not thorough or periodic.CAUSE.name not in found.causes:
-        return found
+    if not thorough or periodic.CAUSE.name not in selection.causes:
+        return selection
     with criterion.budget.question("which phases the periodic force has beside the others"):
-        return replace(found, fit=periodic.settled(criterion, found.fit, settings.PASSES))
+        return replace(selection, fit=periodic.refine_phases(criterion, selection.fit, settings.PASSES))
 
 
 def _add(
     criterion: Criterion,
-    found: Selection,
+    selection: Selection,
     floor: Floor,
     candidates: Sequence[Cause],
-    few: int,
-    least: float,
-    say: Say,
+    max_candidates: int,
+    min_share: float,
+    report: Reporter,
     passes: int = settings.PASSES,
 ) -> Iterator[Selection]:
     """Make a forward step, then remove causes that are no longer needed; yields the selection after each part."""
-    step = forward(criterion, found.base, found.fit, floor, candidates, few, least, say)
-    yield from _taken(criterion, found, floor, step, say, passes)
+    step = forward(criterion, selection.base, selection.fit, floor, candidates, max_candidates, min_share, report)
+    yield from _apply_step(criterion, selection, floor, step, report, passes)
 
 
-def _taken(
-    criterion: Criterion, found: Selection, floor: Floor, step: Round, say: Say, passes: int
+def _apply_step(
+    criterion: Criterion, selection: Selection, floor: Floor, step: Round, report: Reporter, passes: int
 ) -> Iterator[Selection]:
     """Apply the result of a forward step; yields the selection after each part, unchanged if it selected nothing."""
-    found = replace(found, rounds=(*found.rounds, step))
-    if not step.taken:
-        say("none taken" + (f": {step.best.cause}, +{step.best.gain:.1f}, {step.refusal}" if step.best else ""))
-        yield found
+    selection = replace(selection, rounds=(*selection.rounds, step))
+    if not step.selected:
+        report("none taken" + (f": {step.best.cause}, +{step.best.gain:.1f}, {step.refusal}" if step.best else ""))
+        yield selection
         return
     first = step.trials[0]
-    gains = {**found.gains, step.taken: first.gain}
+    gains = {**selection.gains, step.selected: first.gain}
     fit = _revived(criterion, first.fit)
-    yield (found := replace(found, causes=(*found.causes, step.taken), fit=fit, gains=gains))
-    if periodic.CAUSE.name in found.causes:
+    yield (selection := replace(selection, causes=(*selection.causes, step.selected), fit=fit, gains=gains))
+    if periodic.CAUSE.name in selection.causes:
         with criterion.budget.question("which phases the periodic force has beside the others"):
-            found = replace(found, fit=periodic.rephased(criterion, found.fit, settings.PASSES))
-    yield (found := found.knowing([found.fit]))
-    say(f"taken: {step.taken} (log-likelihood +{first.gain:.0f})")
-    if len(found.causes) > 1:
+            selection = replace(selection, fit=periodic.fit_phases(criterion, selection.fit, settings.PASSES))
+    yield (selection := selection.with_fits([selection.fit]))
+    report(f"taken: {step.selected} (log-likelihood +{first.gain:.0f})")
+    if len(selection.causes) > 1:
         with criterion.budget.question("whether each cause is needed beside the later ones"):
-            found = backward(criterion, found, floor, say, passes)
-        yield found
+            selection = backward(criterion, selection, floor, report, passes)
+        yield selection
 
 
 def _revived(criterion: Criterion, fit: Fit) -> Fit:
@@ -172,77 +182,86 @@ def _revived(criterion: Criterion, fit: Fit) -> Fit:
 
 
 def _together(
-    criterion: Criterion, found: Selection, floor: Floor, candidates: Sequence[Cause], few: int, say: Say
+    criterion: Criterion,
+    selection: Selection,
+    floor: Floor,
+    candidates: Sequence[Cause],
+    max_candidates: int,
+    report: Reporter,
 ) -> Selection:
-    """Add causes that explain too little alone but leave only noise together; otherwise return `found`.
+    """Add causes that explain too little alone but leave only noise together; otherwise return `selection`.
 
     Two causes of similar size mask each other: without the second, the first may explain only a tenth.
     """
-    refused = found.rounds[-1]
-    if len(found.causes) >= settings.MOST_TOGETHER:
-        return found
-    excess = floor.under(criterion, found.fit.theta).excess(found.fit.loglik)
-    if not refused.trials or refused.trials[0].gain < settings.LEAST_SHARE_TOGETHER * excess:
-        return found
-    say("too little alone; does it, with others, leave nothing but noise?")
+    refused = selection.rounds[-1]
+    if len(selection.causes) >= settings.MAX_TOGETHER:
+        return selection
+    excess = floor.under(criterion, selection.fit.theta).excess(selection.fit.loglik)
+    if not refused.trials or refused.trials[0].gain < settings.MIN_SHARE_TOGETHER * excess:
+        return selection
+    report("too little alone; does it, with others, leave nothing but noise?")
     with criterion.budget.question("whether several causes explain together what none does"):
-        again = _asked_again(criterion, found, floor, refused)
-        for first in _firsts(again):
-            *_, more = _taken(criterion, replace(found, rounds=found.rounds[:-1]), floor, first, say, settings.PASSES)
+        retried = _retry(criterion, selection, floor, refused)
+        for first in _firsts(retried):
+            *_, more = _apply_step(
+                criterion, replace(selection, rounds=selection.rounds[:-1]), floor, first, report, settings.PASSES
+            )
             while (
-                more.rounds[-1].taken and len(more.causes) < settings.MOST_TOGETHER and material(criterion, more, floor)
+                more.rounds[-1].selected
+                and len(more.causes) < settings.MAX_TOGETHER
+                and material(criterion, more, floor)
             ):
-                least = (
-                    settings.LEAST_SHARE_TOGETHER
-                    if len(more.causes) < settings.MOST_TOGETHER - 1
-                    else settings.LEAST_SHARE_LAST
+                min_share = (
+                    settings.MIN_SHARE_TOGETHER
+                    if len(more.causes) < settings.MAX_TOGETHER - 1
+                    else settings.MIN_SHARE_LAST
                 )
-                *_, more = _add(criterion, more, floor, candidates, few, least, say)
+                *_, more = _add(criterion, more, floor, candidates, max_candidates, min_share, report)
             if not material(criterion, more, floor):
                 return more
-            found = replace(found, smaller=more.smaller)
-    return found
+            selection = replace(selection, smaller=more.smaller)
+    return selection
 
 
-def _firsts(again: Round) -> list[Round]:
+def _firsts(retried: Round) -> list[Round]:
     """The step, and variants of it with another candidate of nearly the same gain, as a false one may lead narrowly."""
-    if not again.taken:
+    if not retried.selected:
         return []
-    firsts = [again]
-    for trial in again.trials[1:]:
-        near = trial.gain > settings.FIRST_SHARE * again.trials[0].gain and inside(trial)
-        if near and all(abs(trial.gain - first.trials[0].gain) > settings.EQUIVALENT_GAIN for first in firsts):
-            others = tuple(other for other in again.trials if other is not trial)
-            firsts.append(replace(again, trials=(trial, *others), taken=trial.cause, best=trial, instead=True))
+    firsts = [retried]
+    for trial in retried.trials[1:]:
+        is_close = trial.gain > settings.FIRST_SHARE * retried.trials[0].gain and within_range(trial)
+        if is_close and all(abs(trial.gain - first.trials[0].gain) > settings.EQUIVALENT_GAIN for first in firsts):
+            rest = tuple(other for other in retried.trials if other is not trial)
+            firsts.append(replace(retried, trials=(trial, *rest), selected=trial.cause, best=trial, on_trial=True))
     return firsts[: settings.FIRSTS]
 
 
-def _asked_again(criterion: Criterion, found: Selection, floor: Floor, refused: Round) -> Round:
+def _retry(criterion: Criterion, selection: Selection, floor: Floor, refused: Round) -> Round:
     """The refused step with a smaller required share, its candidates fitted to the end."""
-    least = (
-        settings.LEAST_SHARE_TOGETHER if len(found.causes) < settings.MOST_TOGETHER - 1 else settings.LEAST_SHARE_LAST
+    min_share = (
+        settings.MIN_SHARE_TOGETHER if len(selection.causes) < settings.MAX_TOGETHER - 1 else settings.MIN_SHARE_LAST
     )
     trials = [
         trial
-        if trial.fit.converged or not worth_the_whole(trial, refused.trials[0])
-        else climbed(criterion, trial, settings.PASSES)
+        if trial.fit.converged or not deserves_full_fit(trial, refused.trials[0])
+        else refine(criterion, trial, settings.PASSES)
         for trial in refused.trials
     ]
     trials.sort(key=lambda trial: -trial.gain)
-    under = floor.under(criterion, found.fit.theta)
-    return decided(criterion, found.base, found.fit, under, refused.scores, trials, least)
+    under = floor.under(criterion, selection.fit.theta)
+    return decide(criterion, selection.base, selection.fit, under, refused.scores, trials, min_share)
 
 
-def backward(criterion: Criterion, found: Selection, floor: Floor, say: Say, passes: int) -> Selection:
+def backward(criterion: Criterion, selection: Selection, floor: Floor, report: Reporter, passes: int) -> Selection:
     """Remove each cause that would no longer be selected beside the later ones."""
-    earlier = found.causes[:-1]
-    found = found.knowing(criterion.each(partial(without, criterion, found, passes=passes), earlier))
+    earlier = selection.causes[:-1]
+    selection = selection.with_fits(criterion.each(partial(fit_without, criterion, selection, passes=passes), earlier))
     for cause in earlier:
-        smaller = without(criterion, found, cause, passes)
-        found = found.knowing([smaller])
-        if superfluous(criterion, found, floor, smaller):
-            found = found.dropping(cause, smaller)
-            say(f"dropped: {cause} (the others explain it)")
+        smaller = fit_without(criterion, selection, cause, passes)
+        selection = selection.with_fits([smaller])
+        if superfluous(criterion, selection, floor, smaller):
+            selection = selection.dropping(cause, smaller)
+            report(f"dropped: {cause} (the others explain it)")
         else:
-            found = replace(found, gains={**found.gains, cause: found.fit.loglik - smaller.loglik})
-    return found
+            selection = replace(selection, gains={**selection.gains, cause: selection.fit.loglik - smaller.loglik})
+    return selection

@@ -189,7 +189,7 @@ def test_a_capture_is_told_from_the_samples_beside_it() -> None:
 
     noise_ratio = Noise((Channel(levels=(level,)), Channel())).noise_ratio(evidence.records, evidence.series)
 
-    fast = (evidence.series.step > 0.0) & (evidence.series.step < 1e-4)
-    np.testing.assert_allclose(noise_ratio[fast, 0], 9.0)
-    np.testing.assert_array_equal(noise_ratio[~fast], 1.0)
+    is_fast = (evidence.series.step > 0.0) & (evidence.series.step < 1e-4)
+    np.testing.assert_allclose(noise_ratio[is_fast, 0], 9.0)
+    np.testing.assert_array_equal(noise_ratio[~is_fast], 1.0)
     criterion.close()

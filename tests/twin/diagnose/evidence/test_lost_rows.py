@@ -64,7 +64,7 @@ def test_lost_samples_are_no_reason_to_name_a_cause(seed: int) -> None:
     gains = {score.cause: 0.5 * score.z**2 for score in screen(criterion, base.theta, base.free)}
 
     for cause in ("constant-force", "eddy-current-lag", "position-sensor-lag"):
-        assert gains[cause] < settings.LEAST_GAIN
+        assert gains[cause] < settings.MIN_GAIN
     criterion.close()
 
 

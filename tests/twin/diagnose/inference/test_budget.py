@@ -170,7 +170,7 @@ def searched(criterion: Criterion) -> Selection:
         base = climb(criterion, QUIET, BASE)
         floor = floor_of(criterion, base.theta)
     candidates = tuple(BY_NAME[name] for name in (CAUSE.name, LAG, FORCE))
-    return select(criterion, base, floor, candidates=candidates, few=3)
+    return select(criterion, base, floor, candidates=candidates, max_candidates=3)
 
 
 @pytest.mark.slow

@@ -97,7 +97,7 @@ def test_rough_derivatives_point_to_where_the_likelihood_rises(theta: Theta) -> 
 class Exact(Criterion):
     """The filter itself wherever the slopes of another run would do."""
 
-    def beside(self, thetas: Sequence[Theta], at: Results, reuse: Sequence[Reuse]) -> list[FloatArray]:
+    def outputs_reusing(self, thetas: Sequence[Theta], at: Results, reuse: Sequence[Reuse]) -> list[FloatArray]:
         return self.several(thetas)
 
 

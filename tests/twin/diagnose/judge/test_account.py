@@ -16,7 +16,7 @@ from tests.harness.diagnose.agreement import disagreements
 from tests.harness.diagnose.known_diagnosis import QUIET, diagnosis, fit_of
 from tests.harness.diagnose.simulated_rig import controller
 from twin.diagnose import settings
-from twin.diagnose.checks.confidence import MOST
+from twin.diagnose.checks.confidence import MAX_CONFIDENCE
 from twin.diagnose.judge.account import account_of, verdict_of
 from twin.diagnose.judge.prediction_gain import Gain, bootstrap
 from twin.diagnose.report.page import to_html
@@ -68,7 +68,7 @@ def test_what_causes_explain_alone_and_jointly_and_what_is_left_is_all_there_is(
 ) -> None:
     account = account_of(searched(explained, **gains), lacks, fine)
 
-    parts = [*account.by_cause.values(), account.jointly, account.unexplained]
+    parts = [*account.cause_shares.values(), account.jointly, account.unexplained]
     assert all(0.0 <= part <= 1.0 for part in parts)
     assert sum(parts) == pytest.approx(1.0)
     assert (account.unexplained == 0.0) is fine
@@ -79,7 +79,7 @@ def test_what_causes_explain_alone_and_jointly_and_what_is_left_is_all_there_is(
 def test_a_part_that_two_causes_take_jointly_is_neither_s() -> None:
     account = account_of(searched(900.0, a=500.0, b=100.0), 100.0, False)
 
-    assert account.by_cause == pytest.approx({"a": 0.5, "b": 0.1})
+    assert account.cause_shares == pytest.approx({"a": 0.5, "b": 0.1})
     assert account.jointly == pytest.approx(0.3)
 
 
@@ -98,15 +98,15 @@ def test_a_part_that_two_causes_take_jointly_is_neither_s() -> None:
     ],
 )
 def test_the_verdict_is_what_both_kinds_of_recordings_say(named: bool, fine: bool, low: float, verdict: str) -> None:
-    assert verdict_of(named=named, fine=fine, leading=fine, gain=judged(low, low + 0.1)) == verdict
-    assert verdict_of(named=named, fine=fine, gain=None) in ("causes-found", "model-adequate", "unknown-cause")
+    assert verdict_of(named=named, is_adequate=fine, leading=fine, gain=judged(low, low + 0.1)) == verdict
+    assert verdict_of(named=named, is_adequate=fine, gain=None) in ("causes-found", "model-adequate", "unknown-cause")
 
 
 def test_beside_a_rest_a_name_holds_that_explains_more_than_the_rest() -> None:
     near = judged(1.15, 1.25)
-    assert verdict_of(named=True, fine=False, leading=True, gain=near) == "partly-explained"
-    assert verdict_of(named=True, fine=False, leading=True, gain=judged(2.2, 2.3)) == "unknown-cause"
-    assert verdict_of(named=True, fine=False, leading=True, gain=None) == "unknown-cause"
+    assert verdict_of(named=True, is_adequate=False, leading=True, gain=near) == "partly-explained"
+    assert verdict_of(named=True, is_adequate=False, leading=True, gain=judged(2.2, 2.3)) == "unknown-cause"
+    assert verdict_of(named=True, is_adequate=False, leading=True, gain=None) == "unknown-cause"
     account = account_of(searched(900.0, a=700.0, b=100.0), 200.0, False)
     assert [account.leads(name) for name in ("a", "b", "c")] == [True, False, False]
 
@@ -116,16 +116,17 @@ def test_names_that_explain_most_of_it_jointly_may_imitate_another() -> None:
 
     assert account.jointly == pytest.approx(550.0 / 900.0)
     assert not account.leads("a")
-    assert verdict_of(named=True, fine=True, leading=False, gain=judged(1.15, 1.25)) == "unknown-cause"
+    assert verdict_of(named=True, is_adequate=True, leading=False, gain=judged(1.15, 1.25)) == "unknown-cause"
 
 
 def test_names_that_take_less_than_half_on_the_judge_recordings_may_only_be_confounders() -> None:
     assert (
-        verdict_of(named=True, fine=True, leading=True, gain=judged(1.15, 1.25, baseline_m=1.6e-5))
+        verdict_of(named=True, is_adequate=True, leading=True, gain=judged(1.15, 1.25, baseline_m=1.6e-5))
         == "partly-explained"
     )
     assert (
-        verdict_of(named=True, fine=True, leading=True, gain=judged(1.15, 1.25, baseline_m=1.3e-5)) == "unknown-cause"
+        verdict_of(named=True, is_adequate=True, leading=True, gain=judged(1.15, 1.25, baseline_m=1.3e-5))
+        == "unknown-cause"
     )
 
 
@@ -134,7 +135,7 @@ def test_a_cause_takes_no_more_than_all_of_them_gain() -> None:
     account = account_of(searched(1500.0, a=16e6, b=500.0), 0.0, True)
 
     assert account.gains == {"a": 1500.0, "b": 500.0}
-    assert account.by_cause == pytest.approx({"a": 0.75, "b": 0.25})
+    assert account.cause_shares == pytest.approx({"a": 0.75, "b": 0.25})
 
 
 @cache
@@ -153,10 +154,10 @@ def partly() -> Diagnosis:
     above_floor = replace(above_floor, ci95_ratio=(0.0, 1.0))
     gains = tuple(above_floor if one is found.gain else one for one in found.gains)
     (cause,) = found.causes
-    cause = replace(cause, confidence=MOST["partly-explained"])
+    cause = replace(cause, confidence=MAX_CONFIDENCE["partly-explained"])
     found = replace(
         found,
-        verdict=verdict_of(named=True, fine=True, leading=True, gain=above_floor),
+        verdict=verdict_of(named=True, is_adequate=True, leading=True, gain=above_floor),
         gain=above_floor,
         gains=gains,
         causes=(cause,),

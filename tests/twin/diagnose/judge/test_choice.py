@@ -15,7 +15,7 @@ from tests.harness.diagnose.known_diagnosis import QUIET, campaign, fit_of, step
 from tests.harness.diagnose.simulated_rig import controller, strong
 from twin.api.results import Diagnosed
 from twin.diagnose.inference.theta import Theta
-from twin.diagnose.judge.choice import Choice, candidates_of, choose, not_judged, worse
+from twin.diagnose.judge.choice import Choice, candidates_of, choice_without_judges, choose, worse
 from twin.diagnose.judge.prediction_gain import Gain
 from twin.diagnose.pipeline import diagnose_records
 from twin.diagnose.residuals.summary import shown
@@ -43,7 +43,7 @@ def ahead(ratio: float, *, spread: float = 0.05, ms: int = 20) -> Gain:
 def searched() -> Selection:
     """A search that took drag, then friction."""
     base, one, both = fit_of(QUIET, 0.0), fit_of(ONE, 100.0), fit_of(BOTH, 140.0)
-    return Selection(base=base, fit=both, causes=("quadratic-drag", "coulomb-friction")).knowing([one, both])
+    return Selection(base=base, fit=both, causes=("quadratic-drag", "coulomb-friction")).with_fits([one, both])
 
 
 def chosen(gains: Mapping[int, list[Gain]], *, sure: bool = False) -> Choice:
@@ -53,7 +53,7 @@ def chosen(gains: Mapping[int, list[Gain]], *, sure: bool = False) -> Choice:
         return gains[len({name.partition(".")[0] for name, _ in theta.causes})]
 
     found = searched()
-    return choose(candidates_of(found, given=False), found.base, measure, sure=sure)
+    return choose(candidates_of(found, has_model=False), found.base, measure, sure=sure)
 
 
 @pytest.mark.parametrize("sure", [False, True])
@@ -96,9 +96,9 @@ def test_an_error_that_is_surely_larger_is_worse_however_little() -> None:
 
 
 def test_without_a_judge_the_model_is_marked() -> None:
-    choice = not_judged(searched(), given=False)
+    choice = choice_without_judges(searched(), has_model=False)
 
-    assert (choice.kind, choice.judged) == ("all-causes", False)
+    assert (choice.kind, choice.compared) == ("all-causes", False)
 
 
 @pytest.fixture(scope="module")

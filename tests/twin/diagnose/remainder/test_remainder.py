@@ -20,7 +20,7 @@ from twin.diagnose import assemble
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.budget import Budget, Spent
 from twin.diagnose.inference.fisher_scoring import Fit, climb
-from twin.diagnose.inference.initial_guess import no_better, start_theta
+from twin.diagnose.inference.initial_guess import start_theta, with_noise_bounds
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import floor_of
 from twin.diagnose.inference.theta import BASE, STOPS
@@ -44,7 +44,7 @@ def paper_model(folder: Path, outside: Mapping[str, float]) -> Iterator[tuple[Cr
     evidence = gather(records, campaign.plant)
     criterion = Criterion(evidence, campaign.plant, 2e-3, budget=Budget())
     try:
-        start = no_better(start_theta(records, campaign.plant), evidence)
+        start = with_noise_bounds(start_theta(records, campaign.plant), evidence)
         yield criterion, climb(criterion, start, (*BASE, *STOPS))
     finally:
         criterion.close()

@@ -49,7 +49,7 @@ def refused() -> Iterator[tuple[Criterion, Selection]]:
     one = fitted(criterion, strong("constant-force", 2e-3), "constant-force")
     both = fitted(criterion, rig, "constant-force", "position-sensor-lag")
     trial = Trial(cause="position-sensor-lag", fit=replace(both, converged=True), gain=both.loglik - one.loglik)
-    last = Round(scores=(), trials=(trial,), taken="")
+    last = Round(scores=(), trials=(trial,), selected="")
     found = Selection(base=base, fit=one, causes=("constant-force",), gains={"constant-force": 1.0}, rounds=(last,))
     yield criterion, found
     criterion.close()
@@ -67,12 +67,10 @@ def test_what_chance_makes_what_is_confounded_and_what_belongs_to_another_model_
     def after(last: Round) -> tuple[Round, ...]:
         return (last,)
 
-    assert trial.gain > 2.0 * settings.LEAST_GAIN
+    assert trial.gain > 2.0 * settings.MIN_GAIN
     assert listed() == ["position-sensor-lag"]
-    assert listed(rounds=after(replace(found.rounds[-1], taken="position-sensor-lag"))) == []
-    assert (
-        listed(rounds=after(replace(found.rounds[-1], trials=(replace(trial, gain=0.9 * settings.LEAST_GAIN),)))) == []
-    )
+    assert listed(rounds=after(replace(found.rounds[-1], selected="position-sensor-lag"))) == []
+    assert listed(rounds=after(replace(found.rounds[-1], trials=(replace(trial, gain=0.9 * settings.MIN_GAIN),)))) == []
     assert listed(classes={"constant-force": (trial,)}) == []
     assert listed(causes=["air-gap-offset"]) == []
     assert listed(rounds=[]) == []

@@ -14,7 +14,7 @@ from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, na
 from twin.diagnose import settings
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.fisher_scoring import climb
-from twin.diagnose.inference.initial_guess import no_better, start_theta
+from twin.diagnose.inference.initial_guess import start_theta, with_noise_bounds
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.noise_floor import Floor, floor_of
 from twin.diagnose.inference.theta import BASE, STOPS, coordinates_of
@@ -22,7 +22,7 @@ from twin.diagnose.report.sentences import round_sentence
 from twin.diagnose.search import forward_step as forward
 from twin.diagnose.search import stepwise as search
 from twin.diagnose.search.candidate_fits import Trial
-from twin.diagnose.search.candidate_starts import beside
+from twin.diagnose.search.candidate_starts import substitute_start
 from twin.diagnose.search.equivalence import find_classes
 from twin.diagnose.search.score_test import probed
 from twin.diagnose.search.state import Selection
@@ -38,13 +38,13 @@ def test_causes_that_hide_each_other_are_taken_together_or_not_at_all(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without the rule of the benefit, which would take the first of these two by itself."""
-    monkeypatch.setattr(settings, "LEAST_BENEFIT", 1.0)
+    monkeypatch.setattr(settings, "MIN_BENEFIT", 1.0)
     make_campaign(tmp_path / "both", effects=HIDDEN, seed=310, plant="independent", quick=True)
     campaign = load(tmp_path / "both")
     records = read_campaign(campaign)
     criterion = Criterion(gather(records, campaign.plant), campaign.plant, 2e-3, workers=1)
     try:
-        start = no_better(start_theta(records, campaign.plant), criterion.evidence)
+        start = with_noise_bounds(start_theta(records, campaign.plant), criterion.evidence)
         base = climb(criterion, start, (*BASE, *STOPS))
         floor = floor_of(criterion, base.theta)
         alone = search.select(criterion, base, floor, candidates=TRIED, quick=True, classes=False)
@@ -69,14 +69,14 @@ def test_who_gains_nearly_as_much_as_the_leader_is_tried_as_the_first_of_several
         Trial(cause=cause, fit=fit_of(strong(cause, BY_NAME[cause].strength.probes[0]), 0.0), gain=gain)
         for cause, gain in gains.items()
     )
-    again = forward.Round(scores=(), trials=trials, taken="air-gap-offset")
+    again = forward.Round(scores=(), trials=trials, selected="air-gap-offset")
 
     firsts = search._firsts(again)
 
     # The second says the same as the leader: what stands in for one cause is not tried twice.
-    assert [first.taken for first in firsts] == ["air-gap-offset", "constant-force"]
-    assert all(first.trials[0].cause == first.taken and len(first.trials) == 4 for first in firsts)
-    assert search._firsts(replace(again, taken="")) == []
+    assert [first.selected for first in firsts] == ["air-gap-offset", "constant-force"]
+    assert all(first.trials[0].cause == first.selected and len(first.trials) == 4 for first in firsts)
+    assert search._firsts(replace(again, selected="")) == []
 
 
 @pytest.mark.slow
@@ -91,8 +91,8 @@ def test_one_cause_takes_the_place_of_two_that_are_confounded_with_it(tmp_path: 
         fit = climb(criterion, probed(base.theta, BY_NAME["quadratic-drag"], 2.0), free)
         gains = dict(zip(three, (1.0, 2.0, 3.0), strict=True))
         at_first = Selection(base=base, fit=fit, causes=three, gains=gains)
-        unmoved = find_classes(criterion, at_first, candidates=(BY_NAME["motional-emf"],), few=3)
-        found = find_classes(criterion, at_first, candidates=(*TRIED, BY_NAME["residual-magnetism"]), few=3)
+        unmoved = find_classes(criterion, at_first, candidates=(BY_NAME["motional-emf"],), max_candidates=3)
+        found = find_classes(criterion, at_first, candidates=(*TRIED, BY_NAME["residual-magnetism"]), max_candidates=3)
     finally:
         criterion.close()
 
@@ -108,8 +108,8 @@ def test_a_dead_zone_begins_with_the_size_of_the_offset_that_it_may_stand_for() 
     rig = strong(offset.name, -0.0611)
     criterion = criterion_of(narrow(rig, seconds=4.0))
     try:
-        there = beside(criterion, rig, offset, zone)
-        back = beside(criterion, there, zone, offset)
+        there = substitute_start(criterion, rig, offset, zone)
+        back = substitute_start(criterion, there, zone, offset)
     finally:
         criterion.close()
 
@@ -127,13 +127,13 @@ def test_what_was_refused_beside_a_confounder_is_asked_again_beside_the_right_ca
     criterion = Criterion(gather(records, campaign.plant), campaign.plant, 2e-3, workers=1)
     tried = tuple(BY_NAME[name] for name in (*hidden, "position-sensor-lag"))
     try:
-        start = no_better(start_theta(records, campaign.plant), criterion.evidence)
+        start = with_noise_bounds(start_theta(records, campaign.plant), criterion.evidence)
         base = climb(criterion, start, (*BASE, *STOPS))
         found = search.select(criterion, base, floor_of(criterion, base.theta), candidates=tried)
     finally:
         criterion.close()
 
-    assert [step.taken for step in found.rounds][:3] == ["position-sensor-lag", "periodic-disturbance", ""]
+    assert [step.selected for step in found.rounds][:3] == ["position-sensor-lag", "periodic-disturbance", ""]
     assert set(found.causes) == set(found.gains) == set(found.classes) == set(hidden)
 
 
@@ -147,18 +147,18 @@ def test_a_ball_that_is_held_is_well_predicted_and_that_proves_no_friction(monke
         # Sensors ten times better than those of the rig: much is left that no cause explains.
         floor = Floor(sigma_i_c_a=2e-4, sigma_x_m=5e-7, measured=True).under(criterion, base.theta)
         trial = Trial(cause="coulomb-friction", fit=rubs, gain=rubs.loglik - base.loglik)
-        held = forward.decided(criterion, base, base, floor, [], [trial], settings.LEAST_SHARE)
+        held = forward.decide(criterion, base, base, floor, [], [trial], settings.MIN_SHARE)
         monkeypatch.setattr(forward, "HOLDS", frozenset())
-        other = forward.decided(criterion, base, base, floor, [], [trial], settings.LEAST_SHARE)
+        other = forward.decide(criterion, base, base, floor, [], [trial], settings.MIN_SHARE)
     finally:
         criterion.close()
 
     assert trial.gain > 100.0
-    assert held.taken == ""
+    assert held.selected == ""
     assert held.refusal == "small share"
-    assert 0.0 < held.share < settings.LEAST_SHARE
+    assert 0.0 < held.share < settings.MIN_SHARE
     assert f"explains {100.0 * held.share:.0f} % of what is left" in round_sentence(held)
-    assert other.taken == "coulomb-friction"
+    assert other.selected == "coulomb-friction"
 
 
 def test_dry_friction_is_climbed_to_from_a_wrong_model() -> None:

@@ -35,7 +35,7 @@ GAP, DRAG, FORCE, FRICTION, MAGNETISM = (
 
 def selection(base: Fit, fit: Fit, *causes: str) -> Selection:
     """As if these had been taken, the last one by the only round that is known."""
-    first = Round(scores=(), trials=(), taken=causes[0])
+    first = Round(scores=(), trials=(), selected=causes[0])
     return Selection(base=base, fit=fit, causes=causes, gains=dict.fromkeys(causes, 100.0), rounds=(first,))
 
 
@@ -46,14 +46,14 @@ def test_a_cause_that_turns_out_to_explain_nothing_is_dropped() -> None:
         base = fitted(criterion, THETA)
         found = selection(base, fitted(criterion, strong(DRAG, 0.1, rig), GAP, DRAG), GAP, DRAG)
         before = found.fit.loglik
-        found = find_classes(criterion, found, candidates=(BY_NAME[FORCE],), few=3)
+        found = find_classes(criterion, found, candidates=(BY_NAME[FORCE],), max_candidates=3)
     finally:
         criterion.close()
 
     assert found.causes == (GAP,)
     assert set(found.gains) == {GAP}
     assert found.fit.free == (*BASE, *coordinates_of(GAP))
-    assert found.fit.loglik > before - settings.LEAST_GAIN
+    assert found.fit.loglik > before - settings.MIN_GAIN
 
 
 @pytest.mark.slow
@@ -71,8 +71,8 @@ def test_beside_dry_friction_a_doubtful_name_goes_to_one_that_the_screen_hardly_
         floor = floor_of(criterion, base.theta)
         doubtful = floor.under(criterion, false.theta).material(false.loglik)
         at_first = selection(base, false, FRICTION, FORCE)
-        spared = find_classes(criterion, at_first, candidates=(BY_NAME[MAGNETISM],), few=3)
-        asked = find_classes(criterion, at_first, floor, candidates=(BY_NAME[MAGNETISM],), few=3)
+        spared = find_classes(criterion, at_first, candidates=(BY_NAME[MAGNETISM],), max_candidates=3)
+        asked = find_classes(criterion, at_first, floor, candidates=(BY_NAME[MAGNETISM],), max_candidates=3)
     finally:
         criterion.close()
 

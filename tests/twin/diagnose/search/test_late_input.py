@@ -11,7 +11,7 @@ from tests.harness.diagnose.simulated_rig import THETA, criterion_of, fitted, na
 from twin.diagnose import settings
 from twin.diagnose.evidence.dead_time import dead_time
 from twin.diagnose.inference.noise_floor import floor_of
-from twin.diagnose.search.candidate_fits import fitted as tried
+from twin.diagnose.search.candidate_fits import fit_candidates as tried
 from twin.diagnose.search.forward_step import forward
 from twin.diagnose.search.score_test import screen
 from twin.diagnose.search.stepwise import select
@@ -53,10 +53,10 @@ def test_a_delay_is_found_behind_the_time_constant_that_stood_in_for_it(late: li
     floor = floor_of(criterion, base.theta)
     by_slope = {score.cause: score.gain for score in screen(criterion, base.theta, base.free, DELAYS)}
 
-    step = forward(criterion, base, base, floor, DELAYS, 3, settings.LEAST_SHARE, lambda line: None)
+    step = forward(criterion, base, base, floor, DELAYS, 3, settings.MIN_SHARE, lambda line: None)
 
     assert base.theta.T_A > 4.0 * FAST.T_A
-    assert step.taken == "actuation-delay"
+    assert step.selected == "actuation-delay"
     assert step.trials[0].fit.theta.value("actuation-delay.delay_s") == pytest.approx(DELAY_S, rel=0.01)
     assert step.trials[0].fit.theta.T_A == pytest.approx(FAST.T_A, rel=0.05)
     assert step.trials[0].gain > 20.0 * by_slope["actuation-delay"]

@@ -15,7 +15,7 @@ from twin.diagnose.inference.fisher_scoring import climb
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import BASE, Theta, coordinates_of
 from twin.diagnose.search import equivalence as confounders
-from twin.diagnose.search.periodic import AMPLITUDE, CAUSE, FREQUENCY, Line, find_line, rephased, settled
+from twin.diagnose.search.periodic import AMPLITUDE, CAUSE, FREQUENCY, Line, find_line, fit_phases, refine_phases
 from twin.diagnose.search.state import Selection
 from twin.model.causes.catalogue import BY_NAME
 
@@ -64,7 +64,7 @@ def test_the_frequency_is_found_with_recordings_that_are_a_minute_into_the_campa
             .having(AMPLITUDE, line.amplitude_n)
             .having(FREQUENCY, line.frequency_hz)
         )
-        fit = rephased(criterion, climb(criterion, start, (*BASE, AMPLITUDE, FREQUENCY)), settings.PASSES)
+        fit = fit_phases(criterion, climb(criterion, start, (*BASE, AMPLITUDE, FREQUENCY)), settings.PASSES)
     finally:
         criterion.close()
 
@@ -102,7 +102,7 @@ def test_each_recording_settles_at_the_phase_of_its_own() -> None:
     try:
         best = climb(criterion, rig, free)
         off = climb(criterion, replace(rig, phases_s=(0.0, 0.6 * turn_s, -0.3 * turn_s)), free)
-        fit = settled(criterion, off, settings.PASSES)
+        fit = refine_phases(criterion, off, settings.PASSES)
         turns = [phase / turn_s % (2.0 * np.pi) for phase in fit.theta.phases_s]
     finally:
         criterion.close()
@@ -124,13 +124,15 @@ def test_a_confounder_has_the_phases_that_belong_to_it(monkeypatch: pytest.Monke
     answers = {}
     try:
         base = climb(criterion, QUIET, BASE)
-        false = settled(criterion, rephased(criterion, climb(criterion, start, free), settings.PASSES), settings.PASSES)
+        false = refine_phases(
+            criterion, fit_phases(criterion, climb(criterion, start, free), settings.PASSES), settings.PASSES
+        )
         for most in (0, 2):
             monkeypatch.setattr(settings, "PHASE_CANDIDATES", most)
             causes = (CAUSE.name, sensor)
             gained = dict.fromkeys(causes, false.loglik - base.loglik)
             found = Selection(base=base, fit=false, causes=causes, gains=gained)
-            answers[most] = confounders.find_classes(criterion, found, candidates=(BY_NAME[field],), few=3)
+            answers[most] = confounders.find_classes(criterion, found, candidates=(BY_NAME[field],), max_candidates=3)
     finally:
         criterion.close()
 

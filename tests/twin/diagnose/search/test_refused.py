@@ -24,18 +24,18 @@ def test_a_minor_effect_beside_a_later_cause_goes_if_noise_remains(strength: flo
     try:
         base, both = fitted(criterion, THETA), fitted(criterion, rig, FIRST, LATER)
         alone = fitted(criterion, strong(LATER, 6e-4), LATER)
-        last = Round(scores=(), trials=(), taken=LATER)
+        last = Round(scores=(), trials=(), selected=LATER)
         gains = {FIRST: 1e3, LATER: 1e3}
         at_first = Selection(base=base, fit=both, causes=(FIRST, LATER), gains=gains, rounds=(last,))
 
         floor = floor_of(criterion, rig)
         found = select.backward(criterion, at_first, floor, lambda line: None, settings.PASSES)
-        asked = find_classes(criterion, at_first, floor, candidates=(BY_NAME["quadratic-drag"],), few=3)
+        asked = find_classes(criterion, at_first, floor, candidates=(BY_NAME["quadratic-drag"],), max_candidates=3)
     finally:
         criterion.close()
 
     loss, gained = both.loglik - alone.loglik, both.loglik - base.loglik
-    assert loss > settings.LEAST_GAIN  # no question of chance
+    assert loss > settings.MIN_GAIN  # no question of chance
     assert (loss > settings.MINOR_SHARE_AT_NOISE * gained) == retained
     assert found.causes == ((FIRST, LATER) if retained else (LATER,))
     assert (found.fit is both) == retained
