@@ -1,4 +1,4 @@
-"""Every number by which `diagnose` decides, with what it means and where it comes from.
+"""The numbers by which `diagnose` decides, with their meaning and origin.
 
 Three kinds of origin are marked:
 
@@ -13,7 +13,7 @@ standard errors.  What each number does to the answers when it is halved and dou
 Modules read these as attributes (`settings.MIN_GAIN`), so that a benchmark can vary them.
 """
 
-# --- Noise and adequacy: is what is left only sensor noise? ---
+# --- Noise and adequacy: is the rest only sensor noise? ---
 
 # Level.  Share of the noise level by which it may be off: 2 % of a standard deviation is 0.02 of log-likelihood per
 # reading, and a converter's rounding and the filter's linearisation make about 1 %.
@@ -28,19 +28,19 @@ AUTOCORRELATION_ERRORS = 4.0
 # Reasoned.  Autocorrelation below which nothing physical is missing, however many samples prove it: such a rest adds
 # less than 0.4 % to the error of a one-step prediction.
 MAX_AUTOCORRELATION = 0.06
-# Reasoned.  How well a plant's data give the place of a stop, m, one standard deviation (a caliper).
+# Reasoned.  Standard deviation of the position of a stop in a plant's data, m (a caliper).
 STOP_STD_M = 2e-5
-# Level.  A stop farther from its place contradicts the plant: 5 standard deviations, 6e-7 two-sided.
+# Level.  A stop farther from its position contradicts the plant: 5 standard deviations, 6e-7 two-sided.
 MISPLACED_STOP_M = 5.0 * STOP_STD_M
 # Reasoned.  The fit may not make the sensors better than this share of their noise at rest.
 MIN_NOISE_SHARE = 0.7
-# Level.  Sum of squares of a window at rest over the median window's: above, something moved.  Of 1e4 windows of white
-# noise none is expected there (chi-square with 23 degrees of freedom: 1e-13 each).
+# Level.  Sum of squares of a window at rest over that of the median window; above it, something moved.  Of 1e4
+# windows of white noise none is expected there (chi-square with 23 degrees of freedom: 1e-13 each).
 RESTLESS = 5.0
 # Level.  Chance that noise is split between instruments, or follows the height, in a campaign where it does neither:
 # over all pairs of recordings; means of the windows' logarithms are near to normal.
 INSTRUMENT_CHANCE = 1e-3
-# Level.  Chance that the noise of a channel is taken for coloured where it is white: the likelihood ratio of two more
+# Level.  Chance that white noise of a channel counts as coloured: the likelihood ratio of two more
 # numbers.  The search for the correlation time makes more of noise than that; of 3000 simulated rests none was
 # coloured.
 COLOUR_CHANCE = 1e-4
@@ -53,7 +53,7 @@ OUTLIER_ERRORS = 5.3
 # Level.  Variances of a fourth difference that five of them may hold once the shape of a single reading is taken off:
 # of noise one in a hundred holds more, so that one outlier in a hundred stays; a corner of the signal holds more.
 OUTLIER_SHAPE = 11.3
-# Reasoned.  Share of outliers that is no property of an instrument: ten times the noise, so many raise its level by
+# Reasoned.  Share of outliers that is not a property of an instrument: at ten times the noise they raise its level by
 # 5 %, the tolerance of the floor.  The end of a slew limit may look like one.
 OUTLIER_SHARE = 1e-3
 # Reasoned.  Mean square of the innovations at one height over the smallest, from which a height is mentioned.
@@ -64,16 +64,16 @@ UNEVEN_SQUARE = 1.5
 # Reasoned.  Share of the square of a signature that nothing else in the model takes up.  Less is rounding; more would
 # leave out a displaced sensor, which shows most at rest, where the places of the stops take it up.
 VISIBLE = 1e-7
-# Level.  Standard errors that a cause of its usual strength makes: with less than one it cannot be seen.
+# Level.  Standard errors by which a cause of usual strength shows: below one it cannot be seen.
 MIN_INFORMATION = 1.0
 
-# --- Stepwise selection: does a cause earn its place? ---
+# --- Stepwise selection: does the model need a cause? ---
 
 # Level.  Gain of log-likelihood: z = 4.5, two-sided 7.7e-6 for one cause, 2.3e-4 for the best of thirty.
 MIN_GAIN = 10.0
-# Tuned.  Share of what is missing, in the part of the data where it gains most (i_c, x, points of rest), that a cause
-# must explain while more than noise is missing: a significant but minor effect beside a large unexplained rest is how a
-# false name looks.
+# Tuned.  Share of the lack that a cause must explain while more than noise is missing, in the part of the data where it
+# gains most (i_c, x, points of rest).  A significant but minor effect next to a large unexplained rest is typical of a
+# false name.
 MIN_SHARE = 0.2
 # Tuned.  The same for a cause that leaves, together with others, nothing but noise; and for the last of them.
 MIN_SHARE_TOGETHER = 0.05
@@ -83,7 +83,7 @@ MIN_SHARE_LAST = 0.8
 MIN_BENEFIT = 0.5
 BENEFIT_HORIZON_S = 0.02
 BENEFIT_PREDICTIONS = 200
-# Tuned.  Share of what the causes gain together, below which a gain corrects their form and is no cause of its own.
+# Tuned.  Share of what the causes gain together, below which a gain corrects their form and is not a further cause.
 MINOR_SHARE = 0.005
 # Tuned.  The same once hardly more than noise is left.
 MINOR_SHARE_AT_NOISE = 0.015
@@ -118,19 +118,19 @@ CANDIDATES = 5  # fitted in a round
 MIN_SCORE_SHARE = 0.02  # of the best score: candidates below are not fitted
 PASSES = 30  # of a fit, at most
 PASSES_FIRST = 2  # of a candidate's first fit
-# Samples that lead a fit to where it begins, its passes over them, and how many times as many are worth the detour.
+# Samples of the approach to the start of a fit, its passes over them, and the multiple of them from which it is used.
 APPROACH_SAMPLES = 8000
 PASSES_APPROACH = 12
 APPROACH_RATIO = 3.0
 PASSES_QUICK = 10  # of a model without one of its causes, with --quick
 HALVING = ((4, 0.1, 6), (8, 0.35, 4), (PASSES, 0.5, 4))  # then: passes, least share of the best gain, most candidates
-STEEPNESS = 8.0  # a likelihood rises at most so much above what its slope promises (five times was seen)
+STEEPNESS = 8.0  # a likelihood rises at most so many times what its slope promises (up to five in trials)
 STEEPNESS_DELAY = 50.0  # the same of a delay, whose likelihood is flat at zero
 STEEPNESS_DOUBT = 0.2  # share of the best gain that an early fit may be behind its end
 SAFE_CANDIDATES = 2  # with the best scores: they pass the first halving in any case
 FIRST_SHARE = 0.7  # of the best gain: candidates that may be first where several explain a rest together
 FIRSTS = 4  # of these
-ROUND_TRIPS = 3  # forward and backward, while causes take each other's places
+ROUND_TRIPS = 3  # forward and backward, while causes replace each other
 EXACT_SLOPES_SQUARE = 1.5  # mean square of the innovations above which rough slopes may point the wrong way
 
 # --- Checks: is it the same effect in all recordings? ---
@@ -183,13 +183,13 @@ FEWER_CAUSES_COMPARED = 4
 
 # Effort.  Curves that are fitted in a round, the best by the score test.
 CURVES_FITTED = 3
-# Reasoned.  Curves beside the causes: of more the parts are not told apart.
+# Reasoned.  Curves in addition to the causes: the parts of more curves cannot be separated.
 MAX_CURVES = 2
 # Effort.  Passes of such a fit, at most, and the step in standard errors at which it ends: its error tells it from
 # others long before its maximum is known.
 CURVE_PASSES = 30
 CURVE_TOLERANCE = 0.2
-# Reasoned.  A curve is taken if the error of x surely (95 %) falls below this share of what it was.
+# Reasoned.  A curve is selected if the error of x surely (95 %) falls below this share of what it was.
 CURVE_RATIO = 0.95
 # Reasoned.  A cause has the form of a curve that takes up so much of what the recordings could show of it, if it gains
 # at least this share of what the curve gains; the simpler of two models is preferred if its error is at most so many

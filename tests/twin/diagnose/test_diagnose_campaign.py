@@ -204,4 +204,4 @@ def test_a_reference_model_is_the_baseline_as_it_is(hide: Hide) -> None:
     assert found.gain.baseline_rmse_m > 2.0 * right.gain.baseline_rmse_m
     assert found.gain.extended_rmse_m == pytest.approx(right.gain.extended_rmse_m, rel=1e-9)
     assert "K_c -9" in found.sentence
-    assert "numbers of the given model are off" in found.sentence
+    assert "parameters of the reference model are wrong" in found.sentence

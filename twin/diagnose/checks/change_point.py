@@ -2,10 +2,9 @@
 
 A change is looked for only if no cause that acts in all recordings leaves just noise.
 
-Rule 1: one set of the paper's parameters for the whole campaign; a cause counts on one side of the change alone.
-Rule 2: a change is reported only if what is left with it is noise, and if the same cause in all recordings, fitted
-        again, is much worse.  A cause that the earlier recordings merely do not show passes the first and fails the
-        second test.
+Rule 1: one set of the paper's parameters holds for the whole campaign; a cause acts on one side of the change alone.
+Rule 2: a change is reported only if it leaves just noise, and if the same cause in all recordings, fitted again, is
+        much worse.  A cause that the earlier recordings do not show passes the first test and fails the second.
 Rule 3: the change lies between recordings; `consistency.beginnings` looks within a recording.
 """
 
@@ -46,14 +45,14 @@ class Change:
 
     before: str  # the last recording before it
     after: str  # the first recording after it
-    begins: bool  # else it ends there
+    begins: bool  # otherwise it ends there
     recordings: tuple[str, ...]  # those in which the causes hold
     gain: float  # of log-likelihood over the same causes all the time
     selection: Selection
     criterion: Criterion
 
     def of(self, other_records: Sequence[Record]) -> list[Record]:
-        """Those of other recordings that were taken on its side of the change; all where no common clock says it."""
+        """Return those of other recordings that are on its side of the change; all of them without a common clock."""
         records = self.criterion.evidence.records
         if not share_clock([*records, *other_records]):
             return list(other_records)
@@ -77,7 +76,7 @@ class Switched(Criterion):
         self._pieces = [(slice(a, b), bool(held[a])) for a, b in itertools.pairwise(cuts) if b > a]
 
     def _outputs(self, theta: Theta, known: Steps = NO_STEPS) -> FloatArray:
-        """As `Criterion._outputs`; the filter begins anew at each recording, so the pieces do not touch."""
+        """Return the outputs like `Criterion._outputs`; the filter restarts at each recording, so pieces do not mix."""
         if not theta.causes:
             return super()._outputs(theta)
         results, absent = room_for(len(self.evidence.series), 3), replace(theta, causes=())
@@ -87,7 +86,7 @@ class Switched(Criterion):
         return results.innovations
 
     def run(self, theta: Theta) -> Results:
-        """Without steps that others would take over: two models share it."""
+        """Return a run without steps for other models, because two models share it."""
         return room_for(0, 0)._replace(innovations=self.outputs(theta))
 
 
@@ -116,11 +115,11 @@ def find_change(
         Spent: the budget ended before the answer.
     """
     records = criterion.evidence.records
-    # A point of rest does not know its recording: what is (8)'s before is not after.
+    # Points of rest do not belong to a recording, so they cannot be divided at a change.
     if criterion.evidence.statics or len(records) < 2:
         return None
     order = in_time(records)
-    # The phase of a periodic force is each recording's own anyway.
+    # A periodic force has a phase in each recording anyway.
     candidates = [cause for cause in candidates if cause.found_by != "spectral-line"]
     for cut, begins in _promising_cuts(criterion, selection, candidates, order):
         first, second = order[:cut], order[cut:]
@@ -161,13 +160,13 @@ def find_change(
 
 
 def in_time(records: Sequence[Record]) -> list[int]:
-    """The recordings in the order of one clock, where they have one; else as the campaign lists them."""
+    """Return the recordings in the order of a common clock if they have one, otherwise in that of the campaign."""
     places = range(len(records))
     return sorted(places, key=lambda n: float(records[n].t[0])) if share_clock(records) else list(places)
 
 
 def share_clock(records: Sequence[Record]) -> bool:
-    """Whether the times of the recordings are those of one clock: none begins before another has ended."""
+    """Tell whether the recordings share a clock: none begins before another has ended."""
     if any(not len(record.t) or not np.isfinite(record.t).all() for record in records):
         return False
     spans = sorted((float(record.t.min()), float(record.t.max())) for record in records)
@@ -179,7 +178,7 @@ def _promising_cuts(
 ) -> list[tuple[int, bool]]:
     """The most promising (place in the order, whether the effect is after it), by the score test of every cause there.
 
-    Sums over recordings are taken once: a change only says which of them a cause's signature keeps.
+    The sums over each recording are computed once: a change selects the recordings that count.
     """
     theta, free = selection.base.theta, selection.base.free
     trials = [(cause, probe) for cause in candidates for probe in probes_of(cause, criterion.evidence.series)]
@@ -206,7 +205,7 @@ def _promising_cuts(
     gains.sort(key=lambda entry: -entry[0])
     chosen: list[tuple[float, int, bool]] = []
     for gain, cut, begins in gains:
-        # Recordings that no cause shows in lie on either side with the same gain, and would have the same answer.
+        # Recordings that show no cause have the same gain on either side of a change, and would give the same answer.
         other = all(abs(gain - known) > settings.CHANGE_SAME * gain or begins != side for known, _, side in chosen)
         if (
             gain > settings.CHANGE_AHEAD * whole + settings.CHANGE_GAIN

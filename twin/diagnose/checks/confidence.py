@@ -12,8 +12,8 @@ from twin.diagnose import settings
 from twin.diagnose.judge.account import Verdict
 from twin.diagnose.search.state import Selection
 
-# At most, by verdict: the share of names that were right.  Beside `causes-found` 133 of 135, beside `partly-explained`
-# 8 of 12, of the candidates beside `unknown-cause` 6 of 21.
+# Upper limit by verdict: the share of names that were right.  With `causes-found` 133 of 135, with `partly-explained`
+# 8 of 12, and 6 of 21 candidates with `unknown-cause`.
 MAX_CONFIDENCE: dict[Verdict, float] = {
     "causes-found": 0.98,
     "partly-explained": 0.64,

@@ -81,7 +81,7 @@ def stretches(criterion: Criterion, fit: Fit, names: Sequence[str]) -> dict[str,
 
 
 def contradictions(criterion: Criterion, fit: Fit) -> list[Contradiction]:
-    """Recordings that support another K_A or K_c than the rest."""
+    """Return the recordings that support another K_A or K_c than the rest."""
     names = tuple(settings.DRIFT)
     moves = stretches(criterion, fit, names)
     result = []
@@ -98,7 +98,7 @@ def contradictions(criterion: Criterion, fit: Fit) -> list[Contradiction]:
 
 
 def beginnings(criterion: Criterion, fit: Fit, causes: Sequence[str]) -> list[Beginning]:
-    """The causes that are absent at first, with the place where they begin."""
+    """Return the causes that are absent at first, with the time at which they begin."""
     names = [f"{cause}.{BY_NAME[cause].strength.name}" for cause in causes]
     if not names:
         return []

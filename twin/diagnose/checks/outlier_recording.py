@@ -1,11 +1,11 @@
 """An outlying recording: one of another rig, or of another day, among recordings that agree.
 
-It is looked for if neither a cause nor a change between recordings leaves just noise, or if an offset wanders: that may
-be another offset in one recording.
+The search runs if neither a cause nor a change between recordings leaves just noise.  It also runs if an offset
+wanders, because that may be another offset in one recording.
 
 Rule 1: a recording is an outlier if the paper's model with other parameters, x_max included, explains it down to its
-        noise, and if these differ by more than a drift.  A recording with an unknown effect is not an outlier: no
-        parameters explain it.
+        noise.  The parameters must differ by more than a drift.  A recording with an unknown effect is not an outlier:
+        no parameters explain it.
 Rule 2: the other recordings must be explained without it; the caller checks that with a diagnosis of them alone.
 """
 
@@ -40,7 +40,7 @@ class Outlier:
 
     recording: int
     name: str
-    moves: tuple[tuple[str, float], ...]  # (parameter, relative change from what the others ask for)
+    moves: tuple[tuple[str, float], ...]  # (parameter, relative change from that of the other recordings)
 
 
 def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | None:
@@ -76,7 +76,7 @@ def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | Non
     try:
         start = with_noise_bounds(start_theta([record], plant), evidence)
     except DataError:
-        return None  # alone it says too little
+        return None  # one recording does not suffice for a start
     budget = criterion.budget
     parts = [gather([record], plant, stops), gather(rest, plant, stops)]
     parts = [with_noise(without_outliers(part), evidence.noise) for part in parts]
@@ -87,7 +87,7 @@ def find_outlier(criterion: Criterion, base: Fit, floor: Floor) -> Outlier | Non
         (coil,) = (name for cause in CATALOGUE if _moves_coil(cause) for name in coordinates_of(cause.name))
         fit = climb(single, start.having(coil, 0.0), (*BASE, *start.colours, coil), passes=2 * settings.PASSES)
         agreed = climb(agreeing, reinitialised(base.theta), base.free)
-        # With the noise of its own sensors: another rig has others.
+        # The noise of its own sensors counts, as another rig has other sensors.
         quiet = replace(
             fit.theta,
             process_i_c_a=FLOORS["process_i_c_a"],

@@ -1,14 +1,14 @@
-"""The colour of the sensor noise, from the ball at rest and from captures beside their step, without a model.
+"""The colour of the sensor noise, from the ball at rest and from captures away from their step, without a model.
 
 A part of a reading's noise is white, the rest is forgotten exponentially, as behind a low-pass filter
-(Ornstein-Uhlenbeck).  Level, share and correlation time are those of the largest restricted likelihood of windows under
-a constant input, with mean and slope of each projected out (H. D. Patterson, R. Thompson, Biometrika 58(3), 1971).
+(Ornstein-Uhlenbeck).  Level, share and correlation time maximise the restricted likelihood of windows under a constant
+input.  Mean and slope of each window are projected out (H. D. Patterson, R. Thompson, Biometrika 58(3), 1971).
 
-Rule 1: noise is white unless the windows surely say otherwise, without the window that says so loudest, the
-        autocorrelation from reading to reading is material, and an offset that wanders explains it less.
-Rule 2: the noise of captures is that of the other recordings unless they surely differ; within 10 ms a slow noise
-        alone cannot be told from an offset.
-Rule 3: without a ball at rest nothing is asked: in flight, coloured noise of x looks like missing dynamics.
+Rule 1: noise is coloured only if three conditions hold.  The windows show it significantly without the one that shows
+        it most.  The autocorrelation of successive readings is material.  A wandering offset explains it less.
+Rule 2: the noise of captures is that of the other recordings unless they surely differ.  A capture of 10 ms does not
+        separate slow noise from an offset.
+Rule 3: without a ball at rest, noise counts as white: in flight, coloured noise of x looks like missing dynamics.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def _next(colour: Colour, step_s: float) -> float:
 
 
 def _score(windows: Sequence[_Windows], tau_s: float) -> float:
-    """Score test of a small part of this correlation time in white noise, in standard errors; costs next to nothing."""
+    """Score test of a small part of this correlation time in white noise, in standard errors, at little cost."""
     variance = sum(float(np.sum(part.rows**2)) for part in windows) / sum(part.rows.size for part in windows)
     slope = information = trace = 0.0
     for part in windows:
@@ -222,21 +222,21 @@ def _windows(series: Series, column: int, *, captures: bool) -> list[_Windows]:
 
 
 def is_fast(series: Series) -> BoolArray:
-    """Which samples are of captures, or were as fast, shape (n,): of an instrument of their own, perhaps."""
+    """Return a mask of captured or equally fast samples, shape (n,): they may be of another instrument."""
     begins = series.flags & FOLLOWS == 0
-    step_s = np.where(begins, np.append(series.step[1:], np.inf), series.step)  # the first has none of its own
+    step_s = np.where(begins, np.append(series.step[1:], np.inf), series.step)  # the first sample has no interval
     return np.asarray((series.flags & CAPTURED != 0) | (step_s < SHORT_S))
 
 
 def _calm(step_s: float, rows: FloatArray) -> _Windows | None:
-    """Without windows far noisier than the others; None if only rounding is left."""
+    """Remove windows far noisier than the others; None if only rounding is left."""
     squares = np.mean(rows**2, axis=1)
     calm = (squares <= settings.RESTLESS * float(np.median(squares))) & (squares > 0.0)
     return _Windows(step_s=step_s, rows=rows[calm]) if calm.any() else None
 
 
 def _whole(series: Series, values: FloatArray, use: int) -> BoolArray:
-    """Where no noise is cut off by the end of a converter, shape (n,)."""
+    """Return a mask of the readings whose noise the end of a converter does not cut off, shape (n,)."""
     whole = np.ones(len(values), np.bool_)
     for number in np.unique(series.recording):
         used = np.flatnonzero((series.recording == number) & (series.flags & use != 0))

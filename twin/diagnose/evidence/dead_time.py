@@ -1,7 +1,7 @@
 """Starting values of a delay and of T_A from fast step responses.
 
-A model without a delay imitates it by a T_A that is ten times too long, and from there the likelihood has a very small
-derivative by the delay.  A grid over both, on i_c alone, avoids that starting point.
+A model without a delay imitates it by a T_A that is ten times too long.  There the derivative of the likelihood by the
+delay is very small.  A grid over both, on i_c alone, avoids that starting point.
 
     T_A di/dt + i = K_A u_c(t - delay)                                                                    (1), delayed
 """

@@ -172,7 +172,7 @@ def _flag_rest(flags: NDArray[np.uint16], record: Record, on_stop: tuple[BoolArr
 
 
 def _on_platform(record: Record, is_held: BoolArray, low: float | None, plant: Plant) -> bool:
-    """Whether a sawtooth lifts the ball off a platform and not off the lower stop."""
+    """Tell whether a sawtooth lifts the ball off a platform and not off the lower stop."""
     return record.kind == "sawtooth" and not on_stops(record, is_held, low, None, plant)[0].any()
 
 

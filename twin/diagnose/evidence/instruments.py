@@ -8,13 +8,13 @@ gives the errors for any distribution of the noise.
 Rule 1: a source is one instrument: all recordings with the same `instrument` in the campaign file, otherwise one
         recording.  Captures are a source of their own.
 Rule 2: flights are compared with flights only, and recordings at rest or captures with each other.  In flight the loop
-        responds to the noise of x, and crosstalk shows the current: a tenth of the noise or more may be due to that,
-        the same in all flights.
-Rule 3: sources share a level unless they differ significantly (false in one campaign of a thousand, over all pairs) and
-        by more than the floor's tolerance.  So a common level has its full precision.
-Rule 4: noise depends on height if it does so within flights, as significantly and as much, and if the ball at rest, as
-        one more height, fits the shape of the flights.
-Rule 5: the reference level is that of the ball at rest (`sensor_noise.py`), and the flights with the nearest level are
+        responds to the noise of x, and crosstalk shows the current.  A tenth of the noise or more may be due to that,
+        equally in all flights.
+Rule 3: sources share a level unless they differ significantly and by more than the floor's tolerance.  So a common
+        level has its full precision.  The test is false in one campaign of a thousand, over all pairs.
+Rule 4: noise depends on height if it does so within flights, by the criteria of rule 3.  The ball at rest, as one more
+        height, must also fit the shape of the flights.
+Rule 5: the reference level is that of the ball at rest (`sensor_noise.py`).  The flights with the nearest level are
         assumed to have the same.  Without a ball at rest it is that of the flights.
 """
 
@@ -101,7 +101,7 @@ def _windows(
         for name, part in parts_of(evidence.records, evidence.series):
             rough = differences(series.part(part), column)
             colour = colours[2 if column == 0 and captured[part.start] else column]
-            if colour is not None:  # shown with the level that white noise would have
+            if colour is not None:  # scale to the level of white noise of the same variance
                 rough /= math.sqrt(expected_gain(colour, float(np.median(series.step[part][1:])), _DIFFERENCE))
             squares, windows = [], []
             for piece in runs(np.isfinite(rough), WINDOW):
@@ -211,7 +211,7 @@ def _channel(windows: _Windows, names: Sequence[str], *, bends: bool) -> Channel
 
 
 def _reference(groups: Sequence[_Group], windows: _Windows) -> _Group:
-    """The group of the reference level: that of the ball at rest, otherwise of most windows."""
+    """The group of the reference level: that of the ball at rest, otherwise that with most windows."""
     if windows.rests.any():
         rests = [np.count_nonzero(windows.rests & np.isin(windows.source, group.sources)) for group in groups]
         return groups[int(np.argmax(rests))]
@@ -274,7 +274,7 @@ def _curve(windows: _Windows) -> Channel:
 
 
 def _follows(flown: _Windows, curve: Channel) -> bool:
-    """Whether the flights agree with a curve through the ball at rest: no other parabola fits significantly better.
+    """Tell whether the flights agree with a curve through the ball at rest: no parabola fits significantly better.
 
     Crosstalk increases the apparent noise of all flights, and a curve from there to the ball at rest would be steep.
     """

@@ -1,13 +1,14 @@
 """A row for every single lost sample, so that the filter continues across it.
 
 A filter that starts again after a gap treats u_c as a number without history.  But the board computed u_c from earlier
-readings, so it carries the noise of the first reading after the gap.  With one sample in ten lost, this produced a
+readings, so it contains the noise of the first reading after the gap.  With one sample in ten lost, this produced a
 constant force of six standard errors from nothing.
 
 Rule 1: only single lost samples within a flight get a row.  Several in a row remain a gap, as the data do not tell
         which of the unknown inputs moved the ball.
-Rule 2: the row holds no reading.  The filter (`twin/estimation/ekf`) finds its u_c from the current of the next sample,
-        or of the one after that under a delay longer than an interval; if that is lost, too, a guess remains.
+Rule 2: the row holds no reading.  The filter (`twin/estimation/ekf`) estimates its u_c from the current of the next
+        sample.  Under a delay longer than an interval it takes the sample after that; if that is lost, too, a guess
+        remains.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ def bridged(record: Record) -> tuple[Record, BoolArray]:
         single = np.flatnonzero(np.abs(steps - 2.0 * interval) <= 2.0 * REGULAR_SHARE * interval)
         even = np.count_nonzero(np.abs(steps - interval) <= REGULAR_SHARE * interval)
     lost = np.zeros(len(record.t) + len(single), np.bool_)
-    # If the sampling time varies on purpose, a longer interval is no lost sample.
+    # If the sampling time varies on purpose, a longer interval is not a lost sample.
     if not len(single) or even < 0.5 * len(steps):
         return record, np.zeros(len(record.t), np.bool_)
     lost[single + 1 + np.arange(len(single))] = True

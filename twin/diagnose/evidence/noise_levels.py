@@ -18,12 +18,12 @@ from twin.estimation.record import FloatArray, Record, runs
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Colour:
-    """Noise of which a part is white, and the rest is forgotten exponentially."""
+    """The colour of noise: a part is white, the rest is forgotten exponentially."""
 
     tau_s: float  # correlation time of that rest
     white: float  # share of the variance that is white
     sigma: float  # standard deviation of both together, A or m
-    readings: int  # from which it is known
+    readings: int  # number of readings behind the estimate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +47,7 @@ class Channel:
     sigma: float = math.nan  # the reference level, if no ball at rest gives it: A or m
 
     def log_at(self, height_m: FloatArray) -> FloatArray:
-        """Ln of the ratio of the standard deviation at each height to that of the ball at rest, shape (n,)."""
+        """Return ln of the ratio of the standard deviation at each height to that of the ball at rest, shape (n,)."""
         return np.asarray(polyval(np.clip(height_m, *self.range_m), (-self.reference, *self.bend)))
 
 
@@ -60,7 +60,7 @@ class Noise:
 
     @property
     def plain(self) -> bool:
-        """Whether each channel has a single noise level."""
+        """Tell whether each channel has a single noise level."""
         return not any(channel.bend or any(level.ratio != 1.0 for level in channel.levels) for channel in self.channels)
 
     def noise_ratio(self, records: Sequence[Record], series: Series) -> FloatArray:

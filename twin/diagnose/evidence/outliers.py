@@ -1,12 +1,12 @@
 """Outliers: single readings far from the value that their neighbours give.
 
 An error A of one reading appears in the fourth difference as A (1, -4, 6, -4, 1).  A corner of the signal, such as an
-impact or a step of the input, has another shape there, because two or more readings show it; it is retained.
+impact or a step of the input, has another shape, because two or more readings show it.  It is retained.
 
-Rule 1: a single reading is an outlier if its fourth difference exceeds OUTLIER_ERRORS of the usual differences (one in
-        ten million for Gaussian noise) and has this shape.
-Rule 2: a share of outliers up to OUTLIER_SHARE is retained: the end of a slew limit or a bad contact may look alike,
-        and so few have no effect.
+Rule 1: a single reading is an outlier if its fourth difference has this shape and exceeds OUTLIER_ERRORS of the usual
+        differences.  For Gaussian noise that is one reading in ten million.
+Rule 2: a share of outliers up to OUTLIER_SHARE is retained.  The end of a slew limit or a bad contact may look like an
+        outlier, and so small a share has no effect.
 Rule 3: outliers that are left out are counted (`Usage.outliers`); no reading is corrected.
 """
 
@@ -29,7 +29,7 @@ _FEWEST = 200
 
 
 def without_outliers(evidence: Evidence) -> Evidence:
-    """The evidence without outliers of i_c and x, if there are more than a few (rule 2)."""
+    """Return the evidence without outliers of i_c and x, if their share exceeds that of rule 2."""
     series = evidence.series
     flags, usages = series.flags.copy(), [replace(usage) for usage in evidence.usages]
     usage_of = {usage.name: usage for usage in usages}
@@ -50,7 +50,7 @@ def without_outliers(evidence: Evidence) -> Evidence:
 
 
 def _wild(series: Series, column: int) -> BoolArray:
-    """Which readings of one recording are outliers, shape (n,); `column`: 0 for i_c, 1 for x."""
+    """Return a mask of the outliers of one recording, shape (n,); `column`: 0 for i_c, 1 for x."""
     if len(series) < _FEWEST:
         return np.zeros(len(series), np.bool_)
     values, whole = smooth(series, column, around=2)

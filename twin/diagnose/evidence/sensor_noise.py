@@ -70,7 +70,7 @@ def _rest_squares(evidence: Evidence) -> list[tuple[float, int]]:
 
 
 def _not_cut(series: Series, values: FloatArray, use: int) -> BoolArray:
-    """Which readings are used and not near the converter's end, which cuts off noise, shape (n,)."""
+    """Return a mask of used readings away from the converter's end, which cuts off noise, shape (n,)."""
     used, known = series.flags & use != 0, series.flags & (use | RESTS_LOW | RESTS_HIGH) != 0
     for number in np.unique(series.recording):
         readings = np.flatnonzero(known & (series.recording == number))

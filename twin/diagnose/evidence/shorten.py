@@ -1,6 +1,6 @@
 """`--quick`: only the beginning of each long flight is used, typically less than half of the samples.
 
-With very many flights it is less of each, as the budget of `--quick` is for a search over `ALL_SAMPLES`.
+With very many flights each is shorter, as the budget of `--quick` covers a search over `ALL_SAMPLES`.
 """
 
 from __future__ import annotations
@@ -25,6 +25,6 @@ def shortened(records: Sequence[Record]) -> tuple[list[Record], str]:
             record = record.part(slice(0, max_samples))
         result.append(record)
     sentence = (
-        f"--quick: only the first {max_samples} samples of {cut} recordings were used for choosing" if cut else ""
+        f"--quick: only the first {max_samples} samples of {cut} recordings were used for selection" if cut else ""
     )
     return result, sentence

@@ -1,4 +1,4 @@
-"""A part of the samples, spread over all recordings: enough for where a fit should begin, at a fraction of its cost."""
+"""A part of the samples, spread over all recordings: enough to find the start of a fit at a fraction of its cost."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from twin.diagnose.evidence.gather import Evidence
 from twin.estimation.innovations import FOLLOWS
 from twin.estimation.structures import ALIKE
 
-# What stays together: twelve time constants of the unstable pole, and a capture as a whole, where a step before its
-# first sample would be unknown to a model with a delay.
+# Samples that stay together: twelve time constants of the unstable pole, and a whole capture.  A model with a delay
+# needs the input before its first sample.
 BLOCK_S = 0.2
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 

@@ -30,7 +30,7 @@ def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
             f"what is left is larger than the sensor noise: {per_reading:.2f} of log-likelihood per reading are missing"
         )
     if floor.misplaced_m > settings.MISPLACED_STOP_M:
-        return False, f"it needs {_misplaced(floor)}; if the travel in the campaign file is wrong, mend it there"
+        return False, f"it needs {_misplaced(floor)}; if the travel in the campaign file is wrong, correct it there"
     counts = [count for count in np.isfinite(white).sum(axis=0).tolist() if count]
     chance = settings.AUTOCORRELATION_ERRORS / math.sqrt(min(counts)) if counts else math.inf
     if colour.worst > max(settings.MAX_AUTOCORRELATION, chance):
@@ -39,11 +39,11 @@ def adequate(criterion: Criterion, fit: Fit, floor: Floor) -> tuple[bool, str]:
 
 
 def _misplaced(floor: Floor) -> str:
-    return f"a stop {floor.misplaced_m * 1e3:.2f} mm from where the plant has it"
+    return f"a stop {floor.misplaced_m * 1e3:.2f} mm from its position in [plant]"
 
 
 def where_left(criterion: Criterion, fit: Fit, floor: Floor) -> str:
-    """A sentence on where the innovations are largest: recording, channel, height; or a stop if only that is wrong."""
+    """Say where the innovations are largest: recording, channel and height, or a stop if only that is wrong."""
     if floor.misplaced_m > settings.MISPLACED_STOP_M and not (floor.measured and floor.above_noise(fit.loglik)):
         return f"at rest: the model needs {_misplaced(floor)}"
     series = criterion.evidence.series

@@ -19,7 +19,7 @@ RESERVED = 0.2  # of the limit: for experiments and gain, whatever the search ta
 
 
 def millions(steps: float) -> str:
-    """For people."""
+    """Return a number of filter steps in words."""
     return f"{steps / MILLION:.4g} million filter steps"
 
 
@@ -32,7 +32,7 @@ class Budget:
 
     Args:
         limit: filter steps.
-        kept: share of them that waits for `reopen`.
+        reserved: share of them that waits for `reopen`.
     """
 
     def __init__(self, limit: float = math.inf, reserved: float = 0.0) -> None:
@@ -41,7 +41,7 @@ class Budget:
         self.unanswered: list[str] = []
 
     def reopen(self) -> None:
-        """Allow what was kept back."""
+        """Release the reserved share."""
         self._open, self.closed = self.limit, False
 
     def take(self, steps: float) -> None:
@@ -56,7 +56,7 @@ class Budget:
         self.spent += steps
 
     def shares(self, count: int) -> list[Budget]:
-        """Divide what is left into equal parts; `settle` returns them."""
+        """Divide the rest into equal parts; `settle` returns them."""
         return [Budget(0.0 if self.closed else (self._open - self.spent) / count) for _ in range(count)]
 
     def settle(self, shares: Sequence[Budget]) -> None:

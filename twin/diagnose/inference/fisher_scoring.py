@@ -18,12 +18,12 @@ from twin.estimation.record import FloatArray
 from twin.estimation.structures import Results
 
 TOLERANCE = 0.02  # of a standard error
-_ROUGH = 0.5  # log-likelihood that slopes that cost less may leave: 0.1 to 2 was seen
+_ROUGH = 0.5  # log-likelihood that cheaper slopes leave: 0.1 to 2 in trials
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
-    """A maximum and what is known about it."""
+    """A maximum of the likelihood, its covariance and its convergence."""
 
     theta: Theta
     loglik: float  # with the shapes of its causes integrated out
@@ -64,7 +64,7 @@ def climb(
 ) -> Fit:
     """Climb to the maximum from `start`; coordinates not in `free` stay.
 
-    With `near`, not to the end: slopes that cost less say where to go, and the fit has not converged.
+    With `approximate`, cheaper slopes lead near the maximum, and the fit counts as not converged.
     """
     surface = _Surface(criterion, approximate=approximate)
     top = optimiser.climb(surface, start, free, passes=passes, done=NEAR if approximate else tolerance, patience=2)
@@ -81,14 +81,14 @@ def climb(
 def approach(criterion: Criterion, start: Theta, free: Sequence[str]) -> Fit:
     """Climb from `start` to near the maximum, most of the way over part of the samples.
 
-    The fit is of all samples, `ahead` is what the part leaves: the slope where it ends, and half a unit for each
-    coordinate and each further sample of a part's worth, as maxima of a part scatter.
+    Its likelihood is that of all samples.  `ahead` is the gain that the part leaves.  The slope at its
+    end promises some of it.  The scatter of the maxima of parts adds half a unit for each coordinate and further part.
     """
     part = criterion.thinner
     if part is not criterion:
         fit = climb(part, start, free, passes=settings.PASSES_APPROACH, approximate=True)
         before, after = criterion.values([start, fit.theta])
-    if part is criterion or after < before:  # what the part does not show was led astray
+    if part is criterion or after < before:  # the part does not show an effect, and the fit went astray
         return climb(criterion, start, free, passes=settings.PASSES_FIRST, approximate=True)
     covariance = part.share * fit.covariance
     return replace(
@@ -124,7 +124,7 @@ class _Surface:
 
     Args:
         criterion: the likelihood.
-        near: whether near the maximum is good enough.
+        approximate: whether a point near the maximum suffices.
     """
 
     def __init__(self, criterion: Criterion, *, approximate: bool = False) -> None:

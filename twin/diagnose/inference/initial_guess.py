@@ -29,7 +29,7 @@ def start_theta(records: Sequence[Record], plant: Plant) -> Theta:
             remedy="Record a step or a ramp of u_c with i_c, and map both columns",
         )
     if not any(record.has("x") for record in records):
-        # Nothing says where the ball is: the amplifier alone is asked about, and any K_c will do.
+        # No recording has x: only the amplifier can be estimated, and any K_c will do.
         weight, half = plant.mass_kg * plant.gravity_m_s2, plant.x_max_m - 0.5 * plant.travel_m
         return _start(amplifier, weight * half**2 / 0.25, 0.0)
     ball = ball_start(list(records), plant, amplifier)
@@ -50,7 +50,7 @@ def _start(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:
         sigma_i_c_a=max(amplifier.sigma_i_c_a, 1e-5),
         sigma_x_m=1e-5,
         process_i_c_a=max(0.3 * amplifier.sigma_i_c_a, 1e-5),
-        process_a_m_s2=3.0,  # too little at the start, and the ball's errors are booked as sensor noise for good
+        process_a_m_s2=3.0,  # with less at the start, the ball's errors would count as sensor noise for good
     )
 
 

@@ -1,7 +1,7 @@
 """Log-likelihood of the innovations of the extended model: one parameter set for the whole campaign.
 
 Rule 1: sums over samples do not depend on the number of workers, as each worker computes whole derivatives.
-Rule 2: what is no time series counts, too: priors of the stops and of the causes' shapes, lift-off points,
+Rule 2: evidence outside the series counts, too: priors of the stops and of the causes' shapes, lift-off points,
         equilibria.
 Rule 3: the caller's budget pays for a run before it begins.
 """
@@ -93,7 +93,7 @@ class Criterion:
 
     @contextmanager
     def charging(self, budget: Budget) -> Iterator[None]:
-        """Another budget pays for the runs inside the block."""
+        """Let another budget pay for the runs inside the block."""
         before, self.whole = self.whole, budget
         try:
             yield
@@ -101,14 +101,14 @@ class Criterion:
             self.whole = before
 
     def free(self) -> AbstractContextManager[None]:
-        """Runs inside the block are free; for work with a fixed number of passes."""
+        """Make the runs inside the block free; for work with a fixed number of passes."""
         return self.charging(Budget())
 
     def pay(self, *thetas: Theta, reuse: Sequence[Reuse] = ()) -> None:
-        """For a run of each; `reuse` as `beside` takes it.
+        """Pay for a run of each model; `reuse` as in `outputs_reusing`.
 
         Raises:
-            Spent: they are not affordable.
+            Spent: the budget is too small.
         """
         each = zip(thetas, reuse or [Reuse.NOTHING] * len(thetas), strict=True)
         self.budget.take(sum(self.pace.steps(theta.base(self.plant), theta.vector(), mode) for theta, mode in each))
@@ -116,16 +116,16 @@ class Criterion:
     def close(self) -> None:
         """Stop the worker threads."""
         if self._climbers is not None:
-            self._climbers.shutdown()  # first: a climb asks the others
+            self._climbers.shutdown()  # first: a climb uses the other pool
         self._pool.shutdown()
 
     def each(self, work: Callable[[T], R], items: Sequence[T]) -> list[R]:
-        """`work` on each, several at once: such as a climb, which leaves a core idle between its derivatives.
+        """Do `work` on each item, several at once: a climb alone leaves a core idle between its derivatives.
 
-        `work` may ask this criterion, but not for `each`.
+        `work` may use this criterion, except `each`.
 
         Raises:
-            Spent: the share of one of them was too small.
+            Spent: the share of an item was too small.
         """
         shares = self.budget.shares(len(items))
 
@@ -134,7 +134,7 @@ class Criterion:
             try:
                 return work(item)
             except Spent as spent:
-                return spent  # the others end all the same: what is spent must not depend on who is first
+                return spent  # the other items finish: the steps spent must not depend on the order
             finally:
                 del self._local.budget
 
@@ -186,7 +186,7 @@ class Criterion:
         return results
 
     def outputs_reusing(self, thetas: Sequence[Theta], at: Results, reuse: Sequence[Reuse]) -> list[FloatArray]:
-        """`outputs` of models near that of `at`, with what was found there.
+        """Return the `outputs` of models near that of `at`, with the steps of its run.
 
         Args:
             thetas: the models.
@@ -217,7 +217,7 @@ class Criterion:
 
     @staticmethod
     def loglik(out: FloatArray) -> float:
-        """Of innovations."""
+        """Return the log-likelihood of innovations, shape (n, 5)."""
         return float(whiten(out, np.empty(len(out)), np.empty((len(out), 2))))
 
     @staticmethod
@@ -241,14 +241,14 @@ class Criterion:
         return loglik, white
 
     def outside(self, theta: Theta) -> float:
-        """What is not in the series: priors of the stops and of the causes' shapes, lift-off points, equilibria."""
+        """Return the log-likelihood outside the series: priors of stops and shapes, lift-off points, equilibria."""
         residuals = self._residuals(theta)
         return -0.5 * float(residuals @ residuals)
 
     def outside_slopes(
         self, theta: Theta, models: Sequence[Theta], steps: Sequence[float]
     ) -> tuple[FloatArray, FloatArray]:
-        """(score, Fisher information) of `outside`, from models beside `theta`, each by its step."""
+        """Return (score, Fisher information) of `outside`, from models a step away from `theta`."""
         residuals = self._residuals(theta)
         change = np.array(
             [(self._residuals(other) - residuals) / step for other, step in zip(models, steps, strict=True)]
@@ -256,7 +256,7 @@ class Criterion:
         return -change @ residuals, change @ change.T
 
     def _residuals(self, theta: Theta) -> FloatArray:
-        """Of the stops, the static points and the causes' shapes, in standard errors."""
+        """Return the residuals of stops, static points and shapes of causes, in standard errors."""
         stops = [theta.stop_low_m / settings.STOP_STD_M, theta.stop_high_m / settings.STOP_STD_M]
         return math.sqrt(self.share) * np.concatenate([stops, self._statics(theta), shape_residuals(theta)])
 
@@ -283,16 +283,17 @@ class Criterion:
         Args:
             theta: the model.
             names: of the coordinates.
-            at: a run of `theta`: for models beside it that differ in their noise the steps are taken from there.
-            rough: for the others the slopes of the steps, too.  Half the work and less; where the innovations are about
-                as large as the filter says it is good enough for where to go, not for where the maximum is.
+            at: a run of `theta`: models that differ in their noise take over its steps.
+            rough: take over the slopes of the steps for all other models, for half the work or less.  If the
+                innovations are about as large as the filter expects, this gives the direction of a step, but not the
+                maximum.
         """
         steps = {name: derivative_step(theta, name, self.plant) for name in names if name not in STOPS}
         models = [moved(theta, name, step, self.plant) for name, step in steps.items()]
         if at is None:
             base, *outs = self.several([theta, *models])
         else:
-            # With dry friction the slopes are taken as wide as the state is uncertain: a matter of the noise as well.
+            # With dry friction the slopes are taken over the uncertainty of the state, which depends on the noise.
             smooth = not any(name.partition(".")[0] in with_trait("sticks") and value for name, value in theta.causes)
             is_reused = [rough or (smooth and name in NOISES + COLOURS) for name in steps]
             reuse = [Reuse.STEPS if name in NOISES + COLOURS else Reuse.SLOPES for name in steps]
@@ -309,7 +310,7 @@ class Criterion:
         return base, change
 
     def _stop_derivative(self, theta: Theta, name: str, base: FloatArray, change: FloatArray) -> None:
-        """The derivative by the place of a stop: nothing but the readings of a ball that rests there."""
+        """The derivative by the position of a stop: it moves only the readings of a ball that rests there."""
         flags, nominal_m = self.evidence.series.flags, self.plant.travel_m if name == "stop_high_m" else 0.0
         low = flags & RESTS_LOW != 0
         at_stop = low if name == "stop_low_m" else (flags & RESTS_HIGH != 0) & ~low
@@ -317,7 +318,7 @@ class Criterion:
         reading_at_stop, reading_above = (
             position_reading(p, c, position, 0.0) for position in (stop, stop + STOP_UNIT_M)
         )
-        np.multiply(base, 0.0, out=change)  # what is no number stays none
+        np.multiply(base, 0.0, out=change)  # NaN stays NaN
         change[at_stop & (flags & FLIES == 0), 1] -= reading_above - reading_at_stop
 
     def gradient(self, theta: Theta, names: Sequence[str]) -> tuple[float, FloatArray, FloatArray]:
@@ -328,7 +329,7 @@ class Criterion:
     def slopes(
         self, theta: Theta, names: Sequence[str], base: FloatArray, change: FloatArray
     ) -> tuple[float, FloatArray, FloatArray]:
-        """`gradient` from outputs and derivatives; those of a point nearby will do for the last steps of a climb."""
+        """`gradient` from outputs and derivatives; those of a nearby point suffice for the last steps of a climb."""
         n, count = len(base), len(names)
         fisher, each = np.zeros((count, count)), np.empty((n, count))
         total = whiten(base, np.empty(n), np.empty((n, 2))) + self.outside(theta)
@@ -340,7 +341,7 @@ class Criterion:
 
 
 def _halves(series: Series) -> list[slice]:
-    """Two parts of about one size: recordings do not touch, so where one begins two workers share a run."""
+    """Return two parts of about equal size for two workers; they meet where a recording begins."""
     begins = np.flatnonzero(np.diff(series.recording, prepend=-1))
     n = len(series)
     middle = int(begins[np.argmin(np.abs(begins - n // 2))]) if len(begins) else 0

@@ -1,10 +1,10 @@
 """The noise floor: the log-likelihood of a model whose innovations are sensor noise alone.
 
-The excess of a model is the log-likelihood that it lacks compared with white innovations of the covariance that
-sensor noise alone gives the same model.  The noise is measured on the ball at rest, where no model is involved.
+The excess of a model is the log-likelihood that it lacks compared with white innovations.  Their covariance is that of
+the same model under sensor noise alone.  The noise is measured on the ball at rest, where no model is involved.
 
-A model that needs a stop at a wrong place is not adequate either, although a stop costs little likelihood among so
-many readings: two causes can be imitated by two others and a stop that is half a millimetre off.
+A model that needs a misplaced stop is not adequate either, although a stop costs little likelihood among so many
+readings.  Two other causes and a stop that is half a millimetre off can imitate two causes.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ class Floor:
 
     sigma_i_c_a: float
     sigma_x_m: float
-    measured: bool  # at rest; else the smallest that any fit has asked for
+    measured: bool  # at rest; otherwise the smallest of any fit
     logliks: tuple[float, float] = (0.0, 0.0)  # of a right model: of i_c, and of x given i_c
     colours: tuple[tuple[str, float], ...] = ()  # of the noise at rest, as `NoiseLevels` has them
     counts: tuple[int, int] = (0, 0)  # readings of i_c and x
     error: float = 0.0  # standard error of `loglik` per reading: that of the noise level
-    misplaced_m: float = 0.0  # how far from its place the model has that stop which is farther off
+    misplaced_m: float = 0.0  # larger distance of the two stops in the model from their positions
 
     @property
     def loglik(self) -> float:
@@ -71,15 +71,15 @@ class Floor:
         return replace(self, logliks=logliks, counts=counts, misplaced_m=misplaced_m)
 
     def material(self, loglik: float) -> bool:
-        """Whether the excess is more than the uncertainty of the noise level, or a stop is misplaced."""
+        """Tell whether the excess is more than the uncertainty of the noise level, or a stop is misplaced."""
         return self.misplaced_m > settings.MISPLACED_STOP_M or self.above_noise(loglik)
 
     def above_noise(self, loglik: float) -> bool:
-        """Whether the excess is more than the uncertainty of the noise level."""
+        """Tell whether the excess is more than the uncertainty of the noise level."""
         return self.excess(loglik) > self.tolerance * self.readings
 
     def lacking(self, logliks: FloatArray, points: int) -> FloatArray:
-        """The excess of each part of `by_part`, shape (3,); inf where it is within the uncertainty of the noise.
+        """The excess of each part of `part_logliks`, shape (3,); inf where it is within the uncertainty of the noise.
 
         Args:
             logliks: of the parts, under the model of this floor.

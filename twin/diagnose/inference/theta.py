@@ -1,7 +1,7 @@
 """The parameters of the extended model, and the coordinates in which a search moves them.
 
-Rule 1: a coordinate moves in units in which 1 is a moderate change: logarithms, b / m in 1/s, stops in 10 um, causes in
-        units of their first probe.
+Rule 1: a coordinate moves in units in which 1 is a moderate change.  These are logarithms, b / m in 1/s, 10 um for
+        stops, and the first probe of each cause.
 Rule 2: bounds are physical: b is not negative, a cause stays within its range.
 """
 
@@ -32,13 +32,13 @@ TAU_S = (2e-4, 0.1)  # correlation times of coloured noise; a slower one is an o
 WHITE = (1e-3, 0.98)  # white share of the variance of coloured noise
 STOP_UNIT_M = 1e-5
 _RESTART_M_S2 = 0.3
-# Below the first no sampling shows a T_A, and its logarithm finds no way back; at the second it does.
+# Below the first, no sampling shows a T_A, so its logarithm cannot recover; at the second it can.
 _FLAT_T_A_S, _RESTART_T_A_S = 1e-5, 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Theta:
-    """All parameters of the extended model in SI units; those of causes are named `cause.parameter`."""
+    """The parameters of the extended model in SI units; those of causes are named `cause.parameter`."""
 
     K_A: float
     T_A: float
@@ -53,7 +53,7 @@ class Theta:
     causes: tuple[tuple[str, float], ...] = ()  # (coordinate, value), in the order of acceptance
     # Phases of a periodic force, as shifts of the time of each recording, s: its clock is not the board's.  (): all 0.
     phases_s: tuple[float, ...] = ()
-    min_sigma_i_c_a: float = 1e-6  # the sensors are not better than this: a noise level at 0 finds no way back
+    min_sigma_i_c_a: float = 1e-6  # lower bound: a noise level at 0 could not recover
     min_sigma_x_m: float = 1e-8
     # The colour of the noise, as `NoiseLevels` has it.
     tau_i_c_s: float = 0.0
@@ -151,7 +151,7 @@ _SPREAD = np.array([shape.spread for shape in _SHAPES])
 
 
 def shape_residuals(theta: Theta) -> FloatArray:
-    """How far the shape of each cause of the catalogue is from its usual form, in standard deviations of its prior.
+    """Return the distance of each cause's shape from its usual form, in standard deviations of its prior.
 
     The data often leave a shape open; without a prior a fit would then have no maximum.
     """
@@ -173,7 +173,7 @@ def unit_of(parameter: CauseParameter) -> float:
 
 
 def moved(theta: Theta, name: str, step: float, plant: Plant) -> Theta:
-    """One coordinate moved, kept within its bounds."""
+    """Return a copy with one coordinate moved, within its bounds."""
     value = theta.value(name)
     if "." in name:
         parameter = parameter_of(name)

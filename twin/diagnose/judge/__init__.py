@@ -1,1 +1,1 @@
-"""What a model is worth on recordings that neither fitting nor choosing has seen."""
+"""The evaluation of models on recordings that neither fitting nor selection used."""

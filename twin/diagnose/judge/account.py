@@ -1,24 +1,23 @@
-"""What the paper's model lacks and how much each cause explains: the one source of shares, rest, verdict and sentences.
+"""The account of what the paper's model lacks and of what each cause explains: shares, rest and verdict.
 
 The quantity is the log-likelihood of the recordings for fitting, against a model that leaves sensor noise alone:
 
-    total = what the causes explain together + what is left
-    what they explain together = sum of what each takes + what they take jointly
+    total = explained by all causes + left
+    explained by all causes = sum over causes of the share that each explains + jointly explained
 
-Rule 1: the floor is that of the final model, for what the paper's model lacks and for what is left: under two floors
-        the parts would not add up.
+Rule 1: the floor of the final model counts for the paper's model, too: under two floors the parts would not add up.
 Rule 2: a cause explains what is lost without it, with everything else fitted again.  That is at most the gain of all
         causes together.  If two causes mask each other, each explains nearly all of it; then they share the common
         gain in proportion.
 Rule 3: a rest that is white and no larger than the uncertainty of the noise level counts as nothing.
 Rule 4: on the judge recordings the quantity is the error of x 20 ms ahead compared with its noise floor.  It decides
         whether the answer holds there; it is not part of the shares.
-Rule 5: names hold in part if the rest on the judge recordings is smaller than the noise there and half of what was
-        above the noise is gone.  Otherwise they may imitate an unknown cause: those for the spring of a wire left 2.4
-        times the noise and removed 9 % of what was above it.
-Rule 6: where that is all, a name holds that alone explains more than what is left and what several explain jointly;
-        one that explains less may only correct the form of another, and is a candidate.  Three causes with two thirds
-        of their gain in common imitated the spring of a wire.
+Rule 5: names hold in part if the rest on the judge recordings is smaller than the noise there.  They must also remove
+        half of the error above the noise.  Otherwise they may imitate an unknown cause.  Those that imitated the
+        spring of a wire left 2.4 times the noise and removed 9 % of the error above it.
+Rule 6: names that hold in part need a leading cause.  Alone it explains at least as much as is left and as several
+        explain jointly.  A cause that explains less may only correct the form of another, and is a candidate.  Three
+        causes with two thirds of their gain in common imitated the spring of a wire.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ class Account:
     unexplained: float
 
     def leads(self, cause: str) -> bool:
-        """Whether a cause alone explains at least as much as is left and as several explain jointly."""
+        """Tell whether a cause alone explains at least as much as is left and as several explain jointly."""
         return self.cause_shares.get(cause, 0.0) >= self.unexplained + self.jointly
 
 
@@ -90,7 +89,7 @@ def account_of(selection: Selection, lacks: float, is_adequate: bool) -> Account
 
 
 def exceeds_floor(gain: Gain | None) -> bool:
-    """Whether the error on the judge recordings lies significantly above the noise floor and its tolerance."""
+    """Tell whether the error on the judge recordings lies significantly above the noise floor and its tolerance."""
     return gain is not None and gain.ci95_floor[0] > TOLERANCE
 
 
@@ -103,13 +102,13 @@ def verdict_of(
     leading: bool = False,
     worse: bool = False,
 ) -> Verdict:
-    """The verdict.
+    """Return the verdict.
 
     Args:
         named: whether anything is named.
         is_adequate: whether what is left of the recordings for fitting is noise.
         gain: on the judge recordings, 20 ms ahead.
-        finished: whether the search examined all that it was asked for.
+        finished: whether the search examined every question.
         leading: whether a cause leads the account.
         worse: whether the named causes make the prediction of the judge recordings worse; then none of them holds.
     """

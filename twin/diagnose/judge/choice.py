@@ -1,16 +1,16 @@
-"""Which model a diagnosis writes as extended: the last one of the search that predicts no worse than the reference.
+"""The choice of the extended model: the last model of the search that predicts no worse than the reference.
 
 The search maximises the likelihood, which weighs errors one sample ahead.  Where an unknown effect is at work, a cause
 that imitates it raises the likelihood, and process noise hides the harm.  The error of a longer prediction may grow
 meanwhile.  So the judge recordings decide on the file.
 
-Rule 1: a model is worse if its error exceeds WORSE_ERROR times that of the reference at any horizon, or surely (95 %)
-        exceeds that of the reference 20 ms ahead.  A worse model is refused.
-Rule 2: a model whose names do not hold is refused, too, unless it surely predicts better 20 ms ahead: nothing else
-        speaks for it.
-Rule 3: after a refusal come the models with fewer causes, the likeliest first, then the paper's model fitted anew, and
-        at last the reference itself.
-Rule 4: without judge recordings nothing is compared: the model is written, and marked as not judged.
+Rule 1: a model is worse if its error exceeds WORSE_ERROR times that of the reference at any horizon.  It is also worse
+        if its error 20 ms ahead surely (95 %) exceeds that of the reference.  A worse model is refused.
+Rule 2: a model whose names do not hold is refused, too, unless it surely predicts better 20 ms ahead.  There is no
+        other evidence for it.
+Rule 3: after a refusal, the models with fewer causes are tried, the likeliest first.  Then come the paper's model,
+        fitted anew, and the reference itself.
+Rule 4: without judge recordings no comparison is possible: the model is written, and marked as not judged.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Choice:
     """The model that is written."""
 
     kind: Kind
-    fit: Fit | None  # None: the reference as it was given
+    fit: Fit | None  # None: the user's reference model, unchanged
     gains: tuple[Gain, ...]  # over the reference, one per horizon
     compared: bool
     refused: tuple[Refusal, ...] = ()
@@ -80,7 +80,7 @@ def worse(gains: Sequence[Gain]) -> Gain | None:
 
 
 def refusal_of(candidate: Candidate, gains: Sequence[Gain], *, sure: bool) -> Refusal | None:
-    """Why a model is not written; None if it is.
+    """Return the reason why a model is not written; None if it is.
 
     Args:
         candidate: the model.
@@ -108,11 +108,11 @@ def choose(
     *,
     sure: bool,
 ) -> Choice:
-    """The first of the candidates that is not refused, or the reference.
+    """Return the first candidate that is not refused, or the reference.
 
     Args:
         candidates: models of the search, the best first.
-        reference: the fit of the reference; None: it is a model that was given.
+        reference: the fit of the reference; None: the user gave a reference model.
         measure: the gains of a model over the reference, on the judge recordings.
         sure: whether the names of the first candidate hold by their own evidence.
     """

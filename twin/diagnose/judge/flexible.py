@@ -1,12 +1,12 @@
-"""What a model without physics makes of the same recordings.
+"""The prediction error of a model without physics on the same recordings.
 
 A ridge regression of the displacement N samples ahead on the last readings, on u_c up to then, and on random features
 of both (A. Rahimi, B. Recht, Random features for large-scale kernel machines, NIPS 2007).  It is trained on the
-recordings for fitting and asked on the judge recordings, as the physical model is.
+recordings for fitting and evaluated on the judge recordings, like the physical model.
 
-In a closed loop u_c answers the readings, so the inputs after the last reading tell such a regression where the ball
-was: it may even lie below the noise floor of a model that takes u_c for nothing but a cause.  A physical model that
-predicts better is good in any case; one that predicts worse need not miss anything.
+In a closed loop u_c depends on the readings, so the inputs after the last reading tell the regression where the ball
+was.  Its error may even be below the noise floor of a physical model, for which u_c is an input alone.  A physical
+model that predicts better is good in any case; one that predicts worse does not necessarily lack an effect.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def flexible_errors(fit: Evidence, judge: Evidence, samples: int, seed: int) -> 
     """x_hat - x of every sample of the judges, shape (n,), m; NaN where there is no window of flight before it.
 
     Args:
-        fit: recordings to train on; of a fifth of their windows the penalty is chosen.
+        fit: recordings to train on; a fifth of their windows chooses the penalty.
         judge: recordings to predict.
         samples: horizon.
         seed: of the features.

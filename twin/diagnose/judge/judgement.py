@@ -1,4 +1,4 @@
-"""What the judge recordings decide: the verdict, and the model that is written."""
+"""The judgement from the judge recordings: the verdict, and the model that is written."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ def judge(
 
     Args:
         selection: the result.
-        model: the reference model that was given; None: the paper's model, fitted.
+        model: the user's reference model; None: the paper's model, fitted.
         bench: the judge recordings; None: there are none.
         account: of the shares.
         is_adequate: whether what is left of the recordings for fitting is noise.
-        finished: whether the search examined all that it was asked for.
+        finished: whether the search examined every question.
         counted: whether lost samples are a cause.
     """
     before = selection.base.theta if model is None else theta_of(model, selection.base.theta)

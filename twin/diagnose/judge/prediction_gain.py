@@ -38,7 +38,7 @@ class Gain:
     extended_rmse_m: float
     floor_m: float
     ci95_ratio: tuple[float, float]  # of extended over baseline
-    ci95_floor: tuple[float, float]  # of extended over the floor; NaN with too few blocks to tell
+    ci95_floor: tuple[float, float]  # of extended over the floor; NaN with too few blocks
     count: int
     # x_hat - x of every sample, baseline and extended, shape (2, n); NaN where one of them predicts nothing
     errors_m: FloatArray = field(default_factory=lambda: np.empty((2, 0)), repr=False, compare=False)

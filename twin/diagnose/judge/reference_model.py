@@ -1,6 +1,7 @@
-"""A reference model: the model file that the user gives, judged as it is.
+"""A reference model: the user's model file, evaluated without changes.
 
-Rule 1: it must be a model of the campaign's plant: what [plant] knows is not estimated, so another mass is another rig.
+Rule 1: it must be a model of the campaign's plant.  The values of [plant] are not estimated, so another mass is another
+        rig.
 Rule 2: its parameters are the baseline of the gain; the search itself starts from the paper's model, fitted again.
 """
 
@@ -18,7 +19,7 @@ from twin.model.parameters import Model
 
 _KNOWN = ("mass_kg", "travel_m", "x_max_m", "gravity_m_s2")
 _WORSE = 1.1  # times the error of the refitted model: the numbers are off
-_OFF = 0.01  # of a parameter: worth a word
+_OFF = 0.01  # of a parameter: mentioned above this
 
 
 def check_plant(model: Model, plant: Plant) -> None:
@@ -59,12 +60,12 @@ def theta_of(model: Model, fitted: Theta) -> Theta:
 
 
 def off_sentence(model: Model, fitted: Theta, gain: Gain | None, refitted: Gain | None) -> str:
-    """A sentence on how the given parameters differ from the fitted ones if that costs accuracy; empty otherwise.
+    """Return a sentence on parameters that differ from the fitted ones if that costs accuracy; empty otherwise.
 
     Args:
-        model: the given one.
+        model: the reference model.
         fitted: the paper's model at its best.
-        gain: of the final model over the given one.
+        gain: of the final model over the reference model.
         refitted: of the final model over `fitted`.
     """
     if gain is None or refitted is None or gain.baseline_rmse_m < _WORSE * refitted.baseline_rmse_m:
@@ -72,7 +73,7 @@ def off_sentence(model: Model, fitted: Theta, gain: Gain | None, refitted: Gain 
     moves = {name: fitted.value(name) / max(getattr(model, name), 1e-300) - 1.0 for name in PARAMETERS if name != "b"}
     listed = ", ".join(f"{name} {100.0 * change:+.1f} %" for name, change in moves.items() if abs(change) > _OFF)
     return (
-        f"the numbers of the given model are off: it predicts x {gain.horizon_s * 1e3:.0f} ms ahead to "
-        f"{gain.baseline_rmse_m * 1e6:.3g} µm, the paper's model fitted anew to {refitted.baseline_rmse_m * 1e6:.3g} µm"
-        + (f" ({listed})" if listed else "")
+        f"the parameters of the reference model are wrong: its error of x {gain.horizon_s * 1e3:.0f} ms ahead is "
+        f"{gain.baseline_rmse_m * 1e6:.3g} µm, that of the paper's model, fitted anew, "
+        f"{refitted.baseline_rmse_m * 1e6:.3g} µm" + (f" ({listed})" if listed else "")
     )

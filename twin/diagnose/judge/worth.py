@@ -1,4 +1,4 @@
-"""The gains of one model over another on the judge recordings, at the horizons that the budget pays for."""
+"""The gains of one model over another on the judge recordings, at the horizons within the budget."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from twin.estimation.pace import pace_of
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bench:
-    """The judge recordings and what a prediction needs beside a model."""
+    """The judge recordings and the data that a prediction needs besides a model."""
 
     judge: Evidence
     floor: Floor

@@ -1,1 +1,1 @@
-"""Which causes belong into the model: score tests, starts, fits, forward and backward steps, equivalences."""
+"""The search for the causes of the model: score tests, starts, fits, forward and backward steps, equivalences."""

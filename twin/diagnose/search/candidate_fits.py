@@ -1,6 +1,6 @@
 """Fit candidates by successive halving: all of them a little, the leading ones to the end.
 
-Rule 1: a candidate that is far behind may only have a worse starting value: it is dropped only if its slope, too,
+Rule 1: a candidate that is far behind may only have a worse starting value.  It is dropped only if its slope, too,
         shows that it cannot catch up.
 """
 
@@ -25,7 +25,7 @@ _SAME = {cause.name: cause.same_samples_as for cause in CATALOGUE if cause.same_
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """One candidate, fitted."""
+    """A candidate and its fit."""
 
     cause: str
     fit: Fit
@@ -84,7 +84,7 @@ def fit_candidates(
 
 
 def _finish_first(criterion: Criterion, trials: list[Trial], ended: set[str]) -> list[Trial]:
-    """The best that is inside its range may be taken: it is fitted to the end, if it is not among those that were."""
+    """Fit the best trial within its range to the end unless that was done: it may be selected."""
     trials = sorted(trials, key=lambda trial: -trial.gain)
     first = next((n for n, trial in enumerate(trials) if within_range(trial)), len(trials))
     if first < len(trials) and trials[first].cause not in ended and not trials[first].fit.converged:
@@ -130,7 +130,7 @@ def refine(criterion: Criterion, trial: Trial, passes: int = settings.PASSES, *,
 
 
 def deserves_full_fit(trial: Trial, best: Trial) -> bool:
-    """Whether a trial is near enough to the best to be fitted to the end."""
+    """Tell whether a trial is near enough to the best to be fitted to the end."""
     return trial.gain >= settings.HALVING[-1][1] * best.gain
 
 
@@ -154,7 +154,7 @@ def _with(free: tuple[str, ...], cause: str) -> tuple[str, ...]:
 
 
 def within_range(trial: Trial) -> bool:
-    """Whether every parameter of the cause is within its physical range, not at its end."""
+    """Tell whether every parameter of the cause lies within its physical range and not at its end."""
     for name in coordinates_of(trial.cause):
         parameter = parameter_of(name)
         value = trial.fit.theta.value(name)

@@ -1,8 +1,8 @@
-"""Where the fit of a candidate begins.
+"""The starting values of the fit of a candidate.
 
 A wrong model bends its own parameters: under a current limit K_A comes out low and T_A long, and from there the limit
-explains nothing.  So beside the screen's linear step, an amplifier's candidate is tried with a K_A and T_A that few
-samples can bend: the median of i_c / u_c, and the fastest response that any single recording shows.
+explains nothing.  So a candidate of the amplifier has further starts besides the linear step of the score test.  Their
+K_A and T_A hardly depend on single samples: the median of i_c / u_c, and the fastest response of any recording.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.cause import Cause
 from twin.model.extended import position_of_reading, position_reading
 
-_MAX_REACH = 20.0  # probes: farther the signature is another
+_MAX_REACH = 20.0  # probes: the signature changes beyond this
 _MIN_REACH = 0.05
-_PARTS = (1.0, 0.3, 0.1)  # of the linear step: where the likelihood is far from a parabola the whole one overshoots
+_PARTS = (1.0, 0.3, 0.1)  # of the linear step: the whole step overshoots if the likelihood is far from a parabola
 _GRID = (0.5, 0.7, 0.85, 1.0, 1.4, 2.0, 3.0, 5.0)  # of the probes
 _STEADY = 5  # samples of the same u_c
 
@@ -54,10 +54,11 @@ def start_of(criterion: Criterion, theta: Theta, score: Score) -> Theta:
 
 
 def _with_stops(plant: Plant, theta: Theta, starts: list[Theta], cause: Cause) -> list[Theta]:
-    """Of a sensor's cause, also with the stops where everybody thinks they are, and where they show the same as before.
+    """Add starts with other stops to those of a sensor's cause: at their nominal positions, and with equal readings.
 
-    Without it the model shifts the stops to where the sensor shows them; both at once is wrong twice.  A part of an
-    offset with the stops where they are is wrong by hundreds of standard errors at rest, and nothing else counts then.
+    A model without the cause shifts the stops to where the sensor shows them.  With the cause and these stops the
+    offset would count twice.  With nominal stops, part of an offset is wrong by hundreds of standard errors at rest,
+    which outweighs all else.
     """
     if cause.family != "sensing":
         return starts
@@ -77,8 +78,8 @@ def _same_readings(plant: Plant, theta: Theta, start: Theta) -> Theta:
 def substitute_start(criterion: Criterion, theta: Theta, cause: Cause, confounder: Cause) -> Theta:
     """The best strength of `confounder` with the numbers of `theta`, in which it replaces `cause`.
 
-    From the bent numbers of the model without either, one of two causes that do the same may never get there; two that
-    are measured in the same unit, or in V and in A, may even be of the same size.
+    The parameters of a model without both causes are bent.  From there a cause with the same effect may never reach its
+    maximum.  Two causes in the same unit, or in V and A, may be of equal size, so that size is tried, too.
     """
     strength = confounder.strength
     at = [strength.coordinate(probe) * factor for probe in strength.probes for factor in _GRID]
@@ -140,10 +141,10 @@ def shortest_time_constant(records: Sequence[Record]) -> float | None:
 
 
 def _coordinate_sets(score: Score) -> list[list[str]]:
-    """What moves with a candidate: the paper's parameters, or all but the noise levels, which find their own way.
+    """Return the sets of coordinates that move with a candidate: the paper's parameters, or all but the noise levels.
 
-    Places of coil, stop and sensor that are one but for bends only move together.  So does a cause in the model that
-    has taken up what the candidate does: without it the candidate begins 10 000 of log-likelihood below.
+    The positions of coil, stop and sensor differ in their effect by bends alone, so they move together.  So does a
+    cause in the model that has taken up the candidate's effect: otherwise the start is 10 000 of log-likelihood lower.
     """
     names = [name for name, _ in score.moves if name not in NOISES + COLOURS]
     paper = [name for name in names if name in PARAMETERS]
@@ -162,6 +163,6 @@ def _linear(criterion: Criterion, theta: Theta, score: Score, cause: Cause, part
     reach *= max(shorter, _MIN_REACH / abs(reach)) * part
     for name, move in score.moves:
         if name in names:
-            max_move = max_step(name)  # what nothing in the data holds would run away
+            max_move = max_step(name)  # a coordinate that the data do not determine would run away
             theta = moved(theta, name, min(max(move * reach, -max_move), max_move), criterion.plant)
     return probed(theta, cause, strength.value(strength.coordinate(score.probe) * reach), score.other_values)

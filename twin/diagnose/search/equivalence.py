@@ -39,12 +39,12 @@ def find_classes(
 ) -> Selection:
     """Find the class of each selected cause and the best candidate outside it; the arguments are those of `select`.
 
-    With `quick` and several causes, the last has the equals of its own forward step, and few candidates are tried in
-    the place of the others: those were taken when the later ones were missing.
+    With `quick` and several causes, the last cause has the equals of its forward step.  Few candidates are tried
+    instead of each other cause, because these were selected when the later ones were missing.
 
-    With `floor`, if several causes leave more than noise, one of them may be false: the last is examined first, and
-    all candidates are fitted, whatever their score.  Beside a friction that is not yet right a true
-    cause had a fifteenth of its gain there.
+    With `floor`, one of several causes may be false if they leave more than noise.  Then the last is examined first,
+    and all candidates are fitted, whatever their score.  Next to an incomplete friction a true cause had a
+    fifteenth of its gain.
     """
 
     def doubtful() -> bool:
@@ -84,7 +84,7 @@ def find_classes(
 def _refit_from_usual_forms(criterion: Criterion, fit: Fit, cause: str) -> Fit:
     """The better of a fit and one from the usual form of all causes but `cause`.
 
-    Beside the false cause they took a form that made up for its errors.
+    Next to the false cause they took a form that made up for its errors.
     """
     free_shapes = [name for name in fit.free if math.isfinite(prior_spread(name)) and not name.startswith(cause + ".")]
     if not free_shapes:
@@ -97,12 +97,12 @@ def _refit_from_usual_forms(criterion: Criterion, fit: Fit, cause: str) -> Fit:
 
 
 def _is_last(selection: Selection, cause: str) -> bool:
-    """Whether `cause` was taken last: its rivals were fitted beside all others then."""
+    """Tell whether `cause` was selected last: its rivals were then fitted together with all other causes."""
     return next((step.selected == cause for step in reversed(selection.rounds) if step.selected), False)
 
 
 def _equals_at_selection(selection: Selection, cause: str, same: Collection[str]) -> list[Trial]:
-    """The candidates that explained as much as the last cause when it was taken: without a further fit."""
+    """Return the candidates that explained as much as the last cause when it was selected, without a further fit."""
     last = next(step for step in reversed(selection.rounds) if step.selected == cause)
     min_gain = max(trial.gain for trial in last.trials if trial.cause == cause) - settings.EQUIVALENT_GAIN
     rivals = (trial for trial in last.trials if trial.cause not in (*selection.causes, *same))
@@ -128,7 +128,7 @@ def _replace_two(
             if trial.cause == cause:
                 report(f"dropped: {other} ({cause} explains it)")
             else:
-                report(f"{trial.cause} explains as much as {cause} and {other} together: it takes their place")
+                report(f"{trial.cause} explains as much as {cause} and {other} together: it replaces them")
             causes = tuple(trial.cause if name == cause else name for name in selection.causes if name != other)
             gain = fit.loglik - selection.base.loglik
             gains = {name: selection.gains.get(name, gain) for name in causes}
@@ -146,7 +146,7 @@ def _class_of(
     all_scores: bool,
     report: Reporter,
 ) -> tuple[Selection, bool]:
-    """Find the class of `cause` with the other causes fixed; a candidate that explains more takes its place.
+    """Find the class of `cause` with the other causes fixed; a candidate that explains more replaces it.
 
     With `all_scores`, candidates are fitted whatever their score.
 
@@ -174,6 +174,7 @@ def _class_of(
         name for name, gain in score_gains.items() if gain > settings.SIMILAR_SCORE * score_gains.get(cause, 0.0)
     }
     similar |= {entry.name for entry in candidates if entry.family == BY_NAME[cause].family}
+    # A cause with the same effect on the samples is an equal without a fit.
     same = same_as(cause) & {entry.name for entry in remaining}
     scores = [score for score in scores if score.cause not in (*known, cause, *same) and score.testable]
     scores = [score for score in scores if score.gain > 0.3 * settings.MIN_GAIN]
@@ -190,6 +191,7 @@ def _class_of(
     trials += fit_candidates(
         criterion, current, scores, cutoff_gain=-math.inf if all_scores else selected.gain - settings.OUT_OF_CLASS_GAIN
     )
+    # A fit from the model without the cause may end in a worse maximum than one from the fit of the cause itself.
     trials = criterion.each(
         lambda trial: _refit_from(criterion, selected, trial) if trial.cause in similar else trial, trials
     )
@@ -197,11 +199,13 @@ def _class_of(
     periodic_gain = selection.gains.get(periodic.CAUSE.name, 0.0) if periodic.AMPLITUDE in current.free else 0.0
     _rephase(criterion, selected, trials, similar, periodic_gain)
     trials.sort(key=lambda trial: -trial.gain)
+    # Fair to both: the selected cause, too, may be at a worse maximum, so it is fitted from the candidate's parameters
+    # before the candidate replaces it.
     if trials and trials[0].gain > selected.gain + settings.EQUIVALENT_GAIN:
         selected = _refit_from(criterion, trials[0], selected)
         selection = replace(selection, fit=selected.fit)
     if trials and trials[0].gain > selected.gain + settings.EQUIVALENT_GAIN:
-        report(f"{trials[0].cause} explains more than {cause} beside the others: it takes its place")
+        report(f"{trials[0].cause} explains more than {cause} next to the others: it replaces it")
         best = trials[0]
         causes = tuple(best.cause if name == cause else name for name in selection.causes)
         if periodic.CAUSE.name in causes:

@@ -1,4 +1,4 @@
-"""One forward step: score all candidates, fit the best few, and select the best if it meets the criteria."""
+"""A forward step: score all candidates, fit the leading ones, and select the best if it meets the criteria."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from twin.diagnose.search.score_test import Score, probed, screen
 from twin.model.causes.catalogue import BY_NAME, with_trait
 from twin.model.causes.cause import Cause
 
-# A ball held by friction is predicted well whatever the model lacks, so prediction is no evidence for friction.
+# A ball held by friction is predicted well whatever the model lacks, so prediction is not evidence for friction.
 HOLDS = with_trait("sticks")
 Reporter = Callable[[str], None]
 Refusal = Literal["", "chance", "outside its range", "minor", "minor beside noise", "small share"]
@@ -32,11 +32,11 @@ class Round:
 
     scores: tuple[Score, ...]
     trials: tuple[Trial, ...]  # best first
-    selected: str  # "" where none was
-    best: Trial | None = None  # what was judged; None where nothing was fitted
+    selected: str  # "" if no cause was selected
+    best: Trial | None = None  # the trial that was examined; None if nothing was fitted
     share: float = 1.0  # of what is missing, that the best explains (`_share`)
     refusal: Refusal = ""  # of the best
-    on_trial: bool = False  # taken on trial in the place of one that gains more
+    on_trial: bool = False  # selected on trial instead of a candidate that gains more
 
 
 def forward(
@@ -149,8 +149,8 @@ def decide(
 def _share(criterion: Criterion, base: Fit, current: Fit, floor: Floor, best: Trial) -> float:
     """Share of what is missing that the best explains, in the part of the data in which it gains most.
 
-    What is missing in the other parts says nothing against it.  Where this one hardly lacks more than noise, it is all
-    of it, unless it is a minor effect beside what was found there.
+    A lack in the other parts is not evidence against it.  If this part lacks hardly more than noise, the share is 1,
+    unless the effect is minor compared with those selected before.
     """
     none, before, after = part_logliks(criterion, base.theta, current.theta, best.fit.theta)
     gains = after - before

@@ -1,7 +1,7 @@
 """A periodic force: its frequency from the spectrum of the innovations, its phase from each recording.
 
-Rule 1: the clock of a periodic force is not the board's: each recording has a phase of its own, which two signatures a
-        quarter of a period apart give by least squares.  They enter the filter as shifts of time.
+Rule 1: the clock of a periodic force is not the board's, so each recording has its own phase.  Least squares over two
+        signatures a quarter of a period apart gives it.  Phases enter the filter as shifts of time.
 Rule 2: a line counts against the spectrum around it, so that coloured innovations of a wrong model are not a line.
 """
 
@@ -27,7 +27,7 @@ _MAX_ROUNDS = 4  # of the phases, at most
 _STEP = 0.1  # rad, to take the slope of a phase by
 _FAR_STEPS = 4.0  # of these at once
 _LONG_SAMPLES = 500  # for a spectrum
-_MIN_SAMPLES = 50  # for a phase: with none of its own, a recording would be shaken at a wrong time
+_MIN_SAMPLES = 50  # for a phase: a recording without one would be shaken at a wrong time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +52,7 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
     count = len(criterion.evidence.records)
     quarter = 0.25 / frequency
     base = criterion.outputs(theta)
-    # Not with the phases of a line that was found before: the two would be no quarter of a period apart.
+    # The phases of an earlier line are not used: the two signatures would not be a quarter of a period apart.
     sine, cosine = (criterion.outputs(replace(at, phases_s=(shift_s,) * count)) for shift_s in (0.0, quarter))
     scale = np.sqrt(base[:, 4])
     residual = base[:, 1] / scale
@@ -91,7 +91,7 @@ def find_line(criterion: Criterion, theta: Theta, frequency: float | None = None
 
 
 def fit_phases(criterion: Criterion, fit: Fit, passes: int) -> Fit:
-    """The fit with phases that belong to its own frequency; the old one where they gain nothing."""
+    """Return the fit with phases that belong to its own frequency, or the old fit if they gain nothing."""
     frequency = fit.theta.value(FREQUENCY)
     line = find_line(criterion, fit.theta.without(CAUSE.name), frequency)
     return fit if line is None else _with_phases(criterion, fit, line.phases_s, passes)
@@ -100,8 +100,8 @@ def fit_phases(criterion: Criterion, fit: Fit, passes: int) -> Fit:
 def refine_phases(criterion: Criterion, fit: Fit, passes: int) -> Fit:
     """The fit with the phase of each recording where its own likelihood is largest.
 
-    Those of `rephased` are a linear answer: a ramp in which the force decides when the ball lifts off wants others, and
-    a lag beside them came out 3 % short.
+    The phases of `fit_phases` are a linear estimate.  They are wrong on a ramp in which the force decides when the ball
+    lifts off; a lag that was fitted with them came out 3 % short.
     """
     for _ in range(_MAX_ROUNDS):
         again = _with_phases(criterion, fit, _newton_phases(criterion, fit.theta), passes)
@@ -112,7 +112,7 @@ def refine_phases(criterion: Criterion, fit: Fit, passes: int) -> Fit:
 
 
 def _with_phases(criterion: Criterion, fit: Fit, phases_s: tuple[float, ...], passes: int) -> Fit:
-    """The fit with these phases; where they gain nothing it and its own."""
+    """Return the fit with these phases, or the old fit if they gain nothing."""
     again = climb(criterion, replace(fit.theta, phases_s=phases_s), fit.free, passes=passes)
     return again if again.loglik > fit.loglik else fit
 
@@ -141,7 +141,7 @@ def _newton_phases(criterion: Criterion, theta: Theta) -> tuple[float, ...]:
 def _without_whole_periods(shift_s: float, middle_s: float, frequency_hz: float) -> float:
     """The shift less whole periods, so that another frequency turns the phase about the middle of the recording.
 
-    A minute off, a thousandth of a hertz would turn all of it, and phases and frequency hold each other where they are.
+    A minute away, a thousandth of a hertz would turn the whole phase, and phase and frequency would fix each other.
     """
     return shift_s - round((shift_s + middle_s) * frequency_hz) / frequency_hz
 

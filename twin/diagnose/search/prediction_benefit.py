@@ -1,7 +1,7 @@
-"""What a cause does for the prediction of x, on the recordings for fitting.
+"""The benefit of a cause for the prediction of x, on the recordings for fitting.
 
-The likelihood weighs all readings alike.  On a rig with much unexplained in i_c a cause may take little of the whole
-and yet be what is wrong with the motion: such a cause is not a minor one.
+The likelihood weighs all readings alike.  If much of i_c is unexplained, a cause may explain little of the whole and
+yet all of the error of the motion.  Such a cause is not minor.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def error_reduction(criterion: Criterion, before: Theta, after: Theta) -> float:
     both = np.isfinite(first) & np.isfinite(second)
     if np.count_nonzero(both) < settings.BENEFIT_PREDICTIONS:
         return 0.0
-    # The worst hundredth speaks of single events, not of the rig.
+    # The worst hundredth is due to single events, not to the rig.
     usual = both & (first <= np.quantile(first[both], 0.99))
     return 1.0 - float(second[usual].mean() / max(first[usual].mean(), 1e-300))
 

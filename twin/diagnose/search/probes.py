@@ -1,4 +1,4 @@
-"""Where the score test looks at each cause: small values, and those at which these data would show it."""
+"""The probes of the score test: small values of each cause, and values at which these data would show it."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from twin.estimation.innovations import FLIES, FOLLOWS, Series
 from twin.model.causes.cause import Cause
 
-_RATE_SPAN_S = 4e-4  # over which a rate of change is taken: in one sample of a capture it is all noise
-# The places of coil, stop and sensor are one but for bends: in the signature of a wide probe those hide the difference.
+_RATE_SPAN_S = 4e-4  # for a rate of change: within one sample of a capture it is all noise
+# The positions of coil, stop and sensor differ in their effect by bends alone, which a wide probe would hide.
 _SMALL_PART = 0.02
 _ENOUGH = 20
 
 
 def probes_of(cause: Cause, series: Series) -> tuple[float, ...]:
-    """Values of the cause's strength at which its signature is taken."""
+    """Values of the cause's strength at which its signature is computed."""
     usual, measured = cause.strength.probes, cause.measured_probes
     if measured is not None:
         size = _SIZES[measured.of](series)
@@ -27,7 +27,7 @@ def probes_of(cause: Cause, series: Series) -> tuple[float, ...]:
 
 
 def largest_current(series: Series) -> float:
-    """What i_c comes to under the largest inputs, A."""
+    """Return the current i_c under the largest inputs, A."""
     known = np.flatnonzero(np.isfinite(series.i) & (series.u > 0.0))
     if len(known) < _ENOUGH:
         return 0.0

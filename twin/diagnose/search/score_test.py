@@ -1,12 +1,13 @@
-"""Every cause of the catalogue against what is left of the data: how much would it gain, and can it be seen at all?
+"""The score test: how much would each cause of the catalogue gain, and can these data show it?
 
-The score test of each candidate on the innovations, all recordings together, with what the parameters already in the
-model can take up projected out.  A probe or two of each candidate instead of a fit, with the slopes of the model as it
-is: exact enough to say which is worth a fit (tests/twin/diagnose/inference/test_derivatives.py).
+Each candidate is tested on the innovations of all recordings together.  Effects that the parameters of the model can
+take up are projected out.  A probe or two of each candidate replace a fit, with the slopes of the model as it is.  That
+is exact enough to choose the candidates for a fit (tests/twin/diagnose/inference/test_derivatives.py).
 
-Rule 1: the signature of a candidate is a secant to a small value of it, not a derivative: a limit has no derivative
-        where it is not reached.
-Rule 2: a candidate of whose signature less than VISIBLE is its own is not testable here, and said to be so.
+Rule 1: the signature of a candidate is a secant to a small value, because a limit that is not reached has no
+        derivative.
+Rule 2: a candidate is not testable, and reported as such, if less than VISIBLE of its signature remains after the
+        projection.
 """
 
 from __future__ import annotations
@@ -30,23 +31,23 @@ from twin.model.causes.cause import Cause
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """One candidate."""
+    """The score of a candidate."""
 
     cause: str
-    probe: float  # value of the strength at which the signature was taken
+    probe: float  # value of the strength at which the signature was computed
     gain: float  # estimated increase of the log-likelihood
     step: float  # of the coordinate towards the maximum, in units of the probe
     z: float  # how far from absent, in standard errors, signed
     detectable: float  # standard errors by which the probe itself would show
     visible: float  # share of the signature that nothing in the model takes up
     moves: tuple[tuple[str, float], ...]  # moves of the other coordinates that go with a whole step
-    chance: float = 0.0  # gain that the search for the cause's other parameters makes out of nothing
+    chance: float = 0.0  # gain that the search for the cause's other parameters makes out of noise
     phases_s: tuple[float, ...] = ()  # of a periodic force, as `Theta` has them
-    other_values: tuple[tuple[str, float], ...] = ()  # values of the cause's other parameters, where not the usual ones
+    other_values: tuple[tuple[str, float], ...] = ()  # values of other parameters that are not usual
 
     @property
     def testable(self) -> bool:
-        """Whether these data can show it."""
+        """Tell whether these data can show it."""
         return self.visible >= settings.VISIBLE and self.detectable >= settings.MIN_INFORMATION * min(
             self.fineness, 1.0
         )
@@ -63,7 +64,7 @@ def screen(
 ) -> list[Score]:
     """The candidates' scores at a maximum, best first; those already in the model are left out.
 
-    Of a part of the samples (`Criterion.thinner`) they are those that all samples would show.
+    For a part of the samples (`Criterion.thinner`) they are scaled to all samples.
     """
     present = {name.partition(".")[0] for name, _ in theta.causes}
     trials = [
@@ -135,7 +136,7 @@ def shapes_of(cause: Cause) -> list[tuple[tuple[str, float], ...]]:
 
 
 def probed(theta: Theta, cause: Cause, value: float, other_values: Sequence[tuple[str, float]] = ()) -> Theta:
-    """With that strength of a cause, its other parameters at their usual values, and then `other_values`."""
+    """Return the model with that strength of a cause, its other parameters at usual values, and then `other_values`."""
     strength, *rest = coordinates_of(cause.name)
     usual = [(name, parameter.neutral) for name, parameter in zip(rest, cause.parameters[1:], strict=True)]
     for name, known in (*usual, (strength, value), *other_values):

@@ -17,7 +17,7 @@ from twin.diagnose.search.forward_step import Round
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """The causes in the order in which they were taken, and everything that was tried; each step makes a new one."""
+    """The causes in the order of selection, and everything that was tried; each step makes a new `Selection`."""
 
     base: Fit
     fit: Fit
@@ -29,29 +29,29 @@ class Selection:
     smaller: Mapping[frozenset[str], Fit] = field(default_factory=dict)  # fits of fewer causes, by what is free in them
 
     def with_fits(self, fits: Iterable[Fit]) -> Selection:
-        """The same with fits for `recall`."""
+        """Return a copy with fits for `recall`."""
         return replace(self, smaller={**self.smaller, **{frozenset(fit.free): fit for fit in fits}})
 
     def recall(self, free: Sequence[str]) -> Fit | None:
-        """The fit with these free parameters if one is known and has the present phases; None otherwise."""
+        """Return the fit with these free parameters if one is known and has the present phases; None otherwise."""
         fit = self.smaller.get(frozenset(free))
         stale = fit and periodic.AMPLITUDE in free and fit.theta.phases_s != self.fit.theta.phases_s
         return None if stale else fit
 
     def dropping(self, cause: str, fit: Fit) -> Selection:
-        """The same without a cause; `fit` is of the others."""
+        """Return a copy without a cause; `fit` is that of the others."""
         causes = tuple(name for name in self.causes if name != cause)
         gains = {name: gain for name, gain in self.gains.items() if name != cause}
         return replace(self, causes=causes, gains=gains, fit=fit)
 
 
 def material(criterion: Criterion, selection: Selection, floor: Floor) -> bool:
-    """Whether the model leaves more than noise."""
+    """Tell whether the model leaves more than noise."""
     return floor.under(criterion, selection.fit.theta).material(selection.fit.loglik)
 
 
 def superfluous(criterion: Criterion, selection: Selection, floor: Floor, smaller: Fit) -> bool:
-    """Whether `smaller`, the model without one of its causes, does as well by the criteria of a forward step."""
+    """Tell whether `smaller`, the model without one cause, does as well by the criteria of a forward step."""
     loss = selection.fit.loglik - smaller.loglik
     minor_effect = loss < settings.MINOR_SHARE_AT_NOISE * (selection.fit.loglik - selection.base.loglik)
     return loss < settings.MIN_GAIN or (

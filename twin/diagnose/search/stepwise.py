@@ -1,11 +1,12 @@
 """Stepwise selection: which causes the model needs, by the likelihood of all recordings for fitting.
 
-    forward: add the best candidate, if it meets rule 1 -> backward: remove causes that are no longer needed -> repeat
-    at the end, for each selected cause: find the causes that explain the data equally well (equivalence.py)
+    forward: add the best candidate if it meets rule 1
+    -> backward: remove causes that are no longer needed; repeat both
+    -> find the causes that explain the data as well as each selected one (equivalence.py)
 
-Rule 1: a cause is selected if it raises the log-likelihood by more than MIN_GAIN, if its strength is inside its
-        physical range, and, while more than noise is unexplained, if it explains a fair share of that.  A significant
-        but minor effect beside a large unexplained rest is typical of a false name.
+Rule 1: a cause is selected if it raises the log-likelihood by more than MIN_GAIN and its strength is within its
+        physical range.  While more than noise is unexplained, it must also explain a fair share of that.  A
+        significant but minor effect next to a large unexplained rest is typical of a false name.
 Rule 2: the judge recordings are not used here.
 Rule 3: a step that exceeds the budget makes no new selection, and the search ends with the one before it.
 """
@@ -117,7 +118,7 @@ def _search(
             )
         yield selection
         yield (selection := _refine_phases(criterion, selection, thorough))
-        # A cause that was refused beside a false name may be needed beside the right one.
+        # A cause that was refused next to a false name may be needed next to the right one.
         if set(selection.causes) == before or not material(criterion, selection, floor):
             break
 
@@ -126,7 +127,7 @@ def _refine_phases(criterion: Criterion, selection: Selection, thorough: bool) -
     """Fit the phases of a periodic force together with all other causes."""
     if not thorough or periodic.CAUSE.name not in selection.causes:
         return selection
-    with criterion.budget.question("which phases the periodic force has beside the others"):
+    with criterion.budget.question("which phases the periodic force has together with the other causes"):
         return replace(selection, fit=periodic.refine_phases(criterion, selection.fit, settings.PASSES))
 
 
@@ -151,7 +152,7 @@ def _apply_step(
     """Apply the result of a forward step; yields the selection after each part, unchanged if it selected nothing."""
     selection = replace(selection, rounds=(*selection.rounds, step))
     if not step.selected:
-        report("none taken" + (f": {step.best.cause}, +{step.best.gain:.1f}, {step.refusal}" if step.best else ""))
+        report("none selected" + (f": {step.best.cause}, +{step.best.gain:.1f}, {step.refusal}" if step.best else ""))
         yield selection
         return
     first = step.trials[0]
@@ -159,20 +160,20 @@ def _apply_step(
     fit = _revived(criterion, first.fit)
     yield (selection := replace(selection, causes=(*selection.causes, step.selected), fit=fit, gains=gains))
     if periodic.CAUSE.name in selection.causes:
-        with criterion.budget.question("which phases the periodic force has beside the others"):
+        with criterion.budget.question("which phases the periodic force has together with the other causes"):
             selection = replace(selection, fit=periodic.fit_phases(criterion, selection.fit, settings.PASSES))
     yield (selection := selection.with_fits([selection.fit]))
-    report(f"taken: {step.selected} (log-likelihood +{first.gain:.0f})")
+    report(f"selected: {step.selected} (log-likelihood +{first.gain:.0f})")
     if len(selection.causes) > 1:
-        with criterion.budget.question("whether each cause is needed beside the later ones"):
+        with criterion.budget.question("whether each cause is needed together with the later ones"):
             selection = backward(criterion, selection, floor, report, passes)
         yield selection
 
 
 def _revived(criterion: Criterion, fit: Fit) -> Fit:
-    """The fit with a T_A that the errors of the model without the cause had driven to zero, if it is wanted back.
+    """Return the fit with T_A above zero if that is better: errors of a model without the cause may have removed it.
 
-    A lag of another place would take over its part.
+    A lag elsewhere in the loop would otherwise take over its part.
     """
     start = reinitialised(fit.theta)
     if start.T_A == fit.theta.T_A:
@@ -199,8 +200,8 @@ def _together(
     excess = floor.under(criterion, selection.fit.theta).excess(selection.fit.loglik)
     if not refused.trials or refused.trials[0].gain < settings.MIN_SHARE_TOGETHER * excess:
         return selection
-    report("too little alone; does it, with others, leave nothing but noise?")
-    with criterion.budget.question("whether several causes explain together what none does"):
+    report("it explains too little alone; does it leave only noise together with others?")
+    with criterion.budget.question("whether several causes explain together what none explains alone"):
         retried = _retry(criterion, selection, floor, refused)
         for first in _firsts(retried):
             *_, more = _apply_step(
@@ -253,7 +254,7 @@ def _retry(criterion: Criterion, selection: Selection, floor: Floor, refused: Ro
 
 
 def backward(criterion: Criterion, selection: Selection, floor: Floor, report: Reporter, passes: int) -> Selection:
-    """Remove each cause that would no longer be selected beside the later ones."""
+    """Remove each cause that would no longer be selected together with the later ones."""
     earlier = selection.causes[:-1]
     selection = selection.with_fits(criterion.each(partial(fit_without, criterion, selection, passes=passes), earlier))
     for cause in earlier:
