@@ -195,6 +195,7 @@ def _promising_cuts(
             each = np.empty((piece.stop - piece.start, count))
             information(base[piece], np.ascontiguousarray(change[:, piece]), each, fishers[cut])
             scores[cut] += each.sum(axis=0)
+    # The paper's parameters are common to all recordings, so their information is that of the whole campaign.
     inner = inverse(fishers[:, :k, :k].sum(axis=0))
     whole = _best_gain(scores, fishers, np.ones(len(order), np.bool_), inner, k)
     gains = []

@@ -51,10 +51,13 @@ def fit_candidates(
         cutoff_gain: gain below which a candidate is not fitted further.
     """
     names = [score.cause for score in scores]
+    # Causes with the same effect on the samples share a fit.
     copies = {copy: original for copy, original in _SAME.items() if original in names and copy in names}
     scores = [score for score in scores if score.cause not in copies]
     trials = criterion.each(partial(_start_trial, criterion, current), scores)
     favourites = {score.cause for score in scores[: settings.SAFE_CANDIDATES]}
+    # Successive halving: fits to the end of all candidates would spend most passes on those that are far behind.
+    # Dropping by the gain alone would lose a candidate with a poor start, so its slope counts, too.
     for stage, (passes, min_share, max_candidates) in enumerate(settings.HALVING):
         trials.sort(key=lambda trial: -_expected(trial))
         best = max((trial.gain for trial in trials), default=0.0)
@@ -64,6 +67,8 @@ def fit_candidates(
             if last
             else (1.0 - settings.STEEPNESS_DOUBT) * best - settings.EQUIVALENT_GAIN
         )
+        # If no candidate can reach the required gain, the last passes are worth their cost only for a cause that
+        # improves the prediction: half of the required reduction so far makes that likely.
         if last and all(_promise(trial) < min_gain for trial in trials):
             leader = max(trials, key=lambda trial: trial.gain)
             enough = 0.5 * min_reduction

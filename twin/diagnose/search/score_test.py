@@ -92,6 +92,7 @@ def screen(
     free_models = [moved(theta, name, step, criterion.plant) for name, step in zip(free, steps, strict=True)]
     score, curvature = criterion.outside_slopes(theta, [*free_models, *models], [*steps, *(1.0 for _ in trials)])
     score, fisher = each.sum(axis=0) + score, fisher + curvature
+    # Schur complement: the information on a candidate that the free parameters of the model cannot take up.
     inner = inverse(fisher[:k, :k])
     best: dict[str, Score] = {}
     for index, (cause, probe, shape) in enumerate(trials, k):

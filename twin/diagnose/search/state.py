@@ -65,5 +65,6 @@ def fit_without(criterion: Criterion, selection: Selection, cause: str, passes: 
     known = selection.recall(free)
     if known is not None and (known.converged or known.ahead < settings.EQUIVALENT_GAIN):
         return known
+    # A known fit that has not converged continues where it ended.
     start = reinitialised(selection.fit.theta.without(cause)) if known is None else known.theta
     return climb(criterion, start, free, passes=passes)
