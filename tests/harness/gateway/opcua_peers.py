@@ -184,7 +184,9 @@ class Notifications:
 
 async def subscribe(client: Peer, notified: Notifications, *paths: str, interval_ms: float = 20.0) -> Any:
     subscription = await client.client.create_subscription(interval_ms, notified)
-    await subscription.subscribe_data_change([client.node(path) for path in paths], queuesize=100)
+    await subscription.subscribe_data_change(
+        [client.node(path) for path in paths], queuesize=100, sampling_interval=0.0
+    )
     return subscription
 
 
