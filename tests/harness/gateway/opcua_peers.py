@@ -105,7 +105,8 @@ class Peer:
 
 @asynccontextmanager
 async def peer(port: int, **options: Any) -> AsyncIterator[Peer]:
-    client = Client(f"opc.tcp://127.0.0.1:{port}/board51/", timeout=HANG_S)
+    # The watchdog of the client would close the connection to a server that takes a second on a busy machine.
+    client = Client(f"opc.tcp://127.0.0.1:{port}/board51/", timeout=HANG_S, watchdog_intervall=HANG_S)
     if "user" in options:
         client.set_user(options["user"])
         client.set_password(options["password"])
