@@ -38,6 +38,8 @@ class Topic:
 TOPICS: tuple[Topic, ...] = (
     Topic(name="state", message=pb.State, by="gateway", rate="every tick (500 Hz)", bus=True, logged=True,
           about="one control tick in SI units"),
+    Topic(name="states", message=pb.StateBatch, by="gateway", rate="every 20 ms (50 Hz)", bus=True, logged=False,
+          about="the ticks of the last 20 ms in one message"),
     Topic(name="status", message=pb.Status, by="gateway", rate="1 Hz", bus=True, logged=True,
           about="health of link, bus and log"),
     Topic(name="event", message=pb.Event, by="gateway", rate="on event", bus=True, logged=True,

@@ -257,7 +257,7 @@ def test_a_command_says_who_and_comes_back_with_the_answer(feed: Feed, gateway: 
 def test_junk_on_the_bus_is_counted_and_changes_nothing(feed: Feed, gateway: PlayedGateway) -> None:
     rig = heard(feed, gateway)
 
-    gateway.put("state", b"\xff\xff\xff")
+    gateway.put("states", b"\xff\xff\xff")
     wait_for(lambda: feed.refused, "refusal")
     for n in range(200):
         gateway.send("status", pb.Status(), f"made-up-{n}")

@@ -159,7 +159,7 @@ function lists() {
       ["port", status.port], ["commands to the board", status.to_board || "\u2013"], ["samples", `${status.samples_per_s} /s`],
       ["lost samples", status.lost], ["bad frames", status.bad_frames],
       ...Object.entries(status.unexpected).map(([cause, count]) => [UNEXPECTED[cause] ?? cause, count]),
-      ["latency p99", `${status.latency_p99_ms} ms`], ["line load", `${status.line_load} %`], ["not published", status.dropped],
+      ["latency p99", status.latency_p99_ms ? `${status.latency_p99_ms} ms` : "\u2013"], ["line load", `${status.line_load} %`], ["not published", status.dropped],
       ["board resets", status.resets], ["reconnections", status.reconnects],
       ["log file", status.log_file || "\u2013"], ["log", `${status.log_state}, ${status.log_mb} MB`], ["not logged", status.log_dropped],
       ["law", rest.limits ? `${rest.limits.law} ${rest.limits.gains.join(", ")}` : "\u2013"],
