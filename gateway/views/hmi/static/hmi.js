@@ -209,7 +209,7 @@ function lists() {
 // How many alarms hold; those that are gone and wait to be acknowledged are not counted among them.
 function alarmWords(active, gone, fault) {
   const waiting = gone ? `${gone} gone, not acknowledged` : "";
-  if (!active) return waiting ? `\u25bd ${waiting}` : "\u2713 no alarms";
+  if (!active) return waiting ? `\u25bd no alarms \u00b7 ${waiting}` : "\u2713 no alarms";
   return `${fault ? "\u2716" : "\u25b2"} ${active} alarm${active > 1 ? "s" : ""}${waiting ? ` \u00b7 ${waiting}` : ""}`;
 }
 
