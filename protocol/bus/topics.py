@@ -73,6 +73,8 @@ BY_NAME = {topic.name: topic for topic in TOPICS}
 
 AS = "as"
 ALIVE = "alive"  # liveliness token <site>/<board>/alive, held while the gateway serves the board
+TWIN_ALIVE = "twin/alive"  # liveliness token <site>/<board>/twin/alive/<name of a process>, held by a twin
+EVERY_BOARD = "_every"  # in place of the board, in the token of a twin of all boards; not a board's name
 
 
 def check_name(name: str, *, what: str) -> str:

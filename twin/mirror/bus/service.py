@@ -12,6 +12,8 @@ Rule 4: a model is handed over by a query, `<site>/<board>/twin/command`, which 
 Rule 5: a status that says that samples come, and no samples, means that the bus does not bring them here (seen once in
         13 starts with a router of its own, until that was restarted; the cause is not known).  Then the twin hears
         through a new session.
+Rule 6: a board has one twin.  Before the first message is taken, another twin of the same board is looked for
+        (`claim.py`); this one then ends with a ServiceError in `failure`.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from protocol.bus import encoding, topics
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, zenoh_config
 from protocol.bus.identity import Identity
 from protocol.errors import ServiceError
+from twin.mirror.bus.claim import Claim
 from twin.mirror.bus.handover import Answered, believe, read_command, read_model, refusal
 from twin.mirror.bus.watched import Watched
 from twin.mirror.output import Output
@@ -105,6 +108,7 @@ class TwinService:
             raise ServiceError(
                 f"zenoh cannot be opened with {', '.join(self._endpoints)} ({error})", remedy="Check --connect"
             ) from error
+        self._claim = Claim(self._session, self._site, self._board, self._refuse)
         self._worker = threading.Thread(target=self._work, name="twin", daemon=True)
         self._worker.start()
         self._subscribers = self._hear(self._session)
@@ -144,6 +148,9 @@ class TwinService:
 
     # ---- in zenoh's threads
 
+    def _refuse(self, error: ServiceError) -> None:
+        self.failure = error
+
     def _receive(self, sample: zenoh.Sample) -> None:
         try:
             self._queue.put_nowait((str(sample.key_expr), sample.payload.to_bytes()))
@@ -162,11 +169,17 @@ class TwinService:
     def _work(self) -> None:
         try:
             checked = time.monotonic()
-            while True:
+            claimed = False
+            while self.failure is None:
                 try:
                     item = self._queue.get(timeout=POLL_S)
                 except queue.Empty:
                     item = None
+                if item is not None and not claimed:  # something arrived, so the router is there to be asked
+                    claimed = True
+                    self._claim.declare()
+                    if self.failure is not None:
+                        return
                 now = time.monotonic()
                 if isinstance(item, tuple):
                     self._take(*item, now)
