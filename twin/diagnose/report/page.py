@@ -149,7 +149,7 @@ def _micro(value_m: float) -> str:
 
 
 def _spread(error: Estimate) -> str:
-    return f"{_micro(error.value)} ({_micro(error.low)} .. {_micro(error.high)})"
+    return f"{_micro(error.value)} ({_micro(error.low)}\N{NO-BREAK SPACE}..\N{NO-BREAK SPACE}{_micro(error.high)})"
 
 
 def _added(count: int) -> str:
