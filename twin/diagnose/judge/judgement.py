@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.theta import Theta
 from twin.diagnose.judge.account import Account, Verdict, verdict_of
@@ -50,13 +51,15 @@ def judge(
     before = found.base.theta if model is None else theta_of(model, found.base.theta)
     first = bench.gains(before, found.fit.theta) if bench is not None else []
     whole = at_20_ms(first)
+    # A right name that does nothing to x may be surely worse by less than anybody notices: it loses the file alone.
+    harm = worse(first)
     verdict = verdict_of(
         named=bool(found.causes) or counted,
         fine=fine,
         finished=finished,
         gain=whole,
         leading=(fine and counted) or any(account.leads(name) for name in found.causes),
-        worse=worse(first) is not None,
+        worse=harm is not None and harm.ratio > settings.WORSE_ERROR,
     )
     if bench is None or not first:
         choice = not_judged(found, given=model is not None)

@@ -11,7 +11,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tests.harness.diagnose.known_diagnosis import diagnosis
 from tests.harness.diagnose.simulated_rig import controller
-from twin.diagnose.report.figures import ahead_figure, curve_figure, regime_figure, short_label
+from twin.diagnose.report.figures import (
+    ahead_figure,
+    curve_figure,
+    error_figure,
+    piece_figure,
+    regime_figure,
+    short_label,
+)
 from twin.diagnose.report.page import to_html
 from twin.diagnose.report.sentences import finding_sentence, measured, quantity, summary_sentence
 from twin.diagnose.residuals.step_response import Steps
@@ -168,7 +175,8 @@ def test_a_step_figure_that_just_misses_is_no_contradiction_of_nothing_left() ->
 def test_a_step_figure_that_surely_differs_is_said_where_what_is_left_is_told() -> None:
     text = with_chances(rise_s=1e-5)
 
-    assert "The extended model does not explain all of it" in text
+    assert "The rig is as fast as the baseline simulation" in text
+    assert "The extended model is off by" in text
     assert "Nothing that can be measured" not in text
     assert "the extended model differs from the rig in rise time 10-90 %" in text
 
@@ -187,7 +195,14 @@ def test_a_chart_of_one_point_is_a_sentence() -> None:
 def test_a_legend_lies_above_its_data() -> None:
     show = shown(found_gap(), controller())
 
-    for figure in (ahead_figure(show.ahead), regime_figure(show.regimes[0], show.floor_m), curve_figure(show.force[0])):
+    assert show.piece is not None
+    for figure in (
+        ahead_figure(show.ahead),
+        piece_figure(show.piece),
+        error_figure(show.piece, show.floor_m),
+        regime_figure(show.regimes[0], show.floor_m),
+        curve_figure(show.force[0]),
+    ):
         FigureCanvasAgg(figure).draw()
         (ax,) = figure.axes
         legend = ax.get_legend()
