@@ -23,7 +23,11 @@ from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import Page, frame, hmi, users_file
 
 CAMPAIGN = "rig-20260102-030405"
-MODEL = {"plant": {"name": "ce152"}, "parameters": {"K_A": {"value": 0.297}}, "causes": [{"name": "quadratic-drag"}]}
+MODEL: dict[str, Any] = {
+    "plant": {"name": "ce152"},
+    "parameters": {"K_A": {"value": 0.297}},
+    "causes": [{"name": "quadratic-drag"}],
+}
 ANSWER = {
     "verdict": "causes-found",
     "sentence": "One cause: the coil sits higher.",
