@@ -1,4 +1,4 @@
-# make setup | demo | test | test-slow | mutants | check | docs | clean.  Everything lives in .venv, from requirements.lock.
+# make setup | install | demo | test | test-slow | mutants | check | docs | clean.  Everything lives in .venv, from requirements.lock.
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
@@ -11,15 +11,20 @@ unexport PYTHONDONTWRITEBYTECODE
 
 # What demo and tests keep, they keep in the clone: they read nothing that another version left at home.  Only pip has
 # its cache there, of which every file is checked by its hash.
-CACHE := $(CURDIR)/$(VENV)/cache
+CACHE := $(abspath $(VENV))/cache
 ALONE := XDG_CACHE_HOME=$(CACHE) XDG_CONFIG_HOME=$(CACHE)/config MPLCONFIGDIR=$(CACHE)/matplotlib npm_config_cache=$(CACHE)/npm
 unexport NUMBA_CACHE_DIR
 
-.PHONY: setup demo test test-slow mutants check docs clean
+.PHONY: setup install demo test test-slow mutants check docs clean
 setup: $(STAMP)
 
-# --require-hashes: what is installed is what was locked, byte for byte.
 $(STAMP): requirements.lock pyproject.toml
+	@$(MAKE) --no-print-directory install
+	$(BIN)/board51 compile
+	@touch $(STAMP)
+
+# --require-hashes: what is installed is what was locked, byte for byte.  PIP: another pip than the one of this Python.
+install:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "board51 needs Python 3.11 or newer; set PYTHON=/path/to/python3.11" >&2; exit 2; }
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { \
 	  echo "python3-venv is missing: installing it with apt-get"; \
@@ -30,8 +35,6 @@ $(STAMP): requirements.lock pyproject.toml
 	$(if $(PIP),$(BIN)/python -m pip install --disable-pip-version-check --quiet --upgrade "$(PIP)")
 	$(BIN)/pip install --disable-pip-version-check --quiet --require-hashes -r requirements.lock
 	$(BIN)/pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation -e .
-	$(BIN)/board51 compile
-	@touch $(STAMP)
 
 demo: setup
 	$(ALONE) $(BIN)/board51 demo

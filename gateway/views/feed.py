@@ -53,7 +53,7 @@ GRACE_S = 2.0  # no alarm while a board is being discovered
 GATEWAY_S = 3.5  # status comes once a second: without it, three times over, there is no gateway
 UNSEEN_S = 120.0  # a board without any message for so long may be removed
 TWIN_GONE_S = 12.0  # `twin/alarms` comes every 5 s: without it twice over, there is no twin
-_WANTED = ("state", "status", "event", "alarms", "parameters", "command/record", "twin/state", "twin/divergence",
+_WANTED = ("states", "status", "event", "alarms", "parameters", "command/record", "twin/state", "twin/divergence",
            "twin/alarm", "twin/alarms", "twin/model")  # fmt: skip
 # One subscriber for all of the twin: zenoh keeps the order within a subscriber, and a list of active alarms that
 # overtakes an alarm would end it.
@@ -351,7 +351,9 @@ class Feed:
                     self.refused += 1
                     return
                 board = self._boards[place[1]] = BoardFeed(place[1], self._lock, self._now_s)
-            board.take(message, time.time_ns())
+            now_ns = time.time_ns()
+            for one in message.states if isinstance(message, pb.StateBatch) else (message,):
+                board.take(one, now_ns)
 
     def _alive(self, sample: zenoh.Sample) -> None:
         _, _, rest = str(sample.key_expr).partition("/")

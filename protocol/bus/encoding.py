@@ -6,6 +6,7 @@ serialised FileDescriptorSet, so that any protobuf tool can decode a log without
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import SupportsBytes, TypeVar
 
 from google.protobuf.message import DecodeError, Message
@@ -19,6 +20,7 @@ SCHEMA_ENCODING = MESSAGE_ENCODING = "protobuf"
 # Size of a log's chunks before compression, 0.3 s of one board: a damaged byte costs at least one chunk.  Compared with
 # chunks of 1 MiB, files are 22 % larger with zstd and 6 % with lz4.
 CHUNK_BYTES = 1 << 14
+_TAG_OF_STATES = pb.StateBatch.STATES_FIELD_NUMBER << 3 | 2  # 2: a length follows
 
 
 def schema_name(message: type[Message]) -> str:
@@ -51,3 +53,17 @@ def parse(message: type[M], data: bytes) -> M | None:
         return message.FromString(data)
     except DecodeError:
         return None
+
+
+def state_batch(states: Iterable[bytes]) -> bytes:
+    """Return the serialised pb.StateBatch of serialised pb.State: each behind its tag and length."""
+    parts = bytearray()
+    for state in states:
+        parts.append(_TAG_OF_STATES)
+        rest = len(state)
+        while rest > 0x7F:
+            parts.append(rest & 0x7F | 0x80)
+            rest >>= 7
+        parts.append(rest)
+        parts += state
+    return bytes(parts)

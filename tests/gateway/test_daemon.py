@@ -66,6 +66,30 @@ def test_every_tick_arrives_and_is_logged_the_same(tmp_path: Path) -> None:
     assert all(by_tick[s.tick] == s for s in states)
 
 
+def test_batches_hold_every_tick_once_as_it_is_logged(tmp_path: Path) -> None:
+    """With nobody on `state`, too: no single samples go out then, and no latency is measured."""
+    batches: list[pb.StateBatch] = []
+    statuses: list[pb.Status] = []
+    with Emulator() as emulator, running(config := gateway_config(*emulator.urls, log=tmp_path)):
+        with zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=config.zenoh.listen))) as session:
+            session.declare_subscriber(
+                "board51/rig/states", lambda s: batches.append(pb.StateBatch.FromString(s.payload.to_bytes()))
+            )
+            session.declare_subscriber(
+                "board51/rig/status", lambda s: statuses.append(pb.Status.FromString(s.payload.to_bytes()))
+            )
+            wait_for(lambda: sum(len(batch.states) for batch in batches) > 600, "samples in batches")
+            status = wait_for(lambda: next((s for s in statuses if s.samples > 600), None), "a status")
+
+    states = [state for batch in batches for state in batch.states]
+    (log,) = tmp_path.glob("*.mcap")
+    by_tick = {message.tick: message for message in logged_messages(log, "state")}
+    assert gapless(states)
+    assert all(by_tick[state.tick] == state for state in states)
+    assert len(batches) < len(states) / 4
+    assert (status.latency_p99_ms, status.publish_dropped) == (0.0, 0)
+
+
 def logged_messages(log: Path, topic: str) -> list[Any]:
     return [record.message for record in read(log, topics=[topic])]
 

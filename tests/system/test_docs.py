@@ -63,7 +63,9 @@ def test_an_enumeration_of_the_api_has_its_members(site: Path) -> None:
     pages = " ".join(page.read_text(encoding="utf-8") for page in (site / "api").glob("*.html"))
     text = html.unescape(re.sub(r"<[^>]+>", "", pages))
     named = {**vars(commands), **{f"wire {name}": kind for name, kind in vars(messages).items()}}
-    kinds: list[type[enum.Enum]] = [kind for kind in named.values() if isinstance(kind, enum.EnumMeta)]
+    kinds: list[type[enum.Enum]] = [
+        kind for kind in named.values() if isinstance(kind, type) and issubclass(kind, enum.Enum)
+    ]
     members = [f"{member.name} = {member.value!r}" for kind in kinds for member in kind]
 
     assert len(members) > 40

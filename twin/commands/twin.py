@@ -22,7 +22,7 @@ from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.bus.identity import HELP, find_identity, login_name
 from protocol.bus.topics import DEFAULT_SITE, check_name
 from protocol.ending import note_end, on_end_signal
-from protocol.errors import UsageError
+from protocol.errors import Board51Error, UsageError
 from twin.mirror.settings import Settings
 from twin.model.parameters import SHIPPED, Model
 
@@ -215,6 +215,8 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
                 log.info("no samples yet on %s/%s/state", args.site, args.board or "*")
         note_end()
     log.info("stopped; %d samples dropped, %d messages malformed", service.dropped, service.malformed)
+    if isinstance(service.failure, Board51Error):
+        raise service.failure
     return 1 if service.failure else 0
 
 

@@ -24,7 +24,7 @@ def test_a_quantity_that_was_not_measured_is_not_on_the_line() -> None:
     assert "i_c_a=0" in watch._line("board51/rig1/state", pb.State(i_c_a=0.0), as_json=False)
 
 
-@pytest.mark.parametrize("kind", {topic.message for topic in TOPICS}, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", dict.fromkeys(topic.message for topic in TOPICS), ids=lambda kind: kind.__name__)
 def test_no_value_vanishes_because_it_is_zero(kind: type[Message]) -> None:
     printed = json.loads(watch._line("key", kind(), as_json=True))
 

@@ -16,7 +16,7 @@ from gateway.views.bins import channels
 from gateway.views.feed import SILENT_S, TWIN_GONE_S, UNSEEN_S, BoardFeed, Feed
 from gateway.views.hmi.snapshot import rest
 from protocol.bus import board51_pb2 as pb
-from protocol.bus.encoding import REPLAYED
+from protocol.bus.encoding import REPLAYED, state_batch
 from tests.harness.gateway.bus_peers import PlayedGateway, feed_of, played_gateway
 from tests.harness.gateway.gateway_peers import ScriptedBoard, client, gateway_config, running, wait_for
 
@@ -257,7 +257,7 @@ def test_a_command_says_who_and_comes_back_with_the_answer(feed: Feed, gateway: 
 def test_junk_on_the_bus_is_counted_and_changes_nothing(feed: Feed, gateway: PlayedGateway) -> None:
     rig = heard(feed, gateway)
 
-    gateway.put("state", b"\xff\xff\xff")
+    gateway.put("states", b"\xff\xff\xff")
     wait_for(lambda: feed.refused, "refusal")
     for n in range(200):
         gateway.send("status", pb.Status(), f"made-up-{n}")
@@ -342,7 +342,7 @@ def test_what_is_replayed_is_no_board_of_the_live_site_and_the_only_one_of_repla
 
         def reached() -> bool:
             gateway.send("twin/state", pb.TwinState(tick=1), "demo")
-            gateway.session.put("board51/demo/state", state.SerializeToString(), attachment=REPLAYED)
+            gateway.session.put("board51/demo/states", state_batch([state.SerializeToString()]), attachment=REPLAYED)
             gateway.state()
             return bool(live.boards() and replays.boards())
 

@@ -176,8 +176,8 @@ def test_alarms_that_are_gone_are_not_counted_as_alarms(page: Page, served: tupl
     send(1, active=False)
     send(2, active=False)
 
-    expect(chip).to_have_text("\u25bd 3 gone, not acknowledged")
+    expect(chip).to_have_text("\u25bd no alarms \u00b7 3 gone, not acknowledged")
     page.goto("/")
     card = page.locator(".board-card", has_text="STOP two")
-    expect(card.locator(".board-alarms")).to_have_text("\u25bd 3 gone, not acknowledged")
+    expect(card.locator(".board-alarms")).to_have_text("\u25bd no alarms \u00b7 3 gone, not acknowledged")
     expect(card).to_have_attribute("data-state", "warn")

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,7 +23,11 @@ from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import Page, frame, hmi, users_file
 
 CAMPAIGN = "rig-20260102-030405"
-MODEL = {"plant": {"name": "ce152"}, "parameters": {"K_A": {"value": 0.297}}, "causes": [{"name": "quadratic-drag"}]}
+MODEL: dict[str, Any] = {
+    "plant": {"name": "ce152"},
+    "parameters": {"K_A": {"value": 0.297}},
+    "causes": [{"name": "quadratic-drag"}],
+}
 ANSWER = {
     "verdict": "causes-found",
     "sentence": "One cause: the coil sits higher.",
@@ -226,3 +231,21 @@ def test_the_page_shows_the_answer_and_only_an_engineer_has_its_buttons(tmp_path
     assert unclamped["reason"] == "person-needed"
     assert (finished["reason"], unnamed["reason"], forbidden.status_code) == ("no-campaign", "no-campaign", 403)
     assert unknown["reason"] == "no-model"
+
+
+def test_a_diagnosis_that_found_nothing_better_offers_no_model(tmp_path: Path) -> None:
+    root = tmp_path / "campaigns"
+    campaign(root)
+    folder = root / CAMPAIGN / "diagnosis"
+    folder.mkdir(exist_ok=True)
+    file = folder / "extended_model.json"
+    campaigns = campaigns_of(root, "rig")
+
+    def offered(provenance: dict[str, str], causes: list[Any]) -> bool:
+        file.write_text(json.dumps({**MODEL, "causes": causes, "provenance": provenance}))
+        return any(one.path == file for one in models_of(tmp_path, "rig", campaigns, None))
+
+    assert not offered({"extends": "reference"}, [])
+    assert offered({"extends": "reference"}, MODEL["causes"])  # a curve of what is left
+    assert offered({"extends": "paper"}, [])
+    assert offered({}, MODEL["causes"])

@@ -16,6 +16,7 @@ from protocol.wire.messages import Shape
 from tests.harness.twin.emulated_campaign import Lab, campaign_of, random_rig, run_campaign
 from twin.estimation.record import Record
 from twin.identify.pipeline import identify_records
+from twin.identify.result import table
 
 RIG = random_rig(np.random.default_rng(30))
 
@@ -73,6 +74,15 @@ def test_right_recordings_raise_nothing_and_warn_of_nothing(records: list[Record
 
     assert found.usable
     assert not found.warnings
+
+
+def test_a_plant_that_nobody_stated_is_marked_at_what_rests_on_it(records: list[Record], campaign: Campaign) -> None:
+    found = identify_records(replace(campaign, plant=replace(campaign.plant, assumed=True)), records)
+
+    marked = [name for name, one in found.model.parameters.items() if "for an assumed ball of" in one.method]
+    assert marked == ["K_c", "b"]
+    assert found.model.plant.assumed
+    assert "! K_c and b are for an assumed ball of" in table(found)
 
 
 def test_a_sawtooth_measured_downwards_is_recognised(records: list[Record], campaign: Campaign) -> None:

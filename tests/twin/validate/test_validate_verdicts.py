@@ -77,6 +77,15 @@ def judged(records: list[Record], model: Model, controller: Controller | None = 
     return validate_sources(sources, model)
 
 
+def test_a_plant_that_nobody_stated_is_said_in_notes_and_report(records: list[Record]) -> None:
+    model = model_of(BALL)
+    result = judged(records, replace(model, plant=replace(model.plant, assumed=True)))
+
+    ball = f"for an assumed ball of {BALL.m * 1e3:.3g} g"
+    assert ball in result.notes[0]
+    assert f"K_c and b {ball}" in to_html(result, title="t")
+
+
 def test_right_model_passes_every_part(records: list[Record]) -> None:
     result = judged(records, model_of(BALL))
 

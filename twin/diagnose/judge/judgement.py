@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.theta import Theta
 from twin.diagnose.judge.account import Account, Verdict, verdict_of
@@ -50,13 +51,15 @@ def judge(
     before = selection.base.theta if model is None else theta_of(model, selection.base.theta)
     first = bench.gains(before, selection.fit.theta) if bench is not None else []
     whole = at_20_ms(first)
+    # A right name that does nothing to x may be surely worse by less than anybody notices: it loses the file alone.
+    harm = worse(first)
     verdict = verdict_of(
         named=bool(selection.causes) or counted,
         is_adequate=is_adequate,
         finished=finished,
         gain=whole,
         leading=(is_adequate and counted) or any(account.leads(name) for name in selection.causes),
-        worse=worse(first) is not None,
+        worse=harm is not None and harm.ratio > settings.WORSE_ERROR,
     )
     if bench is None or not first:
         choice = choice_without_judges(selection, has_model=model is not None)

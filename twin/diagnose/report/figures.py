@@ -54,9 +54,9 @@ def piece_figure(piece: Piece) -> Figure:
     """What x did, and what both models had said."""
     figure, ax = _panel()
     t = piece.t_s - piece.t_s[0]
-    ax.plot(t, piece.baseline_m * 1e3, color=BASELINE, lw=1.0, label="baseline, 20 ms before")
+    ax.plot(t, piece.baseline_m * 1e3, color=BASELINE, lw=1.0, label="baseline")
     if not np.array_equal(piece.extended_m, piece.baseline_m):
-        ax.plot(t, piece.extended_m * 1e3, color=EXTENDED, lw=1.0, label="extended, 20 ms before")
+        ax.plot(t, piece.extended_m * 1e3, color=EXTENDED, lw=1.0, label="extended")
     ax.plot(t, piece.x_m * 1e3, color=MEASURED, lw=1.0, label="measured")
     ax.set_xlabel("time [s]")
     ax.set_ylabel("position x [mm]")

@@ -120,7 +120,9 @@ def _pictures(show: Show) -> list[Picture]:
         )
     if show.piece is not None:
         name = show.piece.recording
-        drawn.append((figures.piece_figure(show.piece), f"{name}: the stretch that the baseline predicts worst"))
+        drawn.append(
+            (figures.piece_figure(show.piece), f"{name}: the stretch that the baseline predicts worst, 20 ms ahead")
+        )
         drawn.append((figures.error_figure(show.piece, show.floor_m), f"{name}: error of the same predictions"))
     return [inline(figure, caption) for figure, caption in drawn]
 
@@ -147,7 +149,7 @@ def _micro(value_m: float) -> str:
 
 
 def _spread(error: Estimate) -> str:
-    return f"{_micro(error.value)} ({_micro(error.low)} .. {_micro(error.high)})"
+    return f"{_micro(error.value)} ({_micro(error.low)}\N{NO-BREAK SPACE}..\N{NO-BREAK SPACE}{_micro(error.high)})"
 
 
 def _added(count: int) -> str:

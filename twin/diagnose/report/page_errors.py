@@ -83,15 +83,16 @@ def _pace(steps: Steps, alone: bool) -> str:
         return ""
     low, high = first.ci95
     same = "the simulation" if alone else "the baseline simulation"
+    left = not alone and "rise_s" in significant([pair[1] for pair in steps.figures])
     if "rise_s" not in significant([pair[0] for pair in steps.figures]):
-        return f"The rig is as fast as {same}, within {max(abs(low), abs(high)) * 1e3:.2g} ms."
+        text = f"The rig is as fast as {same}, within {max(abs(low), abs(high)) * 1e3:.2g} ms."
+        return text + f" The extended model is off by {abs(second.difference) * 1e3:.2g} ms." * left
     slower = "slower" if first.difference > 0.0 else "faster"
     text = (
         f"The rig is {slower} than {same}: {abs(first.difference) * 1e3:.2g} ms of {first.rig * 1e3:.3g} ms rise time."
     )
     if alone or second.ci95 is None:
         return text
-    left = "rise_s" in significant([pair[1] for pair in steps.figures])
     rest = "The extended model does not explain all of it." if left else "The extended model is as fast as the rig."
     return f"{text} {rest}"
 

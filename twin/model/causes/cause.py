@@ -18,6 +18,7 @@ Trait = Literal[
     "delays",  # by a fixed time, which step responses show directly
     "hidden-state",  # adds a state that no channel measures, a delay's memory among them
     "sticks",  # can hold the ball where it is, whatever the other forces do
+    "of-the-gap",  # its equation has the distance of ball and coil in it
     "warms",  # comes and goes with the warmth of the coil
 ]
 # In innovations, in their spectrum, in the times of samples; a curve, which is no cause, in what is left.

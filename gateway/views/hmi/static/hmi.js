@@ -159,7 +159,7 @@ function lists() {
       ["port", status.port], ["commands to the board", status.to_board || "\u2013"], ["samples", `${status.samples_per_s} /s`],
       ["lost samples", status.lost], ["bad frames", status.bad_frames],
       ...Object.entries(status.unexpected).map(([cause, count]) => [UNEXPECTED[cause] ?? cause, count]),
-      ["latency p99", `${status.latency_p99_ms} ms`], ["line load", `${status.line_load} %`], ["not published", status.dropped],
+      ["latency p99", status.latency_p99_ms ? `${status.latency_p99_ms} ms` : "\u2013"], ["line load", `${status.line_load} %`], ["not published", status.dropped],
       ["board resets", status.resets], ["reconnections", status.reconnects],
       ["log file", status.log_file || "\u2013"], ["log", `${status.log_state}, ${status.log_mb} MB`], ["not logged", status.log_dropped],
       ["law", rest.limits ? `${rest.limits.law} ${rest.limits.gains.join(", ")}` : "\u2013"],
@@ -209,7 +209,7 @@ function lists() {
 // How many alarms hold; those that are gone and wait to be acknowledged are not counted among them.
 function alarmWords(active, gone, fault) {
   const waiting = gone ? `${gone} gone, not acknowledged` : "";
-  if (!active) return waiting ? `\u25bd ${waiting}` : "\u2713 no alarms";
+  if (!active) return waiting ? `\u25bd no alarms \u00b7 ${waiting}` : "\u2713 no alarms";
   return `${fault ? "\u2716" : "\u25b2"} ${active} alarm${active > 1 ? "s" : ""}${waiting ? ` \u00b7 ${waiting}` : ""}`;
 }
 

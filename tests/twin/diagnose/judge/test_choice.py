@@ -92,6 +92,7 @@ def test_candidates_must_surely_predict_better_and_names_that_hold_need_not() ->
 
 def test_an_error_that_is_surely_larger_is_worse_however_little() -> None:
     assert worse([ahead(1.01, spread=0.005)])
+    assert chosen({2: [ahead(1.01, spread=0.005)], 1: [ahead(1.0)]}, sure=True).kind == "reference"
     assert not worse([ahead(1.01, spread=0.02)])
 
 

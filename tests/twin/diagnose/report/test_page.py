@@ -7,12 +7,21 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tests.harness.diagnose.known_diagnosis import diagnosis
 from tests.harness.diagnose.simulated_rig import controller
-from twin.diagnose.report.figures import short_label
+from twin.diagnose.report.figures import (
+    ahead_figure,
+    curve_figure,
+    error_figure,
+    piece_figure,
+    regime_figure,
+    short_label,
+)
 from twin.diagnose.report.page import to_html
 from twin.diagnose.report.sentences import finding_sentence, measured, quantity, summary_sentence
+from twin.diagnose.residuals.step_response import Steps
 from twin.diagnose.residuals.summary import shown
 from twin.diagnose.result import Diagnosis, MinorEffect, Proposal
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
@@ -141,6 +150,67 @@ def test_an_adequate_model_says_so_and_shows_one_model() -> None:
     assert "What got worse" not in html
     assert "The causes, and what to do" not in html
     assert "as a curve" not in html
+
+
+def with_chances(**chances: float) -> str:
+    """The page of the gap with these p values of the extended model's step figures."""
+    show = shown(found_gap(), controller())
+    assert isinstance(show.steps, Steps)
+    figures = tuple(
+        (first, replace(second, chance=chances.get(second.name, 0.9), ci95=(1e-4, 2e-3)))
+        for first, second in show.steps.figures
+    )
+    show = replace(show, steps=replace(show.steps, figures=figures))
+    return text_of(to_html(found_gap(), show, campaign=Path("runs/monday"), out=Path("diagnosis")))
+
+
+def test_a_step_figure_that_just_misses_is_no_contradiction_of_nothing_left() -> None:
+    """One of three figures at 4 %: a right model has such a one on every ninth page."""
+    text = with_chances(rise_s=0.04)
+
+    assert "Nothing that can be measured: what is left is white" in text
+    assert "does not explain all of it" not in text
+
+
+def test_a_step_figure_that_surely_differs_is_said_where_what_is_left_is_told() -> None:
+    text = with_chances(rise_s=1e-5)
+
+    assert "The rig is as fast as the baseline simulation" in text
+    assert "The extended model is off by" in text
+    assert "Nothing that can be measured" not in text
+    assert "the extended model differs from the rig in rise time 10-90 %" in text
+
+
+def test_a_chart_of_one_point_is_a_sentence() -> None:
+    show = shown(found_gap(), controller())
+    first, *others = show.force
+    show = replace(show, force=(replace(first, points=first.points[:1]), *others), ahead=show.ahead[:1])
+
+    html = to_html(found_gap(), show, campaign=Path("runs/monday"), out=Path("diagnosis"))
+
+    assert html.count(PICTURE) == gap_page().count(PICTURE) - 2
+    assert f"over {first.title}: one group alone" in text_of(html)
+
+
+def test_a_legend_lies_above_its_data() -> None:
+    show = shown(found_gap(), controller())
+
+    assert show.piece is not None
+    for figure in (
+        ahead_figure(show.ahead),
+        piece_figure(show.piece),
+        error_figure(show.piece, show.floor_m),
+        regime_figure(show.regimes[0], show.floor_m),
+        curve_figure(show.force[0]),
+    ):
+        FigureCanvasAgg(figure).draw()  # type: ignore[no-untyped-call]  # matplotlib's stub
+        (ax,) = figure.axes
+        legend = ax.get_legend()
+        assert legend is not None
+        box = legend.get_window_extent()
+        assert box.y0 >= ax.get_window_extent().y1 - 1.0
+        assert box.y1 <= figure.bbox.y1
+        assert box.x1 <= figure.bbox.x1
 
 
 def test_quick_says_that_it_is_not_calibrated_and_draws_less() -> None:

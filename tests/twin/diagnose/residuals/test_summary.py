@@ -11,6 +11,7 @@ from tests.harness.diagnose.known_diagnosis import QUIET, diagnosis, steps
 from tests.harness.diagnose.simulated_rig import PLANT, TICK_S, controller, strong
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.noise_floor import Floor
+from twin.diagnose.residuals.family import holm
 from twin.diagnose.residuals.force import filtered, parabola
 from twin.diagnose.residuals.regimes import blocks_of, by_edges, error_bins
 from twin.diagnose.residuals.spectrum import spectrum
@@ -147,7 +148,7 @@ def test_a_model_that_is_worse_is_said_to_be_worse() -> None:
 
     bins = error_bins(noise, labels, ["early", "late"], np.arange(5000.0), blocks_of(recording, TICK_S, 0))
 
-    assert [one.worse for one in bins] == [True, False]
+    assert holm([one.chance for one in bins]) == [True, False]
 
 
 def test_intervals_cover_the_truth_as_often_as_they_say() -> None:

@@ -1,6 +1,6 @@
 """A command beside many summaries of a large log, given up and followed by a STOP: does it act later?
 
-    python -m tests.bench.stop_beside_summaries --summaries 16
+    python -m tests.harness.gateway.stop_beside_summaries --summaries 16
 
 An emulated rig, its gateway and its page as processes.  Browsers ask for the summaries and wait.  Two seconds later an
 operator closes the loop; the browser gives up after 10 s; then somebody stops the rig.  The rig is watched from then on
