@@ -19,8 +19,6 @@ REMEDY = (
     " `campaign run` and `diagnose --live`"
 )
 RESTING = ("K_c", "b")  # parameters of (1) and (6) that rest on mass and travel
-# Causes of the amplifier and of the current that are functions of the gap.
-_OF_THE_GAP = ("motional-emf", "position-dependent-inductance")
 _FREE_OF_IT = ("amplifier", "timing")
 
 
@@ -49,6 +47,6 @@ def mark(parameters: Mapping[str, Parameter], plant: Plant, names: tuple[str, ..
 
 def rests_on_plant(cause: Cause) -> bool:
     """Whether the size of a cause depends on mass or travel."""
-    if cause.name in _OF_THE_GAP:
+    if "follows-the-gap" in cause.traits:
         return True
     return cause.family not in _FREE_OF_IT and "current sensor" not in cause.acts_on

@@ -17,6 +17,7 @@ Trait = Literal[
     "displaces",  # coil, stop or sensor sits elsewhere: places that are one but for bends
     "delays",  # by a fixed time, which step responses show directly
     "hidden-state",  # adds a state that no channel measures, a delay's memory among them
+    "follows-the-gap",  # of the amplifier, and yet a function of the air gap: its size rests on the travel
     "sticks",  # can hold the ball where it is, whatever the other forces do
     "warms",  # comes and goes with the warmth of the coil
 ]

@@ -50,6 +50,7 @@ CAUSE = Cause(
             source="H. H. Woodson, J. R. Melcher, Electromechanical Dynamics I, 1968",
         ),
     ),
+    traits=frozenset({"follows-the-gap"}),
 )
 
 

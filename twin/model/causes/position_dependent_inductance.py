@@ -58,6 +58,7 @@ CAUSE = Cause(
             source="H. H. Woodson, J. R. Melcher, Electromechanical Dynamics I, 1968",
         ),
     ),
+    traits=frozenset({"follows-the-gap"}),
 )
 
 
