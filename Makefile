@@ -1,18 +1,30 @@
-# make setup | demo | test | test-slow | mutants | check | docs | clean.  Everything lives in .venv, from requirements.lock.
+# make setup | install | demo | test | test-slow | mutants | check | docs | clean.  Everything lives in .venv, from requirements.lock.
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
+PIP    ?=
 PYTEST_ARGS ?=
 STAMP  := $(VENV)/.from-lock
 
 # Containers often forbid bytecode: every test process and every command would compile all of Python's sources again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-slow mutants check docs clean
+# What demo and tests keep, they keep in the clone: they read nothing that another version left at home.  Only pip has
+# its cache there, of which every file is checked by its hash.
+CACHE := $(abspath $(VENV))/cache
+ALONE := XDG_CACHE_HOME=$(CACHE) XDG_CONFIG_HOME=$(CACHE)/config MPLCONFIGDIR=$(CACHE)/matplotlib npm_config_cache=$(CACHE)/npm
+unexport NUMBA_CACHE_DIR
+
+.PHONY: setup install demo test test-slow mutants check docs clean
 setup: $(STAMP)
 
-# --require-hashes: what is installed is what was locked, byte for byte.
 $(STAMP): requirements.lock pyproject.toml
+	@$(MAKE) --no-print-directory install
+	$(BIN)/board51 compile
+	@touch $(STAMP)
+
+# --require-hashes: what is installed is what was locked, byte for byte.  PIP: another pip than the one of this Python.
+install:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "board51 needs Python 3.11 or newer; set PYTHON=/path/to/python3.11" >&2; exit 2; }
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { \
 	  echo "python3-venv is missing: installing it with apt-get"; \
@@ -20,22 +32,21 @@ $(STAMP): requirements.lock pyproject.toml
 	  elif command -v sudo >/dev/null; then sudo apt-get update -q && sudo apt-get install -y -q python3-venv; \
 	  else echo "run as root: apt-get install python3-venv" >&2; exit 2; fi; }
 	$(PYTHON) -m venv $(VENV)
+	$(if $(PIP),$(BIN)/python -m pip install --disable-pip-version-check --quiet --upgrade "$(PIP)")
 	$(BIN)/pip install --disable-pip-version-check --quiet --require-hashes -r requirements.lock
 	$(BIN)/pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation -e .
-	$(BIN)/board51 compile
-	@touch $(STAMP)
 
 demo: setup
-	$(BIN)/board51 demo
+	$(ALONE) $(BIN)/board51 demo
 
 # What guards a change, eight and a half minutes on two idle cores.  Four processes: some of these tests wait for a board or a bus.
 test: setup
-	$(BIN)/pytest -n 4 --dist loadgroup $(PYTEST_ARGS) -m "not slow"
+	$(ALONE) $(BIN)/pytest -n 4 --dist loadgroup $(PYTEST_ARGS) -m "not slow"
 
 # The rest, half an hour: samples of hidden campaigns, coverage of intervals, long flights, the demo, browsers over a
 # failing network.
 test-slow: setup
-	$(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS) -m slow
+	$(ALONE) $(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS) -m slow
 
 # Half an hour: see tests/README.md.
 mutants: setup

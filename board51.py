@@ -16,7 +16,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
+from typing import Any, NoReturn
 
+from protocol.arguments import number, whole_number
+from protocol.ending import end_is_ordered
 from protocol.errors import Board51Error, missing_extra, one_line
 from protocol.panics import is_panic, told
 
@@ -75,23 +78,64 @@ SERVICES = frozenset({"gateway", "twin", "hmi", "opcua", "foxglove", "router", "
 PANIC_PATIENCE_S = 10.0
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run one sub-command; the entry point of the `board51` script."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line without names of Python; its sub-commands inherit that."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.register("type", float, number)
+        self.register("type", int, whole_number)
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with 2."""
+        self.exit(2, f"{self.prog}: {one_line(message)}. `{self.prog} --help` explains.\n")
+
+
+def _parser() -> Parser:
+    """Return the parser of the command's name; the commands declare their own arguments."""
     listing = "\n".join(f"  {name:<11} {about}" for name, (_, about) in COMMANDS.items())
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="board51",
         description="Gateway and digital twin of a magnetic levitation rig.",
         epilog=f"commands:\n{listing}\n\nboard51 COMMAND --help tells more, with an example.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("command", choices=COMMANDS, metavar="COMMAND")
+    parser.add_argument("--version", action="store_true", help="print the version and end")
+    parser.add_argument("command", nargs="?", choices=COMMANDS, metavar="COMMAND", help=argparse.SUPPRESS)
     parser.add_argument("arguments", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
-    chosen = parser.parse_args(arguments[:1]).command
+    return parser
+
+
+def _version() -> str:
+    """Return the version that is installed, or that of the checkout if nothing is."""
+    from importlib.metadata import PackageNotFoundError, version  # slow: not at each start
+
+    try:
+        return version("board51")
+    except PackageNotFoundError:
+        import tomllib
+        from pathlib import Path
+
+        text = (Path(__file__).parent / "pyproject.toml").read_text(encoding="utf-8")
+        return f"{tomllib.loads(text)['project']['version']} (a checkout, not installed)"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one sub-command; the entry point of the `board51` script."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    parser = _parser()
+    words = parser.parse_args(arguments[:1])
+    if words.version:
+        print(f"board51 {_version()}")
+        return 0
+    chosen = words.command
+    if chosen is None:
+        parser.print_help()
+        return 0
 
     try:
         module = importlib.import_module(COMMANDS[chosen][0])
-        command = argparse.ArgumentParser(
+        command = Parser(
             prog=f"board51 {chosen}", formatter_class=argparse.RawDescriptionHelpFormatter, description=module.__doc__
         )
         module.configure(command)
@@ -152,7 +196,8 @@ def _ending_at_a_panic(run: Callable[[argparse.Namespace], int], args: argparse.
                 panic = is_panic(line)
                 with suppress(OSError):  # a terminal that is gone
                     os.write(real, told(line) if panic else line)
-                if panic and not panicked.is_set():
+                # A panic after the order to end is a line and no failure: `systemctl stop` must not leave "failed".
+                if panic and not end_is_ordered() and not panicked.is_set():
                     panicked.set()
                     threading.Thread(target=give_up, daemon=True).start()
                     os.kill(os.getpid(), signal.SIGTERM)
@@ -184,8 +229,8 @@ def _hang_up_ends_in_good_order() -> Iterator[None]:
 
     def hung_up(_number: int, _frame: FrameType | None) -> None:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)  # the shell and the terminal may both send it
-        for number in terminals:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), number)
+        for terminal in terminals:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), terminal)
         os.kill(os.getpid(), signal.SIGTERM)
 
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGHUP) != signal.SIG_DFL:

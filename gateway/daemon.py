@@ -1,7 +1,7 @@
 """The gateway process: connects boards, bus and log; runs until SIGTERM or SIGINT.
 
-Threads: link (all boards), three publishers (samples, replies, everything else), recorder, zenoh's own; the main thread
-waits for signals and publishes the status once a second.
+Threads: link (all boards), four publishers (samples, batches of samples, replies, everything else), recorder, zenoh's
+own; the main thread waits for signals and publishes the status once a second.
 
 The gateway sends no STOP when it ends: an update or restart must not drop the ball.  Without its host the board follows
 its host-loss policy, set in the configuration (default: coil off after 1 s).
@@ -12,7 +12,6 @@ from __future__ import annotations
 import logging
 import logging.handlers
 import queue
-import signal
 import socket
 import sys
 import threading
@@ -30,7 +29,7 @@ from gateway.access.certificates import WARN_DAYS
 from gateway.access.folder import SecurityFolder
 from gateway.access.listeners import check_bus_listeners
 from gateway.bus.command_service import CommandService
-from gateway.bus.publisher import BoardSink, Publisher
+from gateway.bus.publisher import GATHER_S, BoardSink, Publisher
 from gateway.bus.router_watch import RouterWatch
 from gateway.bus.status import StatusMaker
 from gateway.config import GatewayConfig, LogConfig
@@ -41,8 +40,10 @@ from gateway.link.port import check_url
 from gateway.record.recorder import Recorder
 from gateway.record.writer import LogError
 from protocol.bus import topics
+from protocol.bus.encoding import is_replayed, state_batch
 from protocol.bus.endpoint import Mode, zenoh_config
 from protocol.bus.identity import Identity, load_identity
+from protocol.ending import on_end_signal
 from protocol.errors import ConfigError, ServiceError
 
 STATUS_S = 1.0
@@ -65,11 +66,14 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
         bus = stack.enter_context(open_bus(config))
         recorder = stack.enter_context(_recording(config.log)) if config.log.enabled else None
         samples = Publisher("publish-samples", config.zenoh.queue)
+        batches = Publisher("publish-batches", config.zenoh.queue, gather_s=GATHER_S, join=state_batch)
         messages = Publisher("publish-messages", MESSAGES_QUEUE)
         replies = Publisher("publish-replies", MESSAGES_QUEUE)
         clock = HostClock()
         sinks = [
-            BoardSink(bus, config.site, board.name, samples=samples, messages=messages, recorder=recorder)
+            BoardSink(
+                bus, config.site, board.name, samples=samples, batches=batches, messages=messages, recorder=recorder
+            )
             for board in config.boards
         ]
         log_raw = recorder is not None and config.log.raw
@@ -84,12 +88,12 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             recorder.on_event = partial(_tell_all, drivers)
             twin = bus.declare_subscriber(f"{config.site}/*/twin/**", _log_twin(recorder))
             stack.callback(twin.undeclare)
-        for publisher in (messages, replies, samples):
+        for publisher in (messages, replies, samples, batches):
             publisher.start()
             stack.callback(publisher.stop)
         watch = None
         if config.zenoh.mode == "client":
-            watch = RouterWatch(bus, ", ".join(config.zenoh.connect), sinks, (messages, samples))
+            watch = RouterWatch(bus, ", ".join(config.zenoh.connect), sinks, (messages, samples, batches))
             stack.callback(watch.close)
         link.start()
         stack.callback(link.stop)
@@ -104,6 +108,8 @@ def run(config: GatewayConfig, stop: threading.Event) -> None:
             step_ns = clock.step_ns()
             if step_ns:
                 authorizer.clock_stepped(step_ns)
+                for driver in drivers:
+                    link.post(partial(driver.handler.clock_stepped, step_ns))
             if guarded and time.monotonic() >= look_s:
                 look_s += CERTIFICATES_S
                 for text in expiring(config):
@@ -296,7 +302,7 @@ def _log_twin(recorder: Recorder) -> Callable[[zenoh.Sample], None]:
     def log(sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
         place = topics.split(key)
-        if place is not None and topics.BY_NAME[place[2]].logged:
+        if place is not None and topics.BY_NAME[place[2]].logged and not is_replayed(sample.attachment):
             recorder.put(key, sample.payload.to_bytes(), time.time_ns())
 
     return log
@@ -332,7 +338,6 @@ def serve(config: GatewayConfig) -> int:
     stop = threading.Event()
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     with logging_to_stderr():
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: stop.set())
+        on_end_signal(stop.set)
         run(config, stop)
     return 0

@@ -3,14 +3,15 @@
 Rule 1: only regular files are opened.  A pipe may block for ever, a device may never end or react to being opened.
 Rule 2: a small file (configuration, campaign, model) has at most LARGEST_SMALL bytes and DEEPEST levels of tables.
 Rule 3: every error of a parser becomes one line that names the file.  The content of the file is not quoted.
+Rule 4: a file without a size is empty.  What the kernel shows under such a name (/proc) may block, fail or never end.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import stat
-import tomllib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +22,8 @@ from protocol.errors import ConfigError, DataError, UsageError
 LARGEST_SMALL = 4_000_000  # bytes; the largest model that the bus carries
 DEEPEST = 50
 _INTEGER = 1 << 63  # TOML's integers have 64 bits
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_DOTTED = re.compile(rf"(?<![\w-])(?:{_PART}[ \t]*+\.[ \t]*+){{{DEEPEST}}}")  # a key of more than DEEPEST parts
 _KINDS = (
     (stat.S_ISDIR, "it is a folder"),
     (stat.S_ISFIFO, "it is a pipe"),
@@ -48,10 +51,13 @@ def open_regular(path: Path, *, remedy: str, what: str = "", error: Refusal = Da
         if not problem:
             descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
             file = os.fdopen(descriptor, "rb")
-            problem = _not_regular(os.fstat(descriptor).st_mode)  # it may have been replaced since the first check
-            if not problem:
+            status = os.fstat(descriptor)
+            problem = _not_regular(status.st_mode)  # it may have been replaced since the first check
+            if not problem and status.st_size:
                 return file
             file.close()
+            if not problem:
+                return open(os.devnull, "rb")
     except (OSError, ValueError) as failed:  # ValueError: a NUL in the name
         problem = getattr(failed, "strerror", None) or "this is not a valid file name"
     else:
@@ -109,7 +115,11 @@ def make_folder(path: Path, *, mode: int = 0o777) -> None:
 
 def parse_toml(text: str, *, where: str, remedy: str = "Correct that line") -> dict[str, Any]:
     """Parse TOML into a table; `where` names the source in the ConfigError."""
+    import tomllib  # not by a command that reads no file: a STOP shall not wait for it
+
     try:
+        if _DOTTED.search(text):
+            raise RecursionError  # before parsing: the parser's memory grows with the square of the number of parts
         table = tomllib.loads(text)
         _check_depth(table)
     except tomllib.TOMLDecodeError as wrong:

@@ -1,11 +1,13 @@
 """Reads recordings in tables (CSV, also .gz; MATLAB) within fixed bounds.
 
-Rule: the size is checked during decompression: a compressed kilobyte may expand to a gigabyte.
+Rule: the size is checked during decompression: a compressed kilobyte may expand to a gigabyte.  A packed file unpacks
+      to LARGEST_RATIO times its size at most, and to FREE_BYTES in any case.
 """
 
 from __future__ import annotations
 
 import gzip
+import os
 import struct
 import zlib
 from collections.abc import Callable, Sequence
@@ -17,6 +19,8 @@ from protocol.files import open_regular
 
 T = TypeVar("T")
 LARGEST_TABLE = 500_000_000  # bytes, unpacked: four hours at 500 Hz
+LARGEST_RATIO = 100  # samples pack ten times; equal rows, which are no recording, a thousand times
+FREE_BYTES = 4_000_000
 LONGEST_LINE = 100_000  # bytes; below the largest cell of Python's csv
 REMEDY = "Name a CSV file (also .gz), a MATLAB or an MCAP file"
 _GZIP = b"\x1f\x8b"
@@ -37,10 +41,10 @@ def read_csv_bytes(path: Path) -> bytes:
         if not packed:
             if path.suffix == ".gz":
                 raise DataError(f"{path} is named .gz but is not compressed", remedy="Rename it, or fetch it again")
-            return _within_bounds(path, file)
+            return _within_bounds(path, file, LARGEST_TABLE)
         try:
             with gzip.GzipFile(fileobj=file) as unpacked:
-                return _within_bounds(path, unpacked)
+                return _within_bounds(path, unpacked, _largest(file))
         except (EOFError, OSError, zlib.error) as error:
             raise DataError(f"{path} is damaged or cut off: {error}", remedy="Fetch it again") from None
 
@@ -108,7 +112,7 @@ def read_mat(
 
 
 def check_mat(path: Path) -> None:
-    """Refuse a MATLAB file that expands to more than LARGEST_TABLE bytes; its reader reports all other faults.
+    """Refuse a MATLAB file that expands beyond the bounds; its reader reports all other faults.
 
     Raises:
         DataError: the file is absent, not a regular file, or too large.
@@ -116,7 +120,7 @@ def check_mat(path: Path) -> None:
     with open_regular(path, remedy=REMEDY) as file:
         file.seek(_MAT_HEAD - 2)
         order = "<" if file.read(2) == b"IM" else ">"
-        total = 0
+        total, largest = 0, _largest(file)
         while len(tag := file.read(8)) == 8:
             kind, size = struct.unpack(f"{order}II", tag)
             if kind != _COMPRESSED:
@@ -129,19 +133,23 @@ def check_mat(path: Path) -> None:
                     while piece:
                         total += len(unpack.decompress(piece, LARGEST_TABLE // 100))
                         piece = unpack.unconsumed_tail
-                        if total > LARGEST_TABLE:
-                            raise _too_large(path)
+                        if total > largest:
+                            raise _too_large(path, largest)
                 except zlib.error:
                     return
 
 
-def _within_bounds(path: Path, file: BinaryIO | gzip.GzipFile) -> bytes:
+def _largest(packed: BinaryIO) -> int:
+    return min(LARGEST_TABLE, FREE_BYTES + LARGEST_RATIO * os.fstat(packed.fileno()).st_size)
+
+
+def _within_bounds(path: Path, file: BinaryIO | gzip.GzipFile, largest: int) -> bytes:
     pieces: list[bytes] = []
     total = lines = unfinished = 0  # `unfinished`: bytes so far of a line that the last piece does not complete
     while piece := file.read(_PIECE):
         total += len(piece)
-        if total > LARGEST_TABLE:
-            raise _too_large(path)
+        if total > largest:
+            raise _too_large(path, largest)
         if not pieces and b"\0" in piece:
             raise DataError(f"{path} is not text", remedy="Name a CSV file in UTF-8, or a MATLAB file with .mat")
         first = piece.find(b"\n")
@@ -156,5 +164,8 @@ def _within_bounds(path: Path, file: BinaryIO | gzip.GzipFile) -> bytes:
     return b"".join(pieces).removeprefix(b"\xef\xbb\xbf")
 
 
-def _too_large(path: Path) -> DataError:
+def _too_large(path: Path, largest: int) -> DataError:
+    if largest < LARGEST_TABLE:
+        problem = f"{path} unpacks to more than {LARGEST_RATIO} times its size, as no recording does"
+        return DataError(problem, remedy="Unpack it, look at it, and name the unpacked file")
     return DataError(f"{path} holds more than {LARGEST_TABLE // 1_000_000} MB", remedy="Split it")

@@ -14,7 +14,7 @@
 uint16_t between(const __flash uint16_t *table, uint16_t at, uint8_t bits);
 
 void dac_start(void);
-void dac_write(uint16_t u);
+bool dac_write(uint16_t u);
 void store_load(void);
 
 #endif

@@ -1,6 +1,6 @@
 /* A MagnetoShield (R3, R4): written by gateway/emulator/firmware/magnetoshield.py, `header`; the numbers
  * are explained there and in ../magnetoshield.md. */
-#define PROFILE_FIRMWARE 1, 0, 10, 12
+#define PROFILE_FIRMWARE 1, 1, 10, 12
 #define PROFILE_SCALINGS \
     0x00, 0x00, 0x00, 0x00, 0xAE, 0x47, 0xE1, 0x37, \
     0x6F, 0x12, 0x83, 0xB9, 0xCD, 0xCC, 0xCC, 0x35, \

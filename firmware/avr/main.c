@@ -39,7 +39,7 @@ static void first(void) {
     MCUSR = 0;
     wdt_disable();
     dac_start();
-    dac_write(0);
+    (void)dac_write(0); /* the core writes again, and tells */
 }
 
 /* A boot loader may have cleared the flags: then what RAM kept decides. */
@@ -263,7 +263,7 @@ uint16_t hal_resets(void) {
 /* The chip has no instruction for it: the watchdog does it, 16 ms later.  The ACK leaves meanwhile. */
 void hal_restart(void) {
     hal_capture_timer(0);
-    dac_write(0);
+    (void)dac_write(0);
     kept.commanded = true;
     wdt_enable(WDTO_15MS);
     for (;;) {

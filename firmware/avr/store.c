@@ -1,4 +1,5 @@
-/* Identity and settings: from EEPROM, each with a CRC behind it; those of the program where one is damaged or blank.
+/* Identity and settings: from EEPROM, each with a CRC behind it; those of the program where one is damaged or blank, or
+ * where the core rejects the settings.
  *
  *     0    identity (40 bytes) | CRC-16, low byte first | settings (29 bytes) | CRC-16
  */
@@ -16,7 +17,7 @@ static const __flash struct settings SETTINGS_OF_PROGRAM = {{PROFILE_GAINS}, {PR
 static const __flash struct identity IDENTITY_OF_PROGRAM = {
     0,
     1,
-    0,
+    1,
     10,
     12,
     {0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x3A,  /* f32: i_c: 0 A, 2/4096 A a count */
@@ -36,12 +37,17 @@ static bool read(void *to, uint16_t at, uint8_t size) {
     return crc_of(to, size) == eeprom_read_word((const uint16_t *)(at + size));
 }
 
+const struct settings *hal_program_settings(void) {
+    memcpy_P(&settings, &SETTINGS_OF_PROGRAM, sizeof settings);
+    return &settings;
+}
+
 void store_load(void) {
     if (!read(&identity, 0, sizeof identity)) {
         memcpy_P(&identity, &IDENTITY_OF_PROGRAM, sizeof identity);
     }
     if (!read(&settings, sizeof identity + 2U, sizeof settings)) {
-        memcpy_P(&settings, &SETTINGS_OF_PROGRAM, sizeof settings);
+        (void)hal_program_settings();
     }
 }
 

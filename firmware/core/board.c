@@ -9,13 +9,19 @@ STATE_MEMORY struct board board;
 
 /* Once after a reset, before the first tick. */
 void board_boot(void) {
-    hal_write_input(0);
+    uint8_t field;
+
     hal_capture_timer(0);
     memset(&board, 0, sizeof board);
+    output_boot();
     board.ticks_since_overrun = TICKS_PER_S;
+    field = settings_boot();
     loop_boot();
     host_boot();
     emit(hal_reset_cause(), hal_resets());
+    if (field != 0U) {
+        emit(SETTINGS_REJECTED, field);
+    }
 }
 
 void emit(uint8_t code, uint16_t detail) ON_STACK {
@@ -75,7 +81,7 @@ static void tick(void) {
     }
     host_watch();
     flags = loop_run(i, x);
-    if (board.host.divider != 0U && board.next_tick % board.host.divider == 0U) {
+    if (board.host.divider == 1U || (board.host.divider != 0U && board.next_tick % board.host.divider == 0U)) {
         queue_state(i, x, flags);
     }
     loop_play_ahead();
@@ -91,7 +97,7 @@ void board_poll(void) {
     uint8_t byte;
 
     if (capture_completed()) {
-        hal_write_input(board.loop.u);
+        output_write(board.loop.u);
         emit(CAPTURE_DONE, 0);
     }
     for (n = 0; n < RECEIVE_AT_ONCE && hal_receive(&byte); n++) {

@@ -4,14 +4,14 @@
  *                      ^ sample 0, at `began_tick`
  *
  * The interrupt takes the samples and makes the step, and touches nothing else: the main loop never writes the
- * converter of u_c while a capture is running, and reports its end.
+ * converter of u_c while a capture is running, and reports its end.  A step that the converter does not confirm is not
+ * made again: it would no longer be at its sample.
  */
 #include "core.h"
 
 #define SETTLE_US 20000U
 
 void capture_start(uint16_t u_from, uint16_t u_to, uint16_t pre, uint16_t count, uint32_t tick) ON_STACK {
-    board.capture.u_from = u_from;
     board.capture.u_to = u_to;
     board.capture.pre = pre;
     board.capture.count = count;
@@ -20,16 +20,25 @@ void capture_start(uint16_t u_from, uint16_t u_to, uint16_t pre, uint16_t count,
     board.capture.there = false;
     board.capture.complete = false;
     board.capture.stepped = false;
+    board.capture.refused = false;
     board.capture.step_is_next = pre == 0U;
     board.capture.running = true;
-    hal_write_input(u_from);
+    output_write(u_from);
     hal_capture_timer(SETTLE_US);
+}
+
+/* From here on the converter is the main loop's again. */
+static void leave(void) {
+    board.capture.running = false;
+    if (board.capture.stepped) {
+        board.output.u = board.capture.u_to;
+    }
 }
 
 /* Ends a capture that is running; one that is complete stays. */
 void capture_cancel(void) {
     hal_capture_timer(0);
-    board.capture.running = false;
+    leave();
 }
 
 static void store(uint16_t n, uint16_t i) ON_STACK {
@@ -58,8 +67,8 @@ void capture_interrupt(void) ON_STACK {
     }
     store(board.capture.taken, hal_read_current());
     if (board.capture.step_is_next) { /* after the sample, which still shows the current before the step */
-        hal_write_input(board.capture.u_to);
-        board.capture.stepped = true;
+        board.capture.stepped = hal_write_input(board.capture.u_to);
+        board.capture.refused = !board.capture.stepped;
     }
     board.capture.taken++;
     board.capture.step_is_next = board.capture.taken == board.capture.pre;
@@ -70,16 +79,16 @@ bool capture_completed(void) {
     if (!board.capture.running || !board.capture.complete) {
         return false;
     }
-    board.capture.running = false;
+    leave();
     board.capture.there = true;
     return true;
 }
 
-/* u_c while it is running.  A step that is due at this instant counts, although its interrupt is still to be served. */
+/* u_c while it is running: what was confirmed last.  A step that is due at this instant counts, although its interrupt is still to be served. */
 uint16_t capture_u(void) {
     bool stepped = board.capture.stepped || (board.capture.step_is_next && hal_capture_due());
 
-    return stepped ? board.capture.u_to : board.capture.u_from;
+    return stepped ? board.capture.u_to : board.output.u;
 }
 
 /* Up to 32 samples from index on, two in three bytes, the rest 0: 48 bytes.  There is one at index. */

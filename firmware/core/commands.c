@@ -70,7 +70,7 @@ static void answer_pong(const STATE_MEMORY uint8_t *body) ON_STACK {
     (void)put_u16(put_u16(at, board.receiver.bad_frames), board.overruns);
 }
 
-static void answer_parameters(const STATE_MEMORY uint8_t *body) ON_STACK {
+void answer_parameters(const STATE_MEMORY uint8_t *body) ON_STACK {
     const STATE_MEMORY struct gains *gains = &board.law.gains;
     const STATE_MEMORY struct limits *limits = &board.loop.limits;
     STATE_MEMORY uint8_t *at = begin(PARAMETERS, body);
@@ -93,6 +93,7 @@ static uint8_t set_mode(const STATE_MEMORY uint8_t *body) ON_STACK {
         return BUSY;
     }
     board.loop.fault = false;
+    output_rearm();
     loop_set_mode(body[2]);
     return ACCEPTED;
 }

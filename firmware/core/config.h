@@ -12,6 +12,12 @@
 #define CAPTURE_SIZE 2000U /* samples, even; 3 bytes hold two */
 #endif
 
+/* From here on i_c is a current that nobody ordered where u_c is 0: an eighth of the converter's range.  For a converter
+ * whose 0 A is not near count 0 it has to be another one; 4096: the board does not look. */
+#ifndef UNCOMMANDED_CURRENT_COUNTS
+#define UNCOMMANDED_CURRENT_COUNTS 512U
+#endif
+
 /* Where the state lies: external RAM on an 8051, whose 256 bytes of its own are for the stack and for variables. */
 #ifdef __SDCC_mcs51
 #define STATE_MEMORY __xdata

@@ -1,8 +1,9 @@
 /* The firmware of a Board51 board: types, state and functions of the core.
  *
  * protocol/README.md is the specification; the rules in the comments are those of its 'Behaviour of the board'.
- * Reading order: this file, arithmetic.c, law.c, excitation.c, reference.c, capture.c, loop.c (the control loop), then
- * frames.c, receiver.c, queues.c, fields.c, commands.c, host.c (the link), and board.c, which joins the two.
+ * Reading order: this file, arithmetic.c, law.c, excitation.c, reference.c, output.c, capture.c, loop.c (the control
+ * loop), then frames.c, receiver.c, queues.c, fields.c, commands.c, settings.c, host.c (the link), and board.c, which
+ * joins the two.
  *
  * All state is in one variable.  There is one board in a program, so nothing is passed by pointer: an 8051 would look
  * up at each access which of its memories a pointer means.
@@ -83,7 +84,10 @@ enum {
     EXCITATION_DONE,
     CAPTURE_DONE,
     LIMIT_HIT,
-    MODE_CHANGED
+    MODE_CHANGED,
+    OUTPUT_FAULT,
+    UNCOMMANDED_CURRENT,
+    SETTINGS_REJECTED
 };
 
 /* Sizes in bytes of bodies and of what stands between two delimiters. */
@@ -158,9 +162,9 @@ struct excitation_state {
 
 struct capture_state {
     /* Shared with the capture interrupt: bytes that one side writes at a time, so that no read is torn. */
-    volatile bool running, stepped, step_is_next, complete;
+    volatile bool running, stepped, refused, step_is_next, complete;
     bool there; /* a complete capture that can be read */
-    uint16_t u_from, u_to, pre, count, taken;
+    uint16_t u_to, pre, count, taken;
     uint32_t began_tick;
     uint8_t samples[CAPTURE_SIZE / 2U * 3U];
 };
@@ -175,6 +179,13 @@ struct loop_state {
     uint16_t sensor_ticks;
     uint16_t ticks_since_limit_hit; /* saturating at a second */
     uint32_t gains_tick;
+};
+
+struct output_state {
+    uint16_t u;       /* the last count that the converter confirmed; a step of a capture is added at its end */
+    bool unconfirmed; /* the latest write of the main loop was not confirmed */
+    bool off;         /* at the end of the tick before: 0 was confirmed, and no capture ran */
+    uint8_t unconfirmed_ticks, current_ticks; /* in a row, saturating */
 };
 
 struct receiver_state {
@@ -232,6 +243,7 @@ struct board {
     struct excitation_state excitation;
     struct capture_state capture;
     struct loop_state loop;
+    struct output_state output;
     struct receiver_state receiver;
     struct queues_state queues;
     struct host_state host;
@@ -282,6 +294,13 @@ bool capture_completed(void);
 uint16_t capture_u(void);
 void capture_pack(uint16_t index, STATE_MEMORY uint8_t *packed) ON_STACK;
 
+/* output.c */
+void output_boot(void);
+void output_write(uint16_t u);
+bool output_is_unconfirmed(void);
+bool output_is_bypassed(uint16_t i);
+void output_rearm(void);
+
 /* loop.c */
 void loop_boot(void);
 uint16_t loop_u(void);
@@ -308,6 +327,7 @@ void send_frames(void);
 
 /* fields.c */
 uint8_t fields_check(const STATE_MEMORY uint8_t *body, uint8_t size, uint16_t *detail) ON_STACK;
+uint8_t fields_check_settings(const STATE_MEMORY uint8_t *at) ON_STACK;
 bool is_sent_by_board(uint8_t type);
 uint8_t body_size(uint8_t type);
 void copy(STATE_MEMORY uint8_t *to, const STATE_MEMORY uint8_t *from, uint8_t size);
@@ -322,7 +342,11 @@ void put_pair(STATE_MEMORY uint8_t *at, uint16_t a, uint16_t b);
 uint8_t command_execute(const STATE_MEMORY uint8_t *body, uint16_t *detail) ON_STACK;
 uint8_t answer_hello(const STATE_MEMORY uint8_t *body, uint16_t *detail) ON_STACK;
 void answer_ack(const STATE_MEMORY uint8_t *body) ON_STACK;
+void answer_parameters(const STATE_MEMORY uint8_t *body) ON_STACK;
 void answer_nack(const STATE_MEMORY uint8_t *body, uint8_t reason, uint16_t detail) ON_STACK;
+
+/* settings.c */
+uint8_t settings_boot(void);
 
 /* host.c */
 void host_boot(void);

@@ -27,7 +27,9 @@ struct row {
 static const TABLE_MEMORY struct field HELLO_FIELDS[] = {ANY_U16, ANY_U8, ANY_U8};
 static const TABLE_MEMORY struct field SET_MODE_FIELDS[] = {{U8, 0, 2}};
 static const TABLE_MEMORY struct field SET_REFERENCE_FIELDS[] = {COUNT};
-static const TABLE_MEMORY struct field SET_GAINS_FIELDS[] = {{U8, 0, 1}, GAIN, GAIN, GAIN, GAIN, COUNT, COUNT, COUNT};
+/* Of SET_GAINS, and behind them the limits: together what PARAMETERS begins with, and what a board stores. */
+static const TABLE_MEMORY struct field SETTINGS_FIELDS[] = {{U8, 0, 1}, GAIN,  GAIN,  GAIN,    GAIN, COUNT, COUNT,
+                                               COUNT,      COUNT, COUNT, COUNT, ONE_U16, COUNT};
 static const TABLE_MEMORY struct field EXCITE_FIELDS[] = {{U8, 0, 6},  {U8, 0, 1}, AMPLITUDE,
                                              COUNT,       ONE_U16,    ONE_U16,
                                              ONE_U16,     {U32, 0, 0}};
@@ -44,7 +46,7 @@ static const TABLE_MEMORY struct row ROWS[] = {
     /* PING */ ID_ONLY,
     /* SET_MODE */ ROW(3, SET_MODE_FIELDS),
     /* SET_REFERENCE */ ROW(4, SET_REFERENCE_FIELDS),
-    /* SET_GAINS */ ROW(21, SET_GAINS_FIELDS),
+    /* SET_GAINS */ {21, 12, SETTINGS_FIELDS},
     /* EXCITE */ ROW(18, EXCITE_FIELDS),
     /* STOP */ ID_ONLY,
     /* CAPTURE */ ROW(10, CAPTURE_FIELDS),
@@ -63,22 +65,12 @@ static uint16_t magnitude(uint8_t type, uint16_t bound) ON_STACK {
     return (uint16_t)(bound < BIAS ? BIAS - bound : bound - BIAS);
 }
 
-/* Why a command cannot be understood, with the bound in the way; the first field that is out of range counts. */
-uint8_t fields_check(const STATE_MEMORY uint8_t *body, uint8_t size, uint16_t *detail) ON_STACK {
-    const TABLE_MEMORY struct row *row;
-    const STATE_MEMORY uint8_t *at = body + 2;
+/* The first of the fields from `at` on that is out of its range, counted from 1, with the bound in the way; 0: none. */
+static uint8_t first_outside(const TABLE_MEMORY struct field *field, uint8_t count, const STATE_MEMORY uint8_t *at,
+                             uint16_t *bound) ON_STACK {
     uint8_t n;
 
-    *detail = 0;
-    if (body[0] < HELLO || body[0] > RESET) {
-        return UNKNOWN_TYPE;
-    }
-    row = &ROWS[body[0] - HELLO];
-    if (size != row->size) {
-        return BAD_LENGTH;
-    }
-    for (n = 0; n < row->count; n++) {
-        const TABLE_MEMORY struct field *field = &row->fields[n];
+    for (n = 1; n <= count; n++, field++) {
         uint16_t value;
 
         if (field->type == U32) {
@@ -89,11 +81,33 @@ uint8_t fields_check(const STATE_MEMORY uint8_t *body, uint8_t size, uint16_t *d
         value = (uint16_t)(field->type == I16 ? value + BIAS : value);
         at += field->type == U8 ? 1 : 2;
         if (value < field->low || value > field->high) {
-            *detail = magnitude(field->type, value < field->low ? field->low : field->high);
-            return OUT_OF_RANGE;
+            *bound = magnitude(field->type, value < field->low ? field->low : field->high);
+            return n;
         }
     }
-    return ACCEPTED;
+    return 0;
+}
+
+/* Those of the settings, as PARAMETERS has them from its law on. */
+uint8_t fields_check_settings(const STATE_MEMORY uint8_t *at) ON_STACK {
+    uint16_t bound;
+
+    return first_outside(SETTINGS_FIELDS, sizeof SETTINGS_FIELDS / sizeof SETTINGS_FIELDS[0], at, &bound);
+}
+
+/* Why a command cannot be understood, with the bound in the way; the first field that is out of range counts. */
+uint8_t fields_check(const STATE_MEMORY uint8_t *body, uint8_t size, uint16_t *detail) ON_STACK {
+    const TABLE_MEMORY struct row *row;
+
+    *detail = 0;
+    if (body[0] < HELLO || body[0] > RESET) {
+        return UNKNOWN_TYPE;
+    }
+    row = &ROWS[body[0] - HELLO];
+    if (size != row->size) {
+        return BAD_LENGTH;
+    }
+    return first_outside(row->fields, row->count, body + 2, detail) == 0U ? ACCEPTED : OUT_OF_RANGE;
 }
 
 /* A line with an echo must not make the board talk to itself. */

@@ -15,7 +15,8 @@ struct settings;
 /* Converters, in counts of 12 bits: a finer converter gives its upper 12 bits. */
 uint16_t hal_read_current(void);   /* i_c; 20 us, as it is read in the capture interrupt, too */
 uint16_t hal_read_position(void);  /* x; 100 us */
-void hal_write_input(uint16_t u);  /* u_c, in force on return; 100 us, or 10 us where the board captures */
+bool hal_write_input(uint16_t u);  /* u_c, in force on return; 100 us, or 10 us where the board captures.  False: the
+                                    * converter has not confirmed it, and what it gives is not known to have changed */
 
 /* Time. */
 bool hal_tick_due(void);              /* true once in each T_s; 5 us */
@@ -34,8 +35,10 @@ uint16_t hal_resets(void);      /* since power-on, saturating: kept in RAM that 
 void hal_restart(void);         /* resets the chip; on a chip it does not return */
 
 /* Of this board and not of the program: serial number, scalings; gains, operating point, limits.  A target that keeps
- * them in memory that can fail (EEPROM) checks them, and gives those of its program memory where they are damaged. */
+ * them in memory that can fail (EEPROM) checks its CRC, and gives those of its program memory where that is wrong.  The
+ * core checks each field of the settings, and asks for those of the program where one is out of its range. */
 const struct identity *hal_identity(void);  /* 5 us */
 const struct settings *hal_settings(void);  /* 1 ms, once after a reset */
+const struct settings *hal_program_settings(void);  /* 1 ms; in place of the others, which are then gone */
 
 #endif

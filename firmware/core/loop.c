@@ -6,19 +6,15 @@
 #define AHEAD_FROM 4U /* values of a signal */
 #define LIMIT_OF_INPUT 0U /* detail of LIMIT_HIT */
 
-/* After `board` was cleared. */
+/* After `board` was cleared and the settings are in force. */
 void loop_boot(void) {
-    const struct settings *settings = hal_settings();
-
-    board.law.gains = settings->gains;
-    board.loop.limits = settings->limits;
     board.loop.ticks_since_limit_hit = TICKS_PER_S;
-    reference_boot(settings->gains.x_0);
+    reference_boot(board.law.gains.x_0);
 }
 
-/* The count of the input converter. */
+/* The count of the input converter, as far as it has confirmed it. */
 uint16_t loop_u(void) {
-    return board.capture.running ? capture_u() : board.loop.u;
+    return board.capture.running ? capture_u() : board.output.u;
 }
 
 /* As SET_MODE does: the mode in force is not entered again, but idle ends a capture in any case. */
@@ -42,7 +38,7 @@ void loop_set_mode(uint8_t mode) {
 void loop_switch_off(void) {
     loop_set_mode(MODE_IDLE);
     board.loop.u = 0;
-    hal_write_input(0);
+    output_write(0);
 }
 
 /* The signal stays at its offset. */
@@ -153,10 +149,17 @@ uint8_t loop_run(uint16_t i, uint16_t x) {
         board.loop.u = board.loop.mode == MODE_OPEN_LOOP ? board.loop.open_loop_u : 0U;
     }
     if (!board.capture.running) {
-        hal_write_input(board.loop.u);
+        output_write(board.loop.u);
     }
     report_limit(limited);
     reference_refill();
+    if (output_is_unconfirmed()) { /* these two during another fault, too */
+        fail(OUTPUT_FAULT, loop_u());
+    }
+    if (output_is_bypassed(i)) {
+        fail(UNCOMMANDED_CURRENT, i);
+    }
+    board.output.off = board.output.u == 0U && !board.capture.running;
     return flags(i, x);
 }
 

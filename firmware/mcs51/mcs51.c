@@ -35,7 +35,7 @@ static __xdata union {
 
 /* Where nothing valid was programmed: the emulated rig's scalings, gains and limits (gateway/emulator/firmware). */
 static const __code struct identity IDENTITY_OF_PROGRAM = {
-    0, 1, 0, 12, 12,
+    0, 1, 1, 12, 12,
     {0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x3A, 0x7C, 0x1C, 0x64, 0xB8, 0x30, 0xA0, 0xBF, 0x35,
      0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0xA0, 0x3A},
     {'A', 'D', 'u', 'C', '8', '4', '1', ' '}};
@@ -64,9 +64,12 @@ uint16_t hal_read_position(void) {
     return convert(CHANNEL_POSITION);
 }
 
-void hal_write_input(uint16_t u) {
+/* The converter is on the chip: there is no bus that could lose the write, and nothing that could acknowledge it.  What
+ * its pin drives is seen by i_c alone. */
+bool hal_write_input(uint16_t u) {
     DAC0H = (uint8_t)(u >> 8);
     DAC0L = (uint8_t)u;
+    return true;
 }
 
 bool hal_tick_due(void) {
@@ -151,6 +154,11 @@ const struct settings *hal_settings(void) {
     return &memory.is.settings;
 }
 
+const struct settings *hal_program_settings(void) {
+    memory.is.settings = SETTINGS_OF_PROGRAM;
+    return &memory.is.settings;
+}
+
 static void read_memory(void) {
     uint8_t page;
     uint8_t *to = memory.bytes;
@@ -166,7 +174,7 @@ static void read_memory(void) {
     }
     if (crc_of(memory.bytes, MEMORY_SIZE) != 0U) {
         memory.is.identity = IDENTITY_OF_PROGRAM;
-        memory.is.settings = SETTINGS_OF_PROGRAM;
+        (void)hal_program_settings();
     }
 }
 

@@ -39,9 +39,12 @@ uint16_t hal_read_position(void) {
     return here->x;
 }
 
-void hal_write_input(uint16_t u) {
-    here->u = u;
+bool hal_write_input(uint16_t u) {
+    if (here->output_fault == 0U) {
+        here->u = u;
+    }
     here->view.written = true;
+    return here->output_fault != OUTPUT_DEAF;
 }
 
 bool hal_tick_due(void) {
@@ -102,6 +105,10 @@ const struct settings *hal_settings(void) {
     return &here->settings;
 }
 
+const struct settings *hal_program_settings(void) {
+    return &here->settings_of_program;
+}
+
 /* The caller's side. */
 
 static void boot(uint8_t cause) {
@@ -116,6 +123,7 @@ static void boot(uint8_t cause) {
 static void reset(uint8_t cause) {
     if (cause == RESET_POWER_ON) {
         here->resets = 0;
+        here->u = 0; /* the converter's own power-on value */
     } else if (here->resets < UINT16_MAX) {
         here->resets++;
     }
@@ -131,6 +139,7 @@ void posix_open(struct posix_board *to, const struct identity *identity, const s
     memset(to, 0, sizeof *to);
     to->identity = *identity;
     to->settings = *settings;
+    to->settings_of_program = *settings;
     enter(to);
     boot(RESET_POWER_ON);
     show();
@@ -161,6 +170,17 @@ void posix_late(struct posix_board *to) {
     enter(to);
     board_late();
     show();
+}
+
+/* What goes wrong with the converter of u_c from now on; 0: nothing. */
+void posix_fail_output(struct posix_board *to, uint8_t fault) {
+    enter(to);
+    here->output_fault = fault;
+}
+
+/* Writes the board's memory, which it reads at its next boot. */
+void posix_store(struct posix_board *to, const struct settings *settings) {
+    to->settings = *settings;
 }
 
 void posix_feed(struct posix_board *to, const uint8_t *data, uint32_t count) {

@@ -13,6 +13,8 @@
 #define WATCHDOG_TICKS (UINT32_C(50000) / TICK_US)
 #define BOOT_TICKS (UINT32_C(10000) / TICK_US) /* from a reset to tick 0 */
 
+enum { OUTPUT_DEAF = 1, OUTPUT_STUCK }; /* the converter does not confirm; it does, and keeps its output */
+
 /* What the caller may look at between two calls; it begins the board's memory. */
 struct posix_view {
     uint32_t next_tick, dropped, allowance;
@@ -27,7 +29,7 @@ struct posix_board {
     struct posix_view view;
     struct board state;
     struct identity identity;
-    struct settings settings;
+    struct settings settings, settings_of_program;
     const uint8_t *received;
     uint32_t received_count;
     uint8_t *sent;
@@ -36,6 +38,7 @@ struct posix_board {
     uint16_t resets;
     uint8_t cause, hung_ticks, dead_ticks, room, sent_count, delimiters;
     bool tick_due, restart;
+    uint8_t output_fault; /* OUTPUT_DEAF, OUTPUT_STUCK, or 0 */
 };
 
 uint32_t posix_size(void);
@@ -44,6 +47,8 @@ void posix_close(const struct posix_board *to);
 void posix_reset(struct posix_board *to, uint8_t cause);
 void posix_hang(struct posix_board *to);
 void posix_late(struct posix_board *to);
+void posix_fail_output(struct posix_board *to, uint8_t fault);
+void posix_store(struct posix_board *to, const struct settings *settings);
 void posix_feed(struct posix_board *to, const uint8_t *data, uint32_t count);
 void posix_pass(struct posix_board *to, uint16_t us);
 void posix_capture(struct posix_board *to, uint16_t i);

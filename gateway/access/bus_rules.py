@@ -53,8 +53,10 @@ def access_control(site: str, people: Mapping[str, Role]) -> dict[str, Any]:
         ]
         names = ["read", "told", "served", f"{service}-puts", f"{service}-answers"]
         policies.append({"subjects": _subject_ids(service), "rules": names})
-    rules.append(_rule("gateway-lives", "ingress", ("liveliness_token",), [topics.key(site, "*", topics.ALIVE)]))
-    policies[0]["rules"].append("gateway-lives")
+    alive = topics.key(site, "*", topics.ALIVE), f"{site}/*/{topics.TWIN_ALIVE}/*"
+    for policy, service, token in zip(policies, ("gateway", "twin"), alive, strict=True):
+        rules.append(_rule(f"{service}-lives", "ingress", ("liveliness_token",), [token]))
+        policy["rules"].append(f"{service}-lives")
     senders = {"views": ("*", "*"), **{name: (role.word, name) for name, role in people.items()}}
     for name, (role, who) in senders.items():
         keys = [_as(site, topic, role, who) for topic in ("command", "twin/command")]

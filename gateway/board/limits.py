@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 from google.protobuf.message import Message as ProtoMessage
 
+from gateway.board.reference import SLACK
 from gateway.board.scaling import Refusal, Scaling, WireCommand, measured
 from protocol.bus import board51_pb2 as pb
 from protocol.bus.encoding import parse
@@ -239,7 +240,7 @@ class Gate:
 
 
 def _within(value: float, low: float, high: float, what: str, unit: str) -> Refusal | None:
-    if low <= value <= high:
+    if low - SLACK <= value <= high + SLACK:
         return None
     highest = measured(high, unit)
     bounds = f"{measured(low, unit)} .. {highest}" if math.isfinite(low) else f"at most {highest}"
@@ -268,7 +269,7 @@ def _needs(board: BoardView, command: pb.Command) -> Refusal | None:
     if board.mode is None:
         return None  # no state yet: the board checks itself
     if board.flags & Flag.FAULT:
-        return Refusal("fault-active", "A fault is active and the coil is off; set a mode first to clear it.")
+        return Refusal("fault-active", "A fault is active; set a mode first to clear it.")
     good: tuple[Mode, ...]
     if command.WhichOneof("what") == "capture":
         good = (Mode.IDLE, Mode.OPEN_LOOP)

@@ -18,6 +18,10 @@ _SHIFT_MAX = 30
 _U16 = 0xFFFF
 _U32 = 0xFFFFFFFF
 _BEYOND = 2.0**53
+# What a rig on a bench can have, with a decade to spare; the page states it.  A scaling beyond this is not a rig but
+# flash that was erased or a wrong byte order: everything after it, limits and gains included, would be noise.
+_CHANNELS = (("i", "A", 1e3, 1e-3), ("x", "m", 1.0, 1e-5), ("u", "V", 1e3, 1e-3))  # unit, largest value, smallest span
+_SAMPLE_TIME_MAX_US = 20_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,11 +71,23 @@ class Scaling:
         return (i, x, x / t_s, x * t_s) if law == Law.LQI else (x, x * t_s, x / t_s, 1.0)
 
 
-def scaling_of(identity: Message) -> Scaling | None:
-    """Return the scalings in an IDENTITY, or None if one of them is zero."""
+def scaling_of(identity: Message) -> Scaling | str:
+    """Return the scalings in an IDENTITY, or a sentence that says which one is implausible."""
     f = identity.float
-    if not (f("i_lsb") and f("x_lsb") and f("u_lsb")):
-        return None
+    for name, unit, largest, span in _CHANNELS:
+        offset, lsb = f(f"{name}_offset"), f(f"{name}_lsb")
+        end = offset + lsb * COUNTS_MAX
+        if max(abs(offset), abs(end)) > largest or abs(end - offset) < span:
+            return (
+                f"The board reports {name}_offset = {offset:g} {unit} and {name}_lsb = {lsb:g} {unit}: no rig measures"
+                f" {offset:g} .. {end:g} {unit}.  Correct the scalings in its firmware: within {largest:g} {unit},"
+                f" {span:g} {unit} apart at least."
+            )
+    if identity.int("sample_time") > _SAMPLE_TIME_MAX_US:
+        return (
+            f"The board reports sample_time = {identity.int('sample_time')} us, and nothing levitates above"
+            f" {_SAMPLE_TIME_MAX_US} us.  Correct it in its firmware."
+        )
     return Scaling(
         i_offset_a=f("i_offset"),
         i_lsb_a=f("i_lsb"),

@@ -5,7 +5,9 @@ Rule 1: `Publisher.put` returns at once.  A router that stopped reading stalls z
 Rule 2: the queue is bounded; when full, the OLDEST messages are dropped and counted with their channel.
 Rule 3: samples, replies and everything else have separate threads: an event does not wait behind 8000 samples.
 Rule 4: a message is serialised once; bus and log get the same bytes.
-Rule 5: without a router zenoh discards messages silently.  Publishing therefore pauses (`hold`): the queue keeps the
+Rule 5: samples are published twice: each at once on `state`, if somebody subscribes to it, and those of 20 ms together
+        on `states`.  Each message wakes up each of its subscribers: who can wait 20 ms subscribes to `states`.
+Rule 6: without a router zenoh discards messages silently.  Publishing therefore pauses (`hold`): the queue keeps the
         newest messages and counts the dropped ones.
 """
 
@@ -15,7 +17,8 @@ import logging
 import threading
 import time
 from collections import deque
-from typing import Protocol
+from collections.abc import Callable, Iterable
+from typing import Literal, Protocol
 
 import zenoh
 from google.protobuf.message import Message as ProtoMessage
@@ -24,6 +27,10 @@ from gateway.record.recorder import Recorder
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import zenoh_encoding
+from protocol.bus.endpoint import has_subscriber
+
+GATHER_S = 0.02  # of `states`
+LONGEST_BATCH = 256  # payloads; what waited for a router would else be one message, larger than a router's queue
 
 _logger = logging.getLogger("gateway.publish")
 
@@ -60,14 +67,19 @@ class Publisher:
     Args:
         name: Name of the thread.
         capacity: Largest number of queued payloads.
+        gather_s: Wait after the first queued payload, s; what arrives meanwhile becomes one payload per channel.
+        join: Makes one payload of at most `LONGEST_BATCH`.
     """
 
-    def __init__(self, name: str, capacity: int) -> None:
+    def __init__(
+        self, name: str, capacity: int, *, gather_s: float = 0.0, join: Callable[[list[bytes]], bytes] | None = None
+    ) -> None:
         self._capacity = capacity
+        self._gather_s, self._join = gather_s, join
         self._queue: deque[tuple[PublishQueue, list[bytes], int]] = deque()
         self._depth = 0
         self._condition = threading.Condition(threading.Lock())
-        self._held = False
+        self.held = False
         self._stopping = False
         self._failed = False
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
@@ -94,7 +106,7 @@ class Publisher:
     def hold(self, *, held: bool) -> None:
         """Pause publishing, or continue with the queued payloads."""
         with self._condition:
-            self._held = held
+            self.held = held
             self._condition.notify()
 
     @property
@@ -112,26 +124,47 @@ class Publisher:
     def _work(self) -> None:
         while True:
             with self._condition:
-                while self._held or not self._queue:
+                while self.held or not self._queue:
                     if self._stopping:
                         return
                     self._condition.wait()
-                channel, payloads, read_ns = self._queue.popleft()
+            if self._gather_s and not self._stopping:
+                time.sleep(self._gather_s)
+            for channel, payloads, read_ns in self._take():
+                try:
+                    put = channel.target.put
+                    for payload in payloads if self._join is None else self._joined(payloads):
+                        put(payload)
+                except Exception as error:  # whatever it is, the next message may go through
+                    channel.dropped += len(payloads)
+                    if not self._failed:
+                        self._failed = True
+                        _logger.warning("the bus refuses a message: %s", error)
+                    continue
+                self._failed = False
+                if read_ns:
+                    channel.note((time.monotonic_ns() - read_ns) * 1e-9)
+
+    def _joined(self, payloads: list[bytes]) -> Iterable[bytes]:
+        assert self._join is not None
+        for start in range(0, len(payloads), LONGEST_BATCH):
+            yield self._join(payloads[start : start + LONGEST_BATCH])
+
+    def _take(self) -> Iterable[tuple[PublishQueue, list[bytes], int]]:
+        """Return the oldest entry of the queue; if payloads are gathered, all of them, one entry per channel."""
+        with self._condition:
+            if self.held or not self._queue:  # held, or dropped, while this thread gathered
+                return ()
+            taken = [self._queue.popleft() for _ in range(1 if self._join is None else len(self._queue))]
+            for channel, payloads, _ in taken:
                 self._depth -= len(payloads)
                 channel.waiting -= len(payloads)
-            try:
-                put = channel.target.put
-                for payload in payloads:
-                    put(payload)
-            except Exception as error:  # whatever it is, the next message may go through
-                channel.dropped += len(payloads)
-                if not self._failed:
-                    self._failed = True
-                    _logger.warning("the bus refuses a message: %s", error)
-                continue
-            self._failed = False
-            if read_ns:
-                channel.note((time.monotonic_ns() - read_ns) * 1e-9)
+        if self._join is None:
+            return taken
+        gathered: dict[PublishQueue, list[bytes]] = {}
+        for channel, payloads, _ in taken:
+            gathered.setdefault(channel, []).extend(payloads)
+        return ((channel, payloads, 0) for channel, payloads in gathered.items())
 
 
 class BoardSink:
@@ -144,11 +177,12 @@ class BoardSink:
         board: str,
         *,
         samples: Publisher,
+        batches: Publisher,
         messages: Publisher,
         recorder: Recorder | None,
     ) -> None:
         self._session, self._recorder = session, recorder
-        self._samples, self._messages = samples, messages
+        self._samples, self._batches, self._messages = samples, batches, messages
         self._keys = {topic.name: topics.key(site, board, topic.name) for topic in topics.TOPICS}
         publishers = {
             topic.name: session.declare_publisher(
@@ -159,30 +193,39 @@ class BoardSink:
             for topic in topics.TOPICS
             if topic.by == "gateway" and topic.bus
         }
-        self._states = publishers["state"]
+        self._single, self._batched = publishers["state"], publishers["states"]
         self._channels = {name: PublishQueue(publisher) for name, publisher in publishers.items()}
-        self.state_channel = self._channels["state"]
+        self.state_channel, self._batch_channel = self._channels["state"], self._channels["states"]
         self._state_key, self._raw_key = self._keys["state"], self._keys["raw"]
         self._alive_channel = PublishQueue(_Token(session, topics.key(site, board, topics.ALIVE)))
 
     @property
     def wanted(self) -> bool:
         """Whether this board's samples have a subscriber on the bus."""
-        return self._states.matching_status.matching  # type: ignore[attr-defined,no-any-return]  # the stub says bool
+        return has_subscriber(self._single) or has_subscriber(self._batched)
 
     @property
     def dropped(self) -> int:
         """Number of messages of this board that the bus did not accept in time."""
-        return sum(channel.dropped for channel in self._channels.values())
+        return self._count("dropped")
 
     @property
     def waiting(self) -> int:
         """Number of messages of this board that wait for the bus."""
-        return sum(channel.waiting for channel in self._channels.values())
+        return self._count("waiting")
+
+    def _count(self, name: Literal["waiting", "dropped"]) -> int:
+        counts = {topic: int(getattr(channel, name)) for topic, channel in self._channels.items()}
+        return sum(counts.values()) - min(
+            counts["state"], counts["states"]
+        )  # the same samples in both: count them once
 
     def states(self, payloads: list[bytes], host_time_ns: int, read_mono_ns: int) -> None:
         """Send the samples of one read to bus and log."""
-        self._samples.put(self.state_channel, payloads, read_mono_ns)
+        # Without a router no subscriber is known: the newest samples wait for those who return with it.
+        if self._samples.held or has_subscriber(self._single):
+            self._samples.put(self.state_channel, payloads, read_mono_ns)
+        self._batches.put(self._batch_channel, payloads)
         if self._recorder is not None:
             for payload in payloads:
                 self._recorder.put(self._state_key, payload, host_time_ns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from gateway.board import faults
 from gateway.board.conditions import LINK, LOG, TO_BOARD, Condition, Standing
 from gateway.bus.publisher import BoardSink
 from gateway.link.driver import BoardDriver
@@ -88,14 +89,19 @@ class StatusMaker:
             holding[LINK] = Condition(text=driver.reason, since_ns=driver.since_ns)
         if driver.unanswered is not None:
             holding[TO_BOARD] = Condition(text=driver.unanswered.text, since_ns=driver.unanswered.host_time_ns)
-        sample, fault = driver.known.sample, driver.fault
+        sample = driver.known.sample
         if sample is not None and sample.state.flags & Flag.FAULT:
-            holding["fault" if fault is None else fault.name] = (
-                Condition(text="A fault is active and the coil is off; set a mode to clear it.")
-                if fault is None
-                else Condition(text=fault.text, since_ns=fault.host_time_ns)
-            )
+            holding |= fault_condition(driver.fault, sample.state.u_c)
         if log is not None and log.state not in ("writing", "off"):
             holding[LOG] = Condition(text=f"The log is not written: {log.state}.")
         seen = driver.handler.annotations.acknowledged
         return self._standing.tell(holding, seen, host_ns=driver.host_ns(), now_s=now_s)
+
+
+def fault_condition(event: pb.Event | None, u_c: int) -> dict[str, Condition]:
+    """Return the fault that the FAULT flag means: the event before it, unless u_c contradicts that event."""
+    if u_c > 0 and (event is None or event.name not in faults.COIL):
+        return {faults.OUTPUT_FAULT: Condition(text=faults.OUTPUT_UNCONFIRMED)}
+    if event is None:
+        return {faults.FAULT: Condition(text=faults.FAULT_TEXT)}
+    return {event.name: Condition(text=event.text, since_ns=event.host_time_ns)}

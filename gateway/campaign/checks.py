@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.campaign.menu import Burst, Experiment, Wave
 from gateway.campaign.plan import CommandLimits
 from protocol.bus import board51_pb2 as pb
+from protocol.experiments import Burst, Experiment, Wave
 from protocol.wire.messages import Flag
 
 FloatArray = NDArray[np.float64]

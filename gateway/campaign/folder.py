@@ -3,25 +3,26 @@
 Rule 1: each file is complete or absent: recordings and both lists are written to a temporary file, synced and renamed.
 Rule 2: a recording is listed after it was written.  Files that are not in `campaign.toml` are not part of the campaign.
 Rule 3: a folder is for one rig and one plan.  Another board, plant, law or plan is refused with the difference.
+Rule 4: `[plant]` of `campaign.toml` may be corrected by hand.  A plant that was assumed may be stated later.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from gateway.campaign.menu import BY_NAME, MENU, Experiment
 from gateway.campaign.plan import CommandLimits
 from gateway.campaign.subscriber import Recorded
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
-from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recording
+from protocol.campaign import Campaign, Controller, OperatingPoint, Plant, Recording, load_plant
 from protocol.campaign_text import emit
-from protocol.checked import Number, Whole, checked, key
+from protocol.checked import Flag, Number, Whole, checked, key
 from protocol.errors import DataError, ServiceError, UsageError
+from protocol.experiments import BY_NAME, MENU, Experiment
 from protocol.files import parse_json, read_small, replace_text
 
 RUN_FILE = "run.json"
@@ -29,6 +30,7 @@ _READABLE = "Give a new folder; the recordings here stay readable"
 FORMAT = 1
 # The published constants of a CE 152, as in the twin's nominal model, which this package may not import.
 CE152 = Plant(name="ce152", mass_kg=8.28e-3, travel_m=5.7e-3, x_max_m=5.7e-3, gravity_m_s2=9.81)
+ASSUMED = replace(CE152, assumed=True)  # of a rig whose plant nobody stated
 
 
 @dataclass(slots=True, kw_only=True)
@@ -48,10 +50,19 @@ class _File:
     identity: dict[str, dict[str, Any]]
     lift_off_v: Number | None
     recordings: dict[str, Retained]
+    left: list[str] = field(default_factory=list)
+    quick: Flag = False
+
+
+def is_emulated(parameters: pb.Parameters) -> bool:
+    """Return whether the board is an emulated CE 152, as its build says."""
+    return "emulated" in parameters.firmware
 
 
 def identity_of(board: str, parameters: pb.Parameters, plant: Plant) -> dict[str, Any]:
     """The data that must be the same for all recordings of a folder."""
+    # The ball of an emulated CE 152 has the published mass and travel: its build states the plant.
+    plant = replace(plant, assumed=plant.assumed and not is_emulated(parameters))
     return {
         "board": {"name": board, "board_id": parameters.board_id, "sample_time_s": parameters.sample_time_s},
         "plant": asdict(plant),
@@ -94,6 +105,8 @@ class Folder:
         self.path = path
         self.lift_off_v: float | None = None
         self.retained: dict[str, Retained] = {}
+        self.left: list[str] = []  # experiments of runs that did not end by themselves
+        self.quick = False  # of the latest run
         self._identity: dict[str, Any] | None = None
         if (path / RUN_FILE).exists():
             self._load()
@@ -108,6 +121,14 @@ class Folder:
         known: _File = checked(_File, table, where=str(file), error=DataError, remedy=_READABLE)
         self.lift_off_v, self._identity = known.lift_off_v, known.identity
         self.retained = {name: retained for name, retained in known.recordings.items() if name in BY_NAME}
+        self.left, self.quick = known.left, known.quick
+        if (self.path / "campaign.toml").exists():
+            self._identity["plant"] = asdict(load_plant(self.path))
+
+    @property
+    def plant(self) -> Plant | None:
+        """The plant of a folder that was begun; None for a new one."""
+        return None if self._identity is None else Plant(**self._identity["plant"])
 
     def claim(self, identity: Mapping[str, Any]) -> None:
         """Create the folder for this rig, or check that it is of this rig.
@@ -120,6 +141,8 @@ class Folder:
         """
         if self._identity is not None and self.retained:
             for part, known in self._identity.items():
+                if known.get("assumed"):
+                    continue
                 differing = [key for key in known if known[key] != identity[part].get(key)]
                 if differing:
                     key = differing[0]
@@ -134,6 +157,14 @@ class Folder:
             raise UsageError(
                 f"Folder {self.path} cannot be made: {error.strerror}", remedy="Give a folder that can be written"
             ) from None
+
+    def begin(self, names: Sequence[str], *, quick: bool) -> None:
+        """Note the experiments of a run: they are left to do until they are recorded, or until `settle`."""
+        self.left, self.quick = [*self.left, *(name for name in names if name not in self.left)], quick
+
+    def settle(self, names: Sequence[str]) -> None:
+        """Note that nothing is left to do for these experiments."""
+        self.left = [name for name in self.left if name not in names]
 
     def has(self, name: str, plan: Mapping[str, Any]) -> bool:
         """Whether the folder has the complete recording.
@@ -180,6 +211,7 @@ class Folder:
         retained.bytes = beside.stat().st_size
         beside.replace(file)
         self.retained[experiment.name] = retained
+        self.settle([experiment.name])
         self.save(controller)
 
     def drop(self, name: str) -> None:
@@ -194,6 +226,8 @@ class Folder:
             "identity": self._identity,
             "lift_off_v": self.lift_off_v,
             "recordings": {name: asdict(retained) for name, retained in self.retained.items()},
+            "left": self.left,
+            "quick": self.quick,
         }
         self._write(RUN_FILE, json.dumps(table, indent=1) + "\n")
         if self.retained:
@@ -206,7 +240,12 @@ class Folder:
             Recording(file=f"{e.name}.mcap", kind=e.kind, use=e.use) for e in MENU if e.name in self.retained
         )
         comments = ["Made by `board51 campaign run`.  run.json beside it says how."]
-        if plant == CE152:
+        if plant.assumed:
+            comments += [
+                "[plant]: nobody stated it; the published constants of a CE 152 are assumed.  K_c and b hold for that",
+                "plant only.  Write the mass and the travel of this rig, delete `assumed`, and identify again.",
+            ]
+        if replace(plant, assumed=False) == CE152:
             comments += [
                 "[plant]: the published constants of a CE 152; this rig was not measured.  x_max = travel puts the",
                 "coil's plane at the top stop; correct x_max_m if you know better.",

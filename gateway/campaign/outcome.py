@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from gateway.campaign.menu import BY_NAME, LIFT_OFF, Experiment
 from protocol.campaign import Plant
+from protocol.experiments import BY_NAME, LIFT_OFF, Experiment
 
 Standing = Literal["recorded", "already-there", "given-up", "impossible", "skipped", "interrupted", "not-reached"]
 
@@ -55,6 +55,7 @@ class Wishes:
     plant: Plant
     lift_off: Experiment = BY_NAME[LIFT_OFF]  # recorded first if its result is needed and unknown
     seed: int = 1
+    quick: bool = False
     u_max_v: float | None = None
     x_min_m: float | None = None
     x_max_m: float | None = None

@@ -12,10 +12,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from gateway.campaign.menu import LIFT_OFF, Burst, CoilOff, Constant, Experiment, Hover, Wave
+from gateway.board.reference import reference_range
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Plant
 from protocol.errors import UsageError
+from protocol.experiments import LIFT_OFF, Burst, CoilOff, Constant, Experiment, Hover, Wave
 
 LEFT_SHARE = 0.4  # of a signal's span that must remain within the limits for the signal to be useful
 _SHAPES = {
@@ -94,30 +95,30 @@ class Impossible:
 def limits_of(
     parameters: pb.Parameters, *, u_max_v: float | None, x_min_m: float | None, x_max_m: float | None
 ) -> CommandLimits:
-    """The board's limits, tightened by the options.
+    """The limits of board and gateway, tightened by the options.
 
     Args:
         parameters: of the board.
         u_max_v: upper limit of u_c, V; None: the board's.
-        x_min_m: lower limit of x_ref, m; None: the board's.
-        x_max_m: upper limit of x_ref, m; None: the board's.
+        x_min_m: lower limit of x_ref, m; None: that of board and gateway.
+        x_max_m: upper limit of x_ref, m; None: that of board and gateway.
 
     Raises:
         UsageError: an option is outside the board's limits, or leaves no range.
     """
     board = parameters
-    low, high = sorted((board.x_ref_min_m, board.x_ref_max_m))
-    for option, value, bottom, top, unit in (
-        ("--u-max", u_max_v, board.u_min_v, board.u_max_v, "V"),
-        ("--x-min", x_min_m, low, high, "mm"),
-        ("--x-max", x_max_m, low, high, "mm"),
+    low, high = reference_range(board)
+    for option, value, bottom, top, unit, whose in (
+        ("--u-max", u_max_v, board.u_min_v, board.u_max_v, "V", "the board's"),
+        ("--x-min", x_min_m, low, high, "mm", "the board's and the gateway's"),
+        ("--x-max", x_max_m, low, high, "mm", "the board's and the gateway's"),
     ):
         scale = 1e3 if unit == "mm" else 1.0
         # Half a count of tolerance, so that values copied from the board's printed limits are accepted.
         slack = 0.5 * abs(board.x_lsb_m if unit == "mm" else board.u_lsb_v) + 1e-9
         if value is not None and not bottom - slack <= value <= top + slack:
             raise UsageError(
-                f"{option} {value * scale:g} {unit} is outside the board's limits,"
+                f"{option} {value * scale:g} {unit} is outside {whose} limits,"
                 f" {bottom * scale:.4g} .. {top * scale:.4g} {unit}",
                 remedy="Give a value inside them; an option only tightens a limit",
             )
@@ -159,13 +160,13 @@ def actions_of(experiment: Experiment, scale: Scale) -> tuple[Action, ...] | Imp
             case CoilOff():
                 actions.append(Send(command=pb.Command(set_mode=pb.SetMode(mode=pb.MODE_IDLE)), hold_s=step.duration_s))
             case Constant():
-                constant = pb.Excite(shape=pb.SHAPE_NONE, offset=_volts(step.u, scale))
+                constant = pb.Excite(shape=pb.SHAPE_NONE, offset=_volts(step.value, scale))
                 actions.append(Send(command=pb.Command(excite=constant), hold_s=step.duration_s))
             case Burst():
                 u_from, u_to = _volts(step.u_from, scale), _volts(step.u_to, scale)
                 actions.append(Shoot(u_from_v=u_from, u_to_v=u_to, lead_s=step.lead_s))
             case Hover():
-                actions.append(GoTo(x_ref_m=_metres(step.x, scale), hold_s=step.duration_s))
+                actions.append(GoTo(x_ref_m=_metres(step.value, scale), hold_s=step.duration_s))
             case Wave():
                 played = _on_reference(step, scale) if step.on_reference else _on_input(step, scale)
                 if isinstance(played, Impossible):

@@ -158,7 +158,7 @@ class RigControl:
         if state.session != session:
             raise Cut(Problem(code="board-reset", text="the board began a new session in between"))
         if state.flags & Flag.FAULT:
-            raise Cut(Problem(code="fault", text="the board reports a fault and has switched the coil off"))
+            raise Cut(Problem(code="fault", text="the board reports a fault"))
         if state.flags & Flag.HOST_LOST:
             raise Cut(Problem(code="host-lost", text="the board missed its host and has acted on its own"))
 

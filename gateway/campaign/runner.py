@@ -14,8 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from gateway.campaign import checks
-from gateway.campaign.folder import Folder, Retained, controller_of, identity_of, plan_of
-from gateway.campaign.menu import LIFT_OFF, Experiment
+from gateway.campaign.folder import Folder, Retained, controller_of, identity_of, is_emulated, plan_of
 from gateway.campaign.outcome import Outcome, Summary, Wishes
 from gateway.campaign.plan import (
     Action,
@@ -34,6 +33,7 @@ from gateway.campaign.rig import Cut, RigControl, Stopped
 from gateway.campaign.subscriber import BoardSubscriber, Recorded, is_foreign
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import Board51Error, ServiceError
+from protocol.experiments import LIFT_OFF, Experiment
 
 ATTEMPTS = 3
 LOWERED = 0.7  # amplitudes of a repetition after the ball fell or something was clipped
@@ -84,9 +84,13 @@ class Runner:
         w = self._wishes
         self._limits = limits_of(self._parameters, u_max_v=w.u_max_v, x_min_m=w.x_min_m, x_max_m=w.x_max_m)
         self._folder.claim(identity_of(self._board, self._parameters, w.plant))
+        if w.plant.assumed and not is_emulated(self._parameters):
+            self._say("no --plant: a published CE 152 is assumed (8.28 g, 5.7 mm); K_c and b hold for that plant only")
         outcomes = [Outcome(experiment=experiment) for experiment in self._with_lift_off(w.experiments)]
         summary = Summary(outcomes=outcomes, lift_off_v=self._folder.lift_off_v)
         self._look_ahead(summary)
+        self._folder.begin([o.experiment.name for o in outcomes if o.standing == "not-reached"], quick=w.quick)
+        self._folder.save(controller_of(self._parameters))  # without the recordings that will be made again
         if all(o.standing != "not-reached" for o in outcomes):
             return summary
         self._x_ref_m = state.x_ref_m if state.HasField("x_ref_m") else None
@@ -94,6 +98,8 @@ class Runner:
         try:
             self._begin()
             self._all(summary)
+            self._folder.settle([outcome.experiment.name for outcome in outcomes])
+            self._folder.save(controller_of(self._parameters))
         except Stopped:
             summary.interrupted = True
         except Cut as cut:
@@ -149,7 +155,6 @@ class Runner:
     def _begin(self) -> None:
         if self._parameters.stream_divider != 1:
             self._rig.command(pb.Command(set_stream=pb.SetStream(divider=1)))
-        self._folder.save(controller_of(self._parameters))  # without the recordings that will be made again
         self._rig.land()
         self._rig.measure_rest()
 
@@ -177,7 +182,7 @@ class Runner:
             summary.lift_off_v = self._folder.lift_off_v
 
     def _refused(self, experiment: Experiment) -> str:
-        if "emulated" in self._parameters.firmware:
+        if is_emulated(self._parameters):
             return "the board is emulated: there is no ball to clamp"
         return self._wishes.ask(experiment)
 

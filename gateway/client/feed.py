@@ -16,6 +16,7 @@ from typing import NamedTuple, Self, TypeVar
 import zenoh
 from google.protobuf.message import Message
 
+from gateway.client.connection import subscribe
 from protocol.bus import topics
 from protocol.bus.encoding import parse
 from protocol.errors import UsageError
@@ -47,7 +48,7 @@ class Feed:
         self, session: zenoh.Session, site: str, board: str, names: Iterable[str], *, capacity: int = CAPACITY
     ) -> None:
         self._waiting = _Waiting(capacity)
-        subscribers = [session.declare_subscriber(f"{site}/{board}/{name}", self._waiting.put) for name in names]
+        subscribers = [subscribe(session, f"{site}/{board}/{name}", self._waiting.put) for name in names]
         # The callbacks refer to the queue and not to the feed, so that a loop left with `break` ends the subscription.
         self._end = weakref.finalize(self, _undeclare, subscribers)
 

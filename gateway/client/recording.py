@@ -13,6 +13,7 @@ from typing import Self
 
 import zenoh
 
+from gateway.client.connection import subscribe
 from gateway.client.values import Samples, read_log
 from gateway.record.recorder import Recorder, RecorderStats
 from protocol.bus import topics
@@ -74,7 +75,7 @@ class Recording:
         """
         self._recorder.start()
         try:
-            self._subscriber = self._session.declare_subscriber(self._keys, self._arrived)
+            self._subscriber = subscribe(self._session, self._keys, self._arrived)
         except BaseException:
             self._recorder.close()
             raise

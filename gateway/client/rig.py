@@ -10,22 +10,21 @@ from __future__ import annotations
 
 import contextlib
 import math
-import uuid
+import weakref
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import TYPE_CHECKING, Self, TypeVar
 
 import zenoh
 from google.protobuf.message import Message
 
 from gateway.client import commands
 from gateway.client.commands import HostLoss, Law, Mode, OperatingPoint, Shape
-from gateway.client.connection import ask, open_bus, send, send_stop
+from gateway.client.connection import ask, new_id, open_bus, send, send_stop
 from gateway.client.errors import accepted
 from gateway.client.feed import CAPACITY, Feed, check_topic
-from gateway.client.recording import Recording
 from gateway.client.sample_stream import SampleStream
 from gateway.client.values import Capture, Reply, Samples
 from protocol.bus import board51_pb2 as pb
@@ -33,6 +32,9 @@ from protocol.bus import topics
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.bus.identity import Identity, find_identity, login_name
 from protocol.errors import ServiceError, UsageError
+
+if TYPE_CHECKING:
+    from gateway.client.recording import Recording
 
 SILENCE_S = 3.0  # longest time without a sample; a gateway reconnects a port and reads a board again within it
 NEWEST_WAIT_S = 8.0  # periodic messages are sent at least every 5 s
@@ -83,6 +85,7 @@ class Rig:
         self._has_moved = False
         self._open: zenoh.Session | None = None
         self._closing = contextlib.ExitStack()
+        weakref.finalize(self, self._closing.close)  # of a rig that nobody closed; also when the interpreter ends
 
     # --- opening and closing
 
@@ -99,7 +102,9 @@ class Rig:
             self.close()
 
     def open(self) -> Self:
-        """Join the bus without `with`, as in a notebook.  Call `close` at the end, or the process will not end.
+        """Join the bus without `with`, as in a notebook.
+
+        The end of the program, whatever its cause, closes the rig; as `close` does, it sends the board no command.
 
         Raises:
             ServiceError: there is no router, or it refuses this identity.
@@ -252,7 +257,7 @@ class Rig:
             ServiceError: no twin answers.
         """
         command = commands.use_model(Path(model))
-        command.id, command.who = uuid.uuid4().hex, self.who
+        command.id, command.who = new_id(), self.who
         role, who = ("", "") if self.identity is None else (self.identity.role, self.identity.name)
         key = topics.command_key(self.site, self.board, role=role, who=who, topic="twin/command")
         reply = ask(self._session, key, command, self._timeout_s)
@@ -388,6 +393,8 @@ class Rig:
             UsageError: the directory cannot be created.
             LogError: it is read-only or full.
         """
+        from gateway.client.recording import Recording  # with the writer of logs, which no command needs
+
         source = {"record": {"connect": self.connect, "keys": f"{self.site}/{self.board}/**"}}
         recording = Recording(self._session, self.site, self.board, directory, prefix=prefix, metadata=source)
         self._closing.callback(recording.start().close)

@@ -18,13 +18,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.client.connection import add_bus_arguments, open_bus
+from protocol.arguments import number
 from protocol.bus.identity import find_identity
 from protocol.bus.topics import check_name
 from protocol.errors import UsageError
 
 if TYPE_CHECKING:
-    from gateway.campaign.menu import Experiment
     from gateway.campaign.outcome import Summary
+    from protocol.experiments import Experiment
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +44,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     run_.add_argument("--board", default="", help="name of the board")
     add_bus_arguments(run_)
     run_.add_argument(
-        "--plant", type=Path, metavar="FILE", help="TOML with the [plant] of this rig (default: the published CE 152)"
+        "--plant",
+        type=Path,
+        metavar="FILE",
+        help="TOML with the [plant] of this rig (default: that of FOLDER, else a published CE 152)",
     )
     run_.add_argument("--quick", action="store_true", help="about 25 s of data instead of 90 s")
     run_.add_argument(
@@ -60,10 +64,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = number(text)
     if not (math.isfinite(value) and value >= 0.0):
         raise argparse.ArgumentTypeError(f"{text} is not a number of at least 0")
     return value
@@ -71,7 +72,8 @@ def _positive(text: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     """0 when everything asked for is in the folder, 1 when not."""
-    from gateway.campaign.menu import BY_NAME, chosen
+    from gateway.campaign.selection import chosen
+    from protocol.experiments import BY_NAME
 
     if args.list:
         _print_menu(as_json=args.json)
@@ -89,17 +91,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> int:
-    from gateway.campaign.folder import CE152, Folder
-    from gateway.campaign.menu import LIFT_OFF, chosen
+    from gateway.campaign.folder import ASSUMED, Folder
     from gateway.campaign.outcome import Wishes
     from gateway.campaign.rig import RigControl, Stopped
     from gateway.campaign.runner import Runner
+    from gateway.campaign.selection import chosen
     from gateway.campaign.subscriber import BoardSubscriber
     from protocol.campaign import load_plant
+    from protocol.experiments import LIFT_OFF
 
-    plant = load_plant(args.plant) if args.plant is not None else CE152
-    if args.plant is None:
-        _say("no --plant: the published constants of a CE 152 are taken (8.28 g, 5.7 mm)")
+    folder = Folder(args.folder)
+    plant = load_plant(args.plant) if args.plant is not None else folder.plant or ASSUMED
     stop = threading.Event()
     identity = find_identity(args.identity)
     with open_bus(args.connect, identity) as session:
@@ -109,14 +111,14 @@ def _perform(args: argparse.Namespace, experiments: tuple[Experiment, ...]) -> i
         )
         wishes = Wishes(
             experiments=experiments, plant=plant, lift_off=chosen((LIFT_OFF,), quick=args.quick)[0],
-            seed=args.seed, u_max_v=args.u_max,
+            seed=args.seed, quick=args.quick, u_max_v=args.u_max,
             x_min_m=None if args.x_min is None else args.x_min * 1e-3,
             x_max_m=None if args.x_max is None else args.x_max * 1e-3,
             ask=lambda experiment: "" if args.yes else _ask(experiment, stop),
         )  # fmt: skip
         handlers = {n: signal.signal(n, lambda *_: stop.set()) for n in (signal.SIGINT, signal.SIGTERM)}
         try:
-            summary = Runner(rig, subscriber, Folder(args.folder), args.board, wishes, _say).run()
+            summary = Runner(rig, subscriber, folder, args.board, wishes, _say).run()
         except Stopped:
             _say("interrupted before the board's first sample: nothing was sent to it")
             return 1
@@ -143,7 +145,7 @@ def _say(text: str) -> None:
 
 
 def _print_menu(*, as_json: bool) -> None:
-    from gateway.campaign.menu import MENU
+    from protocol.experiments import MENU
 
     if as_json:
         rows = [

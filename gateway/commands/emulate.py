@@ -9,11 +9,12 @@ import argparse
 import json
 import math
 import os
-import signal
 import sys
 from dataclasses import asdict
 from pathlib import Path
 
+from gateway.access.listeners import is_loopback
+from protocol.ending import on_end_signal
 from protocol.errors import UsageError
 
 
@@ -114,11 +115,16 @@ def run(args: argparse.Namespace) -> int:
         rig=args.rig,
     )
     server = Server(lines, speed=args.speed)
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: server.stop())
+    on_end_signal(server.stop)
     for n, line in enumerate(lines):
         facts = {"board_id": args.board_id + n, "url": line.port.url}
         print(json.dumps(facts) if args.json else f"board {facts['board_id']}: {facts['url']}")
+    if args.pty is None and not is_loopback(_address(args)[0]):
+        print(
+            f"board51 emulate: --tcp {args.tcp} is open to the network WITHOUT PROTECTION: whoever reaches it may "
+            "command the emulated board; 127.0.0.1 serves this machine alone",
+            file=sys.stderr,
+        )
     if commitment is not None:
         print(json.dumps({"commitment": commitment}) if args.json else f"effects sealed in {args.sealed}: {commitment}")
     _flush()

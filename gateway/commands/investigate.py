@@ -46,7 +46,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="made or continued (default: investigation-RIG)")
     add_bus_arguments(parser)
     parser.add_argument(
-        "--plant", type=Path, metavar="FILE", help="TOML with the [plant] of this rig (default: the published CE 152)"
+        "--plant",
+        type=Path,
+        metavar="FILE",
+        help="TOML with the [plant] of this rig (default: that of FOLDER, else a published CE 152)",
     )
     parser.add_argument(
         "--budget", type=float, default=BUDGET_S, metavar="S", help=f"most time on the rig ({BUDGET_S:.0f} s)"

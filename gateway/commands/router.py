@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import signal
 import sys
 import threading
 from pathlib import Path
@@ -19,6 +18,7 @@ import zenoh
 from gateway.access.folder import SecurityFolder
 from gateway.access.listeners import check_bus_listeners
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
+from protocol.ending import on_end_signal
 from protocol.errors import ConfigError, ServiceError
 from protocol.files import DEEPEST, read_small
 
@@ -94,8 +94,7 @@ def run(args: argparse.Namespace) -> int:
         ) from None
     check_bus_listeners(_endpoints(config), guarded=_guarded(config), insecure=args.insecure)
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    on_end_signal(stop.set)
     listen = config.get_json("listen/endpoints")
     try:
         session = zenoh.open(config)

@@ -1,6 +1,8 @@
 """Send one command to a board through its gateway, and say what became of it.
 
 Exit code 0 if the board accepted it, 1 if it was refused or not delivered.
+
+Rule: a STOP imports what it needs and no more (tests/system/test_stop_imports.py): an import is time with the coil on.
 """
 
 from __future__ import annotations
@@ -10,24 +12,22 @@ import json
 import math
 import shlex
 
-from google.protobuf.json_format import MessageToDict
-
-from gateway.access.authorize import MAX_AGE_S
 from gateway.client import commands
 from gateway.client.connection import add_bus_arguments
 from gateway.client.rig import Rig
+from protocol.arguments import number, whole_number
 from protocol.bus import board51_pb2 as pb
 
 
 def _number(text: str) -> float:
-    value = float(text)
+    value = number(text)
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text} is not a finite number")
     return value
 
 
 def _whole(text: str) -> int:
-    value = int(text)
+    value = whole_number(text)
     if not 0 <= value < 2**32:
         raise argparse.ArgumentTypeError(f"{text} is not a whole number from 0 to 2^32 - 1")
     return value
@@ -51,7 +51,7 @@ def _duration(text: str) -> float:
 
 
 def _unix_time(text: str) -> int:
-    value = int(text)
+    value = whole_number(text)
     if not 0 < value < 2**64:
         raise argparse.ArgumentTypeError(f"{text} is no Unix time in ns")
     return value
@@ -93,19 +93,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("board", help="name of the board")
     what = parser.add_subparsers(dest="what", required=True, metavar="COMMAND")
     what.add_parser("mode", parents=[options], help="idle, open-loop or closed-loop").add_argument(
-        "mode", choices=list(commands.Mode)
+        "mode", choices=list(map(str, commands.Mode))
     )
     what.add_parser("reference", parents=[options], help="position to hold").add_argument(
         "x_ref", type=_number, metavar="METRES"
     )
     gains = what.add_parser("gains", parents=[options], help="control law, gains and operating point, SI (eq. 16-19)")
     gains.add_argument("gains", type=_number, nargs=4, metavar="K", help="LQI: k_i k_x k_v k_int; PID: k_p k_int k_d 0")
-    gains.add_argument("--law", choices=list(commands.Law), default=commands.Law.LQI)
+    gains.add_argument("--law", choices=list(map(str, commands.Law)), default=str(commands.Law.LQI))
     gains.add_argument("--operating-point", type=_number, nargs=3, required=True, metavar=("I_A", "X_M", "U_V"))
     excite = what.add_parser(
         "excite", parents=[options], help="play a signal on u_c (open loop) or x_ref (closed loop)"
     )
-    excite.add_argument("shape", choices=list(commands.Shape))
+    excite.add_argument("shape", choices=list(map(str, commands.Shape)))
     excite.add_argument("--on-reference", action="store_true", help="x_ref in metres instead of u_c in volts")
     for name, unit in (("amplitude", "V|M"), ("period", "S"), ("period-end", "S")):
         excite.add_argument(f"--{name}", type=_number, default=0.0, metavar=unit)
@@ -125,7 +125,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     capture.add_argument("--pre", type=_number, default=0.004, metavar="S", help="before the step (0.004 s)")
     what.add_parser("stream", parents=[options], help="send every n-th tick").add_argument("divider", type=_whole)
     loss = what.add_parser("host-loss", parents=[options], help="what the board does without its host")
-    loss.add_argument("policy", choices=list(commands.HostLoss))
+    loss.add_argument("policy", choices=list(map(str, commands.HostLoss)))
     loss.add_argument("--after", type=_number, default=1.0, metavar="S", help="1 s")
     what.add_parser("mark", parents=[options], help="a remark at this moment, into every log").add_argument(
         "text", type=_text
@@ -195,6 +195,8 @@ def run(args: argparse.Namespace) -> int:
     with rig:
         reply = rig.send(command)
     if args.json:
+        from google.protobuf.json_format import MessageToDict
+
         print(
             json.dumps(
                 MessageToDict(reply, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
@@ -205,6 +207,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         print(f"refused by {reply.refused_by}: {reply.reason}: {reply.text}")
         if reply.refused_by == "link" and args.what != "stop":
+            from gateway.access.authorize import MAX_AGE_S
+
             again = f"--id {shlex.quote(command.id)} --issued {command.issued_ns}"
             print(f"To repeat it without its being executed twice, within {MAX_AGE_S:g} s: {again}")
     return 0 if reply.accepted else 1

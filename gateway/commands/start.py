@@ -14,6 +14,7 @@ import socket
 import sys
 import tempfile
 import threading
+import uuid
 import webbrowser
 from collections.abc import Iterator
 from pathlib import Path
@@ -74,8 +75,10 @@ def run(args: argparse.Namespace) -> int:
         args.log_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"{args.log_dir} is no folder ({error.strerror})", remedy="Give another --log-dir") from None
-    with tempfile.TemporaryDirectory(prefix="board51-") as scratch, _until_stopped() as stopped:
-        services = _services(args, Path(scratch) / "ttyBoard51")
+    # A link without a folder around it: the emulated board removes it, also when this process is killed.
+    tty = Path(tempfile.gettempdir()) / f"board51-{uuid.uuid4().hex}"
+    with _until_stopped() as stopped:
+        services = _services(args, tty)
         with running(services):
             if _answers(page, stopped):
                 _tell(args, services)

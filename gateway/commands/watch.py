@@ -17,11 +17,13 @@ from protocol.bus.identity import find_identity
 
 LONGEST = 200  # characters of a text on a line for people
 
+_OFTEN = ("every tick", "every 20 ms")  # rates that are printed on request only
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Which keys, how many, how often."""
     parser.epilog = (
-        "examples:\n  board51 watch                       everything but state and twin, 1 line a message"
+        "examples:\n  board51 watch                       everything but samples, 1 line a message"
         "\n  board51 watch --topic state --every 0.5"
     )
     add_bus_arguments(parser)
@@ -39,7 +41,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _line(key: str, message: Message, *, as_json: bool) -> str:
-    fields = MessageToDict(message, preserving_proto_field_name=True)
+    # With zeros: else the mode of an idle board, which is 0, would be missing.
+    fields = MessageToDict(message, preserving_proto_field_name=True, always_print_fields_with_no_presence=True)
     if as_json:
         return json.dumps({"key": key, **fields})
     return f"{key}  " + "  ".join(f"{name}={_shown(value)}" for name, value in fields.items())
@@ -53,8 +56,8 @@ def _shown(value: object) -> str:
 
 def run(args: argparse.Namespace) -> int:
     """0 when something came, 1 when nothing did before the time-out."""
-    wanted = args.topic or [t.name for t in topics.TOPICS if t.bus and t.by != "client" and t.rate != "every tick"]
-    wanted = [name for name in wanted if args.topic or name != "state"]
+    rare = [t.name for t in topics.TOPICS if t.bus and t.by != "client" and not t.rate.startswith(_OFTEN)]
+    wanted = args.topic or rare
     printed, last = 0, dict[str, float]()
     end = time.monotonic() + args.timeout if args.timeout else None
     with (

@@ -29,6 +29,10 @@ SPANS = {
     "disconnect": "the port is closed and opened again; option :renamed opens a pty under PATH-renamed",
     "baud": "wrong baud rate: every byte arrives as garbage",
 }
+OUTPUTS = {  # the first counts where both are active
+    "deaf": "the converter of u_c confirms no write and keeps its output",
+    "stuck": "the converter of u_c confirms every write and keeps its output: a shorted driver",
+}
 EVENTS = {
     "reset": "the board loses power for a moment",
     "watchdog": "the firmware hangs and the watchdog resets it 50 ms later",
@@ -39,6 +43,7 @@ HELP = "\n".join(
         "faults (--fault NAME[=VALUE][@START[+LENGTH]][/EVERY][:OPTION], repeatable; times in seconds of the board):",
         *(f"  {name + '=P':<14} {about}, with probability P per byte" for name, about in RATES.items()),
         *(f"  {name + '=S':<14} {about}; lasts S s" for name, about in SPANS.items()),
+        *(f"  {name + '=S':<14} {about}; lasts S s" for name, about in OUTPUTS.items()),
         *(f"  {name:<14} {about}" for name, about in EVENTS.items()),
         "  @START         begins then (default 0); @START+LENGTH ends a rate after LENGTH s",
         "  /EVERY         comes again every EVERY s after START",
@@ -69,7 +74,7 @@ class Fault:
             return False
         if math.isfinite(self.every_s):
             since = math.fmod(since, self.every_s)
-        return since < (self.value if self.name in SPANS else self.length_s)
+        return since < (self.length_s if self.name in RATES else self.value)
 
     def happens(self, from_s: float, to_s: float) -> bool:
         """Return whether an event occurs within [from_s, to_s)."""
@@ -96,13 +101,13 @@ def parse(text: str) -> Fault:
     if match is None:
         raise _error(text, "not of the form NAME[=VALUE][@START[+LENGTH]][/EVERY][:OPTION]")
     name, option = match["name"], match["option"] or ""
-    if name not in RATES | SPANS | EVENTS:
+    if name not in RATES | SPANS | OUTPUTS | EVENTS:
         raise _error(text, f"no fault is called {name}")
     if (match["value"] is None) != (name in EVENTS):
         raise _error(text, "takes no value" if name in EVENTS else "needs a value")
     if match["length"] is not None and name not in RATES:
         raise _error(text, "+LENGTH is for probabilities; how long this one lasts is its value")
-    options = {"disconnect": ("renamed",), "reset": (), "watchdog": (), "overrun": ()}.get(name, ("tx", "rx"))
+    options = ("renamed",) if name == "disconnect" else () if name in EVENTS | OUTPUTS else ("tx", "rx")
     if option and option not in options:
         raise _error(text, f"has no option {option}")
     fault = Fault(
@@ -139,7 +144,7 @@ class FaultyLine:
         active = [
             fault
             for fault in faults
-            if fault.name not in EVENTS
+            if fault.name in RATES | SPANS
             and (not fault.option or fault.option in (self._direction, "renamed"))
             and fault.active(time_s)
         ]

@@ -11,8 +11,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
-from gateway.emulator.faults import EVENTS, Fault, FaultyLine
+from gateway.emulator.faults import EVENTS, OUTPUTS, Fault, FaultyLine
 from gateway.emulator.firmware.flash import T_S_US
+from gateway.emulator.firmware.output import OutputFault
 from gateway.emulator.firmware.uart import Pacer
 from gateway.emulator.ports import EmulatedPort
 from protocol.wire.messages import EventCode, Mode
@@ -53,6 +54,9 @@ class Board(Protocol):
     def overrun(self) -> None:
         """Let the board report the next tick as late."""
 
+    def fail_output(self, fault: OutputFault) -> None:
+        """Let the converter of u_c fail from now on, or work again."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineCounts:
@@ -87,6 +91,7 @@ class BoardLine:
         self._pacers = {direction: Pacer(baud) for direction in ("tx", "rx")}
         self._ticks = 0
         self._rest = b""  # of the frame on the line
+        self._output_fault = OutputFault.NONE
         self._plugged = True
         self._unplugged_by_hand = False
         self._renames = False  # the port opens under its other name
@@ -154,7 +159,15 @@ class BoardLine:
                 self.firmware.hang()
             else:
                 self.firmware.overrun()
+        self._follow_output()
         self._follow_plug()
+
+    def _follow_output(self) -> None:
+        names = {fault.name for fault in self._faults if fault.active(self.time_s)}
+        now = next((OutputFault[name.upper()] for name in OUTPUTS if name in names), OutputFault.NONE)
+        if now != self._output_fault:
+            self._output_fault = now
+            self.firmware.fail_output(now)
 
     def _follow_plug(self, *, renamed: bool = False) -> None:
         active = [fault for fault in self._faults if fault.name == "disconnect" and fault.active(self.time_s)]

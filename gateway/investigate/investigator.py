@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from gateway.campaign.menu import LIFT_OFF, MENU, chosen
 from gateway.campaign.plan import needs_lift_off
 from gateway.campaign.runner import OVERHEAD_S
+from gateway.campaign.selection import chosen
 from gateway.investigate.decide import Diagnose, Finish, Offer, Perform, next_action
 from gateway.investigate.journal import Diagnosed, Journal, Performed
 from gateway.investigate.work import Interrupted, Say, Work
 from protocol.errors import ServiceError
+from protocol.experiments import LIFT_OFF, MENU
 
 _RETAINED = ("verdict", "sentence", "causes", "candidates")  # of diagnosis.json
 

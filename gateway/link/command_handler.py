@@ -12,6 +12,9 @@ Rule 4: sender, time, content and result of every command are published as a Com
 Rule 5: on a guarded bus the sender (access/authorize.py) is written into the command, and its role and the command's
         age are checked first.  These refusals are not kept, so that senders without a right cannot fill the memory.
 Rule 6: every STOP is sent to the board, whatever its id: used, pending, or absent.
+Rule 7: a command to the board that was issued before the last STOP arrived is refused (`superseded-by-stop`), whenever
+        it arrives.  Its date counts, or its arrival where it has none or a later date.  A command that was refused as
+        `not-fresh` and is sent again with a new date counts by its first arrival.
 """
 
 from __future__ import annotations
@@ -35,6 +38,7 @@ from protocol.wire.messages import Flag, Message, Mode, Reason
 from protocol.wire.session import Session
 
 RETAINED_IDS = 256
+LATE_IDS = 256  # commands that were refused as not fresh and may come again with a new date
 RETAINED_S = 20.0  # longer than a command is valid (access/authorize.py): none is executed twice
 MAX_WAITING = 32  # commands that may wait for one board: at 0.5 s per time-out, more would expire in the queue
 
@@ -110,6 +114,8 @@ class CommandHandler:
         self._x_ref_m: float | None = None  # commanded, not yet seen in a state
         self._x_ref_tick: float = -1  # seen from this tick on
         self._mode_tick: float = -1
+        self._stopped_ns = 0  # arrival of the last STOP, Unix time
+        self._late: OrderedDict[str, int] = OrderedDict()  # id -> first arrival of a command that was not fresh
 
     def take(
         self,
@@ -144,6 +150,7 @@ class CommandHandler:
         if not_allowed is not None:
             return not_allowed
         if command.WhichOneof("what") == "stop":
+            self._stopped_ns = max(self._stopped_ns, sender.arrived_ns)  # also of a STOP that cannot be sent now
             return self._stop(asked, now_s, link, reason)
         waiting = (one for pending in self._pending.values() for one in pending.asked)
         pending = next((one for one in waiting if one.command.id == command.id and not _is_stop(one.command)), None)
@@ -159,7 +166,13 @@ class CommandHandler:
             elif pending is not None:
                 pending.replies += asked.replies
             return None
-        refusal = sender.fresh(command) or self._gate.admit(command, now_s)
+        refusal = sender.fresh(command)
+        if refusal is not None:
+            self._late.setdefault(command.id, sender.arrived_ns)
+            if len(self._late) > LATE_IDS:
+                self._late.popitem(last=False)
+            return refusal
+        refusal = self._gate.admit(command, now_s)
         if refusal is not None:
             return refusal
         if self._session.waiting >= MAX_WAITING:
@@ -167,6 +180,9 @@ class CommandHandler:
         if command.WhichOneof("what") in KINDS:
             self._note(asked)
             return None
+        before_s = (self._stopped_ns - self._issued_ns(command, sender)) * 1e-9
+        if before_s > 0:
+            return _before_stop(before_s)
         return self._carry_on(asked, now_s, link, reason, sender.left_s(command))
 
     def answered(self, answer: Answer, host_ns: int) -> bool:
@@ -200,6 +216,10 @@ class CommandHandler:
         if reply.accepted and message is not None:
             self._on_accepted(pending.wire, pending.asked[0].command, message)
         return True
+
+    def _issued_ns(self, command: pb.Command, sender: Sender) -> int:
+        """Return when a command was issued at the latest, by the gateway's clock as far as the sender's agrees."""
+        return min(command.issued_ns or sender.arrived_ns, self._late.get(command.id, sender.arrived_ns))
 
     def _stop(self, asked: _Asked, now_s: float, link: str, reason: str) -> Refusal | None:
         if link in _NO_PORT:
@@ -265,6 +285,11 @@ class CommandHandler:
         elif command.WhichOneof("what") in ("set_mode", "stop"):
             self._mode_tick = tick
 
+    def clock_stepped(self, step_ns: int) -> None:
+        """Correct the time of the last STOP after a step of the host's clock."""
+        if self._stopped_ns:
+            self._stopped_ns += step_ns
+
     def session_ended(self) -> None:
         """Discard the commanded reference: after a new count of ticks it does not describe the board."""
         self._x_ref_tick = self._mode_tick = -1
@@ -300,6 +325,14 @@ def _is_stop(command: pb.Command) -> bool:
 def _down(link: str, reason: str) -> Refusal:
     return Refusal(
         "link-down", f"The board is not there ({link}: {reason})." if reason else f"The board is not there ({link})."
+    )
+
+
+def _before_stop(seconds: float) -> Refusal:
+    return Refusal(
+        "superseded-by-stop",
+        f"It was issued {seconds:.3f} s before the last STOP of this rig arrived, so it was not sent. If it is newer"
+        " than the STOP, the clocks of its sender and of the gateway differ: set them.",
     )
 
 

@@ -254,8 +254,8 @@ class BoardDriver:
             text = event_text.wrong_board(self.port, board_id, self.config.board_id)
             self._refuse_board("wrong-board", text, now_s)
             return
-        if scaling is None:
-            self._refuse_board("bad-identity", "The board reports a scaling of 0: its firmware is not usable.", now_s)
+        if isinstance(scaling, str):
+            self._refuse_board("bad-identity", scaling, now_s)
             return
         self._offset_ns = self._clock.offset_ns()
         self.known.identity, self.known.scaling = opened.identity, scaling

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from gateway.board.faults import COIL_MAY_BE_ON, OUTPUT_UNCONFIRMED, name_of
 from protocol.wire.events import BoardEvent
-from protocol.wire.messages import FAULT_EVENTS, RESETS, VERSION, EventCode, Message, Mode
+from protocol.wire.messages import BY_NAME, FAULT_EVENTS, RESETS, VERSION, EventCode, Message, Mode
 
-_WARNINGS = frozenset({EventCode.HOST_LOST, EventCode.OVERRUN, EventCode.LIMIT_HIT}) | (RESETS - FAULT_EVENTS)
+_WARNINGS = frozenset({EventCode.HOST_LOST, EventCode.OVERRUN, EventCode.LIMIT_HIT, EventCode.SETTINGS_REJECTED}) | (
+    RESETS - FAULT_EVENTS
+)
 _RESET = "The board restarted; resets since power-on: {detail}."
 _TEXT = {
     EventCode.HOST_LOST: "No frame from the host in time; the policy has acted: {policy}.",
@@ -17,10 +20,17 @@ _TEXT = {
     EventCode.CAPTURE_DONE: "The capture is complete.",
     EventCode.LIMIT_HIT: "The {limited} has reached its limit.",
     EventCode.MODE_CHANGED: "Mode {mode}.",
+    EventCode.OUTPUT_FAULT: OUTPUT_UNCONFIRMED,
+    EventCode.UNCOMMANDED_CURRENT: "A current flows although u_c is 0, {detail} counts. " + COIL_MAY_BE_ON,
+    EventCode.SETTINGS_REJECTED: (
+        "The settings in the board's memory are not usable: {field} is out of range."
+        " The gains and limits of its program are in force: check them before you fly, and store the settings again."
+    ),
 }
 
 _POLICIES = ("the coil goes on as before", "coil off", "the reference is held")
 _LIMITED = ("input u_c", "reference")
+_SETTINGS = ("?", *(field.name for field in BY_NAME["PARAMETERS"].fields[1:18]))
 
 
 def _word(words: tuple[str, ...], number: int) -> str:
@@ -42,8 +52,9 @@ def of_board(event: BoardEvent) -> tuple[str, str, str]:
         mode=mode_name(event.detail),
         policy=_word(_POLICIES, event.detail),
         limited=_word(_LIMITED, event.detail),
+        field=_word(_SETTINGS, event.detail),
     )
-    return code.name.lower().replace("_", "-"), severity, text
+    return name_of(code), severity, text
 
 
 def who_is_there(identity: Message, port: str, session: int) -> str:

@@ -29,8 +29,14 @@ def start(*command: str, nicer: bool = True, **options: Any) -> Process:
         nicer: run at a lower priority than this process.
         options: of `subprocess.Popen`.
     """
-    child = [sys.executable, "-m", "gateway.processes.child", *(() if nicer else (SAME_PRIORITY,)), *command]
-    return subprocess.Popen(child, stdin=subprocess.PIPE, start_new_session=True, **options)
+    return subprocess.Popen(
+        child_words(*command, nicer=nicer), stdin=subprocess.PIPE, start_new_session=True, **options
+    )
+
+
+def child_words(*command: str, nicer: bool = True) -> list[str]:
+    """Return the command line of `board51 COMMAND` as a child, which ends when its standard input closes."""
+    return [sys.executable, "-m", "gateway.processes.child", *(() if nicer else (SAME_PRIORITY,)), *command]
 
 
 def end(processes: Sequence[Process], with_signal: signal.Signals, limit_s: float) -> list[Process]:

@@ -3,7 +3,9 @@
 Rule 1: payloads are sent byte for byte: a twin computes the same from a replay as from the live board.
 Rule 2: the order is that of the log; the pace is log time divided by speed; with speed 0 only the bus limits the pace.
 Rule 3: twin/* is replayed only on request: a live twin publishes it, too, and two sources under one key would mix.
-Rule 4: a replay does not publish under the name of a board that is alive on the bus.
+Rule 4: each message is marked as replayed, beside its payload: views of the live rigs leave it out.
+Rule 5: each recorded `state` is also sent as `states`, one by one: a longer batch would delay its first sample.
+Rule 6: a replay does not publish under the name of a board that is alive on the bus.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import zenoh
 from google.protobuf.message import Message
 
 from protocol.bus import encoding, topics
+from protocol.bus.endpoint import has_subscriber
 from protocol.errors import ServiceError, UsageError
 from protocol.log.reader import LogReader, RawLogRecord
 
@@ -121,17 +124,22 @@ class BusReplay:
         """Announce (site, board, topic) ahead of the first message, so that subscribers are matched by then."""
         for site, board, topic in keys:
             self._publisher(site, board, topic)
+            if topic == "state":
+                self._publisher(site, board, "states")
 
     def matched(self) -> bool:
         """Whether an announced key has a subscriber."""
-        return any(publisher.matching_status for publisher in self._publishers.values())
+        return any(has_subscriber(publisher) for publisher in self._publishers.values())
 
     def send(self, record: RawLogRecord) -> None:
         """Publish one record."""
         data = record.data
         if self.session_offset:
             data = _with_session(record.topic, data, self.session_offset)
-        self._publisher(record.site, record.board, record.topic).put(data)
+        self._publisher(record.site, record.board, record.topic).put(data, attachment=encoding.REPLAYED)
+        if record.topic == "state":
+            batch = encoding.state_batch([data])
+            self._publisher(record.site, record.board, "states").put(batch, attachment=encoding.REPLAYED)
 
     def _publisher(self, site: str, board: str, topic: str) -> zenoh.Publisher:
         key = topics.key(self._site or site, self._rename or board, topic)

@@ -22,13 +22,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from gateway.board.conditions import LINK, LOG, TO_BOARD
+from gateway.board.faults import BOARD_FAULTS, COIL, FAULT, FAULT_TEXT
 from protocol.bus import board51_pb2 as pb
-from protocol.wire.messages import FAULT_EVENTS, Flag
+from protocol.wire.messages import Flag
 
 MAX_ALARMS = 64
 TWIN = "twin-gone"  # like LINK and LOG, a condition that the views judge themselves
-# Faults that the board latches: they hold while its FAULT flag is up, and an EVENT says which it is.
-BOARD_FAULTS = frozenset(code.name.lower().replace("_", "-") for code in FAULT_EVENTS) | {"fault"}
 _REFUSED_BOARD = frozenset({"version-mismatch", "wrong-board", "bad-identity"})  # end when samples come
 
 
@@ -103,8 +102,8 @@ class AlarmBook:
         """
         for alarm in alarms.active:
             since_ns = alarm.host_time_ns or now_ns
-            if alarm.name in BOARD_FAULTS and alarm.name != "fault" and self._is_active("fault"):
-                del self._alarms["fault"]
+            if alarm.name in BOARD_FAULTS and alarm.name != FAULT and self._is_active(FAULT):
+                del self._alarms[FAULT]
                 self.come(alarm.name, "fault", alarm.text, since_ns)
             known = self._alarms.get(alarm.name)
             if known is not None and known.active and known.times == 1 and since_ns < known.since_ns:
@@ -118,7 +117,7 @@ class AlarmBook:
         now_ns = event.host_time_ns or now_ns
         if event.name in BOARD_FAULTS:
             self._fault_at = (event.session, event.tick)  # samples from before it may still be on their way
-            self._alarms.pop("fault", None)  # its name is known now
+            self._alarms.pop(FAULT, None)  # its name is known now
             self.come(event.name, "fault", event.text, now_ns)
         elif event.name in _REFUSED_BOARD:
             self.come(event.name, "fault", event.text, now_ns)
@@ -135,7 +134,7 @@ class AlarmBook:
         """Process `state`: faults have no end event, so the end of the FAULT flag ends them."""
         if state.flags & Flag.FAULT:
             if not self.fault():
-                self.come("fault", "fault", "A fault is active and the coil is off; set a mode to clear it.", now_ns)
+                self.come(FAULT, "fault", FAULT_TEXT, now_ns)
         elif self._alarms and (state.session != self._fault_at[0] or state.tick > self._fault_at[1]):
             for name in [a.name for a in self._alarms.values() if a.active and a.name in BOARD_FAULTS]:
                 self.go(name, now_ns)
@@ -230,8 +229,9 @@ class AlarmBook:
             self._alarms[name] = replace(alarm, active=False, changed_ns=now_ns)
 
     def fault(self) -> str:
-        """The fault that the board has latched; "fault" where it has not said which, empty where none."""
-        return next((a.name for a in self._alarms.values() if a.active and a.name in BOARD_FAULTS), "")
+        """The fault that the board has latched, first one that it cannot end; "fault" where its kind is not known."""
+        names = [a.name for a in self._alarms.values() if a.active and a.name in BOARD_FAULTS]
+        return min(names, key=lambda name: name not in COIL, default="")
 
     def _is_active(self, name: str) -> bool:
         return name in self._alarms and self._alarms[name].active

@@ -16,7 +16,10 @@ Rule 1: views poll the feed.  zenoh's thread receives the messages and runs no c
 Rule 2: age is measured by this process's monotonic clock, never by time stamps of others.
 Rule 3: messages that are malformed, of unknown type or beyond the number of boards are counted (`refused`); no error is
         raised.
-Rule 4: `feed.now_ns()` stamps alarms that the views raise themselves; samples have the time stamp of the gateway.
+Rule 4: a board is known by messages of its gateway; those of the twin alone make none.
+Rule 5: what a replay sends is marked (protocol/bus/encoding.py).  A feed takes either what is live or what is replayed,
+        so a replay is never shown as a rig, and is never among the rigs of STOP.
+Rule 6: `feed.now_ns()` stamps alarms that the views raise themselves; samples have the time stamp of the gateway.
 """
 
 from __future__ import annotations
@@ -39,7 +42,7 @@ from gateway.views.bins import TopicBins, channels
 from gateway.views.decimate import Decimator
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
-from protocol.bus.encoding import parse
+from protocol.bus.encoding import is_replayed, parse
 
 M = TypeVar("M", bound=Message)
 
@@ -48,8 +51,9 @@ RETAINED_EVENTS = 200
 SILENT_S = 0.5  # without a state for so long (and three of its periods) a board is not live
 GRACE_S = 2.0  # no alarm while a board is being discovered
 GATEWAY_S = 3.5  # status comes once a second: without it, three times over, there is no gateway
+UNSEEN_S = 120.0  # a board without any message for so long may be removed
 TWIN_GONE_S = 12.0  # `twin/alarms` comes every 5 s: without it twice over, there is no twin
-_WANTED = ("state", "status", "event", "alarms", "parameters", "command/record", "twin/state", "twin/divergence",
+_WANTED = ("states", "status", "event", "alarms", "parameters", "command/record", "twin/state", "twin/divergence",
            "twin/alarm", "twin/alarms", "twin/model")  # fmt: skip
 # One subscriber for all of the twin: zenoh keeps the order within a subscriber, and a list of active alarms that
 # overtakes an alarm would end it.
@@ -98,6 +102,7 @@ class BoardFeed:
         self._period_s = 0.0
         self._first_s = now_s()
         self._back_s = self._first_s  # the gateway came, or came back
+        self.stopped_s = -math.inf  # when the last STOP was seen, whoever sent it
 
     def latest(self, message: type[M]) -> M | None:
         """Return the newest message of this type, or None."""
@@ -210,7 +215,13 @@ class BoardFeed:
         with self._lock:
             self._book.acknowledge(alarm, who, now_ns, comment)
 
+    def is_unseen(self) -> bool:
+        """Return whether nothing has come from the gateway for UNSEEN_S."""
+        return min(self.age_s(kind) for kind in _OF_GATEWAY) > UNSEEN_S
+
     def _seen(self, record: pb.CommandRecord) -> None:
+        if record.command.WhichOneof("what") == "stop":
+            self.stopped_s = self._now_s()
         if record.reply.accepted and record.command.WhichOneof("what") == "acknowledge":
             seen = record.command.acknowledge
             self._book.acknowledge(seen.alarm, record.command.who or "unknown", record.received_ns, seen.comment)
@@ -231,6 +242,7 @@ class Feed:
         session: of the bus.
         site: first chunk of the keys.
         guarded: whether commands use the key `command/as/<role>/<who>`, as required on a guarded bus.
+        replays: whether to take what is replayed, and nothing else.
         now_s: monotonic clock, for tests.
     """
 
@@ -240,12 +252,13 @@ class Feed:
         site: str = topics.DEFAULT_SITE,
         *,
         guarded: bool = False,
+        replays: bool = False,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.site = topics.check_name(site, what="site")
         self.guarded = guarded
         self.refused = 0
-        self._session, self._now_s = session, now_s
+        self._session, self._now_s, self._replays = session, now_s, replays
         self._lock = threading.Lock()
         self._boards: dict[str, BoardFeed] = {}
         self._subscribers = [session.declare_subscriber(f"{site}/*/{topic}", self._arrived) for topic in _KEYS]
@@ -266,7 +279,20 @@ class Feed:
         """Return a board, or None if no message of it has arrived."""
         return self._boards.get(name)
 
-    def acknowledge(self, board: str, alarm: str, *, who: str, role: str = "", comment: str = "") -> pb.CommandReply:
+    def remove(self, name: str) -> bool:
+        """Forget a board from which nothing has come for UNSEEN_S, until its next message; False for others."""
+        with self._lock:
+            board = self._boards.get(name)
+            return board is not None and board.is_unseen() and self._boards.pop(name) is board
+
+    def stopped_s(self, name: str) -> float:
+        """Return when the last STOP of a board was seen, monotonic; -inf if none was."""
+        board = self._boards.get(name)
+        return -math.inf if board is None else board.stopped_s
+
+    def acknowledge(
+        self, board: str, alarm: str, *, who: str, role: str = "", comment: str = "", issued_ns: int = 0
+    ) -> pb.CommandReply:
         """Acknowledge an alarm by a command, so that every view and the log receive it; blocks like `command`.
 
         If there is no such alarm, the reply is refused by "view" with the reason "no-alarm".  Without a gateway the
@@ -278,7 +304,7 @@ class Feed:
             text = "There is no such alarm, or it was acknowledged before."
             return pb.CommandReply(refused_by="view", reason="no-alarm", text=text)
         what = pb.Command(acknowledge=pb.Acknowledge(alarm=alarm, comment=comment))
-        reply = self.command(board, what, who=who, role=role)
+        reply = self.command(board, what, who=who, role=role, issued_ns=issued_ns)
         if reply.reason == "not-delivered":
             reply = pb.CommandReply(accepted=True, text="Seen in this view alone: no gateway answers.")
         if reply.accepted:  # at once: the record may take a moment
@@ -286,10 +312,11 @@ class Feed:
         return reply
 
     def command(
-        self, board: str, what: pb.Command, *, who: str, role: str = "", timeout_s: float = 5.0
+        self, board: str, what: pb.Command, *, who: str, role: str = "", timeout_s: float = 5.0, issued_ns: int = 0
     ) -> pb.CommandReply:
         """Send the command `what` on behalf of `who`, and wait for its reply; an empty id is filled in.
 
+        `issued_ns` is when it came to the view, Unix time (0: now): the gateway refuses what was issued before a STOP.
         `refused_by` is "link" if no gateway answered.  The caller has authenticated the user; on a guarded bus the
         gateway checks `role`.
         """
@@ -297,13 +324,18 @@ class Feed:
         command.CopyFrom(what)
         command.who = who
         as_role = role if self.guarded else ""
-        return send(self._session, self.site, board, command, timeout_s=timeout_s, role=as_role, typed=False)
+        return send(
+            self._session, self.site, board, command,
+            timeout_s=timeout_s, role=as_role, typed=False, since_ns=issued_ns,
+        )  # fmt: skip
 
     def now_ns(self) -> int:
         """Unix time of this host."""
         return time.time_ns()
 
     def _arrived(self, sample: zenoh.Sample) -> None:
+        if is_replayed(sample.attachment) != self._replays:
+            return
         place = topics.split(str(sample.key_expr))
         kind = _TYPES.get(place[2]) if place is not None else None
         message = parse(kind, sample.payload.to_bytes()) if kind is not None else None
@@ -313,11 +345,15 @@ class Feed:
         with self._lock:
             board = self._boards.get(place[1])
             if board is None:
+                if topics.BY_NAME[place[2]].by != "gateway" and not self._replays:
+                    return
                 if len(self._boards) >= MAX_BOARDS:
                     self.refused += 1
                     return
                 board = self._boards[place[1]] = BoardFeed(place[1], self._lock, self._now_s)
-            board.take(message, time.time_ns())
+            now_ns = time.time_ns()
+            for one in message.states if isinstance(message, pb.StateBatch) else (message,):
+                board.take(one, now_ns)
 
     def _alive(self, sample: zenoh.Sample) -> None:
         _, _, rest = str(sample.key_expr).partition("/")

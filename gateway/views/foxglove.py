@@ -1,7 +1,8 @@
 """Serves the bus as a live Foxglove WebSocket: the same topics, bytes and schemas as in the MCAP logs.
 
 Rule 1: it is read-only: no parameters, no services, no messages from clients.
-Rule 2: payloads are passed on unchanged, with the time stamps of the gateway, as in its log.
+Rule 2: messages are passed on unchanged (those of `states` one by one, as `state`), with the time stamps of the
+        gateway, as in its log.
 Rule 3: the protocol has no login, so the server listens on loopback only, unless `--insecure` is given.
 Rule 4: a client that does not read loses only its own messages (`BACKLOG`).
 """
@@ -16,7 +17,9 @@ from collections.abc import Callable
 import foxglove
 import zenoh
 from foxglove import Channel, Context, Schema
+from google.protobuf.message import Message
 
+from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.bus.encoding import MESSAGE_ENCODING, SCHEMA_ENCODING, descriptor_set, parse, schema_name
 from protocol.errors import ServiceError
@@ -56,7 +59,8 @@ class FoxgloveView:
                 remedy="End the program that uses the port, or give another one with --listen HOST:PORT",
             ) from None
         self.port = self._server.port
-        wanted = [t.name for t in topics.TOPICS if t.bus and t.by != "client"]
+        # `states` has the same samples as `state`, in fewer messages.
+        wanted = [t.name for t in topics.TOPICS if t.bus and t.by != "client" and t.name != "state"]
         self._subscribers = [session.declare_subscriber(f"{site}/*/{topic}", self._arrived) for topic in wanted]
 
     def close(self) -> None:
@@ -71,17 +75,24 @@ class FoxgloveView:
         message = parse(topics.BY_NAME[place[2]].message, data) if place is not None else None
         if place is None or message is None:
             self.refused += 1
-            return
+        elif isinstance(message, pb.StateBatch):
+            key = topics.key(place[0], place[1], "state")
+            for state in message.states:
+                self._show(key, "state", place[1], state, state.SerializeToString())
+        else:
+            self._show(key, place[2], place[1], message, data)
+
+    def _show(self, key: str, topic: str, board: str, message: Message, data: bytes) -> None:
         with self._lock:
-            channel = self._channels.get(key) or self._open(key, place[2])
+            channel = self._channels.get(key) or self._open(key, topic)
             if channel is None:
                 self.refused += 1
                 return
             # What bears no time of its own (twin/*) gets that of its board's newest message, as in `board51 record`.
             own_ns: int | None = getattr(message, "host_time_ns", getattr(message, "received_ns", None))
             if own_ns is not None:
-                self._newest_ns[place[1]] = max(own_ns, self._newest_ns.get(place[1], 0))
-            channel.log(data, log_time=own_ns or self._newest_ns.get(place[1], time.time_ns()))
+                self._newest_ns[board] = max(own_ns, self._newest_ns.get(board, 0))
+            channel.log(data, log_time=own_ns or self._newest_ns.get(board, time.time_ns()))
 
     def _open(self, key: str, topic: str) -> Channel | None:
         if len(self._channels) >= MAX_CHANNELS:

@@ -68,6 +68,12 @@ class State(_message.Message):
     lost_before: int
     def __init__(self, sequence: _Optional[int] = ..., tick: _Optional[int] = ..., session: _Optional[int] = ..., host_time_ns: _Optional[int] = ..., i_c_a: _Optional[float] = ..., x_m: _Optional[float] = ..., u_c_v: _Optional[float] = ..., x_ref_m: _Optional[float] = ..., mode: _Optional[_Union[Mode, str]] = ..., flags: _Optional[int] = ..., t_s: _Optional[float] = ..., lost_before: _Optional[int] = ...) -> None: ...
 
+class StateBatch(_message.Message):
+    __slots__ = ("states",)
+    STATES_FIELD_NUMBER: _ClassVar[int]
+    states: _containers.RepeatedCompositeFieldContainer[State]
+    def __init__(self, states: _Optional[_Iterable[_Union[State, _Mapping]]] = ...) -> None: ...
+
 class Parameters(_message.Message):
     __slots__ = ("session", "host_time_ns", "firmware", "board_id", "protocol_version", "sample_time_s", "law", "gains", "i_0_a", "x_0_m", "u_0_v", "x_ref_min_m", "x_ref_max_m", "x_ref_step_max_m", "x_ref_slew_m_s", "u_max_v", "stream_divider", "host_loss_policy", "host_loss_timeout_s", "i_lsb_a", "x_lsb_m", "u_lsb_v", "u_min_v", "from_tick", "capture_s", "gateway_x_ref_min_m", "gateway_x_ref_max_m")
     SESSION_FIELD_NUMBER: _ClassVar[int]

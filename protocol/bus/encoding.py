@@ -6,19 +6,21 @@ serialised FileDescriptorSet, so that any protobuf tool can decode a log without
 
 from __future__ import annotations
 
-from typing import TypeVar
+from collections.abc import Iterable
+from typing import SupportsBytes, TypeVar
 
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import DecodeError, Message
 
 from protocol.bus import board51_pb2 as pb
 
 MIME = "application/protobuf"
 M = TypeVar("M", bound=Message)
+REPLAYED = b"replayed"  # zenoh attachment of each message that a replay sends; its payload is that of the log
 SCHEMA_ENCODING = MESSAGE_ENCODING = "protobuf"
 # Size of a log's chunks before compression, 0.3 s of one board: a damaged byte costs at least one chunk.  Compared with
 # chunks of 1 MiB, files are 22 % larger with zstd and 6 % with lz4.
 CHUNK_BYTES = 1 << 14
+_TAG_OF_STATES = pb.StateBatch.STATES_FIELD_NUMBER << 3 | 2  # 2: a length follows
 
 
 def schema_name(message: type[Message]) -> str:
@@ -31,8 +33,15 @@ def zenoh_encoding(message: type[Message]) -> str:
     return f"{MIME};{schema_name(message)}"
 
 
+def is_replayed(attachment: SupportsBytes | None) -> bool:
+    """Whether the attachment of a message on the bus marks it as sent by a replay."""
+    return attachment is not None and bytes(attachment) == REPLAYED
+
+
 def descriptor_set() -> bytes:
     """Return the serialised FileDescriptorSet of board51.proto, which has no imports."""
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet  # slow to load, and needed by logs alone
+
     files = FileDescriptorSet()
     pb.DESCRIPTOR.CopyToProto(files.file.add())
     return files.SerializeToString(deterministic=True)
@@ -44,3 +53,17 @@ def parse(message: type[M], data: bytes) -> M | None:
         return message.FromString(data)
     except DecodeError:
         return None
+
+
+def state_batch(states: Iterable[bytes]) -> bytes:
+    """Return the serialised pb.StateBatch of serialised pb.State: each behind its tag and length."""
+    parts = bytearray()
+    for state in states:
+        parts.append(_TAG_OF_STATES)
+        rest = len(state)
+        while rest > 0x7F:
+            parts.append(rest & 0x7F | 0x80)
+            rest >>= 7
+        parts.append(rest)
+        parts += state
+    return bytes(parts)

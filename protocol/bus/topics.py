@@ -38,6 +38,8 @@ class Topic:
 TOPICS: tuple[Topic, ...] = (
     Topic(name="state", message=pb.State, by="gateway", rate="every tick (500 Hz)", bus=True, logged=True,
           about="one control tick in SI units"),
+    Topic(name="states", message=pb.StateBatch, by="gateway", rate="every 20 ms (50 Hz)", bus=True, logged=False,
+          about="the ticks of the last 20 ms in one message"),
     Topic(name="status", message=pb.Status, by="gateway", rate="1 Hz", bus=True, logged=True,
           about="health of link, bus and log"),
     Topic(name="event", message=pb.Event, by="gateway", rate="on event", bus=True, logged=True,
@@ -71,6 +73,8 @@ BY_NAME = {topic.name: topic for topic in TOPICS}
 
 AS = "as"
 ALIVE = "alive"  # liveliness token <site>/<board>/alive, held while the gateway serves the board
+TWIN_ALIVE = "twin/alive"  # liveliness token <site>/<board>/twin/alive/<name of a process>, held by a twin
+EVERY_BOARD = "_every"  # in place of the board, in the token of a twin of all boards; not a board's name
 
 
 def check_name(name: str, *, what: str) -> str:

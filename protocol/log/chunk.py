@@ -1,5 +1,8 @@
 """Decoding of MCAP chunks, and of the two compound types of the format: pure functions of bytes.
 
+Rule: a chunk is decompressed to the size that it states at most, and that is bounded: 32 kB of zstd may hold a
+      gigabyte, whatever the chunk and its compressed frame state.
+
 Format: mcap.dev/spec.  Integers are little-endian; a string is its length (4 bytes) and UTF-8.
 """
 
@@ -15,7 +18,7 @@ import zstandard
 CHANNEL, CHUNK = 0x04, 0x06  # opcodes
 RECORD = struct.Struct("<BQ")  # opcode, length of the content that follows
 CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
-_LARGEST_CHUNK = 1 << 30  # a length beyond this is damage, not data
+LARGEST_CHUNK = 1 << 25  # bytes, unpacked: other recorders end a chunk after a megabyte, ours after CHUNK_BYTES
 
 
 def unpack(content: bytes) -> tuple[bytes, str]:
@@ -25,22 +28,48 @@ def unpack(content: bytes) -> tuple[bytes, str]:
         at = CHUNK_HEAD.size + name_length
         name = content[CHUNK_HEAD.size : at]
         (length,) = struct.unpack_from("<Q", content, at)
-        packed = content[at + 8 : at + 8 + length]
-        if len(packed) != length or size > _LARGEST_CHUNK:
+        if length > len(content) - at - 8:
             return b"", "a chunk whose lengths contradict each other"
-        if name == b"lz4":
-            plain = lz4.frame.decompress(packed)
-        elif name == b"zstd":
-            plain = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
-        elif name == b"":
-            plain = packed
-        else:
+        packed = content[at + 8 : at + 8 + length]
+        if size > LARGEST_CHUNK:
+            return b"", f"a chunk that unpacks to {size} bytes, more than {LARGEST_CHUNK}"
+        if name not in (b"", b"lz4", b"zstd"):
             return b"", f"a chunk compressed with {name!r}, which is unknown"
+        plain = _decompress(name, packed, size + 1)
     except (struct.error, RuntimeError, zstandard.ZstdError, MemoryError):
         return b"", "a chunk that does not decompress"
+    if len(plain) > size:
+        return b"", f"a chunk that holds more than the {size} bytes it states"
     if len(plain) != size or (crc and zlib.crc32(plain) != crc):
         return b"", "a chunk whose CRC is wrong"
     return plain, ""
+
+
+def unpack_prefix(content: bytes) -> bytes:
+    """Return the records that can be decompressed from a chunk without its end."""
+    try:
+        _, _, _, _, name_length = CHUNK_HEAD.unpack_from(content)
+        at = CHUNK_HEAD.size + name_length
+        name, packed = content[CHUNK_HEAD.size : at], content[at + 8 :]
+        return _decompress(name, packed, LARGEST_CHUNK)
+    except (struct.error, RuntimeError, zstandard.ZstdError, MemoryError):
+        return b""
+
+
+def stated_size(content: bytes) -> int:
+    """Return the unpacked size that a chunk states; 0 if its head is cut off."""
+    return int(CHUNK_HEAD.unpack_from(content)[2]) if len(content) >= CHUNK_HEAD.size else 0
+
+
+def _decompress(name: bytes, packed: bytes, most: int) -> bytes:
+    """Return the first `most` bytes at most; b"" for an unknown compression."""
+    if name == b"lz4":
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=most))
+    if name == b"zstd":
+        # `decompress(max_output_size=)` ignores its bound where the frame states a size of its own.
+        decompressor = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
+        return decompressor.stream_reader(packed).read(most)
+    return packed[:most] if name == b"" else b""
 
 
 def channel_records(written: bytes) -> dict[int, bytes]:
@@ -61,21 +90,6 @@ def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
         at += RECORD.size
         yield opcode, data[at : at + length]
         at += length
-
-
-def unpack_prefix(content: bytes) -> bytes:
-    """Return the records that can be decompressed from a chunk without its end."""
-    try:
-        _, _, _, _, name_length = CHUNK_HEAD.unpack_from(content)
-        at = CHUNK_HEAD.size + name_length
-        name, packed = content[CHUNK_HEAD.size : at], content[at + 8 :]
-        if name == b"lz4":
-            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed))
-        if name == b"zstd":
-            return zstandard.ZstdDecompressor().decompressobj().decompress(packed)
-        return packed if name == b"" else b""
-    except (struct.error, RuntimeError, zstandard.ZstdError):
-        return b""
 
 
 def text(content: bytes, at: int) -> tuple[str, int]:

@@ -8,6 +8,8 @@ Rule 1: only verified data is delivered: the CRC of each chunk is checked.  A ch
 Rule 2: after damage the scan continues at the next chunk with a correct CRC.  The search starts right behind the last
         verified byte, because a damaged length may point anywhere.
 Rule 3: every loss is recorded as a `Damage`: offset, number of bytes, reason.
+Rule 4: memory and work are bounded by the size of the file: it unpacks to FREE_BYTES and LARGEST_RATIO times its size
+        at most.  A chunk beyond that is a damage like any other, and the next one is read.
 
 Format: mcap.dev/spec.  A record is opcode (1 byte), length (8), content; integers are little-endian.
 """
@@ -24,7 +26,7 @@ from typing import BinaryIO, NamedTuple
 
 from protocol.errors import DataError
 from protocol.files import open_regular
-from protocol.log.chunk import CHUNK_HEAD, text, text_map, unpack, unpack_prefix
+from protocol.log.chunk import CHUNK_HEAD, LARGEST_CHUNK, stated_size, text, text_map, unpack, unpack_prefix
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = range(1, 7)
@@ -34,6 +36,13 @@ _CUT = "the file ends within"
 _RECORD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _FOOTER_BYTES = _RECORD.size + 20 + len(MAGIC)
+_READ = (_HEADER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA)  # the others are skipped: attachments, indexes
+LARGEST_RECORD = LARGEST_CHUNK + (1 << 20)  # bytes; an incompressible chunk is a little longer than its content
+LARGEST_SUMMARY = 1 << 28  # bytes; the index of a log of 20 GB
+# Samples pack 5 times, telegrams of nothing but zeros 140 times.  FREE_BYTES lets a short log of a silent sensor pass.
+LARGEST_RATIO = 100
+FREE_BYTES = 1 << 26
+_PIECE = 1 << 20
 
 
 class McapSchema(NamedTuple):
@@ -105,6 +114,10 @@ class Scan:
         self.unknown_channel = 0  # messages of a channel whose description is lost
         self.library = ""
         self.size = _check(path)
+        self.unpacked = 0  # bytes of chunks in this pass, also of those that were no chunks
+        self._searched: tuple[int, int] | None = (
+            None  # from where, and the next intact chunk: the size if there is none
+        )
         self._tail = self._read_tail()
 
     @property
@@ -121,8 +134,9 @@ class Scan:
     def messages(self, *, start_ns: int = 0, end_ns: int = 1 << 64) -> Iterator[McapMessage]:
         """Yield all messages with start_ns <= log time < end_ns, in the order of the file."""
         self.damages.clear()
-        self.unknown_channel = 0
+        self.unknown_channel = self.unpacked = 0
         self.finished = False
+        self._searched = None
         with self.path.open("rb") as file:
             at = proven = len(MAGIC)  # everything before `proven` was verified
             while at < self.size:
@@ -130,57 +144,73 @@ class Scan:
                 head = file.read(_RECORD.size)
                 opcode, length = _RECORD.unpack(head) if len(head) == _RECORD.size else (0, 0)
                 end = at + _RECORD.size + length
-                if not (0 < opcode <= _LAST_OPCODE or opcode >= _FIRST_PRIVATE) or end > self.size:
+                if wrong := _why(head, opcode, end, self.size):
                     # Search from `proven`, not from `at`: a damaged length may have skipped whole chunks.
-                    resumed = _next_chunk(file, proven, self.size)
-                    if resumed is None and opcode == _CHUNK:
-                        yield from self._cut_chunk(file.read() if _seek(file, at + _RECORD.size) else b"", at)
+                    resumed = self._next_chunk(file, proven)
+                    if resumed is None and opcode == _CHUNK and end > self.size:
+                        yield from self._cut_chunk(_read_at(file, at + _RECORD.size, LARGEST_RECORD), at)
                         return
                     after = self.size if resumed is None else resumed
-                    self._damage(min(at, after), abs(after - at), _why(head, opcode, end, self.size))
+                    self._damage(min(at, after), abs(after - at), wrong)
                     if resumed is None:
                         return
                     at = proven = resumed
                     continue
-                content = file.read(length)
+                content = file.read(length) if opcode in _READ else b""
                 if opcode == _CHUNK:
                     start, stop = struct.unpack_from("<QQ", content) if length >= 16 else (0, 0)
                     if self.indexed and (stop < start_ns or start >= end_ns):
                         at = end  # its channels are known from the index
                         continue
-                    plain, problem = unpack(content)
+                    plain, problem = self._unpack(content)
                     if problem:
-                        end = min(end, _next_chunk(file, at + 1, self.size) or end)  # the length itself may be damaged
+                        end = min(end, self._next_chunk(file, at + 1) or end)  # the length itself may be damaged
                         self._damage(at, end - at, problem, chunk=content)
                     else:
                         proven = end
-                    for message in self._inside(plain):
-                        if start_ns <= message.time_ns < end_ns:
-                            yield message
-                elif opcode == _MESSAGE:
-                    for message in self._inside(head + content):
-                        if start_ns <= message.time_ns < end_ns:
-                            yield message
                 elif opcode == _FOOTER:
-                    file.seek(end)
-                    self.finished = file.read() == MAGIC
+                    self.finished = _read_at(file, end, len(MAGIC) + 1) == MAGIC
                     if not self.finished:
                         self._damage(end, self.size - end, "the end mark is missing")
                     return
                 else:
-                    self._take(opcode, content, at)
+                    plain = head + content if opcode in _READ else b""
+                for message in self._inside(plain, at, end):
+                    if start_ns <= message.time_ns < end_ns:
+                        yield message
                 at = end
+
+    def _unpack(self, content: bytes) -> tuple[bytes, str]:
+        """Unpack a chunk within what the file may still expand to; failed attempts count as well."""
+        size = stated_size(content)
+        left = FREE_BYTES + LARGEST_RATIO * self.size - self.unpacked
+        if left < size <= LARGEST_CHUNK:
+            return (
+                b"",
+                f"a chunk of {size} bytes, with which the file unpacks to more than {LARGEST_RATIO} times its size",
+            )
+        self.unpacked += size if size <= LARGEST_CHUNK else 0
+        return unpack(content)
+
+    def _next_chunk(self, file: BinaryIO, start: int) -> int | None:
+        """Return the offset of the next chunk with a correct CRC, from `start` on."""
+        if self._searched is None or not self._searched[0] <= start <= self._searched[1]:
+            candidates = _chunk_heads(file, start, self.size)
+            intact = (at for at, length in candidates if not self._unpack(_read_at(file, at + _RECORD.size, length))[1])
+            self._searched = (start, next(intact, self.size))
+        # The next damaged chunk asks again: without this answer, a file of them would be searched once for each.
+        return self._searched[1] if self._searched[1] < self.size else None
 
     def _cut_chunk(self, content: bytes, at: int) -> Iterator[McapMessage]:
         plain = unpack_prefix(content)
         retained = 0
-        for message in self._inside(plain, cut=True):
+        for message in self._inside(plain, at, self.size, cut=True):
             retained += 1
             yield message
         self._damage(at, self.size - at, f"{_CUT} a chunk ({retained} messages of it are whole)", chunk=content)
 
-    def _inside(self, plain: bytes, *, cut: bool = False) -> Iterator[McapMessage]:
-        """Yield the messages among the records in `plain`."""
+    def _inside(self, plain: bytes, start: int, end: int, *, cut: bool = False) -> Iterator[McapMessage]:
+        """Yield the messages among the records in `plain`, the content of the file from `start` to `end`."""
         at, size = 0, len(plain)
         unpack_record, unpack_message, channels = _RECORD.unpack_from, _MESSAGE_HEAD.unpack_from, self.channels
         while at + 9 <= size:
@@ -188,7 +218,7 @@ class Scan:
             at += 9
             if at + length > size:
                 if not cut:
-                    self._damage(0, size - at, "a chunk ends within a record")
+                    self._damage(start, end - start, "a chunk ends within a record")
                 return
             if opcode == _MESSAGE and length >= 22:
                 channel_id, _, time_ns, _ = unpack_message(plain, at)
@@ -197,12 +227,13 @@ class Scan:
                     self.unknown_channel += 1
                 else:
                     yield McapMessage(channel, time_ns, plain[at + 22 : at + length])
-            else:
-                self._take(opcode, plain[at : at + length], at)
+            elif opcode < _FIRST_PRIVATE and not self._take(opcode, plain[at : at + length]):
+                self._damage(start, end - start, "a malformed record; its chunk is read up to it")
+                return
             at += length
 
-    def _take(self, opcode: int, content: bytes, at: int) -> None:
-        """Store a schema, channel or metadata record; a malformed record is recorded as damage."""
+    def _take(self, opcode: int, content: bytes) -> bool:
+        """Store a header, schema, channel or metadata record; return whether it was one."""
         try:
             if opcode == _SCHEMA:
                 (schema_id,) = struct.unpack_from("<H", content)
@@ -222,8 +253,11 @@ class Scan:
             elif opcode == _HEADER:
                 _, next_at = text(content, 0)
                 self.library, _ = text(content, next_at)
+            else:
+                return False
         except (struct.error, UnicodeDecodeError, IndexError):
-            self._damage(at, len(content), "a malformed record")
+            return False
+        return True
 
     def _read_tail(self) -> _Tail | None:
         """Read schemas, channels and statistics from the summary; None if the file has no summary."""
@@ -236,8 +270,9 @@ class Scan:
             start, _, crc = struct.unpack_from("<QQI", footer, _RECORD.size)
             if opcode != _FOOTER or length != 20 or not footer.endswith(MAGIC) or not 0 < start < self.size:
                 return None
-            file.seek(start)
-            summary = file.read(self.size - _FOOTER_BYTES - start)
+            if self.size - start > LARGEST_SUMMARY:
+                return None
+            summary = _read_at(file, start, max(0, self.size - _FOOTER_BYTES - start))
         if crc and zlib.crc32(footer[: _RECORD.size + 16], zlib.crc32(summary)) != crc:
             return None  # do not use a damaged index: the pass finds the same records in the data
         tail = _Tail()
@@ -250,12 +285,15 @@ class Scan:
                 if count:
                     tail.first_ns, tail.last_ns = first_ns, last_ns
             else:
-                self._take(opcode, content, start + at)
+                self._take(opcode, content)
             at += _RECORD.size + length
         return tail
 
     def _damage(self, offset: int, size: int, reason: str, *, chunk: bytes = b"") -> None:
         until_ns = struct.unpack_from("<8xQ", chunk)[0] if len(chunk) >= 16 else 0
+        if self.damages and (last := self.damages[-1]).reason == reason and last.offset + last.bytes == offset:
+            self.damages.pop()  # one for all: a file of malformed records has one in each nine bytes
+            offset, size, until_ns = last.offset, last.bytes + size, max(last.until_ns or 0, until_ns)
         self.damages.append(Damage(offset=offset, bytes=size, reason=reason, until_ns=until_ns or None))
 
 
@@ -277,30 +315,34 @@ def _check(path: Path) -> int:
     return size
 
 
-def _seek(file: BinaryIO, at: int) -> bool:
+def _read_at(file: BinaryIO, at: int, size: int) -> bytes:
     file.seek(at)
-    return True
+    return file.read(size)
 
 
 def _why(head: bytes, opcode: int, end: int, size: int) -> str:
+    """Return why these bytes do not begin a record that can be read; "" if they do."""
     if len(head) < _RECORD.size:
         return f"{_CUT} a record"
-    if end > size and 0 < opcode <= _LAST_OPCODE:
-        return f"{_CUT} a record"
-    return "not a record"
+    if not (0 < opcode <= _LAST_OPCODE or opcode >= _FIRST_PRIVATE):
+        return "not a record"
+    if end > size:
+        return f"{_CUT} a record" if opcode <= _LAST_OPCODE else "not a record"
+    if opcode in _READ and _RECORD.unpack(head)[1] > LARGEST_RECORD:
+        return f"a record of more than {LARGEST_RECORD} bytes"
+    return ""
 
 
-def _next_chunk(file: BinaryIO, start: int, size: int) -> int | None:
-    """Return the offset of the next chunk with a correct CRC, from `start` on."""
-    file.seek(start)
-    data = file.read()
-    at = data.find(_CHUNK)
-    while 0 <= at <= len(data) - _RECORD.size - CHUNK_HEAD.size:
-        _, length = _RECORD.unpack_from(data, at)
-        (crc, name_length) = struct.unpack_from("<II", data, at + _RECORD.size + CHUNK_HEAD.size - 8)
-        if crc and name_length <= 4 and start + at + _RECORD.size + length <= size:
-            _, problem = unpack(data[at + _RECORD.size : at + _RECORD.size + length])
-            if not problem:
-                return start + at
-        at = data.find(_CHUNK, at + 1)
-    return None
+def _chunk_heads(file: BinaryIO, start: int, size: int) -> Iterator[tuple[int, int]]:
+    """Yield offset and length of what may be chunks, from `start` on."""
+    head_bytes = _RECORD.size + CHUNK_HEAD.size
+    while len(piece := _read_at(file, start, _PIECE)) >= head_bytes:
+        at = piece.find(_CHUNK)
+        while 0 <= at <= len(piece) - head_bytes:
+            _, length = _RECORD.unpack_from(piece, at)
+            (crc, name_length) = struct.unpack_from("<II", piece, at + head_bytes - 8)
+            fits = length <= LARGEST_RECORD and start + at + _RECORD.size + length <= size
+            if crc and name_length <= 4 and fits:
+                yield start + at, length
+            at = piece.find(_CHUNK, at + 1)
+        start += len(piece) - head_bytes + 1  # a head may lie across two pieces

@@ -91,9 +91,14 @@ class EventCode(IntEnum):
     CAPTURE_DONE = 10
     LIMIT_HIT = 11
     MODE_CHANGED = 12
+    OUTPUT_FAULT = 13
+    UNCOMMANDED_CURRENT = 14
+    SETTINGS_REJECTED = 15
 
 
-FAULT_EVENTS = frozenset({EventCode.RESET_WATCHDOG, EventCode.OVER_CURRENT, EventCode.SENSOR_FAULT})
+# Faults that the board cannot end: the coil may be on whatever it orders.
+COIL_FAULTS = frozenset({EventCode.OUTPUT_FAULT, EventCode.UNCOMMANDED_CURRENT})
+FAULT_EVENTS = frozenset({EventCode.RESET_WATCHDOG, EventCode.OVER_CURRENT, EventCode.SENSOR_FAULT}) | COIL_FAULTS
 RESETS = frozenset({EventCode.RESET_POWER_ON, EventCode.RESET_WATCHDOG, EventCode.RESET_COMMANDED})
 
 
@@ -211,7 +216,7 @@ ROWS: tuple[Row, ...] = (
         _u16("sequence", "tick", "number of the control tick, modulo 65536"),
         _counts("i_c", "coil current"),
         _counts("x", "position"),
-        _counts("u_c", "input, in force from this tick to the next"),
+        _counts("u_c", "input, as the converter confirmed it last: in force from this tick to the next"),
         _counts("x_ref", "reference used at this tick, in counts of x"),
         Field("flags", "flags", 0, 0xFF, "bits 0-1 mode, others see Flags"),
     ), "one control tick"),
@@ -271,7 +276,7 @@ ROWS: tuple[Row, ...] = (
     Row(0x46, "EVENT", False, (
         _u8("number", "", "counts events, modulo 256: a gap is a lost event"),
         _u32("tick", "tick", "when"),
-        _u8("code", "", "see Events", 1, 12),
+        _u8("code", "", "see Events", 1, 15),
         _u16("detail", "", "see Events"),
     ), "something happened; not acknowledged"),
     Row(0x47, "CAPTURE_BLOCK", False, (

@@ -5,13 +5,15 @@ from __future__ import annotations
 import random
 import struct
 from binascii import crc_hqx
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 
 from gateway.emulator.chip.avr.board import AvrBoard, stored
-from gateway.emulator.firmware.flash import GAINS, LIMITS
-from protocol.wire.messages import EventCode, Message, Mode
+from gateway.emulator.firmware.flash import CE152_BOARD, GAINS, LIMITS
+from gateway.emulator.firmware.output import OutputFault
+from protocol.wire.messages import EventCode, Flag, Message, Mode
 from tests.harness.firmware.avr_bench import AvrHost, skip_without_avr
 from tests.harness.gateway.board_host import Bench, frame
 
@@ -158,17 +160,45 @@ def test_a_position_converter_that_is_stuck_at_its_end_switches_off(host: AvrHos
     assert the_event(host, EventCode.SENSOR_FAULT).int("detail") == 0
 
 
-def test_an_input_converter_that_does_not_answer_stops_nothing(host: AvrHost) -> None:
-    host.board.unplug_converter()
+def test_an_input_converter_that_does_not_answer_stops_nothing_and_is_a_fault(host: AvrHost) -> None:
+    code = host.board.u
+    host.board.fail_output(OutputFault.DEAF)
     states = len(host.states)
     host.run(100)
     during = host.states[states:]
-    host.board.unplug_converter(unplugged=False)
-    host.ask("STOP")
+    stopped = host.ask("STOP")
+    host.run(3)
+    still = host.states[-1]
+    host.board.fail_output(OutputFault.NONE)
+    ticks_until_off(host, at_most=2)
 
     assert len(during) == pytest.approx(100, abs=2)
     assert EventCode.OVERRUN not in host.codes()
-    assert host.board.u == 0
+    assert stopped.name == "ACK"
+    assert (still.u_c, still.flags & (Flag.FAULT | 3)) == (code, Flag.FAULT)
+    assert the_event(host, EventCode.OUTPUT_FAULT).int("detail") == code
+
+
+def test_after_a_reset_a_converter_that_does_not_answer_is_a_fault_again(host: AvrHost) -> None:
+    code = host.board.u
+    host.board.fail_output(OutputFault.DEAF)
+    host.ask("RESET")
+    host.until(EventCode.RESET_COMMANDED)
+    host.run(10)
+
+    assert host.board.u == code  # nothing can be done about it
+    assert host.states[-1].u_c == 4095  # at most
+    assert host.states[-1].flags & Flag.FAULT
+    assert host.codes()[-1] == EventCode.OUTPUT_FAULT
+
+
+def test_absurd_settings_with_a_right_crc_give_way_to_those_of_the_program() -> None:
+    content = stored(7, replace(CE152_BOARD, limits=replace(LIMITS, u_max=60000)))
+
+    host = started_with(content)
+
+    assert host.ask("GET_PARAMETERS").int("u_max") == LIMITS.u_max
+    assert the_event(host, EventCode.SETTINGS_REJECTED).int("detail") == 17
 
 
 def test_a_late_tick_is_reported(host: AvrHost) -> None:

@@ -30,7 +30,7 @@ def _compiled() -> None:
 
 
 def test_a_minute_of_anything_gives_the_same_bytes() -> None:
-    runs = [play(seed, MINUTE // 4) for seed in range(10, 14)]
+    runs = [play(seed, MINUTE // 4) for seed in range(19, 23)]
 
     assert names(runs) == EVERYTHING
 

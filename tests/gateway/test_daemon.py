@@ -66,6 +66,30 @@ def test_every_tick_arrives_and_is_logged_the_same(tmp_path: Path) -> None:
     assert all(by_tick[s.tick] == s for s in states)
 
 
+def test_batches_hold_every_tick_once_as_it_is_logged(tmp_path: Path) -> None:
+    """With nobody on `state`, too: no single samples go out then, and no latency is measured."""
+    batches: list[pb.StateBatch] = []
+    statuses: list[pb.Status] = []
+    with Emulator() as emulator, running(config := gateway_config(*emulator.urls, log=tmp_path)):
+        with zenoh.open(zenoh.Config.from_json5(zenoh_config("client", connect=config.zenoh.listen))) as session:
+            session.declare_subscriber(
+                "board51/rig/states", lambda s: batches.append(pb.StateBatch.FromString(s.payload.to_bytes()))
+            )
+            session.declare_subscriber(
+                "board51/rig/status", lambda s: statuses.append(pb.Status.FromString(s.payload.to_bytes()))
+            )
+            wait_for(lambda: sum(len(batch.states) for batch in batches) > 600, "samples in batches")
+            status = wait_for(lambda: next((s for s in statuses if s.samples > 600), None), "a status")
+
+    states = [state for batch in batches for state in batch.states]
+    (log,) = tmp_path.glob("*.mcap")
+    by_tick = {message.tick: message for message in logged_messages(log, "state")}
+    assert gapless(states)
+    assert all(by_tick[state.tick] == state for state in states)
+    assert len(batches) < len(states) / 4
+    assert (status.latency_p99_ms, status.publish_dropped) == (0.0, 0)
+
+
 def logged_messages(log: Path, topic: str) -> list[Any]:
     return [record.message for record in read(log, topics=[topic])]
 
@@ -443,6 +467,43 @@ def test_a_panic_in_a_thread_of_zenoh_ends_it_in_good_order_to_be_started_again(
     assert "its process ends" in done.stderr
     assert "panicked at" not in done.stderr  # a gateway that reads this of a view does not end, too
     assert Scan(log).indexed
+
+
+PANICS_AT_THE_END = """
+import os, signal, sys, threading, time
+import board51
+from protocol.ending import end_is_ordered
+
+def panic():
+    while signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
+        time.sleep(0.01)
+    os.kill(os.getpid(), signal.SIGTERM)
+    while not end_is_ordered():
+        time.sleep(0.001)
+    os.write(2, b"\\nthread 'net-0' (4711) panicked at zenoh/src/net/routing/dispatcher/resource.rs:491:27:\\n")
+
+threading.Thread(target=panic, daemon=True).start()
+sys.exit(board51.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("service", ["gateway", "hmi", "opcua"])
+def test_a_panic_while_zenoh_closes_is_no_failure(service: str, tmp_path: Path) -> None:
+    """zenoh panics in some of its ends; `systemctl stop` must not leave "failed" behind by luck."""
+    with Emulator(tcp=False) as emulator, running(config := gateway_config(*emulator.urls)):
+        endpoint = config.zenoh.listen[0]
+        logs = ["--log-dir", str(tmp_path)]
+        own = {
+            "gateway": ["--board", "rig=/dev/null", "--listen", f"tcp/127.0.0.1:{free_port()}", *logs],
+            "hmi": ["--connect", endpoint, "--listen", f"127.0.0.1:{free_port()}", "--data", str(tmp_path)],
+            "opcua": ["--connect", endpoint, "--listen", f"127.0.0.1:{free_port()}"],
+        }
+        done = subprocess.run(
+            [sys.executable, "-c", PANICS_AT_THE_END, service, *own[service]],
+            stderr=subprocess.PIPE, text=True, timeout=HANG_S, check=False,
+        )  # fmt: skip
+
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_terminal_that_closes_ends_it_cleanly(tmp_path: Path) -> None:

@@ -46,6 +46,25 @@ def test_one_command_flies_shows_and_ends_everything(tmp_path: Path) -> None:
     assert list((tmp_path / "logs").glob("*.mcap"))
 
 
+def test_a_start_that_is_killed_leaves_nothing_in_the_temporary_folder(tmp_path: Path) -> None:
+    words = ["--emulated", "--page", f"127.0.0.1:{free_port()}", "--listen", f"tcp/127.0.0.1:{free_port()}"]
+    process = subprocess.Popen(
+        [*START, *words, "--no-browser", "--log-dir", str(tmp_path / "logs")],
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=os.environ | {"TMPDIR": str(tmp_path)},
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith(b"control room")
+        wait_for(lambda: list(tmp_path.glob("board51-*")), "the line of the emulated board")
+        children = children_of(process.pid)
+    finally:
+        process.kill()
+        process.communicate()
+
+    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in children), "the end of its processes")
+    assert list(tmp_path.glob("board51-*")) == []
+
+
 def children_of(pid: int) -> list[int]:
     threads = Path(f"/proc/{pid}/task").glob("*/children")
     return [int(child) for thread in threads for child in thread.read_text().split()]

@@ -135,7 +135,7 @@ def test_keys_are_made_and_taken_apart(topic: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "key", ["", "state", "lab/state", "lab/rig/", "lab/rig/states", "/lab/rig/state", "lab/rig/twin"]
+    "key", ["", "state", "lab/state", "lab/rig/", "lab/rig/stated", "/lab/rig/state", "lab/rig/twin"]
 )
 def test_foreign_keys_are_not_ours(key: str) -> None:
     assert topics.split(key) is None

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import gzip
+import tracemalloc
 from pathlib import Path
 
 import pytest
 
 from protocol.errors import ConfigError, DataError, one_line
-from protocol.files import LARGEST_SMALL, parse_json, parse_toml, read_small
+from protocol.files import LARGEST_SMALL, open_regular, parse_json, parse_toml, read_small
 from protocol.table_file import LONGEST_LINE, check_table, read_csv_bytes
 
 
@@ -40,6 +41,36 @@ def test_integers_are_those_of_64_bits() -> None:
 def test_toml_nests_within_bounds(text: str) -> None:
     with pytest.raises(ConfigError, match="nested too deeply"):
         parse_toml(text, where="f")
+
+
+def test_a_key_of_many_parts_is_refused_before_it_takes_memory() -> None:
+    for key in ("a" + ".b" * 20_000, ' . "a b"' * 20_000, "[" + "a." * 20_000 + "a]"):
+        tracemalloc.start()
+        with pytest.raises(ConfigError, match="nested too deeply"):
+            parse_toml(f"x{key} = 1\n", where="f")
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 10_000_000
+    version = ".".join(["1"] * 30)
+    assert parse_toml(f'a.b = "{version}"\nc = [{"0.1," * 1000}]', where="f")["a"] == {"b": version}
+
+
+def test_equal_rows_are_no_recording(tmp_path: Path) -> None:
+    file = tmp_path / "table.csv.gz"
+    file.write_bytes(gzip.compress(b"t,x\n" + b"0,0.001\n" * 600_000))
+    with pytest.raises(DataError, match="more than 100 times its size"):
+        read_csv_bytes(file)
+
+    rows = b"".join(b"%d,0.001\n" % n for n in range(600_000))
+    file.write_bytes(gzip.compress(b"t,x\n" + rows))
+    assert read_csv_bytes(file).endswith(rows)
+
+
+def test_what_the_kernel_shows_as_a_file_is_empty() -> None:
+    for name in ("/proc/self/mem", "/proc/kmsg"):  # the first cannot be read at 0, the second blocks
+        if Path(name).exists():
+            with open_regular(Path(name), remedy="-") as file:
+                assert file.read() == b""
 
 
 @pytest.mark.parametrize("text", ["[" * 60 + "]" * 60, '{"a":' * 60 + "1" + "}" * 60, "[" * 200_000])

@@ -10,7 +10,9 @@ import socket
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -135,6 +137,23 @@ def test_a_shell_sees_the_exit_code(words: list[str], code: int, tmp_path: Path)
     assert done.returncode == code, done.stderr
     assert (done.stderr == "") == (code == 0)
     assert "Traceback" not in done.stderr
+
+
+def test_board51_alone_prints_its_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert _answer([], capsys) == _answer(["--help"], capsys)
+    assert _answer([], capsys)[0] == 0
+
+
+def test_the_version_is_that_of_the_installation_or_of_the_checkout(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stated = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+
+    assert _answer(["--version"], capsys) == (0, f"board51 {metadata.version('board51')}\n", "")
+    monkeypatch.setattr(sys, "path", [])  # where the metadata of all packages are
+    checkout = _answer(["--version"], capsys)
+
+    assert checkout == (0, f"board51 {stated} (a checkout, not installed)\n", "")
 
 
 @pytest.mark.parametrize("name", bench.names())

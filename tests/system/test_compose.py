@@ -12,11 +12,15 @@ import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml  # type: ignore[import-untyped]  # comes with mkdocs, without types
 
 ROOT = Path(__file__).parents[2]
 SERVICES = {"router", "emulator", "gateway", "twin", "page"}
+BASE, TTY, GUARDED = "docker-compose.yml", "gateway/tty.yml", "gateway/access/guarded.yml"
+VARIANTS = ((BASE,), (BASE, TTY), (BASE, GUARDED), (BASE, TTY, GUARDED))
 
 
 def _compose() -> list[str] | None:
@@ -36,10 +40,39 @@ def compose() -> list[str]:
     return command
 
 
-def test_the_compose_file_is_valid(compose: list[str]) -> None:
-    done = subprocess.run([*compose, "config", "-q"], cwd=ROOT, capture_output=True, text=True, check=False)
+@pytest.mark.parametrize("files", VARIANTS, ids=" ".join)
+def test_the_compose_files_are_valid_and_say_which_services_run(compose: list[str], files: tuple[str, ...]) -> None:
+    words = [word for file in files for word in ("-f", file)]
+
+    done = subprocess.run(
+        [*compose, *words, "config", "--services"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
 
     assert done.returncode == 0, done.stderr
+    assert set(done.stdout.split()) == (SERVICES - {"emulator"} if TTY in files else SERVICES)
+
+
+def services(file: str) -> dict[str, dict[str, Any]]:
+    content = yaml.safe_load((ROOT / file).read_text(encoding="utf-8"))
+    return dict(content["services"])
+
+
+def test_no_service_waits_for_the_emulator_which_a_real_board_replaces() -> None:
+    waiting = {name: set(service.get("depends_on", {})) for name, service in services("docker-compose.yml").items()}
+
+    assert not [name for name, others in waiting.items() if "emulator" in others]
+    assert set.union(*waiting.values()) <= SERVICES
+
+
+def test_a_tty_is_open_to_the_gateway_alone_and_the_emulator_stays_off() -> None:
+    changes = services(TTY)
+
+    gateway = changes.pop("gateway")
+    assert changes == {"emulator": {"profiles": ["emulated"]}}
+    (device,) = gateway["devices"]
+    assert gateway["environment"] == {"BOARD51_BOARDS": f"rig1={device.rpartition(':')[2]}"}
+    assert gateway["group_add"] == ["${BOARD51_TTY_GROUP:-20}"]
+    assert not any({"devices", "group_add"} & set(one) for one in services("docker-compose.yml").values())
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import enum
+import html
 import os
 import re
 import subprocess
@@ -11,6 +13,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import expect
 
+from gateway.client import commands
+from protocol.wire import messages
 from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
 from tests.patience import HANG_S
 
@@ -53,6 +57,19 @@ def test_a_script_with_cells_is_a_page_of_text_and_code(site: Path) -> None:
     assert re.search(r"<code>.*>import</span>", page)
     assert "%%" not in page
     assert (site / "notebooks" / "subscribe_command_replay.py").is_file()
+
+
+def test_an_enumeration_of_the_api_has_its_members(site: Path) -> None:
+    pages = " ".join(page.read_text(encoding="utf-8") for page in (site / "api").glob("*.html"))
+    text = html.unescape(re.sub(r"<[^>]+>", "", pages))
+    named = {**vars(commands), **{f"wire {name}": kind for name, kind in vars(messages).items()}}
+    kinds: list[type[enum.Enum]] = [
+        kind for kind in named.values() if isinstance(kind, type) and issubclass(kind, enum.Enum)
+    ]
+    members = [f"{member.name} = {member.value!r}" for kind in kinds for member in kind]
+
+    assert len(members) > 40
+    assert not [member for member in members if member not in text]
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason=ABSENT)

@@ -48,12 +48,21 @@ def _one_cell(path: Path) -> None:
             file.write(b"1" * 1_000_000)
 
 
+def _equal_rows(path: Path) -> None:
+    """A table of a million and a half equal rows in 20 kB."""
+    with gzip.open(path, "wb") as file:
+        file.write(b"t,x\n")
+        for _ in range(15):
+            file.write(b"0,0.001\n" * 100_000)
+
+
 BAD: dict[str, Callable[[Path], object]] = {
     "absent": lambda path: None,
     "folder": Path.mkdir,
     "pipe": _pipe,
     "socket": _socket,
     "endless": lambda path: path.symlink_to("/dev/zero"),
+    "memory": lambda path: path.symlink_to("/proc/self/mem"),
     "random": lambda path: path.symlink_to("/dev/urandom"),
     "terminal": lambda path: path.symlink_to("/dev/tty"),
     "loop": lambda path: path.symlink_to(path),
@@ -63,6 +72,7 @@ BAD: dict[str, Callable[[Path], object]] = {
     "nested object": lambda path: path.write_text('{"plant":' * 200_000),
     "nested TOML": lambda path: path.write_text("plant = " + "[" * 200_000),
     "nested keys": lambda path: path.write_text("plant" + ".a" * 3_000 + " = 1\n"),
+    "sixty thousand keys": lambda path: path.write_text("plant" + ".a" * 60_000 + " = 1\n"),
     "digits": lambda path: path.write_text(f"[plant]\nmass_kg = {DIGITS}\n"),
     "hexadecimal digits": lambda path: path.write_text(f"[plant]\nmass_kg = 0x{'f' * 5000}\n"),
     "digits in JSON": lambda path: path.write_text(f'{{"plant": {DIGITS}}}'),
@@ -70,6 +80,7 @@ BAD: dict[str, Callable[[Path], object]] = {
     "another object": lambda path: path.write_text('{"a": [1, 2]}'),
     "control characters": lambda path: path.write_bytes(b"\x1b]0;title\x07,\x1b[2J\n1,2\n"),
     "one cell": _one_cell,
+    "equal rows": _equal_rows,
     "matrix": _mat,
     "large": lambda path: path.write_text('# "'.ljust(100) * 60_000),
 }
@@ -100,6 +111,7 @@ INPUTS: tuple[str, ...] = (
     "import --campaign BAD-RECORDING -o OUT",
     "import BAD -o OUT.mcap",
     "import BAD.mat -o OUT.mcap",
+    "import BAD.parquet -o OUT.mcap",
     "info BAD",
     "opcua --security BAD --connect tcp/127.0.0.1:1",
     "plot BAD --out OUT.png",
@@ -135,7 +147,7 @@ MAKES_IT = ("emulate --secret 7 --sealed BAD --pty OUT",)
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`good`: a table and its campaign.  For each kind of BAD a folder: `bad`, `bad.mat`, and a campaign of it."""
+    """`good`: a table and its campaign.  For each BAD a folder: it as `bad`, .mat and .parquet, and its campaign."""
     root = tmp_path_factory.mktemp("files")
     (root / "good").mkdir()
     (root / "good" / "good.csv").write_text(GOOD_TABLE)
@@ -144,8 +156,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         place = root / kind / "recording"
         place.mkdir(parents=True)
         make(root / kind / "bad")
-        for copy in (root / kind / "bad.mat", place / "bad.csv"):
-            if (root / kind / "bad").is_file():
+        for copy in (root / kind / "bad.mat", root / kind / "bad.parquet", place / "bad.csv"):
+            if (root / kind / "bad").is_file() and not (root / kind / "bad").is_symlink():
                 copy.hardlink_to(root / kind / "bad")
             else:
                 make(copy)

@@ -15,7 +15,7 @@ from tests.harness.gateway.bus_peers import played_gateway
 from tests.harness.gateway.gateway_peers import client, wait_for
 from tests.harness.gateway.opcua_peers import Served, peer, until
 from tests.harness.twin.rig import Rig
-from tests.harness.twin.twin_bus import introduce_to
+from tests.harness.twin.twin_bus import introduce_to, publish_to
 from twin.mirror.bus.service import TwinService
 from twin.mirror.settings import Settings
 from twin.model.nominal import nominal
@@ -31,12 +31,7 @@ COMPILED_S = 90.0  # the first twin of a checkout compiles its kernels
 def fly(session: zenoh.Session, service: TwinService, rig: Rig, ticks: int) -> None:
     """The board of `rig`, known to the twin, for so many ticks."""
     introduce_to(session, service, rig, topics.key("board51", BOARD, "parameters"))
-    for state in rig.run(ticks, HELD):
-        session.put(
-            topics.key("board51", BOARD, "state"),
-            state.SerializeToString(),
-            congestion_control=zenoh.CongestionControl.BLOCK,
-        )
+    publish_to(session, topics.key("board51", BOARD, "states"), list(rig.run(ticks, HELD)))
 
 
 def active(feed: Feed) -> dict[str, int]:

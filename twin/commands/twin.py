@@ -11,7 +11,6 @@ import argparse
 import json
 import logging
 import math
-import signal
 import sys
 import threading
 import time
@@ -22,7 +21,8 @@ from typing import Any
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, check_endpoint
 from protocol.bus.identity import HELP, find_identity, login_name
 from protocol.bus.topics import DEFAULT_SITE, check_name
-from protocol.errors import UsageError
+from protocol.ending import note_end, on_end_signal
+from protocol.errors import Board51Error, UsageError
 from twin.mirror.settings import Settings
 from twin.model.parameters import SHIPPED, Model
 
@@ -181,8 +181,7 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    on_end_signal(stop.set)
     log = logging.getLogger("twin")
     deadline = time.monotonic() + args.duration if args.duration else math.inf
     identity = find_identity(args.identity)
@@ -214,7 +213,10 @@ def _live(args: argparse.Namespace, model: Model, settings: Settings, endpoints:
                 )
             if not service.boards:
                 log.info("no samples yet on %s/%s/state", args.site, args.board or "*")
+        note_end()
     log.info("stopped; %d samples dropped, %d messages malformed", service.dropped, service.malformed)
+    if isinstance(service.failure, Board51Error):
+        raise service.failure
     return 1 if service.failure else 0
 
 

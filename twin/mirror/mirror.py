@@ -120,6 +120,7 @@ class Mirror:
                     now.closed_loop,
                     consecutive,
                     now.usable,
+                    now.mode == pb.MODE_IDLE and last is not None and last.mode != pb.MODE_IDLE,
                     flying,
                     sync == IN_STEP,
                 ),

@@ -2,8 +2,10 @@
 
 Rule 1: u_c of sample k is in force from tick k to k+1, so sample k+1 is predicted from the estimate at k and u_c(k).
         A delay of the model, of input and sensors together, is one of the input.
-Rule 2: contact is not modelled here.  Near a stop, over a gap and until it has settled, the innovation is not valid.
+Rule 2: near a stop, over a gap and until it has settled, the innovation is not valid.
 Rule 3: prediction, slopes, covariance and correction are those of every other estimate (`twin/estimation/ekf`).
+Rule 4: a tick in which the coil was switched off or the ball hit a stop is predicted with what is unknown about it, the
+        instant or the restitution, as variance (`twin/estimation/ekf/branches.py`).  The ticks after it are judged.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.compiled import Packed, inlined, kernel
+from twin.estimation.ekf.branches import spread_over_cases
 from twin.estimation.ekf.correct import (
     TELLING_READINGS,
     forget,
@@ -42,6 +45,7 @@ class Observer(NamedTuple):
     inputs: Floats  # V, newest last, as many as a delay asks for; the last NaN: nothing to predict from
     out: Floats  # room: nu_i, nu_x, S_ii, S_ix, S_xx
     ticks: Floats  # shape (1,): predicted in a row away from the stops
+    since_cut: Floats  # shape (1,): samples since the one that showed the coil switched off; inf: long ago
     sample_time_s: float
     low_m: float  # lowest and highest x away from the stops
     high_m: float
@@ -72,6 +76,7 @@ def observer_of(plant: PlantNumbers, noise: Noise, *, i_lsb_a: float = 0.0, x_ls
         inputs=inputs,
         out=np.empty(5),
         ticks=np.zeros(1),
+        since_cut=np.full(1, math.inf),
         sample_time_s=T_s,
         low_m=margin_m,
         high_m=travel_m - margin_m,
@@ -105,6 +110,9 @@ def _predict_and_correct(o: Observer, i: float, x: float) -> float:
     differences(f, o.inputs, n, 0.0, T_s)
     carry(f.F, f.P, f.G, f.m)
     add_process_noise(f, T_s)
+    cut = n - 1 - int(o.since_cut[0]) if o.since_cut[0] < n - 1 else -1
+    if cut >= 0 or not 0.0 <= f.y[X] <= Base(*base_of(f)).travel_m:
+        spread_over_cases(f, o.inputs, n, T_s, cut)
     take_readings(f, out, i, x, True, True)
     left, spread = out[1] - out[3] / out[2] * out[0], out[4] - out[3] * out[3] / out[2]  # of x given i_c
     return float(out[0] * out[0] / out[2] + left * left / spread)
@@ -112,7 +120,7 @@ def _predict_and_correct(o: Observer, i: float, x: float) -> float:
 
 @kernel
 def observe(
-    observer: Packed, follows: bool, usable: bool, i: float, x: float, u: float
+    observer: Packed, follows: bool, usable: bool, switched_off: bool, i: float, x: float, u: float
 ) -> tuple[float, float, float, bool]:
     """Take one sample.
 
@@ -120,6 +128,7 @@ def observe(
         observer: tuple(Observer).
         follows: one tick after the one before.
         usable: finite and within the sensors' ranges.
+        switched_off: the first sample in idle; the coil was switched off since the sample before.
         i: A.
         x: m.
         u: V, from this tick on.
@@ -136,6 +145,7 @@ def observe(
         return math.nan, math.nan, math.nan, False
     place = position_of_reading(Base(*base_of(f)), f.c[:], x, current_of_reading(f.c[:], i))
     first = math.isnan(inputs[newest])
+    o.since_cut[0] = math.inf if first else 0.0 if switched_off else o.since_cut[0] + 1.0
     n_i = n_x = nis = math.nan
     valid = False
     if first or not o.low_m <= place <= o.high_m:

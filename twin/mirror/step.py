@@ -56,6 +56,7 @@ class Tick(NamedTuple):
     closed_loop: bool  # mode of the sample
     follows: bool  # one tick after the sample before, for the observer
     usable: bool  # by the observer: i, x, u finite and within the sensors' ranges
+    switched_off: bool  # the first sample in idle, for the observer
     flying: bool  # whether there is a free twin; else its part of the answer is NaN
     in_step: bool  # whether windows, and in closed loop alarms, take the sample
 
@@ -74,7 +75,7 @@ def step(twin: Packed, yardstick: Packed, tick: Packed) -> Answer:
     """
     t, by, now = Twin(*twin), Yardstick(*yardstick), Tick(*tick)
     w = Windows(*t.windows)
-    n_i, n_x, nis, valid = observe(t.observer, now.follows, now.usable, now.i, now.x, now.u)
+    n_i, n_x, nis, valid = observe(t.observer, now.follows, now.usable, now.switched_off, now.i, now.x, now.u)
     nis_mean, of_innovation = judge_innovation(w, n_i, n_x, nis, valid, by.on_nis, by.off_nis)
     flight = (math.nan, math.nan, math.nan, math.nan)
     of_x = of_i = of_u = (math.nan, math.nan, math.nan, math.nan, math.nan, False)

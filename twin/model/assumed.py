@@ -47,6 +47,6 @@ def mark(parameters: Mapping[str, Parameter], plant: Plant, names: tuple[str, ..
 
 def rests_on_plant(cause: Cause) -> bool:
     """Whether the size of a cause depends on mass or travel."""
-    if "follows-the-gap" in cause.traits:
+    if "of-the-gap" in cause.traits:
         return True
     return cause.family not in _FREE_OF_IT and "current sensor" not in cause.acts_on

@@ -24,7 +24,9 @@ from protocol.files import make_folder
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    parser.add_argument("file", type=Path, nargs="?", metavar="FILE", help="CSV, CSV.GZ or MAT; not with --campaign")
+    parser.add_argument(
+        "file", type=Path, nargs="?", metavar="FILE", help="CSV, CSV.GZ, MAT or PARQUET; not with --campaign"
+    )
     parser.add_argument("--campaign", type=Path, help="campaign.toml or its folder: import its recordings")
     parser.add_argument("--only", action="append", metavar="FILE", help="of the campaign, this recording; repeatable")
     parser.add_argument(
@@ -46,7 +48,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "examples:\n"
         "  board51 import run.csv -o run.mcap --map t=t_s --map i_c=i1_A --map x=gap_m,scale=-1,offset=0.02\n"
         '  board51 import run.csv -o run.mcap --map "u_c=duty,table=0:0.043;0.1:0.613;0.2:1.768"\n'
-        "  board51 import --campaign rig/campaign.toml -o logs"
+        "  board51 import --campaign rig/campaign.toml -o logs\n"
+        "  board51 import exported.csv -o again.mcap    (what `board51 export` wrote of state needs no --map)"
     )
 
 
@@ -97,7 +100,7 @@ def _import_campaign(args: argparse.Namespace) -> Iterator[ImportReport]:
     for number, (recording, source) in enumerate(zip(tables, sources, strict=True), 1):
         if len(tables) > 1 and not args.json:
             print(f"[{number}/{len(tables)}] {recording.file}", file=sys.stderr)
-        log = args.out if single else args.out / (re.sub(r"\.(csv|csv\.gz|mat)$", "", source.name) + ".mcap")
+        log = args.out if single else args.out / (re.sub(r"\.(csv|csv\.gz|mat|parquet)$", "", source.name) + ".mcap")
         yield import_recording(source, log, recording, site=site, board=board, campaign=campaign)
 
 

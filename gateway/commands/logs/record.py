@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
 import sys
 import threading
 from dataclasses import asdict
@@ -17,6 +16,7 @@ from gateway.client.connection import add_bus_arguments, open_bus
 from gateway.client.recording import Recording
 from protocol.bus import topics
 from protocol.bus.identity import find_identity
+from protocol.ending import note_end, on_end_signal
 from protocol.errors import UsageError
 from protocol.files import make_folder
 
@@ -46,8 +46,7 @@ def run(args: argparse.Namespace) -> int:
         topics.check_name(args.board, what="--board")
     make_folder(args.out)
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    on_end_signal(stop.set)
     with open_bus(args.connect, find_identity(args.identity)) as session:
         recording = Recording(
             session, args.site, args.board, args.out, prefix=args.prefix,
@@ -58,6 +57,7 @@ def run(args: argparse.Namespace) -> int:
         with recording.start():
             print(f"recording {args.site}/{args.board}/** into {recording.stats.file}", file=sys.stderr, flush=True)
             stop.wait(args.seconds)
+        note_end()
     stats = recording.stats
     if args.json:
         print(json.dumps(asdict(stats)))

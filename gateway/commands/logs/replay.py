@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-import signal
 import sys
 import threading
 import time
@@ -24,6 +23,7 @@ from protocol.bus import topics
 from protocol.bus.encoding import parse
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, Mode, check_endpoint, zenoh_config
 from protocol.bus.identity import HELP, find_identity
+from protocol.ending import on_end_signal
 from protocol.errors import DataError, ServiceError, UsageError
 from protocol.log.reader import LogReader, RawLogRecord
 
@@ -66,8 +66,7 @@ def run(args: argparse.Namespace) -> int:
     if args.speed < 0.0 or not args.speed < float("inf"):
         raise UsageError(f"--speed {args.speed} is not a speed", remedy="Give 0 or a positive number")
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    on_end_signal(stop.set)
     if args.bytes:
         return _bytes(args, stop)
     if args.pty or args.tcp:

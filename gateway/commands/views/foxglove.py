@@ -7,13 +7,13 @@ opens the MCAP logs.  It shows and never commands.
 from __future__ import annotations
 
 import argparse
-import signal
 import threading
 from importlib.resources import files
 
 from gateway.client.connection import open_bus
 from gateway.views.listen import add_view_arguments, listener
 from protocol.bus import topics
+from protocol.ending import on_end_signal
 
 LAYOUTS = {"foxglove": "foxglove.json", "plotjuggler": "plotjuggler.xml"}
 
@@ -51,8 +51,7 @@ def run(args: argparse.Namespace) -> int:
     remedy = "It has no login: reach it through an ssh tunnel (ssh -L 8765:127.0.0.1:8765 HOST)"
     host, port = listener(args, "Foxglove", remedy=remedy)
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    on_end_signal(stop.set)
     with open_bus(args.connect, find_identity(args.identity)) as session:
         serve(session, args.site, host, port, stop, lambda bound: print(f"Foxglove on ws://{host}:{bound}", flush=True))
     return 0

@@ -68,6 +68,11 @@ def run(args: argparse.Namespace) -> int:
     folder = SecurityFolder(args.security) if args.security is not None else None
     users_file = folder.users if folder is not None else args.users
     users = Users.load(users_file) if users_file is not None else None
+    if args.users is not None and users is not None and not users.names():
+        raise UsageError(
+            f"{args.users} has no user, so nobody could log in",
+            remedy="Write each user as [users.NAME]; `board51 security add-user` sets role and password",
+        )
     return _serve(args, host, port, folder, users)
 
 

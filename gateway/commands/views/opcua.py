@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import logging
-import signal
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +16,7 @@ from gateway.client.connection import open_bus
 from gateway.views.account import views_identity
 from gateway.views.listen import add_view_arguments, listener
 from protocol.bus.identity import Identity
+from protocol.ending import on_end_signal
 from protocol.errors import UsageError
 
 if TYPE_CHECKING:  # asyncua and pydantic take a second to import: --help answers at once
@@ -107,9 +107,8 @@ async def _serve(args: argparse.Namespace, settings: OpcuaSettings, identity: Id
     from gateway.views.feed import Feed
     from gateway.views.opcua.server import serve
 
-    stop = asyncio.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    stop, loop = asyncio.Event(), asyncio.get_running_loop()
+    on_end_signal(lambda: loop.call_soon_threadsafe(stop.set))
     with open_bus(args.connect, identity) as session:
         feed = Feed(session, args.site, guarded=identity is not None)
         shown = settings.host if settings.host not in ("0.0.0.0", "::") else "HOST"

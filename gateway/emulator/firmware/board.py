@@ -31,7 +31,10 @@ from gateway.emulator.firmware.flash import (
     TICKS_PER_S,
     WATCHDOG_TICKS,
     BoardProfile,
+    Settings,
 )
+from gateway.emulator.firmware.output import InputConverter, OutputFault
+from gateway.emulator.firmware.settings import first_bad_field
 from gateway.emulator.firmware.uart import Inbox, Outbox, Priority
 from protocol.wire.codec import decode_body, encode_body, pack_pair
 from protocol.wire.framing import encode_frame
@@ -72,6 +75,8 @@ class Firmware:
         self._plant = plant
         self._profile = profile
         self._board_id = board_id
+        self._stored = profile.settings
+        self._converter = InputConverter()
         self.outbox = Outbox()
         self._resets = 0
         self._elapsed_us = 0  # plant time since the last tick
@@ -95,12 +100,18 @@ class Firmware:
         self._reset_wait = 0  # ticks left to get the ACK of RESET out; 0: no reset pending
         self._hung_ticks = 0
         self._dead_ticks = 0
-        self.loop = ControlLoop(self._emit, self._profile)
+        field = first_bad_field(self._stored)
+        settings = self._profile.settings if field else self._stored
+        self.loop = ControlLoop(self._emit, settings, self._converter)
         self._emit(cause, self._resets)
+        if field:
+            self._emit(EventCode.SETTINGS_REJECTED, field)
 
     def reset(self, cause: EventCode) -> None:
         """Restart: coil off, no output during the boot, then tick 0; a power cycle also clears the count of resets."""
         self._resets = 0 if cause == EventCode.RESET_POWER_ON else min(self._resets + 1, 0xFFFF)
+        if cause == EventCode.RESET_POWER_ON:
+            self._converter.count = 0  # the converter's own power-on value
         self._boot(cause)
         self._dead_ticks = BOOT_TICKS
 
@@ -115,6 +126,14 @@ class Firmware:
         if self._ticks_since_overrun_event >= TICKS_PER_S:
             self._ticks_since_overrun_event = 0
             self._emit(EventCode.OVERRUN, 0)
+
+    def fail_output(self, fault: OutputFault) -> None:
+        """Let the converter of u_c fail from now on, or work again."""
+        self._converter.fault = fault
+
+    def store(self, settings: Settings) -> None:
+        """Write the memory of gains, operating point and limits, which the board reads at its next boot."""
+        self._stored = settings
 
     def feed(self, data: bytes, *, into_tick_us: int = 0) -> None:
         """Process bytes from the host, `into_tick_us` after the last tick; never raises."""
@@ -161,7 +180,7 @@ class Firmware:
     @property
     def u(self) -> int:
         """Count of the input converter."""
-        return 0 if self._dead_ticks else self.loop.u
+        return self._converter.count
 
     @property
     def mode(self) -> Mode:
@@ -197,15 +216,15 @@ class Firmware:
             capture = loop.capture if loop.capturing and not self._hung_ticks else None
             if capture is not None:
                 if capture.time_to_sample_us() == 0:
-                    capture.take(self._profile.current_count(self._plant.sense()[0]))
+                    i_pin, _ = self._plant.sense()
+                    capture.take(self._profile.current_count(i_pin), loop.output.write)
                 step_us = min(step_us, capture.time_to_sample_us())
-            u = 0 if self._dead_ticks else loop.u
-            self._plant.advance(self._profile.input_pin(u), step_us * 1e-6)
+            self._plant.advance(self._profile.input_pin(self.u), step_us * 1e-6)
             self._elapsed_us += step_us
             if capture is not None:
                 capture.pass_time(step_us)
                 if capture.done:
-                    self._emit(EventCode.CAPTURE_DONE, 0)
+                    loop.end_capture()
 
     def _receive(self, body: bytes, into_tick_us: int) -> None:
         row = BY_TYPE.get(body[0])

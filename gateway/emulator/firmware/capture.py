@@ -9,6 +9,8 @@ current before it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from gateway.emulator.firmware.flash import CAPTURE_SETTLE_US, CAPTURE_US, T_S_US
 from protocol.wire.codec import pack_pair
 from protocol.wire.messages import CAPTURE_BLOCK_SAMPLES
@@ -20,16 +22,15 @@ class FirmwareCapture:
     def __init__(self, *, u_from: int, u_to: int, pre: int, count: int, tick: int) -> None:
         self.total = count
         self.began_tick = tick + CAPTURE_SETTLE_US // T_S_US & 0xFFFFFFFF
-        self._u = (u_from, u_to)
+        self.u_from, self.u_to = u_from, u_to
         self._pre = pre
         self._start_us = CAPTURE_SETTLE_US
         self._samples: list[int] = []
 
     @property
-    def u(self) -> int:
-        """The input in force from now to the next change."""
-        due_now = len(self._samples) == self._pre and self._start_us == 0
-        return self._u[due_now or len(self._samples) > self._pre]
+    def step_is_due(self) -> bool:
+        """Return whether the step is made at this instant, behind its sample."""
+        return len(self._samples) == self._pre and self._start_us == 0
 
     @property
     def done(self) -> bool:
@@ -44,10 +45,13 @@ class FirmwareCapture:
         """Advance the time, by at most `time_to_sample_us()`."""
         self._start_us -= duration_us
 
-    def take(self, i: int) -> None:
-        """Store the sample that is due."""
+    def take(self, i: int, write: Callable[[int], object]) -> None:
+        """Store the sample that is due, and make the step if it is due."""
+        steps = self.step_is_due
         self._samples.append(i)
         self._start_us = CAPTURE_US
+        if steps:
+            write(self.u_to)
 
     def block(self, index: int) -> bytes:
         """Return up to 32 samples from `index` on, packed in pairs, filled with 0 to 48 bytes."""

@@ -7,7 +7,7 @@ changes nothing.  `board.py` executes the commands of session, stream and host l
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from gateway.emulator.firmware.capture import FirmwareCapture
 from gateway.emulator.firmware.control_loop import TARGET_U, ControlLoop
@@ -21,6 +21,7 @@ from gateway.emulator.firmware.flash import (
     BoardProfile,
 )
 from gateway.emulator.firmware.law import Gains
+from gateway.emulator.firmware.settings import in_parameters
 from protocol.wire.messages import BY_TYPE, VERSION, EventCode, HostLoss, Message, Mode, Reason, Shape, Value
 
 
@@ -95,11 +96,7 @@ def identity(board_id: int, tick: int, reset_cause: EventCode, profile: BoardPro
 
 def parameters(loop: ControlLoop, divider: int, policy: HostLoss, timeout_ms: int) -> Acceptance:
     """Return the answer to GET_PARAMETERS: the values in force."""
-    gains = loop.law.gains
-    values: dict[str, Value] = {"law": gains.law, "i_0": gains.i_0, "x_0": gains.x_0, "u_0": gains.u_0}
-    for n, (mantissa, shift) in enumerate(zip(gains.mantissas, gains.shifts, strict=True), start=1):
-        values |= {f"k{n}_mantissa": mantissa, f"k{n}_shift": shift}
-    values |= asdict(loop.limits)
+    values = in_parameters(loop.law.gains, loop.limits)
     values |= {"divider": divider, "policy": int(policy), "timeout": timeout_ms, "tick": loop.gains_tick}
     return Acceptance("PARAMETERS", values)
 
@@ -109,6 +106,7 @@ def _set_mode(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptan
     if loop.capturing and mode != Mode.IDLE:
         return Nack(Reason.BUSY)
     loop.fault = False
+    loop.output.rearm()
     loop.set_mode(mode)
     return acknowledge(0x03, tick)
 
@@ -172,8 +170,8 @@ def _capture(loop: ControlLoop, message: Message, tick: int) -> Nack | Acceptanc
         return Nack(Reason.WRONG_MODE, loop.mode)
     if max(u_from, u_to) > loop.limits.u_max:
         return Nack(Reason.OUT_OF_RANGE, loop.limits.u_max)
-    loop.capture = FirmwareCapture(
-        u_from=u_from, u_to=u_to, pre=message.int("pre"), count=message.int("count"), tick=tick
+    loop.start_capture(
+        FirmwareCapture(u_from=u_from, u_to=u_to, pre=message.int("pre"), count=message.int("count"), tick=tick)
     )
     return acknowledge(0x08, tick)
 

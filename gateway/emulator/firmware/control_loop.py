@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 from gateway.emulator.firmware.capture import FirmwareCapture
 from gateway.emulator.firmware.excitation import Excitation
-from gateway.emulator.firmware.flash import CE152_BOARD, TICKS_PER_S, BoardProfile, FlashLimits
+from gateway.emulator.firmware.flash import TICKS_PER_S, FlashLimits, Settings
 from gateway.emulator.firmware.law import ControlLaw
+from gateway.emulator.firmware.output import InputConverter, Output
 from protocol.wire.messages import COUNTS_MAX, EventCode, Flag, Mode
 
 OVER_CURRENT_TICKS = 50
@@ -65,13 +66,15 @@ class ControlLoop:
 
     Args:
         emit: Called with each event: (code, detail).
-        profile: Of the board.
+        settings: In force after the reset.
+        converter: Of u_c.
     """
 
-    def __init__(self, emit: Callable[[EventCode, int], None], profile: BoardProfile = CE152_BOARD) -> None:
-        self.limits = profile.limits
-        self.law = ControlLaw(profile.gains)
-        self.reference = Reference(profile.gains.x_0, profile.limits)
+    def __init__(self, emit: Callable[[EventCode, int], None], settings: Settings, converter: InputConverter) -> None:
+        self.limits = settings.limits
+        self.law = ControlLaw(settings.gains)
+        self.reference = Reference(settings.gains.x_0, settings.limits)
+        self.output = Output(converter)
         self.mode = Mode.IDLE
         self.fault = False
         self.host_lost = False
@@ -90,8 +93,10 @@ class ControlLoop:
 
     @property
     def u(self) -> int:
-        """Count of the input converter."""
-        return self._u if self.capture is None or self.capture.done else self.capture.u
+        """Count of the input converter, as far as it has confirmed it."""
+        capture = self.capture
+        due = capture is not None and not capture.done and capture.step_is_due
+        return capture.u_to if capture is not None and due else self.output.u
 
     @property
     def capturing(self) -> bool:
@@ -116,6 +121,17 @@ class ControlLoop:
         """Switch the coil off at once, not at the next tick: mode idle, excitation and capture ended."""
         self.set_mode(Mode.IDLE)
         self._u = 0
+        self.output.write(0)
+
+    def start_capture(self, capture: FirmwareCapture) -> None:
+        """Let a capture drive the coil."""
+        self.capture = capture
+        self.output.write(capture.u_from)
+
+    def end_capture(self) -> None:
+        """Drive the coil as the mode says: all samples of the capture are taken."""
+        self.output.write(self._u)
+        self._emit(EventCode.CAPTURE_DONE, 0)
 
     def excite(self, excitation: Excitation) -> None:
         """Start an excitation at this tick."""
@@ -145,8 +161,15 @@ class ControlLoop:
             self._u, limited = self.law.run(i, x, self.reference.x_ref)
         else:
             self._u = self._open_loop_u if self.mode == Mode.OPEN_LOOP else 0
+        if not self.capturing:
+            self.output.write(self._u)
         self._report_limit(limited=limited)
         self.reference.refill()
+        if self.output.is_unconfirmed():
+            self._fail(EventCode.OUTPUT_FAULT, self.u)
+        if self.output.is_bypassed(i):
+            self._fail(EventCode.UNCOMMANDED_CURRENT, i)
+        self.output.end_tick(capturing=self.capturing)
         return Tick(i=i, x=x, u=self.u, x_ref=self.reference.x_ref, flags=self._flags(i, x))
 
     def _play(self) -> None:

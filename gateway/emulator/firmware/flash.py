@@ -25,7 +25,7 @@ CAPTURE_US = 40  # 25 kHz
 CAPTURE_SIZE = 2000  # samples; 3 kB of external RAM
 CAPTURE_SETTLE_US = 20_000  # u_from before the first sample
 ADC_BITS = DAC_BITS = 12
-FIRMWARE = (1, 0)
+FIRMWARE = (1, 1)
 BUILD = b"emulated"
 WATCHDOG_TICKS = 25  # 50 ms
 BOOT_TICKS = 5  # 10 ms from reset to tick 0
@@ -73,6 +73,14 @@ class FlashLimits:
     x_ref_step: int
     x_ref_slew: int  # counts per second
     u_max: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """The settings that a board keeps in writable memory, in counts."""
+
+    gains: Gains
+    limits: FlashLimits
 
 
 LIMITS = FlashLimits(
@@ -142,6 +150,11 @@ class BoardProfile:
     build: bytes
     adc_bits: int = ADC_BITS
     program: str = ""  # header of firmware/avr with the same numbers; none: those of the program itself
+
+    @property
+    def settings(self) -> Settings:
+        """Gains, operating point and limits."""
+        return Settings(gains=self.gains, limits=self.limits)
 
     def current_count(self, pin: float) -> int:
         """Return the count of i_c."""

@@ -19,7 +19,9 @@ from gateway.emulator.firmware.flash import (
     FIRMWARE,
     T_S_US,
     BoardProfile,
+    Settings,
 )
+from gateway.emulator.firmware.output import OutputFault
 from gateway.emulator.native.build import library
 from gateway.emulator.native.library import CGains, CIdentity, CLimits, CSettings, CView, load
 from protocol.wire.messages import EventCode, Mode
@@ -59,7 +61,7 @@ class NativeFirmware:
         self._view = CView.from_buffer(self._memory)
         self._frame = ctypes.create_string_buffer(_LONGEST_FRAME)
         self._elapsed_us = 0  # plant time since the last tick
-        identity, settings = identity_of(board_id, profile), settings_of(profile)
+        identity, settings = identity_of(board_id, profile), settings_of(profile.settings)
         self._library.posix_open(self._board, ctypes.byref(identity), ctypes.byref(settings))
 
     def __del__(self) -> None:
@@ -77,6 +79,14 @@ class NativeFirmware:
     def overrun(self) -> None:
         """Let the board report the next tick as late."""
         self._library.posix_late(self._board)
+
+    def fail_output(self, fault: OutputFault) -> None:
+        """Let the converter of u_c fail from now on, or work again."""
+        self._library.posix_fail_output(self._board, int(fault))
+
+    def store(self, settings: Settings) -> None:
+        """Write the memory of gains, operating point and limits, which the board reads at its next boot."""
+        self._library.posix_store(self._board, ctypes.byref(settings_of(settings)))
 
     def feed(self, data: bytes, *, into_tick_us: int = 0) -> None:
         """Process bytes from the host, `into_tick_us` after the last tick; never raises."""
@@ -178,9 +188,9 @@ def identity_of(board_id: int, profile: BoardProfile = CE152_BOARD) -> CIdentity
     )
 
 
-def settings_of(profile: BoardProfile = CE152_BOARD) -> CSettings:
-    """Return its gains, operating point and limits."""
-    gains, limits = profile.gains, profile.limits
+def settings_of(settings: Settings) -> CSettings:
+    """Return gains, operating point and limits as C lays them out."""
+    gains, limits = settings.gains, settings.limits
     return CSettings(
         CGains(
             gains.law,

@@ -70,6 +70,8 @@ _FUNCTIONS = {  # name: result, arguments behind the board
     "posix_reset": (None, (c_uint8,)),
     "posix_hang": (None, ()),
     "posix_late": (None, ()),
+    "posix_fail_output": (None, (c_uint8,)),
+    "posix_store": (None, (POINTER(CSettings),)),
     "posix_feed": (None, (c_char_p, c_uint32)),
     "posix_pass": (None, (c_uint16,)),
     "posix_capture": (None, (c_uint16,)),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gateway.record.tables.table import FloatArray, Table
+from gateway.record.tables.table import Table
 from protocol import table_file
 from protocol.errors import DataError
 
@@ -21,7 +21,7 @@ def read_mat(path: Path) -> Table:
         DataError: the file is absent, not a MATLAB file, of version 7.3, without vectors, or with vectors of different
             lengths.
     """
-    columns: dict[str, FloatArray]
+    columns: dict[str, npt.NDArray[Any]]
     columns, unusable = table_file.read_mat(path, _collect, squeeze=False)
     # A scalar beside vectors (a sample time, a mass) is not a column.
     columns = {name: column for name, column in columns.items() if len(column) > 1} or columns
@@ -34,12 +34,12 @@ def read_mat(path: Path) -> Table:
         names=tuple(columns),
         rows=next(iter(lengths.values())),
         place=lambda row: f"sample {row + 1}",
-        cell=lambda column, row: float(columns[column][row]),
+        cell=lambda column, row: columns[column][row].item(),  # whole numbers stay exact: times in ns have 61 bits
         unusable=unusable,
     )
 
 
-def _collect(name: str, value: Any, columns: dict[str, FloatArray], unusable: dict[str, str]) -> None:
+def _collect(name: str, value: Any, columns: dict[str, npt.NDArray[Any]], unusable: dict[str, str]) -> None:
     if (
         isinstance(value, np.ndarray)
         and value.dtype == object
@@ -50,7 +50,7 @@ def _collect(name: str, value: Any, columns: dict[str, FloatArray], unusable: di
         for field in record._fieldnames:  # noqa: SLF001  # scipy's documented way into a struct
             _collect(f"{name}.{field}", getattr(record, field), columns, unusable)
     elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and 0 < value.size == max(value.shape):
-        columns[name] = value.astype(float).ravel()
+        columns[name] = value.ravel()
     else:
         unusable[name] = _why(value)
 

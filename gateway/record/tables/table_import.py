@@ -5,19 +5,23 @@ Rule 2: T_s is the median step of t; `tick` counts in T_s from the first row.  A
         the tick jumps, `lost_before` says by how much.  `t_s` stays the table's own time, to the bit.
 Rule 3: log time is the table's time from the epoch 0: an imported log has no date.
 Rule 4: the log's metadata contain its source (file, SHA-256, columns, campaign).
+Rule 5: a table that `export` wrote is read back as it was (`exported`), unless its columns are mapped.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
+from gateway.record.tables.exported import exported_states, is_export
 from gateway.record.tables.mat import read_mat
+from gateway.record.tables.parquet import read_parquet
 from gateway.record.tables.table import FloatArray, Table, read_csv
 from gateway.record.writer import LogWriter
 from protocol.bus import board51_pb2 as pb
@@ -52,14 +56,14 @@ class ImportReport:
 
 
 def open_table(path: Path) -> Table:
-    """Open a CSV or MATLAB file, according to its name.
+    """Open a CSV, MATLAB or Parquet file, according to its name.
 
     Raises:
         DataError: the file cannot be read.
     """
     if path.suffix == ".mcap":
         raise DataError(f"{path} is a log already", remedy="Use it as it is")
-    return read_mat(path) if path.suffix == ".mat" else read_csv(path)
+    return {".mat": read_mat, ".parquet": read_parquet}.get(path.suffix, read_csv)(path)
 
 
 def import_recording(
@@ -86,6 +90,11 @@ def import_recording(
         LogError: the log exists or cannot be written.
     """
     table = open_table(source)
+    if is_export(table) and not recording.columns:
+        states = exported_states(table)
+        report = _report_of(source, log, board, states)
+        _write(f"{site}/{board}", report, recording, campaign, states)
+        return report
     values, beyond = _channels(table, recording)
     in_time = recording.kind != "equilibria"
     time_s = values.pop("t") if in_time else np.arange(table.rows, dtype=float)
@@ -116,15 +125,31 @@ def import_recording(
             *(f"column {name!r} cannot be used: {why}" for name, why in table.unusable.items()),
         ),
     )
-    writer = LogWriter(log, metadata=_provenance(report, recording, campaign), compression="zstd")
-    try:
-        _write(writer, f"{site}/{board}", report, recording, campaign, time_s, ticks_per_step, values)
-        writer.close()
-    except BaseException:
-        writer.abandon()
-        log.unlink(missing_ok=True)
-        raise
+    _write(f"{site}/{board}", report, recording, campaign, _states(recording, time_s, ticks_per_step, values))
     return report
+
+
+def _report_of(source: Path, log: Path, board: str, states: Sequence[pb.State]) -> ImportReport:
+    """Return the summary of samples that were exported; T_s is the median step of the board's clock."""
+    steps = [
+        (new.t_s - old.t_s) / (new.tick - old.tick)
+        for old, new in pairwise(states)
+        if new.session == old.session and new.tick > old.tick
+    ]
+    return ImportReport(
+        source=source,
+        log=log,
+        board=board,
+        rows=len(states),
+        channels=tuple(channel for channel, field in _FIELDS.items() if any(one.HasField(field) for one in states)),
+        sample_time_s=_round(float(np.median(steps))) if steps else 0.0,
+        duration_s=(states[-1].host_time_ns - states[0].host_time_ns) / 1e9,
+        gaps=sum(one.lost_before > 0 for one in states),
+        samples_missing=sum(one.lost_before for one in states),
+        irregular_steps=0,
+        worst_step_s=0.0,
+        beyond_table={},
+    )
 
 
 def _channels(table: Table, recording: Recording) -> tuple[dict[Channel, FloatArray], dict[str, int]]:
@@ -208,20 +233,31 @@ def _round(step_s: float) -> float:
 
 
 def _write(
-    writer: LogWriter,
-    prefix: str,
-    report: ImportReport,
+    prefix: str, report: ImportReport, recording: Recording, campaign: Campaign | None, states: Iterable[pb.State]
+) -> None:
+    writer = LogWriter(report.log, metadata=_provenance(report, recording, campaign), compression="zstd")
+    try:
+        for number, state in enumerate(states):
+            if number == 0:
+                parameters = _parameters(report, recording, campaign)
+                parameters.session, parameters.host_time_ns = state.session, state.host_time_ns
+                writer.write(f"{prefix}/parameters", parameters.SerializeToString(), state.host_time_ns)
+            writer.write(f"{prefix}/state", state.SerializeToString(), state.host_time_ns)
+        writer.close()
+    except BaseException:
+        writer.abandon()
+        report.log.unlink(missing_ok=True)
+        raise
+
+
+def _states(
     recording: Recording,
-    campaign: Campaign | None,
     time_s: FloatArray,
     ticks_per_step: np.ndarray[tuple[int], np.dtype[np.int_]],
     values: Mapping[Channel, FloatArray],
-) -> None:
+) -> Iterator[pb.State]:
     shift_s = min(0.0, float(time_s[0]))  # log time is unsigned
     closed = recording.kind in ("closed-loop", "equilibria")
-    parameters = _parameters(report, recording, campaign)
-    parameters.host_time_ns = round((float(time_s[0]) - shift_s) * 1e9)
-    writer.write(f"{prefix}/parameters", parameters.SerializeToString(), parameters.host_time_ns)
     mode = pb.MODE_CLOSED_LOOP if closed else pb.MODE_OPEN_LOOP
     columns = [(_FIELDS[channel], column.tolist()) for channel, column in values.items()]
     in_time = recording.kind != "equilibria"
@@ -229,24 +265,23 @@ def _write(
     for row, at_s in enumerate(time_s.tolist()):
         step = int(ticks_per_step[row - 1]) if row else 1
         tick += step if row else 0
-        time_ns = round((at_s - shift_s) * 1e9)
         state = pb.State(
             sequence=tick & 0xFFFF,
             tick=tick,
             session=1 if in_time else row + 1,
-            host_time_ns=time_ns,
+            host_time_ns=round((at_s - shift_s) * 1e9),
             mode=mode,
             t_s=at_s,
             lost_before=step - 1,
         )
         for field, column in columns:
             setattr(state, field, column[row])
-        writer.write(f"{prefix}/state", state.SerializeToString(), time_ns)
+        yield state
 
 
 def _parameters(report: ImportReport, recording: Recording, campaign: Campaign | None) -> pb.Parameters:
     """Return the known parameters; all others are 0, which for limits and converters means unknown."""
-    parameters = pb.Parameters(session=1, firmware="import", sample_time_s=report.sample_time_s, stream_divider=1)
+    parameters = pb.Parameters(firmware="import", sample_time_s=report.sample_time_s, stream_divider=1)
     if campaign is not None:
         parameters.x_ref_max_m = campaign.plant.travel_m
         if campaign.controller is not None and recording.kind == "closed-loop":

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import re
-import subprocess
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -18,21 +17,18 @@ from pathlib import Path
 
 from gateway.access.roles import Role, may, refusal_text
 from gateway.access.users import Users
-from gateway.processes.command import words_of
 from gateway.views.account import ACCOUNT
-from gateway.views.feed import Feed
+from gateway.views.feed import UNSEEN_S, Feed
 from gateway.views.hmi.gains import parse_gains, rows
 from gateway.views.hmi.jobs import Jobs
-from gateway.views.hmi.library import Library, LibraryFile
+from gateway.views.hmi.library import Library
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from protocol.bus import board51_pb2 as pb
 from protocol.bus import topics
 from protocol.errors import Board51Error
 
 REPLAY_SITE = "replay"  # logs are replayed under this site, and on a bus of their own: never for live
-SUMMARY_S, SUMMARY_CHARACTERS = 120.0, 100_000
 WRITTEN_S = 30.0  # a log that is open is flushed far more often
-SUMMARY_MAX_BYTES = 200_000_000  # a larger log takes minutes
 _EVERYTHING = tuple(
     word for topic in topics.TOPICS if topic.bus and topic.logged for word in ("--topic", topic.name)
 )  # a replay shows what was seen, the twin of then included
@@ -106,19 +102,32 @@ class Actions:
         """Return whether to show a control; each action checks the right again."""
         return may(self.role(session), act)
 
-    def command(self, session: LoginSession, board: str, what: pb.Command) -> pb.CommandReply:
-        """Send a command to a board and wait for the reply."""
+    def command(self, session: LoginSession, board: str, what: pb.Command, *, issued_ns: int = 0) -> pb.CommandReply:
+        """Send a command that was issued at `issued_ns` (Unix time; 0: now) to a board, and wait for the reply."""
         refused = self._refused(session, str(what.WhichOneof("what")))
         if refused is not None:
             return refused
-        return self._sent(session, board, lambda who, role: self.feed.command(board, what, who=who, role=role))
+
+        def send(who: str, role: str) -> pb.CommandReply:
+            return self.feed.command(board, what, who=who, role=role, issued_ns=issued_ns)
+
+        return self._sent(session, board, send)
 
     def stop(self, session: LoginSession, board: str) -> dict[str, pb.CommandReply]:
-        """Switch the coil off at once, of one board or ("*") of all boards of the site; return their replies."""
+        """Switch the coil off at once, of one board or ("*") of all boards of the site; return their replies.
+
+        A campaign ends by itself with a STOP that it sees.  One that is just starting, or an investigation between two
+        experiments, sees none and would lift the ball later: so it is interrupted as well.
+        """
         boards = self.feed.boards() if board == "*" else (board,)
-        with ThreadPoolExecutor(max(1, len(boards))) as pool:  # a board that does not answer must not hold up the next
-            replies = pool.map(lambda name: self.command(session, name, pb.Command(stop=pb.Stop())), boards)
-            return dict(zip(boards, replies, strict=True))
+        try:
+            with ThreadPoolExecutor(max(1, len(boards))) as pool:  # one that does not answer holds up no other
+                replies = pool.map(lambda name: self.command(session, name, pb.Command(stop=pb.Stop())), boards)
+                return dict(zip(boards, replies, strict=True))
+        finally:
+            if self._refused(session, "stop") is None:
+                for name in boards:
+                    self.jobs.stop("campaign", name)
 
     def _sent(self, session: LoginSession, board: str, send: Callable[[str, str], pb.CommandReply]) -> pb.CommandReply:
         if self.feed.board(board) is None:
@@ -129,12 +138,27 @@ class Actions:
             _logger.warning("command of %s to %s: %s", session.name, board, error)
             return refusal("not-delivered", f"The bus did not take the command: {error}.")
 
-    def acknowledge(self, session: LoginSession, board: str, alarm: str) -> pb.CommandReply:
+    def acknowledge(self, session: LoginSession, board: str, alarm: str, *, issued_ns: int = 0) -> pb.CommandReply:
         """Acknowledge an alarm."""
         refused = self._refused(session, "acknowledge")
         if refused is not None:
             return refused
-        return self._sent(session, board, lambda who, role: self.feed.acknowledge(board, alarm, who=who, role=role))
+
+        def send(who: str, role: str) -> pb.CommandReply:
+            return self.feed.acknowledge(board, alarm, who=who, role=role, issued_ns=issued_ns)
+
+        return self._sent(session, board, send)
+
+    def remove(self, session: LoginSession, board: str) -> pb.CommandReply:
+        """Take a rig that has not been seen for minutes off the pages and out of STOP for all rigs."""
+        refused = self._refused(session, "acknowledge")
+        if refused is not None:
+            return refused
+        if self.feed.remove(board):
+            return pb.CommandReply(accepted=True, text=f"{board[:32]} is off the pages until it is seen again.")
+        return refusal(
+            "in-use", f"Only a rig can be removed from which nothing has come for {UNSEEN_S / 60:g} minutes."
+        )
 
     def gains(self, board: str, data: bytes) -> tuple[pb.SetGains, list[dict[str, str]]]:
         """What a file of gains would set on a board, and the table that shows it.
@@ -161,19 +185,6 @@ class Actions:
             return refusal("no-log", "There is no such log.")
         words = ["replay", str(entry.path), "--speed", f"{speed:g}", *self._routes.replayed(), *_EVERYTHING]
         return self.start_job(session, "read", "replay", "*", words, title=entry.name)
-
-    def summary(self, entry: LibraryFile) -> str:
-        """What a log holds, as `board51 info` says it."""
-        if entry.bytes > SUMMARY_MAX_BYTES:
-            return f"{entry.bytes / 1e6:.0f} MB take long to read: use `board51 info {entry.path}`."
-        try:
-            done = subprocess.run(
-                words_of("info", str(entry.path)),
-                capture_output=True, text=True, errors="replace", timeout=SUMMARY_S, stdin=subprocess.DEVNULL,
-            )  # fmt: skip
-        except subprocess.TimeoutExpired:
-            return f"It takes too long to read: use `board51 info {entry.path}`."
-        return (done.stdout or done.stderr).replace(str(entry.path), entry.name)[:SUMMARY_CHARACTERS]
 
     def delete_log(self, session: LoginSession, log: str) -> pb.CommandReply:
         """Delete a log or recording for good; never one of a campaign, or one that is being written."""

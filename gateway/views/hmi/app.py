@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import signal
 import socket
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from types import FrameType
 
 import uvicorn
 import zenoh
@@ -36,6 +35,7 @@ from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.requests import Requests
 from gateway.views.hmi.sessions import LoginSession, LoginSessions
 from protocol.bus.identity import login_name
+from protocol.ending import on_end_signal
 from protocol.errors import ServiceError
 
 STATIC = Path(__file__).parent / "static"
@@ -72,7 +72,7 @@ def serve(settings: HmiSettings, listener: socket.socket, bus: zenoh.Session, re
         replay_bus: where logs are replayed.
     """
     jobs = Jobs()
-    feeds = Feed(bus, settings.site, guarded=settings.guarded), Feed(replay_bus, REPLAY_SITE)
+    feeds = Feed(bus, settings.site, guarded=settings.guarded), Feed(replay_bus, REPLAY_SITE, replays=True)
     config = uvicorn.Config(
         build(settings, *feeds, jobs),
         log_level="warning",
@@ -86,19 +86,15 @@ def serve(settings: HmiSettings, listener: socket.socket, bus: zenoh.Session, re
         ssl_certfile=settings.certificate,
         ssl_keyfile=settings.key,
     )
-    # uvicorn raises the signal that ended it once more, when it has put our handlers back.
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, _nothing)
+    server = uvicorn.Server(config)
+    # uvicorn has its own handlers while it serves, and raises the signal once more when it has put ours back.
+    on_end_signal(partial(setattr, server, "should_exit", True))
     try:
-        uvicorn.Server(config).run(sockets=[listener])
+        server.run(sockets=[listener])
     finally:
         jobs.close()
         for feed in feeds:
             feed.close()
-
-
-def _nothing(number: int, frame: FrameType | None) -> None:
-    """The server has ended already."""
 
 
 def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGIApp:
@@ -132,8 +128,8 @@ def build(settings: HmiSettings, feed: Feed, replayed: Feed, jobs: Jobs) -> ASGI
                 await pump
 
     sockets: list[BaseRoute] = []
-    for prefix, snapshots in (("/live", live), (REPLAY, replay)):
-        readers = Live(snapshots, sessions, jobs)
+    for prefix, snapshots, shown in (("/live", live, jobs), (REPLAY, replay, None)):
+        readers = Live(snapshots, sessions, shown)
         sockets.append(WebSocketRoute(prefix, readers.overview))
         sockets.append(WebSocketRoute(f"{prefix}/{{board}}", readers.board))
     work = ModelWork(actions, data=settings.data, logs=settings.logs, routes=settings.routes)

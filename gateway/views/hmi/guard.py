@@ -75,6 +75,7 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
+        scope["board51_arrived_s"] = time.monotonic()  # before the body, which a network may hold up
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         session = self._sessions.get(_cookie(headers), time.monotonic())
         if scope["type"] == "websocket":

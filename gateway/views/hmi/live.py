@@ -51,7 +51,10 @@ class Snapshots:
 
     def traces(self, board: BoardFeed) -> Traces:
         """The traces of a board, from the first look on."""
-        return self._traces.setdefault(board.name, Traces(board))
+        traces = self._traces.get(board.name)
+        if traces is None or traces.board is not board:  # a board that was removed comes back as another one
+            traces = self._traces[board.name] = Traces(board)
+        return traces
 
     async def pump(self) -> None:
         """Follow every board; runs until it is cancelled."""
@@ -90,10 +93,10 @@ class Live:
     Args:
         snapshots: what to show.
         sessions: who may look.
-        jobs: what is said of them.
+        jobs: of the rigs; None on pages of a recording, whose rig may have the name of a live one.
     """
 
-    def __init__(self, snapshots: Snapshots, sessions: LoginSessions, jobs: Jobs) -> None:
+    def __init__(self, snapshots: Snapshots, sessions: LoginSessions, jobs: Jobs | None) -> None:
         self._snapshots, self._sessions, self._jobs = snapshots, sessions, jobs
         self._readers = 0
 
@@ -106,7 +109,10 @@ class Live:
 
         def frame(now_s: float) -> dict[str, Any]:
             nonlocal board, cursor, looked_s
-            board = board or self._snapshots.feed.board(name)
+            known = self._snapshots.feed.board(name)
+            if known is not board:  # it is new, or was removed and is back
+                board, cursor, looked_s = known, 0, -math.inf
+                sent.clear()
             if board is None:
                 return {}
             traces, first = self._snapshots.traces(board), cursor == 0
@@ -116,7 +122,8 @@ class Live:
                 made["past"] = traces.past()
             if now_s - looked_s >= REST_S:
                 looked_s = now_s
-                jobs = {job.kind: snapshot.job(job) for job in self._jobs.of(name)}
+                running = self._jobs.of(name) if self._jobs is not None else []
+                jobs = {job.kind: snapshot.job(job) for job in running}
                 for part, content in (("rest", self._snapshots.rest(board)), ("jobs", jobs)):
                     text = json.dumps(content)
                     if text != sent.get(part):

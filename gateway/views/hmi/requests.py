@@ -12,8 +12,9 @@ GET  /log/<name>, /report-file/<name>    a file that the lists name
 POST /login (form), POST /logout
 
 Rule 1: a request may say when it was made, in SEEN_HEADER, by this server's clock as the page knows it from its frames.
-        A request delayed by the network is refused, because its sender has already seen a time-out.  STOP always acts.
-Rule 2: STOP has threads of its own: commands that wait for their boards must not make it wait.
+        What was delayed, by the network or here, is refused: its sender has already seen a time-out.  STOP always acts.
+Rule 2: acts and STOP have threads of their own, and a STOP gives up the acts that wait for its rig (views/dispatch.py).
+Rule 3: a summary is one process at a time, which ends with its request (summaries.py).
 """
 
 from __future__ import annotations
@@ -24,7 +25,6 @@ import json
 import math
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from urllib.parse import parse_qs
 
@@ -35,10 +35,12 @@ from starlette.routing import Route
 
 from gateway.access.logins import Logins, TooMany
 from gateway.access.users import Users
+from gateway.views.dispatch import EVERY_RIG, FRESH_S, Dispatch, Wish
 from gateway.views.hmi.actions import Actions
 from gateway.views.hmi.guard import Guard, cookie_name, own_page, refusal
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
+from gateway.views.hmi.summaries import Summaries, departure
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
 
@@ -50,8 +52,6 @@ _REPORT_POLICY = (
     " frame-ancestors 'self'"
 )
 SEEN_HEADER = "x-board51-seen"  # s, of this server's monotonic clock
-FRESH_S = 3.0  # with what `gateway.client.connection.send` may take (7 s) no more than static/server.js waits
-STOPS = 64  # that wait for their answers at once
 
 
 class Requests:
@@ -67,7 +67,8 @@ class Requests:
         self._actions = actions
         self._starts = _starts(actions, work)
         self._logins = Logins(users) if users is not None else None
-        self._stops = ThreadPoolExecutor(STOPS, thread_name_prefix="stop")
+        self._dispatch = Dispatch("hmi", actions.feed.stopped_s)
+        self._summaries = Summaries()
         self.guard: Guard | None = None  # makes the cookies; set once it stands
 
     def routes(self) -> list[Route]:
@@ -81,6 +82,7 @@ class Requests:
             "/api/{board}/gains": self.gains,
             "/api/{board}/job": self.job,
             "/api/{board}/delete": self.delete,
+            "/api/{board}/remove": self.remove,
         }
         reads = {
             "/login": self.login_form,
@@ -96,8 +98,7 @@ class Requests:
     async def stop(self, request: Request) -> Response:
         """Coil off at once."""
         board, session = request.path_params["board"], _session(request)
-        loop = asyncio.get_running_loop()
-        replies = await loop.run_in_executor(self._stops, self._actions.stop, session, board)
+        replies = await self._dispatch.stop([board], lambda: self._actions.stop(session, board))
         if board != "*":
             return _answer(replies[board])
         boards = {name: _body(reply) for name, reply in replies.items()}
@@ -117,7 +118,11 @@ class Requests:
         if command.WhichOneof("what") is None:
             return refusal(400, "empty-command", f"The command has no action; give one of {', '.join(_WHAT)}.")
         board = request.path_params["board"]
-        return await self._act(request, lambda session: self._actions.command(session, board, command))
+
+        def do(session: LoginSession, wish: Wish) -> pb.CommandReply:
+            return self._actions.command(session, board, command, issued_ns=wish.issued_ns)
+
+        return await self._act(request, board, do)
 
     async def gains(self, request: Request) -> Response:
         """Return the command that a file of gains gives."""
@@ -143,12 +148,12 @@ class Requests:
             kinds = " | ".join(f'"{one}"' for one in self._starts)
             return refusal(400, "malformed", f'Give {{"kind": {kinds}, "act": "start" | "stop"}}.')
 
-        def do(session: LoginSession) -> pb.CommandReply:
+        def do(session: LoginSession, _wish: Wish) -> pb.CommandReply:
             if act == "stop":
                 return actions.stop_job(session, kind, "*" if kind == "replay" else board)
             return self._starts[kind](session, board, table)
 
-        return await self._act(request, do)
+        return await self._act(request, board if act == "start" and board != EVERY_RIG else "", do)
 
     async def delete(self, request: Request) -> Response:
         """Delete a log."""
@@ -156,7 +161,12 @@ class Requests:
         name = table.get("log") if table is not None else None
         if not isinstance(name, str):
             return refusal(400, "malformed", 'Give {"log": "..."}.')
-        return await self._act(request, lambda session: self._actions.delete_log(session, name))
+        return await self._act(request, "", lambda session, _: self._actions.delete_log(session, name))
+
+    async def remove(self, request: Request) -> Response:
+        """Take a rig off the pages that has not been seen for minutes."""
+        board = request.path_params["board"]
+        return await self._act(request, "", lambda session, _: self._actions.remove(session, board))
 
     async def acknowledge(self, request: Request) -> Response:
         """Acknowledge an alarm."""
@@ -165,7 +175,11 @@ class Requests:
         if not isinstance(name, str):
             return refusal(400, "malformed", 'Give {"name": "..."}.')
         board = request.path_params["board"]
-        return await self._act(request, lambda session: self._actions.acknowledge(session, board, name))
+
+        def do(session: LoginSession, wish: Wish) -> pb.CommandReply:
+            return self._actions.acknowledge(session, board, name, issued_ns=wish.issued_ns)
+
+        return await self._act(request, board, do)
 
     async def session(self, request: Request) -> Response:
         """Return the user and the remaining time of the session."""
@@ -196,7 +210,8 @@ class Requests:
         entry = await asyncio.to_thread(self._actions.logs.find, request.path_params["name"])
         if entry is None:
             return refusal(404, "no-log", "There is no such log.")
-        return JSONResponse({"accepted": True, "text": await asyncio.to_thread(self._actions.summary, entry)})
+        text = await self._summaries.text(entry, departure(request))
+        return refusal(503, "busy", BUSY) if text is None else JSONResponse({"accepted": True, "text": text})
 
     async def login_form(self, request: Request) -> Response:
         """The form."""
@@ -231,9 +246,24 @@ class Requests:
         self._actions.sessions.close(_session(request))
         return JSONResponse({"accepted": True}, headers={"set-cookie": self.guard.cookie(None, _host(request))})
 
-    async def _act(self, request: Request, do: Callable[[LoginSession], pb.CommandReply]) -> Response:
-        late = _late(request)
-        return late if late is not None else _answer(await asyncio.to_thread(do, _session(request)))
+    async def _act(self, request: Request, board: str, do: Callable[[LoginSession, Wish], pb.CommandReply]) -> Response:
+        session, wish = _session(request), Wish(board=board, arrived_s=_made_s(request))
+        if not abs(time.monotonic() - wish.arrived_s) <= FRESH_S:  # also NaN
+            text = "The network delayed it; nothing was done. Repeat it if it is still needed."
+            return refusal(409, "not-fresh", text)
+
+        def leave(_: asyncio.Task[None]) -> None:
+            wish.has_left = True
+
+        leaving = asyncio.create_task(departure(request))
+        leaving.add_done_callback(leave)
+        try:
+            return _answer(await self._dispatch.act(wish, lambda: do(session, wish)))
+        finally:
+            leaving.cancel()
+
+
+BUSY = "Other summaries are being read. Try again in a minute, or use `board51 info`."
 
 
 def _starts(
@@ -245,6 +275,8 @@ def _starts(
         return str(table.get(name) or "")
 
     def campaign(session: LoginSession, board: str, table: dict[str, object]) -> pb.CommandReply:
+        if table.get("resume") is True:
+            return work.resume_campaign(session, board, word(table, "campaign"))
         if "experiment" in table:
             prepared = table.get("prepared") is True
             return work.add_experiment(
@@ -280,18 +312,15 @@ def _host(request: Request) -> str:
     return str(request.headers.get("host", ""))
 
 
-def _late(request: Request) -> Response | None:
-    said = request.headers.get(SEEN_HEADER)
-    if said is None:  # a program that waits for its answer as long as it likes
-        return None
+def _made_s(request: Request) -> float:
+    """Return when a request was made, or at least arrived: monotonic; NaN where its date cannot be read."""
+    arrived_s: float = request.scope["board51_arrived_s"]
+    date = request.headers.get(SEEN_HEADER)
     try:
-        age_s = time.monotonic() - float(said)
+        made_s = arrived_s if date is None else float(date)
     except ValueError:
-        age_s = math.nan
-    if abs(age_s) <= FRESH_S:
-        return None
-    text = f"The network delayed it by {age_s:.1f} s; nothing was done. Repeat it if it is still needed."
-    return refusal(409, "not-fresh", text)
+        return math.nan
+    return min(arrived_s, made_s) if made_s - arrived_s <= FRESH_S else math.nan
 
 
 def _body(reply: pb.CommandReply) -> dict[str, object]:

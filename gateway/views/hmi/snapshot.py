@@ -11,6 +11,8 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from gateway.board.faults import COIL
+from gateway.board.reference import reference_range_mm
 from gateway.views.alarms import TWIN, Alarm
 from gateway.views.feed import BoardFeed
 from gateway.views.hmi.jobs import Job
@@ -29,6 +31,7 @@ _FLAGS = {
     Flag.INPUT_SATURATED: "input saturated",
     Flag.OVERRUN: "overrun",
 }
+COIL_IN_DOUBT = "COIL MAY BE ON"  # static/stop.js compares with it
 EVENTS_SHOWN = 30
 LINES_SHOWN = 12
 _GAPS = re.compile(r"\s{2,}")
@@ -55,6 +58,7 @@ def now(board: BoardFeed) -> dict[str, Any]:
             "i_c_a": _if(state, "i_c_a"),
             "u_c_v": _if(state, "u_c_v"),
             "mode": MODES.get(state.mode, str(state.mode)),
+            "coil": _coil(board, state),
             "flags": [text for flag, text in _FLAGS.items() if state.flags & flag],
         }
     twin, divergence = board.latest(pb.TwinState), board.latest(pb.Divergence)
@@ -143,7 +147,9 @@ def summary(board: BoardFeed) -> dict[str, Any]:
     alarms = board.alarms()
     return now(board) | {
         "name": board.name,
-        "alarms": sum(a.active or not a.acknowledged for a in alarms),
+        "unseen": board.is_unseen(),
+        "alarms": sum(a.active for a in alarms),
+        "gone": sum(not a.active for a in alarms),  # that nobody has acknowledged
         "fault": any(a.active and a.severity == "fault" for a in alarms),
     }
 
@@ -160,6 +166,12 @@ def _excitation(records: Sequence[pb.CommandRecord]) -> dict[str, Any] | None:
         until_s = round(record.received_ns / 1e9 + duration_s, 1) if duration_s else 0
         return {"what": pb.Shape.Name(command.excite.shape).removeprefix("SHAPE_").lower(), "until_s": until_s}
     return None
+
+
+def _coil(board: BoardFeed, state: pb.State) -> str:
+    if board.fault() in COIL:
+        return COIL_IN_DOUBT
+    return "coil off" if state.mode == pb.MODE_IDLE else "coil on"
 
 
 def _if(state: pb.State, name: str) -> float | None:
@@ -193,9 +205,10 @@ def _status(board: BoardFeed) -> dict[str, Any] | None:
 def _limits(parameters: pb.Parameters | None) -> dict[str, Any] | None:
     if parameters is None:
         return None
+    low_mm, high_mm = reference_range_mm(parameters)
     return {
-        "x_min_m": parameters.x_ref_min_m,
-        "x_max_m": parameters.x_ref_max_m,
+        "x_min_mm": low_mm,
+        "x_max_mm": high_mm,
         "step_m": parameters.x_ref_step_max_m,
         "u_max_v": parameters.u_max_v,
         "law": "PID" if parameters.law == pb.LAW_PID else "LQI",

@@ -37,7 +37,7 @@ class Traces:
     """
 
     def __init__(self, board: BoardFeed) -> None:
-        self._board = board
+        self.board = board
         self._rows: deque[Row] = deque(maxlen=MAX_ROWS)
         self._count = 0  # rows so far: the cursor of one who has read all
         self._taps: list[TopicBins] = []
@@ -46,9 +46,9 @@ class Traces:
     def pump(self) -> None:
         """Take in what came since the last call; call it about 30 times a second."""
         if not self._taps:
-            if self._board.latest(pb.State) is None:
+            if self.board.latest(pb.State) is None:
                 return
-            self._taps = [self._board.tap(kind, width_s=BIN_S) for kind in (pb.State, pb.TwinState, pb.Divergence)]
+            self._taps = [self.board.tap(kind, width_s=BIN_S) for kind in (pb.State, pb.TwinState, pb.Divergence)]
         states, twins, divergences = (tap.take() for tap in self._taps)
         for made, bins in ((_state, states), (_twin, twins), (_divergence, divergences)):
             for done in bins:

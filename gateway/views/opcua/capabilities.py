@@ -13,7 +13,7 @@ from asyncua import Server, ua
 
 from gateway.views.opcua.address_space.history import MAX_VALUES
 from gateway.views.opcua.sessions import MAX_CONNECTIONS, MAX_QUEUE, MAX_SUBSCRIPTIONS
-from gateway.views.opcua.subscriptions import MAX_ITEMS, MIN_INTERVAL_MS
+from gateway.views.opcua.subscriptions import MAX_ITEMS
 
 _PROFILE = "http://opcfoundation.org/UA-Profile"
 _POLICY = "http://opcfoundation.org/UA/SecurityPolicy#"
@@ -64,14 +64,16 @@ _HISTORY = dict.fromkeys(
 }
 
 
-async def describe(server: Server, policies: Iterable[ua.SecurityPolicyType], tokens: Iterable[type]) -> None:
-    """Fill in the capabilities of a server that offers these security policies and logins."""
+async def describe(
+    server: Server, policies: Iterable[ua.SecurityPolicyType], tokens: Iterable[type], interval_ms: float
+) -> None:
+    """Fill in the capabilities of a server with these security policies and logins, and this interval of its values."""
     offered = [_OF_POLICY[policy.name.partition("_")[0]] for policy in policies]
     profiles = [TRANSPORT, *offered, *(_OF_TOKEN[token] for token in tokens), *FACETS]
     values = {
         _O.Server_ServerCapabilities_ServerProfileArray: ua.Variant(profiles, _V.String),
         _O.Server_ServerCapabilities_LocaleIdArray: ua.Variant(["en"], _V.String),
-        _O.Server_ServerCapabilities_MinSupportedSampleRate: ua.Variant(MIN_INTERVAL_MS, _V.Double),
+        _O.Server_ServerCapabilities_MinSupportedSampleRate: ua.Variant(interval_ms, _V.Double),
     }
     values |= {node: ua.Variant(limit, _V.UInt32) for node, limit in _LIMITS.items()}
     values |= {node: ua.Variant(able, _V.Boolean) for node, able in _HISTORY.items()}

@@ -1,9 +1,9 @@
 """Alarms as OPC UA conditions, and the board's events and commands as OPC UA events.
 
-A condition of a board is `<board>/alarm/<name>`.  Everything is emitted by the Server object and by the board's object:
-clients subscribe at either.  ConditionRefresh shows what is retained; Acknowledge, AddComment, Enable and Disable are
-methods of the condition.  A disabled condition is not reported to any client of this server until it is enabled or the
-server restarts; all other views continue to show it.
+A condition of a board is the node `<board>/alarm/<name>`, which can be browsed once the alarm was raised.  Everything
+is emitted by the Server object and by the board's object: clients subscribe at either.  ConditionRefresh shows what is
+retained; Acknowledge, AddComment, Enable and Disable are methods of the condition.  A disabled condition is not
+reported to any client of this server until it is enabled or the server restarts; all other views continue to show it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from gateway.views.alarms import Alarm
 from gateway.views.feed import BoardFeed
 from gateway.views.opcua.address_space.values import datetime_of
 from gateway.views.opcua.condition_events import SEVERITY, ConditionNode, condition_event
+from gateway.views.opcua.condition_nodes import ConditionObject
 from gateway.views.opcua.sessions import GuardedServer
+from gateway.views.opcua.types.build import Builder
 from protocol.bus import board51_pb2 as pb
 
 _SERVER = ua.NodeId(ua.ObjectIds.Server)
@@ -29,8 +31,9 @@ _SERVER = ua.NodeId(ua.ObjectIds.Server)
 class Conditions:
     """The alarms and events of one board."""
 
-    def __init__(self, server: GuardedServer, feed: BoardFeed, node: ua.NodeId) -> None:
-        self._server, self._feed, self._node = server, feed, node
+    def __init__(self, server: GuardedServer, builder: Builder, feed: BoardFeed, node: ua.NodeId) -> None:
+        self._server, self._builder, self._feed, self._node = server, builder, feed, node
+        self._objects: dict[str, ConditionObject] = {}  # by the name of the alarm
         self._revision = -1
         self._sent: dict[str, Alarm] = {}  # those that are retained
         self._known: dict[str, tuple[ConditionNode, Alarm]] = {}  # with what was said last, also of those that are over
@@ -79,12 +82,17 @@ class Conditions:
             condition.comment = None
         if condition.enabled or switched:
             now = datetime.now(UTC) if switched else datetime_of(alarm.changed_ns)
-            await self._send(condition_event(alarm, condition, node, now, retain=retain))
+            await self._send(condition_event(alarm, condition, node, now, retain=retain), of=alarm.name)
 
-    async def _send(self, event: Any) -> None:
+    async def _send(self, event: Any, *, of: str = "") -> None:
+        """Send an event; first show it at the condition of the alarm `of`, if any."""
         event.ReceiveTime = datetime.now(UTC)
         event.LocalTime = ua.TimeZoneDataType()
         event.SourceNode, event.SourceName = self._node, self._feed.name
+        if of:
+            if of not in self._objects:
+                self._objects[of] = ConditionObject(self._server.aspace, self._builder, self._node, event)
+            await self._objects[of].show(event)
         for emitter in (self._node, _SERVER):
             emitted = copy.copy(event)
             emitted.emitting_node = emitter

@@ -2,21 +2,28 @@
 
 Rule 1: a deadband is relative to the last value sent, so that a slow drift is reported, too; a change of status is
         always reported (Part 4, 7.22.2).
-Rule 2: no value or filter of a client raises an error: it would end the service for all clients.
+Rule 2: the sampling interval that is promised is the one that is served: whole intervals of the server, of which the
+        others are left out.  A change of status is not left out, nor any minimum or maximum: a spike would be lost.
+Rule 3: no value or filter of a client raises an error: it would end the service for all clients.
 """
 
 from __future__ import annotations
 
 import logging
+import math
+from collections.abc import Set as AbstractSet
 from datetime import UTC, datetime
 from typing import Any
 
 from asyncua import ua
+from asyncua.server.address_space import AddressSpace
+from asyncua.server.internal_subscription import InternalSubscription
 from asyncua.server.monitored_item_service import MonitoredItemData, MonitoredItemService
 
 from gateway.views.opcua.address_space.timestamps import stamped
 
 VALUE = ua.AttributeIds.Value
+MAX_INTERVAL_MS = 3_600_000.0
 Trigger = ua.DataChangeTrigger
 _logger = logging.getLogger("gateway.opcua")
 
@@ -25,6 +32,12 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
     """asyncua's service for one subscription, with the timestamps asked for and filters as Part 4 has them."""
 
     _asked = ua.TimestampsToReturn.Source
+
+    def __init__(
+        self, subscription: InternalSubscription, space: AddressSpace, periodic: AbstractSet[ua.NodeId]
+    ) -> None:
+        super().__init__(subscription, space)
+        self._periodic = periodic  # nodes with a value in each interval; all others send changes, as they come
 
     async def create_monitored_items(
         self, params: ua.CreateMonitoredItemsParameters
@@ -57,7 +70,14 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
             return
         mid = self._monitored_datachange[handle]
         data = self._monitored_items[mid]
-        if data.mode == ua.MonitoringMode.Disabled or not is_news(data.mvalue.current_dvalue, value, data.filter):
+        sent = data.mvalue.current_dvalue
+        if data.mode == ua.MonitoringMode.Disabled:
+            return
+        data.left_out += 1
+        if sent is not None and sent.StatusCode == value.StatusCode and data.left_out < data.every:
+            return
+        data.left_out = 0
+        if not is_news(sent, value, data.filter):
             return
         data.mvalue.set_current_datavalue(value)
         of_value = data.read_value_id.AttributeId == VALUE
@@ -89,7 +109,28 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
     ) -> tuple[ua.MonitoredItemCreateResult, MonitoredItemData]:
         result, data = super()._make_monitored_item_common(params)
         data.timestamps = self._asked
+        result.RevisedSamplingInterval = self._revise(data, params.RequestedParameters.SamplingInterval)
         return result, data
+
+    async def trigger_datachange(self, handle: int, nodeid: ua.NodeId, attr: ua.AttributeIds) -> None:
+        """Report the present value, of a new item or one that is enabled again; the intervals count from here."""
+        data = self._monitored_items[self._monitored_datachange[handle]]
+        data.left_out = data.every
+        await super().trigger_datachange(handle, nodeid, attr)
+
+    def _revise(self, data: MonitoredItemData, asked_ms: float) -> float:
+        """Return the sampling interval that is served, and note every how many values it is (Part 4, 7.21)."""
+        publishing_ms: float = self.isub.data.RevisedPublishingInterval
+        data.every = data.left_out = 1
+        node = data.read_value_id
+        lowest = self.aspace.read_attribute_value(node.NodeId, ua.AttributeIds.MinimumSamplingInterval).Value
+        interval_ms = float(lowest.Value or 0.0) if lowest is not None and node.AttributeId == VALUE else 0.0
+        if not interval_ms:
+            return publishing_ms
+        if node.NodeId in self._periodic:
+            wanted_ms = publishing_ms if math.isnan(asked_ms) or asked_ms < 0 else min(asked_ms, MAX_INTERVAL_MS)
+            data.every = max(1, math.ceil(round(wanted_ms / interval_ms, 3)))
+        return float(data.every * interval_ms)
 
     def _modified(
         self, item: ua.MonitoredItemModifyRequest, asked: ua.TimestampsToReturn
@@ -105,7 +146,7 @@ class Items(MonitoredItemService):  # type: ignore[misc]  # asyncua's class is u
             return result
         data.timestamps, data.client_handle = asked, wanted.ClientHandle
         data.queue_size = result.RevisedQueueSize = self._revise_queue_size(wanted.QueueSize)
-        result.RevisedSamplingInterval = self.isub.data.RevisedPublishingInterval
+        result.RevisedSamplingInterval = self._revise(data, wanted.SamplingInterval)
         if wanted.Filter is not None:
             data.filter = wanted.Filter
         return result

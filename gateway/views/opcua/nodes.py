@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from asyncua import ua
-from asyncua.server.internal_server import InternalServer
 
 from gateway.views.bins import TopicBins
 from gateway.views.decimate import Bin
@@ -27,7 +26,8 @@ from gateway.views.opcua.address_space.history import RingHistory, Track
 from gateway.views.opcua.address_space.model import TICK_TOPICS, TOPICS, Leaf, leaves
 from gateway.views.opcua.address_space.nameplate import nameplate
 from gateway.views.opcua.address_space.ranges import instrument_ranges, ranges
-from gateway.views.opcua.address_space.values import Value, data_value, datetime_of
+from gateway.views.opcua.address_space.values import Value, data_value, datetime_of, tell
+from gateway.views.opcua.sessions import GuardedServer
 from gateway.views.opcua.types.build import Builder
 from gateway.views.opcua.types.layout import MACHINES, RIG_TYPE, SETPOINTS, Layout
 from protocol.bus import board51_pb2 as pb
@@ -61,7 +61,7 @@ class BoardNodes:
 
     def __init__(
         self,
-        server: InternalServer,
+        server: GuardedServer,
         builder: Builder,
         parent: ua.NodeId,
         feed: BoardFeed,
@@ -80,9 +80,10 @@ class BoardNodes:
         self._bins: dict[str, Bin] = {}
         self._outlived: set[str] = set()  # topics whose bin is from before an outage
         self._stamps_ns: dict[str, int] = {}
-        self._seen: dict[str, tuple[object, int]] = {}  # what was sent last: message, status
+        self._seen: dict[str, tuple[object, int]] = {}  # sent last: message, status; the id of a message may come again
         self._nodes: dict[str, list[_Node]] = {topic: [] for topic in TOPICS}
-        self._extras: dict[str, tuple[Any, object]] = {}
+        self._extras: dict[str, Any] = {}  # by path: its attribute
+        self._sent_extras: dict[str, object] = {}  # by path: value sent last, and to whom
         self._tracks: dict[str, Track] = {}
         self._parameters: pb.Parameters | None = None  # those whose ranges and nameplate are shown
         rig = ua.NodeId(RIG_TYPE, builder.spaces.types)
@@ -102,11 +103,14 @@ class BoardNodes:
                 if leaf.statistic is not None:
                     history.add(self._id(leaf.path), track, columns.index(leaf))
                 self._nodes[topic].append(_Node(leaf, self._serve(self._id(leaf.path), self._reader(leaf))))
+                if topic in TICK_TOPICS and leaf.statistic in (None, "last"):
+                    self._server.subscription_service.periodic.add(self._id(leaf.path))
         for path, variant, _, _ in EXTRAS:
-            self._extras[path] = (self._serve(self._id(path), self._extra_reader(path, variant)), None)
+            self._extras[path] = self._serve(self._id(path), self._extra_reader(path, variant))
         for path, field, _ in SETPOINTS:
             leaf = next(leaf for leaf in leaves() if leaf.path == f"state/{field}")
             self._nodes["state"].append(_Node(leaf, self._serve(self._id(path), self._reader(leaf))))
+            self._server.subscription_service.periodic.add(self._id(path))
 
     def _id(self, path: str) -> ua.NodeId:
         return self._builder.id(f"{self.name}/{path}")
@@ -199,8 +203,9 @@ class BoardNodes:
             self._seen[topic] = (None, status)
         for topic in TOPICS[len(TICK_TOPICS) :]:
             message, status = self.feed.latest(topics.BY_NAME[topic].message), self._status(topic)
-            if self._seen.get(topic) != (id(message), status):
-                self._seen[topic] = (id(message), status)
+            before = self._seen.get(topic)
+            if before is None or before[0] is not message or before[1] != status:
+                self._seen[topic] = (message, status)
                 await self._send_messages(topic, status)
         await self._update_extras()
 
@@ -219,9 +224,9 @@ class BoardNodes:
                 codes.append(quality.UNAVAILABLE if value != value and not quality.is_bad(code) else code)
             if node.attribute.datachange_callbacks:
                 if leaf.statistic is not None:
-                    await _tell(node.attribute, self._value_of_bin(leaf, taken, status))
+                    await tell(node.attribute, self._value_of_bin(leaf, taken, status))
                 else:
-                    await _tell(node.attribute, self._value_of_message(leaf, status))
+                    await tell(node.attribute, self._value_of_message(leaf, status))
         stamp_ns = self._stamps_ns[topic] + (1000 if again else 0)
         self._tracks[topic].append(stamp_ns, values, codes)
 
@@ -233,15 +238,16 @@ class BoardNodes:
     async def _send_messages(self, topic: str, status: int) -> None:
         for node in self._nodes[topic]:
             if node.attribute.datachange_callbacks:
-                await _tell(node.attribute, self._value_of_message(node.leaf, status))
+                await tell(node.attribute, self._value_of_message(node.leaf, status))
 
     async def _update_extras(self) -> None:
-        for path, (attribute, sent) in self._extras.items():
+        for path, attribute in self._extras.items():
             if attribute.datachange_callbacks:
-                value = extra(self.feed, path)
-                if value != sent:
-                    self._extras[path] = (attribute, value)
-                    await _tell(attribute, attribute.value_callback(None, VALUE))
+                # A new subscriber may have begun with a value that came and went since the last call.
+                value = extra(self.feed, path), tuple(attribute.datachange_callbacks)
+                if self._sent_extras.get(path) != value:
+                    self._sent_extras[path] = value
+                    await tell(attribute, attribute.value_callback(None, VALUE))
 
     async def _update_parameters(self) -> None:
         """Ranges and nameplate, where the board has stated others."""
@@ -261,12 +267,7 @@ class BoardNodes:
         attribute = self._server.aspace[self._id(path)].attributes[VALUE]
         if attribute.value.Value != value.Value:
             attribute.value = value
-            await _tell(attribute, value)
-
-
-async def _tell(attribute: Any, value: Value) -> None:
-    for handle, callback in list(attribute.datachange_callbacks.items()):
-        await callback(handle, value)
+            await tell(attribute, value)
 
 
 def _is_absent(message: Any, field: str) -> bool:

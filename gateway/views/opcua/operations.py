@@ -2,12 +2,12 @@
 
 Rule 1: commands use feed.command like all other views, so that the gateway's limits, log and records apply.
 Rule 2: rights are those of the table in gateway/access/roles.py.
-Rule 3: every refusal has a status code and, as output of the method and under last_command, its reason in words.
+Rule 3: commands have threads of their own, STOP has others, and a STOP gives up what waits (views/dispatch.py).
+Rule 4: every refusal has a status code and, as output of the method and under last_command, its reason in words.
 """
 
 from __future__ import annotations
 
-import asyncio
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 from asyncua import ua
 
 from gateway.access.roles import Role, may, refusal_text
+from gateway.views.dispatch import Dispatch, Wish
 from gateway.views.feed import Feed
 from gateway.views.opcua.address_space.model import Method
 from protocol.bus import board51_pb2 as pb
@@ -72,6 +73,7 @@ class Operations:
 
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
+        self._dispatch = Dispatch("opcua", feed.stopped_s)
 
     async def command(self, visitor: Visitor, board: str, act: str, command: pb.Command) -> pb.CommandReply:
         """What became of it.
@@ -85,13 +87,18 @@ class Operations:
         if not self._feed.guarded and not may(visitor.role, act):
             text = refusal_text(visitor.name, visitor.role, act)
             return pb.CommandReply(id=command.id, refused_by="gateway", reason="not-allowed", text=text)
-        who, role = visitor.name, visitor.role.word
-        if act == "acknowledge" and may(visitor.role, act):  # it may count without a gateway, too
-            seen = command.acknowledge
-            return await asyncio.to_thread(
-                self._feed.acknowledge, board, seen.alarm, who=who, role=role, comment=seen.comment
-            )
-        return await asyncio.to_thread(self._feed.command, board, command, who=who, role=role, timeout_s=TIMEOUT_S)
+        wish = Wish(board=board)
+
+        def send() -> pb.CommandReply:
+            head: dict[str, Any] = {"who": visitor.name, "role": visitor.role.word, "issued_ns": wish.issued_ns}
+            if act == "acknowledge" and may(visitor.role, act):  # it may count without a gateway, too
+                seen = command.acknowledge
+                return self._feed.acknowledge(board, seen.alarm, comment=seen.comment, **head)
+            return self._feed.command(board, command, timeout_s=TIMEOUT_S, **head)
+
+        if act == "stop":
+            return await self._dispatch.stop([board], send)
+        return await self._dispatch.act(wish, send)
 
 
 def written(field: str, value: ua.DataValue) -> tuple[str, pb.Command] | int:

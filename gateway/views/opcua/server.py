@@ -19,6 +19,7 @@ from asyncua import Server, ua
 
 from gateway.access.roles import Role
 from gateway.views.feed import Feed
+from gateway.views.opcua import processor
 from gateway.views.opcua.address_space.history import Historian, RingHistory
 from gateway.views.opcua.capabilities import describe
 from gateway.views.opcua.conditions import Conditions
@@ -76,6 +77,7 @@ async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready:
         return security.identify(name, password, certificate, host) if security is not None else None
 
     inner = GuardedServer(Reception(identify), Operations(feed), secured=security is not None)
+    processor.install()
     server = Server(iserver=inner)
     await server.init()
     server.set_endpoint(f"opc.tcp://{settings.host}:{settings.port}/board51/")
@@ -93,7 +95,7 @@ async def serve(feed: Feed, settings: OpcuaSettings, stop: asyncio.Event, ready:
         await server.set_application_uri(APPLICATION_URI)
         server.set_security_policy(list(_OPEN))
     server.set_identity_tokens(tokens)
-    await describe(server, POLICIES if security is not None else _OPEN, tokens)
+    await describe(server, POLICIES if security is not None else _OPEN, tokens, 1000.0 / settings.rate_hz)
     inner.namespace = await server.register_namespace(NAMESPACE.format(site=feed.site))
     inner.spaces = await register(server)
     history = RingHistory()
@@ -134,7 +136,7 @@ async def _keep_up(
                     history=history,
                     history_s=settings.history_s,
                 )
-                boards[name] = nodes, Conditions(inner, board, nodes.object)
+                boards[name] = nodes, Conditions(inner, builder, board, nodes.object)
                 _logger.info("%s is served", name)
                 await asyncio.sleep(0)  # a board's 361 nodes take a while: who is connected is answered in between
         for nodes, conditions in boards.values():

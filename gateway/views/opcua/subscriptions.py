@@ -12,16 +12,19 @@ from asyncua import ua
 from asyncua.common.event_objects import RefreshEndEvent, RefreshStartEvent
 from asyncua.server.subscription_service import SubscriptionService
 
-from gateway.views.opcua.items import Items
+from gateway.views.opcua.items import MAX_INTERVAL_MS, Items
 
 MIN_INTERVAL_MS = 20.0
-MAX_INTERVAL_MS = 3_600_000.0
 MAX_ITEMS = 5_000  # monitored items of one subscription; eight boards have 1500 variables
 _SERVER = ua.NodeId(ua.ObjectIds.Server)
 
 
 class BoundedSubscriptions(SubscriptionService):  # type: ignore[misc]  # asyncua's class is untyped
     """Subscriptions with a shortest interval and a largest number of items."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.periodic: set[ua.NodeId] = set()  # nodes whose value is sent in each interval of the server
 
     async def create_subscription(
         self,
@@ -37,7 +40,7 @@ class BoundedSubscriptions(SubscriptionService):  # type: ignore[misc]  # asyncu
         params.RequestedPublishingInterval = min(max(asked_ms, MIN_INTERVAL_MS), MAX_INTERVAL_MS)
         result = await super().create_subscription(params, callback, session_id, request_callback)
         subscription = self.subscriptions[result.SubscriptionId]
-        subscription.monitored_item_srv = Items(subscription, self.aspace)
+        subscription.monitored_item_srv = Items(subscription, self.aspace, self.periodic)
         return result
 
     async def create_monitored_items(

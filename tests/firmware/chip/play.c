@@ -70,9 +70,16 @@ uint16_t hal_read_position(void) {
     return x_count;
 }
 
-void hal_write_input(uint16_t u) {
+bool hal_write_input(uint16_t u) {
+    static uint8_t deaf; /* writes that it will not confirm */
+
     note((uint8_t)u);
     note((uint8_t)(u >> 8));
+    if (number(0, 199) == 0U) {
+        deaf = (uint8_t)number(1, 12);
+    }
+    deaf = (uint8_t)(deaf - (deaf != 0U ? 1U : 0U));
+    return deaf == 0U;
 }
 
 bool hal_tick_due(void) {
@@ -134,6 +141,10 @@ const struct settings *hal_settings(void) {
         {LAW_LQI, {16, 14, 11, 21}, {12844, 32492, 21147, -21527}, 1304, 2034, 1756}, {248, 3680, 1751, 14008, 4000}};
 
     return &SETTINGS;
+}
+
+const struct settings *hal_program_settings(void) {
+    return hal_settings();
 }
 
 /* One field: a number each, in an order that C fixes. */

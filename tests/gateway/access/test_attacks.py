@@ -83,7 +83,7 @@ def seen_by(heard: list[bytes]) -> list[str]:
     return [one.who for data in heard for one in pb.Alarms.FromString(data).acknowledged]
 
 
-GATEWAY_TOPICS = ("state", "status", "event", "parameters", "alarms", "capture", "command/record")
+GATEWAY_TOPICS = ("state", "states", "status", "event", "parameters", "alarms", "capture", "command/record")
 
 
 @pytest.mark.parametrize("spoofer", ["vic", "ben", "ana", "views", "twin"])

@@ -103,6 +103,25 @@ def test_a_twin_takes_models_from_engineers_only(keys: SecurityFolder, caplog: p
         assert ana.ask(b"", "board51/rig/twin/command") == []
 
 
+def test_a_guarded_bus_lets_a_twin_see_that_another_serves_its_boards(keys: SecurityFolder) -> None:
+    with (
+        router(keys) as endpoint,
+        TwinService(nominal(), endpoints=(endpoint,), identity=keys.identity("twin")) as one,
+        join(endpoint, keys.identity("gateway")) as gateway,
+    ):
+
+        def parameters_at(service: TwinService) -> bool:
+            gateway.session.put("board51/rig/parameters", pb.Parameters(sample_time_s=0.002).SerializeToString())
+            return "rig" in service.boards or service.failure is not None
+
+        wait_for(lambda: parameters_at(one), "the board at the twin")
+        with TwinService(nominal(), endpoints=(endpoint,), identity=keys.identity("twin")) as two:
+            wait_for(lambda: parameters_at(two), "an answer of the second twin")
+
+            assert "A twin already serves every board of site board51" in str(two.failure)
+            assert one.failure is None
+
+
 # -- commands as a user types them
 
 

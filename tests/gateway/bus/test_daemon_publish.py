@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 
-from gateway.bus.publisher import Publisher, PublishQueue
+from gateway.bus.publisher import LONGEST_BATCH, Publisher, PublishQueue
 from gateway.bus.status import percentile
 from tests.harness.gateway.gateway_peers import wait_for
 from tests.patience import HANG_S
@@ -84,6 +84,29 @@ def test_a_stalled_bus_does_not_hold_up_the_end() -> None:
 
     assert target.taken == []  # it is still stalled
     target.gate.set()
+
+
+def test_gathered_payloads_are_one_message_per_channel_in_order_and_of_bounded_length() -> None:
+    first, second = Gated(), Gated()
+    publisher = Publisher("test", capacity=1000, gather_s=0.001, join=b",".join)
+    channels = [PublishQueue(first), PublishQueue(second)]
+    publisher.hold(held=True)
+    publisher.start()
+    for n in range(600):
+        publisher.put(channels[n % 2 if n < 200 else 0], payloads(n, n + 1))
+    waiting = [channel.waiting for channel in channels]
+    for target in (first, second):
+        target.gate.set()
+
+    publisher.hold(held=False)
+    wait_for(lambda: len(first.taken) == 2 and second.taken, "the batches")
+
+    assert waiting == [500, 100]
+    assert b",".join(first.taken).split(b",") == [*payloads(0, 200)[::2], *payloads(200, 600)]
+    assert [message.count(b",") + 1 for message in first.taken] == [LONGEST_BATCH, 500 - LONGEST_BATCH]
+    assert second.taken == [b",".join(payloads(0, 200)[1::2])]
+    assert [channel.waiting for channel in channels] == [0, 0]
+    publisher.stop()
 
 
 def test_percentiles_are_of_the_nearest_rank() -> None:

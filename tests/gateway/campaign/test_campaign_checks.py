@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from gateway.campaign.checks import CheckedRig, Problem, Samples, check, lift_off_v, rest_level_m, samples_of
-from gateway.campaign.menu import BY_NAME, Burst
 from gateway.campaign.plan import CommandLimits
 from protocol.bus import board51_pb2 as pb
+from protocol.experiments import BY_NAME, Burst
 from protocol.wire.messages import Flag
 
 T_S = 2e-3

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.campaign.menu import BY_NAME, MENU, Experiment, chosen
 from gateway.campaign.plan import (
     CommandLimits,
     GoTo,
@@ -22,9 +21,11 @@ from gateway.campaign.plan import (
     limits_of,
     raised,
 )
+from gateway.campaign.selection import chosen
 from protocol.bus import board51_pb2 as pb
 from protocol.campaign import Plant
 from protocol.errors import UsageError
+from protocol.experiments import BY_NAME, MENU, Experiment
 
 CE152 = CommandLimits(
     u_min_v=0.0, u_max_v=4.99878, x_min_m=0.3e-3, x_max_m=5.2e-3, step_m=2.5e-3, slew_m_s=20e-3,

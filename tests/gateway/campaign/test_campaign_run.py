@@ -80,6 +80,7 @@ def test_an_interrupted_campaign_leaves_the_ball_parked_and_goes_on(number: sign
         out, err = process.communicate(timeout=HANG_S)
         line.assert_parked()
         table = json.loads(out)
+        left = json.loads((folder / "run.json").read_text())["left"]
 
         code = line.run(folder, *STEPS)
 
@@ -90,6 +91,8 @@ def test_an_interrupted_campaign_leaves_the_ball_parked_and_goes_on(number: sign
     assert f"To go on: board51 campaign run {folder}" in err
     assert "Traceback" not in err
     assert code == 0
+    assert left == ["steps"]
+    assert json.loads((folder / "run.json").read_text())["left"] == []
     assert sorted(path.name for path in folder.iterdir()) == [
         "campaign.toml", "run.json", "steps.mcap",
     ]  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import math
+import signal
 import subprocess
 import sys
 import threading
@@ -329,3 +330,59 @@ def test_the_package_costs_nothing_until_a_name_is_used() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
     for name in gateway.client.__all__:
         assert getattr(gateway.client, name).__module__.startswith("gateway.client.")
+
+
+ENDINGS = {
+    "exception": "raise RuntimeError('of the user')",
+    "interrupt": "os.kill(os.getpid(), signal.SIGINT); time.sleep(60)",
+    "exit": "sys.exit(3)",
+    "end": "pass",
+    "iterating": "stream = rig.samples(); next(stream); events = rig.messages('event'); raise RuntimeError('user')",
+    "thread": "threading.Thread(target=lambda: [Rig('rig', connect=rig.connect).open().record('b'), 1 / 0]).start()",
+    "working": "threading.Thread(target=lambda: print(len(rig.read(0.5)), 'samples after the end of main')).start()",
+}
+CODES = {"interrupt": -signal.SIGINT, "exit": 3, "end": 0, "thread": 0, "working": 0}
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_program_with_an_open_rig_ends_and_its_recording_is_complete(
+    endpoint: str, tmp_path: Path, ending: str
+) -> None:
+    program = f"""
+import os, signal, sys, threading, time
+from gateway.client import Rig
+signal.signal(signal.SIGINT, signal.default_int_handler)
+rig = Rig("rig", connect={endpoint!r}).open()
+rig.record("logs")
+rig.read(0.2)
+{ENDINGS[ending]}
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S, check=False
+    )
+
+    assert done.returncode == CODES.get(ending, 1), done.stderr
+    assert ending != "working" or done.stdout == "250 samples after the end of main\n"
+    files = list(tmp_path.glob("*/*.mcap"))
+    assert files
+    for file in files:
+        assert file.read_bytes().endswith(b"\x89MCAP0\r\n")  # closed in order
+    assert len(read_log(next(tmp_path.glob("logs/*.mcap")))) >= 100
+
+
+def test_a_test_run_that_leaves_a_rig_open_ends(endpoint: str, tmp_path: Path) -> None:
+    (tmp_path / "test_users.py").write_text(
+        f"from gateway.client import Rig\n\n\ndef test_it():\n    rig = Rig('rig', connect={endpoint!r}).open()\n"
+        "    rig.record('logs')\n    rig.read(0.2)\n    raise RuntimeError('of the user')\n",
+        encoding="utf-8",
+    )
+
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "test_users.py"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S, check=False,
+    )  # fmt: skip
+
+    assert done.returncode == 1, done.stdout
+    assert "of the user" in done.stdout
+    (file,) = tmp_path.glob("logs/*.mcap")
+    assert file.read_bytes().endswith(b"\x89MCAP0\r\n")

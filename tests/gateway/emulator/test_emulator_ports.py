@@ -345,6 +345,17 @@ def test_the_command_seals_its_secret_and_prints_json(tmp_path: Path) -> None:
     assert told[2]["counts"]["time_s"] == pytest.approx(0.1)
 
 
+@pytest.mark.parametrize(("host", "lines"), [("0.0.0.0", 1), ("127.0.0.1", 0), ("localhost", 0)])
+def test_a_listener_beyond_this_machine_is_one_line_of_warning(host: str, lines: int) -> None:
+    process = command("--tcp", f"{host}:0", "--duration", "0.02")
+    _, errors = process.communicate(timeout=HANG_S)
+
+    warnings = [line for line in errors.splitlines() if "open to the network" in line]
+    assert process.returncode == 0, errors
+    assert len(warnings) == lines
+    assert all(f"--tcp {host}:0" in line and "may command" in line for line in warnings)
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

@@ -50,7 +50,9 @@ class Rig:
             frame("IDENTITY", id=hello.int("id"), tick=self.tick, **identity_values()), self.now_s
         )
         assert isinstance(opened, Opened)
-        self.known.identity, self.known.scaling = opened.identity, scaling_of(opened.identity)
+        scaling = scaling_of(opened.identity)
+        assert not isinstance(scaling, str), scaling
+        self.known.identity, self.known.scaling = opened.identity, scaling
 
     @property
     def now_ns(self) -> int:
@@ -129,6 +131,79 @@ def test_stop_is_sent_each_time_it_is_asked_for_whatever_its_id() -> None:
     assert [record.reply.tick for record in rig.records if record.command.WhichOneof("what") == "stop"] == [
         first.tick, again.tick, other.tick,
     ]  # fmt: skip
+
+
+def dated(rig: Rig, age_s: float, **fields: Any) -> pb.CommandReply:
+    """The reply to a command that was issued `age_s` ago."""
+    return rig.command(issued_ns=rig.now_ns - round(age_s * S), valid_s=10.0, **fields)
+
+
+@pytest.mark.parametrize("link", ["streaming", "absent"])
+def test_what_was_issued_before_the_last_stop_is_never_sent(link: str) -> None:
+    """Also where the STOP itself could not be sent, and however late the command comes."""
+    rig = Rig()
+    rig.now_s += 20.0
+    rig.ask(pb.Command(id="stop", stop=pb.Stop()).SerializeToString(), link=link)
+    rig.now_s += 3.0
+
+    before, after = dated(rig, 3.1, id="before", set_mode=CLOSED), dated(rig, 2.9, id="after", ping=pb.Ping())
+
+    assert (before.accepted, before.refused_by, before.reason) == (False, "gateway", "superseded-by-stop")
+    assert "0.100 s before the last STOP" in before.text
+    assert after.accepted
+    assert (rig.sent("SET_MODE"), rig.sent("PING")) == (0, 1)
+
+
+def test_a_command_without_a_date_is_judged_by_its_arrival() -> None:
+    """Its query may be overtaken by the STOP between the threads of the bus."""
+    rig = Rig()
+    sender = Sender(name="", role=None, arrived_ns=rig.now_ns - S, started_ns=START_NS)
+    rig.command(id="stop", stop=pb.Stop())
+    replies: list[pb.CommandReply] = []
+    late = pb.Command(id="late", set_mode=CLOSED).SerializeToString()
+
+    rig.handler.take(late, replies.append, rig.now_s, rig.now_ns, link="streaming", reason="", sender=sender)
+    new = rig.command(id="new", set_mode=CLOSED)
+
+    assert [reply.reason for reply in replies] == ["superseded-by-stop"]
+    assert new.accepted
+
+
+def test_a_new_date_does_not_make_a_command_newer_than_a_stop() -> None:
+    """A sender that is refused by a gateway which has just started tries again with a new date."""
+    rig = Rig()
+    rig.now_s -= 99.9  # 0.1 s after the start of the gateway
+    early = dated(rig, 0.0, id="again", set_mode=CLOSED)
+    rig.now_s += 0.1
+    rig.command(id="stop", stop=pb.Stop())
+    rig.now_s += 1.4
+
+    again, other = dated(rig, 0.0, id="again", set_mode=CLOSED), dated(rig, 0.0, id="other", ping=pb.Ping())
+
+    assert (early.reason, again.reason) == ("not-fresh", "superseded-by-stop")
+    assert other.accepted
+    assert rig.sent("SET_MODE") == 0
+
+
+@pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
+def test_a_step_of_the_host_s_clock_moves_the_last_stop_with_it(step_s: float) -> None:
+    rig = Rig()
+    rig.now_s += 7200.0
+    rig.command(id="stop", stop=pb.Stop())
+    rig.handler.clock_stepped(round(step_s * S))
+    rig.now_s += step_s + 1.0
+
+    assert dated(rig, 0.5, id="after", ping=pb.Ping()).accepted
+    assert dated(rig, 1.5, id="before", ping=pb.Ping()).reason == "superseded-by-stop"
+
+
+def test_a_remark_and_an_acknowledgement_outlive_a_stop() -> None:
+    """They move nothing."""
+    rig = Rig()
+    rig.now_s += 20.0
+    rig.command(id="stop", stop=pb.Stop())
+
+    assert dated(rig, 0.5, id="remark", mark=pb.Mark(text="it hummed")).accepted
 
 
 @pytest.mark.parametrize(

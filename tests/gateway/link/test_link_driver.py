@@ -187,6 +187,16 @@ def test_an_open_port_without_bytes_gets_a_hint() -> None:
         assert "powered" in wait_for(lambda: collector.event("no-answer"), "verdict").text
 
 
+_IMPLAUSIBLE: tuple[tuple[dict[str, float], str], ...] = (
+    ({"x_lsb": 0.0}, "x_lsb = 0 m"),
+    ({"i_lsb": 3e38}, "i_lsb = 3e+38 A"),
+    ({"u_lsb": -1e-45}, "u_lsb = -1.4013e-45 V"),
+    ({"x_offset": 3e38}, "x_offset = 3e+38 m"),
+    ({"u_offset": -2000.0}, "within 1000 V"),
+    ({"sample_time": 65_535}, "65535 us"),
+)
+
+
 @pytest.mark.parametrize(
     ("answer", "options", "name", "text"),
     [
@@ -203,14 +213,17 @@ def test_an_open_port_without_bytes_gets_a_hint() -> None:
             "3",
         ),
         (lambda m: None, {"board_id": 8}, "wrong-board", "7"),
-        (
-            lambda m: frame("IDENTITY", id=m.int("id"), tick=0, **{**identity_values(), "x_lsb": 0.0}),
-            {},
-            "bad-identity",
-            "0",
+        *(
+            (
+                lambda m, wrong=wrong: frame("IDENTITY", id=m.int("id"), tick=0, **{**identity_values(), **wrong}),
+                {},
+                "bad-identity",
+                text,
+            )
+            for wrong, text in _IMPLAUSIBLE
         ),
     ],
-    ids=["version", "version-nack", "board-id", "scaling"],
+    ids=["version", "version-nack", "board-id", *(next(iter(wrong)) for wrong, _ in _IMPLAUSIBLE)],
 )
 def test_a_board_that_cannot_be_served_is_left_alone(
     answer: Callable[[Message], bytes | None], options: dict[str, Any], name: str, text: str

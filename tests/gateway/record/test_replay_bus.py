@@ -81,13 +81,13 @@ def test_a_fast_replay_sends_the_log_and_nothing_else(
 ) -> None:
     with subscriber(endpoint) as found:
         assert board51.main(["replay", str(log), "--speed", "0", "--connect", endpoint, "--json"]) == 0
-        until(lambda: len(found) >= 1001)
+        until(lambda: len(found) >= 2001)
 
-    assert [(key, payload) for key, _, payload in found] == logged(log, "parameters", "state")
-    assert {encoding for _, encoding, _ in found} == {
-        "application/protobuf;board51.v1.Parameters",
-        "application/protobuf;board51.v1.State",
-    }
+    recorded = [(key, payload) for key, _, payload in found if not key.endswith("/states")]
+    batches = [pb.StateBatch.FromString(payload) for key, _, payload in found if key.endswith("/states")]
+    assert recorded == logged(log, "parameters", "state")
+    assert [state.SerializeToString() for batch in batches for state in batch.states] == [p for _, p in recorded[1:]]
+    assert {encoding.partition("v1.")[2] for _, encoding, _ in found} == {"Parameters", "State", "StateBatch"}
     report = json.loads(capsys.readouterr().out)
     assert report["messages"] == 1001
     assert report["log_seconds"] == pytest.approx(1.998)
@@ -144,7 +144,7 @@ def test_each_pass_of_a_loop_has_its_own_session(log: Path, endpoint: str) -> No
             [sys.executable, "board51.py", "replay", str(log), "--speed", "0", "--loop", "--connect", endpoint],
             cwd=REPO, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
-        until(lambda: len(found) > 2500)
+        until(lambda: len(found) > 5000)
         process.send_signal(signal.SIGTERM)
         output, _ = process.communicate(timeout=HANG_S)
 

@@ -13,9 +13,10 @@ import pytest
 from gateway.board.conditions import LINK, TO_BOARD
 from gateway.views.alarms import TWIN
 from gateway.views.bins import channels
-from gateway.views.feed import SILENT_S, TWIN_GONE_S, BoardFeed, Feed
+from gateway.views.feed import SILENT_S, TWIN_GONE_S, UNSEEN_S, BoardFeed, Feed
 from gateway.views.hmi.snapshot import rest
 from protocol.bus import board51_pb2 as pb
+from protocol.bus.encoding import REPLAYED, state_batch
 from tests.harness.gateway.bus_peers import PlayedGateway, feed_of, played_gateway
 from tests.harness.gateway.gateway_peers import ScriptedBoard, client, gateway_config, running, wait_for
 
@@ -256,7 +257,7 @@ def test_a_command_says_who_and_comes_back_with_the_answer(feed: Feed, gateway: 
 def test_junk_on_the_bus_is_counted_and_changes_nothing(feed: Feed, gateway: PlayedGateway) -> None:
     rig = heard(feed, gateway)
 
-    gateway.put("state", b"\xff\xff\xff")
+    gateway.put("states", b"\xff\xff\xff")
     wait_for(lambda: feed.refused, "refusal")
     for n in range(200):
         gateway.send("status", pb.Status(), f"made-up-{n}")
@@ -315,3 +316,52 @@ def test_a_board_that_does_not_answer_is_an_alarm_while_its_samples_are_live(
 
     assert live
     assert shown["to_board"] == "unanswered"
+
+
+def test_a_rig_that_is_unseen_for_minutes_can_be_removed_and_comes_back_by_itself(gateway: PlayedGateway) -> None:
+    now_s = [100.0]
+    with client(gateway.endpoint) as bus:
+        feed = Feed(bus.session, now_s=lambda: now_s[0])
+        rig = heard(feed, gateway)
+        now_s[0] += UNSEEN_S - 1.0
+        assert (feed.remove("rig"), feed.remove("nobody")) == (False, False)
+        now_s[0] += 2.0
+
+        assert feed.remove("rig")
+
+        assert feed.boards() == ()
+        assert heard(feed, gateway) is not rig
+        feed.close()
+
+
+def test_what_is_replayed_is_no_board_of_the_live_site_and_the_only_one_of_replays(gateway: PlayedGateway) -> None:
+    """Nor is what a twin makes of it."""
+    state = pb.State(tick=1, session=1)
+    with client(gateway.endpoint) as bus:
+        live, replays = Feed(bus.session), Feed(bus.session, replays=True)
+
+        def reached() -> bool:
+            gateway.send("twin/state", pb.TwinState(tick=1), "demo")
+            gateway.session.put("board51/demo/states", state_batch([state.SerializeToString()]), attachment=REPLAYED)
+            gateway.state()
+            return bool(live.boards() and replays.boards())
+
+        wait_for(reached, "a message in both")
+
+        assert (live.boards(), replays.boards()) == (("rig",), ("demo",))
+        for feed in (live, replays):
+            feed.close()
+
+
+def test_the_last_stop_of_a_board_is_known_whoever_sent_it(gateway: PlayedGateway) -> None:
+    now_s = [100.0]
+    with client(gateway.endpoint) as bus:
+        feed = Feed(bus.session, now_s=lambda: now_s[0])
+        heard(feed, gateway)
+        assert feed.stopped_s("rig") == feed.stopped_s("nobody") == -math.inf
+        now_s[0] = 123.0
+
+        gateway.send("command/record", pb.CommandRecord(command=pb.Command(who="eva", stop=pb.Stop())))
+
+        wait_for(lambda: feed.stopped_s("rig") == 123.0, "the STOP")
+        feed.close()

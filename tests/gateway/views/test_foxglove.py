@@ -82,7 +82,7 @@ def test_junk_is_counted_and_not_passed_on(gateway: PlayedGateway) -> None:
     with client(gateway.endpoint) as bus, ticking(gateway, "rig1"):
         view = FoxgloveView(bus.session, "board51", "127.0.0.1", 0)
         asyncio.run(asyncio.wait_for(listen(view.port, "board51/rig1/state"), HANG_S))
-        gateway.session.put("board51/rig1/state", b"\xff\xff\xff")
+        gateway.session.put("board51/rig1/states", b"\xff\xff\xff")
         asyncio.run(asyncio.wait_for(listen(view.port, "board51/rig1/state"), HANG_S))
         view.close()
 

@@ -214,17 +214,32 @@ def test_a_recording_is_started_stopped_and_replayed_apart_from_the_live_rig(pag
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["Run quick", "Investigate"])
-def test_a_campaign_shows_its_progress_and_parks_the_ball_when_interrupted(name: str, page: Page, bus: Bus) -> None:
+def test_a_campaign_shows_its_progress_parks_the_ball_when_interrupted_and_goes_on(
+    name: str, page: Page, rig: Rig, bus: Bus
+) -> None:
+    def folders() -> set[str]:
+        return {path.name for path in (rig.folder / "data" / "campaigns").glob("rig-*")}
+
+    def interrupt() -> None:
+        page.get_by_role("button", name="Interrupt").click()
+        expect(page.get_by_text("ended with exit code 1")).to_be_visible()
+        wait_for(lambda: bus.states()[-1].mode == pb.MODE_IDLE, "idle")
+
+    before = folders()
     page.goto(page.url.replace("/rig/", "/model/"))
     page.get_by_role("button", name=name).click()
     wait_for(lambda: bus.states()[-1].x_m > 1e-3, "flight")
     expect(page.locator(".job-lines").first).not_to_be_empty()
 
-    page.get_by_role("button", name="Interrupt").click()
+    interrupt()
 
-    expect(page.get_by_text("ended with exit code 1")).to_be_visible()
-    wait_for(lambda: bus.states()[-1].mode == pb.MODE_IDLE, "idle")
     expect(page.locator(".job-lines").first).to_contain_text("ball parked, coil off")
+    (made,) = folders() - before
+    page.locator(".file", has=page.locator(f"a[href$='{made}']")).get_by_role("button", name="Continue").click()
+    wait_for(lambda: bus.states()[-1].x_m > 1e-3, "flight")
+    interrupt()
+    assert folders() - before == {made}, "into the same folder"
+    expect(page.locator(".file", has=page.locator(f"a[href$='{made}']"))).to_contain_text("continued it")
 
 
 def test_a_plot_can_be_held_zoomed_and_read(page: Page, bus: Bus) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.views.hmi.model.campaigns import board_of, campaigns_of, find_campaign
+from gateway.views.hmi.model.campaigns import board_of, campaigns_of, choose, find_campaign
 from gateway.views.hmi.model.finding import read_found
 from gateway.views.hmi.model.journal import FILE, acts_of, write_act
 from gateway.views.hmi.model.models import keep, models_of
@@ -22,7 +22,11 @@ from tests.harness.gateway.gateway_peers import wait_for
 from tests.harness.gateway.hmi_peers import Page, frame, hmi, users_file
 
 CAMPAIGN = "rig-20260102-030405"
-MODEL = {"plant": {"name": "ce152"}, "parameters": {"K_A": {"value": 0.297}}, "causes": [{"name": "quadratic-drag"}]}
+MODEL: dict[str, Any] = {
+    "plant": {"name": "ce152"},
+    "parameters": {"K_A": {"value": 0.297}},
+    "causes": [{"name": "quadratic-drag"}],
+}
 ANSWER = {
     "verdict": "causes-found",
     "sentence": "One cause: the coil sits higher.",
@@ -96,6 +100,27 @@ def test_the_model_in_use_is_marked_and_the_one_that_it_replaces_stays_in_the_li
     assert after[1].was_replaced
     (root / CAMPAIGN / "model.json").write_text("{")
     assert len(models_of(tmp_path, "rig", campaigns, None)) == 1, "a damaged one is left out"
+
+
+def test_a_campaign_that_is_left_unfinished_stands_behind_finished_ones(tmp_path: Path) -> None:
+    campaign(tmp_path)
+    newer = campaign(tmp_path, "rig-20260202-000000")
+    investigation = campaign(tmp_path, "rig-20260303-000000")
+    (tmp_path / "rig-20260404-000000").mkdir()
+    (newer / "run.json").write_text('{"left": ["steps"], "quick": true}')
+    (investigation / "investigation.json").write_text('{"ended": null}')
+
+    found = campaigns_of(tmp_path, "rig")
+
+    assert [(one.left, one.quick, one.interrupted) for one in found] == [
+        ((), False, False), ((), False, True), (("steps",), True, True), ((), False, False),
+    ]  # fmt: skip
+    assert choose(found, "") is found[3]
+    assert choose(found[:3], "") is found[1], "where none is finished, the newest with recordings"
+    assert choose(found[:1], "") is None
+    assert choose(found, found[0].name) is found[0]
+    (newer / "run.json").write_text("[")
+    assert not campaigns_of(tmp_path, "rig")[2].interrupted, "a damaged file is none"
 
 
 def test_an_answer_is_read_and_experiments_that_no_menu_has_are_left_out(tmp_path: Path) -> None:
@@ -185,6 +210,12 @@ def test_the_page_shows_the_answer_and_only_an_engineer_has_its_buttons(tmp_path
         }
         clamp = {"kind": "campaign", "act": "start", "campaign": CAMPAIGN, "experiment": "blocked-ball"}
         unclamped = engineer.post("/api/rig/job", clamp).json()
+        (tmp_path / "data" / "campaigns" / CAMPAIGN / "run.json").write_text('{"left": []}')
+        resume = {"kind": "campaign", "act": "start", "resume": True}
+        finished = engineer.post("/api/rig/job", {**resume, "campaign": CAMPAIGN}).json()
+        unnamed = engineer.post("/api/rig/job", resume).json()
+        (tmp_path / "data" / "campaigns" / CAMPAIGN / "run.json").write_text('{"left": ["steps"]}')
+        forbidden = viewer.post("/api/rig/job", {**resume, "campaign": CAMPAIGN})
         unknown = engineer.post("/api/rig/job", {"kind": "hand-over", "act": "start", "model": "../x"}).json()
 
     for words in ("the coil sits 0.4 mm higher", "force-exponent", "confidence 0.61", "hold the ball at six heights"):
@@ -197,6 +228,7 @@ def test_the_page_shows_the_answer_and_only_an_engineer_has_its_buttons(tmp_path
     assert {name: answer.status_code for name, answer in posts.items()} == dict.fromkeys(posts, 403)
     assert {answer["reason"] for answer in asked.values()} == {"no-campaign"}
     assert unclamped["reason"] == "person-needed"
+    assert (finished["reason"], unnamed["reason"], forbidden.status_code) == ("no-campaign", "no-campaign", 403)
     assert unknown["reason"] == "no-model"
 
 

@@ -12,6 +12,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from protocol.bus import board51_pb2 as pb
+from protocol.wire.messages import Flag
 from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway, ticking
 from tests.harness.gateway.chromium import ABSENT, CHROMIUM, chromium
 from tests.harness.gateway.gateway_peers import wait_for
@@ -214,6 +215,24 @@ def test_the_banner_waits_for_a_sample_and_believes_no_answer(page: Page, site: 
     expect(page.locator(SAID)).to_contain_text("whether the coil is off is not known")
 
 
+def test_a_coil_that_the_board_cannot_switch_off_is_never_called_off(page: Page, site: Site) -> None:
+    """Idle by its samples, STOP accepted, and the board has a fault that it cannot end."""
+    idle = {"mode": pb.MODE_IDLE, "flags": Flag.FAULT, "u_c_v": 2.0}
+    site.gateway.answer = lambda _, command: pb.CommandReply(id=command.id, accepted=True, tick=1)
+    with ticking(site.gateway, "rig", "two", values=lambda _: idle):
+        page.goto(f"{site.url}/rig/rig")
+        page.wait_for_selector("body[data-live=yes]")
+        site.gateway.send("event", pb.Event(name="output-fault", severity="fault", text="cut", session=1), "rig")
+        expect(page.locator('[data-live="mode"]')).to_have_text("idle \u00b7 COIL MAY BE ON")
+
+        page.keyboard.press("Escape")
+
+        expect(page.locator(SAID)).to_contain_text("THE COIL MAY BE ON: cut its supply")
+        expect(page.locator(SAID)).to_have_attribute("data-state", "bad")
+    with ticking(site.gateway, "rig", "two"):  # no fault any more, for the tests behind this one
+        expect(page.locator('[data-live="mode"]')).not_to_contain_text("MAY BE ON")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("when", ["opened while nothing comes", "the samples end"])
 def test_in_a_lost_state_everything_is_marked_as_last_known(page: Page, site: Site, when: str) -> None:
@@ -247,6 +266,29 @@ def test_a_board_that_does_not_answer_is_told_in_the_bar(page: Page, site: Site)
     assert page.evaluate("document.querySelector('.chips').scrollHeight") <= page.evaluate(
         "document.querySelector('.chips').clientHeight"
     ), "no chip is cut off"
+
+
+def test_what_became_of_a_stop_is_told_for_each_rig(page: Page, site: Site) -> None:
+    """The coil of `two` is off, as far as samples say, and nobody is sent to switch it off by hand."""
+
+    def answer(key: str, command: pb.Command) -> pb.CommandReply:
+        if "/two/" in key:
+            return pb.CommandReply(id=command.id, accepted=True, tick=1)
+        return pb.CommandReply(id=command.id, refused_by="link", reason="timed-out", text="No answer.")
+
+    site.gateway.answer = answer
+    site.mode = {"mode": pb.MODE_IDLE}
+    with site.live():
+        page.goto(site.url)
+        page.wait_for_selector(".board-card >> nth=1")
+        page.keyboard.press("Escape")
+        banner = page.locator(SAID)
+        expect(banner).to_contain_text("STOP REFUSED for rig, accepted for the others")
+        expect(banner).to_contain_text("two: coil off")
+        expect(banner).to_contain_text("Its coil is off, says the sample")
+        assert "by hand" not in banner.inner_text()
+    expect(page.locator(SAID)).to_contain_text("Switch rig off by hand")
+    assert "Switch two" not in page.locator(SAID).inner_text()
 
 
 @pytest.mark.slow

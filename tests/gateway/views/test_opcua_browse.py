@@ -14,7 +14,7 @@ from gateway.views.opcua.types.companion import DI, MACHINERY
 from gateway.views.opcua.types.rig_type import TYPES
 from protocol.bus import board51_pb2 as pb
 from tests.harness.gateway.bus_peers import played_gateway, ticking
-from tests.harness.gateway.opcua_peers import NAMESPACE, Peer, Served, peer
+from tests.harness.gateway.opcua_peers import NAMESPACE, Peer, Served, peer, until
 
 O, S, V = ua.ObjectIds, ua.StatusCodes, ua.VariantType  # noqa: E741
 A = ua.AttributeIds
@@ -74,11 +74,20 @@ def test_every_node_is_as_the_standard_asks() -> None:
         async with peer(server.port) as client:
             await client.await_status("rig/state/x_m", S.Good)
             await client.await_status("rig/setpoint/x_ref_m/EURange", S.Good)
-            seen = await walk(client)
+            alarm = pb.Alarm(name="divergence-x", active=True, text="x is off", value=9.0)
+            server.gateway.send("twin/alarm", alarm, "rig")
+
+            async def whole() -> dict[ua.NodeId, Seen] | None:
+                """Nodes before and after a condition that appeared meanwhile do not belong together."""
+                before = await conditions(client)
+                found = await walk(client)
+                return found if before and await conditions(client) == before else None
+
+            seen = await until(whole, "nodes with a condition")
             spaces = await client.client.get_namespace_array()
         assert spaces[2:] == [NAMESPACE, TYPES, DI, MACHINERY]
         ours = {node: one for node, one in seen.items() if node.NamespaceIndex >= 2}
-        rig = [node for node in ours if node.NamespaceIndex == 2]
+        rig = [node for node in ours if node.NamespaceIndex == 2 and "/alarm/" not in node.Identifier]
         assert len(rig) > 300
         assert len(ours) > 2 * len(rig)
         faults = [fault for node, one in ours.items() for fault in faults_of(node, one, seen)]
@@ -90,6 +99,11 @@ def test_every_node_is_as_the_standard_asks() -> None:
         settings = OpcuaSettings(port=0, anonymous=Role.ENGINEER)
         with ticking(gateway, "rig"), Served(gateway, settings) as served:
             asyncio.run(ask(served))
+
+
+async def conditions(client: Peer) -> list[ua.NodeId]:
+    kind = ua.BrowseDirection.Forward
+    return [node.nodeid for node in await client.node("rig").get_referenced_nodes(O.HasCondition, kind)]
 
 
 def faults_of(node: ua.NodeId, one: Seen, seen: dict[ua.NodeId, Seen]) -> list[str]:
@@ -175,8 +189,17 @@ def expect_machines(seen: dict[ua.NodeId, Seen]) -> None:
 
 
 def expect_rig_like_its_type(seen: dict[ua.NodeId, Seen]) -> None:
-    """Each declaration of the type is at the rig, under the same path of browse names and of the same kind."""
-    shapes = [shape(ua.NodeId(top, space), seen) for top, space in (("RigType", 3), ("rig", 2))]
+    """Each declaration of the type is at the rig, under the same path of browse names and of the same kind.
+
+    Conditions are no part of the type: which ones a rig has is not known before they are raised.
+    """
+    raised = seen[ua.NodeId("rig", 2)].to(O.HasCondition)
+    assert ua.NodeId("rig/alarm/divergence-x", 2) in raised
+    assert {node for node in seen[ua.NodeId("rig/alarms", 2)].to(O.HasComponent) if "/alarm/" in node.Identifier} == {
+        *raised
+    }
+    declared = {node: one for node, one in seen.items() if node not in raised}
+    shapes = [shape(ua.NodeId(top, space), declared) for top, space in (("RigType", 3), ("rig", 2))]
     assert shapes[0] == shapes[1]
     assert len(shapes[0]) > 300
 
@@ -185,7 +208,9 @@ def shape(top: ua.NodeId, seen: dict[ua.NodeId, Seen], path: str = "") -> dict[s
     found: dict[str, tuple[Any, ...]] = {}
     for reference in (O.HasComponent, O.HasProperty, O.HasAddIn):
         for node in seen[top].to(reference):
-            one = seen[node]
+            one = seen.get(node)
+            if one is None:
+                continue
             here = f"{path}/{one.value(A.BrowseName).to_string()}"
             found[here] = (one.value(A.NodeClass), one.to(O.HasTypeDefinition), one.value(A.DataType))
             found |= shape(node, seen, here)

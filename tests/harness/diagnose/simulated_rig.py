@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.campaign import Controller, OperatingPoint, Plant
+from protocol.experiments import Experiment
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.experiments.designed_law import lift_off_input
-from twin.diagnose.experiments.menu import MENU, Item, schedule_of
+from twin.diagnose.experiments.schedules import MENU, schedule_of
 from twin.diagnose.experiments.virtual_recordings import Schedule, simulate
 from twin.diagnose.inference.fisher_scoring import Fit, climb
 from twin.diagnose.inference.likelihood import Criterion
@@ -48,7 +49,7 @@ def strong(cause: str, value: float, theta: Theta = THETA) -> Theta:
     return probed(theta, BY_NAME[cause], value)
 
 
-def made(item: Item, theta: Theta, *, seed: int = 3) -> list[Record]:
+def made(item: Experiment, theta: Theta, *, seed: int = 3) -> list[Record]:
     """An experiment of the menu, as short as it is computed."""
     schedule, _ = schedule_of(item, lift_off_v=lift_off_input(theta, PLANT), travel_m=PLANT.travel_m, tick_s=TICK_S)
     return simulate(theta, PLANT, controller(), schedule, seed=seed)

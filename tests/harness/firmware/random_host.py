@@ -13,6 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from gateway.emulator.firmware.board import AnalogSide, Firmware
+from gateway.emulator.firmware.flash import FlashLimits, Settings
+from gateway.emulator.firmware.law import Gains
+from gateway.emulator.firmware.output import OutputFault
 from gateway.emulator.native.board import NativeFirmware
 from protocol.wire.codec import BODY_SIZE
 from protocol.wire.decoder import StreamDecoder
@@ -32,24 +35,33 @@ _TEMPERS = {
 
 
 class Wandering(AnalogSide):
-    """Readings that wander about their range and sometimes stick at an end; each look at them is another one."""
+    """Readings that wander about their range and sometimes stick at an end; each look at them is another one.
+
+    Without an input there is mostly no current, as on a rig: else a board would be in a fault all the time.
+    """
 
     def __init__(self, seed: int) -> None:
         self._random, self._loss = random.Random(seed), random.Random(seed + 1)
         self._i_a, self._x_m = 0.6, 2.8e-3
         self._stuck = ""
+        self._off = self._leaks = False
         self.inputs = 0  # a hash of every (u, duration)
 
     def advance(self, u_v: float, duration_s: float) -> None:
+        self._off = u_v == 0.0
         self.inputs = hash((self.inputs, u_v, round(duration_s * 1e6)))
 
     def sense(self) -> tuple[float, float]:
         chance = self._random.random()
-        if chance < 0.002:
-            self._stuck = self._random.choice(("", "", "", "i", "top", "bottom"))
+        if chance < 0.001:
+            self._stuck = self._random.choice(("", "", "i", "top", "bottom"))
         self._i_a = min(max(self._i_a + (chance - 0.5) * 0.02, 0.0), 1.9)
         self._x_m = min(max(self._x_m + (self._random.random() - 0.5) * 4e-5, 1e-4), 5.5e-3)
         i_a = 5.0 if self._stuck == "i" else self._i_a
+        if chance > 0.998:
+            self._leaks = self._random.random() < 0.1
+        if self._off and not self._leaks:
+            i_a = min(i_a, 0.05) if self._stuck != "i" else i_a
         return i_a, {"top": 1.0, "bottom": -1.0}.get(self._stuck, self._x_m)
 
     def drop_sample(self) -> bool:
@@ -93,6 +105,10 @@ class Script:
             actions.append(("reset", b"", chance.choice((1, 2, 3))))
         elif what < 4e-3:
             actions.append(("overrun", b"", 0))
+        elif what < 5e-3:
+            actions.append(("output", b"", chance.choice((0, 0, 0, 0, 1, 2))))
+        elif what < 5.5e-3:
+            actions.append(("store", b"", chance.getrandbits(32)))
         return actions
 
     def _count(self, rate: float) -> int:
@@ -240,10 +256,48 @@ def _run_tick(board: Firmware | NativeFirmware, actions: list[tuple[str, bytes, 
             board.hang()
         elif name == "overrun":
             board.overrun()
+        elif name == "output":
+            board.fail_output(OutputFault(number))
+        elif name == "store":
+            board.store(random_settings(random.Random(number)))
         else:
             board.reset(EventCode(number))
     board.tick()
     return b"".join(board.take_frame() for _ in range(taken))
+
+
+def random_settings(chance: random.Random) -> Settings:
+    """Return settings as a memory may hold them: each field what its type holds, most of the time in its range."""
+
+    def number(low: int, high: int, least: int, most: int) -> int:
+        kind = chance.random()
+        if kind < 0.04:
+            return chance.randint(least, most)
+        if kind < 0.06:
+            return min(max(chance.choice((low - 1, high + 1, low, high)), least), most)
+        return chance.randint(low, high)
+
+    def counts(low: int = 0, high: int = 4095) -> int:
+        return number(low, high, 0, 65535)
+
+    m1, m2, m3, m4 = (number(-32767, 32767, -32768, 32767) for _ in range(4))
+    s1, s2, s3, s4 = (number(0, 30, 0, 255) for _ in range(4))
+    low, high = counts(), counts()
+    if chance.random() < 0.9:
+        low, high = min(low, high), max(low, high)
+    return Settings(
+        gains=Gains(
+            law=number(0, 1, 0, 255),
+            mantissas=(m1, m2, m3, m4),
+            shifts=(s1, s2, s3, s4),
+            i_0=counts(),
+            x_0=counts(),
+            u_0=counts(),
+        ),
+        limits=FlashLimits(
+            x_ref_min=low, x_ref_max=high, x_ref_step=counts(), x_ref_slew=counts(1, 65535), u_max=counts()
+        ),
+    )
 
 
 def _frame(name: str, number: int, /, **fields: int) -> bytes:

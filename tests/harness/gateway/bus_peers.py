@@ -18,7 +18,7 @@ from protocol.bus.endpoint import zenoh_config
 from tests.harness.gateway.gateway_peers import free_port, wait_for
 
 JUNK = b"\xff\xff"  # no message of any kind
-HEARD = ("state", "status", "event", "alarms", "parameters", "command/record", "twin/state")  # one of each subscriber
+HEARD = ("states", "status", "event", "alarms", "parameters", "command/record", "twin/state")  # one of each subscriber
 CommandHandler = Callable[[str, pb.Command], pb.CommandReply | None]  # None: no answer yet
 
 
@@ -58,6 +58,7 @@ class PlayedGateway:
         values.update(fields)
         self.last = pb.State(**values)  # type: ignore[arg-type]  # a test may send what it likes
         self.send("state", self.last, board)
+        self.send("states", pb.StateBatch(states=[self.last]), board)
 
     def status(self, board: str = "rig", link: str = "streaming") -> None:
         self.send("status", pb.Status(link=link, host_time_ns=time.time_ns(), log_state="writing"), board)

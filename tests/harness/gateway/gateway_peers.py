@@ -28,7 +28,7 @@ from protocol.bus.endpoint import zenoh_config
 from protocol.wire.codec import encode_body
 from protocol.wire.decoder import StreamDecoder
 from protocol.wire.framing import encode_frame
-from protocol.wire.messages import BY_NAME, Message
+from protocol.wire.messages import BY_NAME, Flag, Message
 from tests.patience import HANG_S
 
 T = TypeVar("T")
@@ -116,7 +116,8 @@ class ScriptedBoard:
                         self._answer(message)
             if self.streaming:
                 self.tick += 1
-                state = frame("STATE", sequence=self.tick & 0xFFFF, i_c=1, x=2, u_c=3, x_ref=4, flags=self.flags)
+                u_c = 0 if self.flags & Flag.FAULT else 3
+                state = frame("STATE", sequence=self.tick & 0xFFFF, i_c=1, x=2, u_c=u_c, x_ref=4, flags=self.flags)
                 if not self.send(state):
                     self.not_taken.append(self.tick)
 

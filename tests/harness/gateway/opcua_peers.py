@@ -105,7 +105,8 @@ class Peer:
 
 @asynccontextmanager
 async def peer(port: int, **options: Any) -> AsyncIterator[Peer]:
-    client = Client(f"opc.tcp://127.0.0.1:{port}/board51/", timeout=HANG_S)
+    # The watchdog of the client would close the connection to a server that takes a second on a busy machine.
+    client = Client(f"opc.tcp://127.0.0.1:{port}/board51/", timeout=HANG_S, watchdog_intervall=HANG_S)
     if "user" in options:
         client.set_user(options["user"])
         client.set_password(options["password"])
@@ -184,7 +185,9 @@ class Notifications:
 
 async def subscribe(client: Peer, notified: Notifications, *paths: str, interval_ms: float = 20.0) -> Any:
     subscription = await client.client.create_subscription(interval_ms, notified)
-    await subscription.subscribe_data_change([client.node(path) for path in paths], queuesize=100)
+    await subscription.subscribe_data_change(
+        [client.node(path) for path in paths], queuesize=100, sampling_interval=0.0
+    )
     return subscription
 
 

@@ -94,10 +94,15 @@ class Lab:
                 elif isinstance(event, Message) and event.name != "EVENT":
                     self._answers.append(event)
 
+    def states(self, ticks: int) -> list[State]:
+        """Run; every state since the last call, those during a command included."""
+        self.run(ticks)
+        states, self._states = self._states, []
+        return states
+
     def record(self, name: str, kind: Kind, ticks: int) -> Record:
         self._states.clear()
-        self.run(ticks)
-        states = self._states
+        states = self.states(ticks)
         return Record(
             name=name,
             kind=kind,

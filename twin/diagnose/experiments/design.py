@@ -27,12 +27,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from protocol.campaign import Controller
+from protocol.experiments import Experiment
 from twin.diagnose import settings
 from twin.diagnose.evidence.gather import Evidence, gather
 from twin.diagnose.experiments.closed_loop import converters_of
 from twin.diagnose.experiments.designed_law import lift_off_input
 from twin.diagnose.experiments.external_measurements import measurement_for
-from twin.diagnose.experiments.menu import MENU, Item, schedule_of, sentence
+from twin.diagnose.experiments.schedules import MENU, schedule_of, sentence
 from twin.diagnose.experiments.virtual_recordings import input_limit, simulate
 from twin.diagnose.inference.budget import Budget
 from twin.diagnose.inference.fisher_scoring import Fit
@@ -102,7 +103,7 @@ def propose(
     can = [z >= ENOUGH_Z for z in best]
     proposals = []
     lift_off_v = lift_off_input(fit.theta, criterion.plant)
-    for item, zs in ranked:
+    for experiment, zs in ranked:
         pairs = tuple(
             Pair(
                 own=own,
@@ -118,9 +119,9 @@ def propose(
         smallest = min(counts)
         proposals.append(
             Proposal(
-                name=item.name,
-                what=sentence(item, lift_off_v=lift_off_v, travel_m=criterion.plant.travel_m),
-                command=f"board51 campaign run FOLDER --experiment {item.name}",
+                name=experiment.name,
+                what=sentence(experiment, lift_off_v=lift_off_v, travel_m=criterion.plant.travel_m),
+                command=f"board51 campaign run FOLDER --experiment {experiment.name}",
                 separation_z=smallest,
                 separable=smallest >= ENOUGH_Z,
                 pairs=pairs,
@@ -135,7 +136,7 @@ def rank(
     controller: Controller | None,
     members: Sequence[Fit],
     budget: Budget | None = None,
-) -> list[tuple[Item, tuple[float, ...]]]:
+) -> list[tuple[Experiment, tuple[float, ...]]]:
     """Each possible experiment, with the separation z from every member after adding it.
 
     Args:
@@ -154,10 +155,12 @@ def rank(
     causes = {name.partition(".")[0] for one in (fit, *members) for name, _ in one.theta.causes}
     held = [_tied(fit, member) for member in members]
     ranked = []
-    for item in MENU:
-        if item.warms and not causes & with_trait("warms"):
+    for experiment in MENU:
+        if experiment.warms and not causes & with_trait("warms"):
             continue
-        schedule, times = schedule_of(item, lift_off_v=lift_off_v, travel_m=plant.travel_m, tick_s=criterion.tick_s)
+        schedule, times = schedule_of(
+            experiment, lift_off_v=lift_off_v, travel_m=plant.travel_m, tick_s=criterion.tick_s
+        )
         if not np.isfinite(schedule.command).all() or not np.isfinite(schedule.bursts).all():
             continue
         records = simulate(
@@ -170,15 +173,15 @@ def rank(
             converters=steps,
             u_max_v=u_max_v,
         )
-        if item.closed_loop and not _floats(records[0], criterion):
+        if experiment.closed_loop and not _floats(records[0], criterion):
             continue
-        seen = _gathered(records, criterion, item)
+        seen = _gathered(records, criterion, experiment)
         trial = Criterion(seen, plant, criterion.tick_s, budget=budget)
         try:
             zs = _separations(trial, fit, members, held, times)
         finally:
             trial.close()
-        ranked.append((item, zs))
+        ranked.append((experiment, zs))
     return ranked
 
 
@@ -208,10 +211,10 @@ def _floats(record: Record, criterion: Criterion) -> bool:
     return float(np.mean(at_stop)) <= settings.CONTACT_SHARE
 
 
-def _gathered(records: Sequence[Record], criterion: Criterion, item: Item) -> Evidence:
+def _gathered(records: Sequence[Record], criterion: Criterion, experiment: Experiment) -> Evidence:
     known = (criterion.evidence.low_m, criterion.evidence.high_m)
     # If the campaign does not show the stops, they are taken from an experiment that touches them.
-    return gather(records, criterion.plant, known if item.closed_loop or None not in known else None)
+    return gather(records, criterion.plant, known if experiment.closed_loop or None not in known else None)
 
 
 def _separations(

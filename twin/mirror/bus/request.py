@@ -25,7 +25,7 @@ class DiagnosisRequest:
 
     Args:
         after_s: how long an alarm must last, s; 0: never ask.
-        command: what to type, for the text.
+        command: that diagnoses, for the text; the control room has a button for it.
     """
 
     def __init__(self, *, after_s: float, command: str) -> None:
@@ -63,7 +63,10 @@ class DiagnosisRequest:
         if lasted_s < self._after_s:
             return None
         self.active = True
-        text = f"{', '.join(self._alarms)} for {lasted_s:.0f} s: the model is wrong. Type: {self._command}"
+        text = (
+            f"{', '.join(self._alarms)} for {lasted_s:.0f} s: the model is wrong. On the page of the rig's model press"
+            f" Diagnose the last 2 minutes of flight, or use {self._command}"
+        )
         return self._message(state, active=True, value=lasted_s, text=text)
 
     def _message(self, at: pb.Alarm | pb.State, *, active: bool, value: float, text: str) -> pb.Alarm:

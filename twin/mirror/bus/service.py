@@ -12,6 +12,8 @@ Rule 4: a model is handed over by a query, `<site>/<board>/twin/command`, which 
 Rule 5: a status that says that samples come, and no samples, means that the bus does not bring them here (seen once in
         13 starts with a router of its own, until that was restarted; the cause is not known).  Then the twin hears
         through a new session.
+Rule 6: a board has one twin.  Before the first message is taken, another twin of the same board is looked for
+        (`claim.py`); this one then ends with a ServiceError in `failure`.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from protocol.bus import encoding, topics
 from protocol.bus.endpoint import DEFAULT_ENDPOINT, zenoh_config
 from protocol.bus.identity import Identity
 from protocol.errors import ServiceError
+from twin.mirror.bus.claim import Claim
 from twin.mirror.bus.handover import Answered, believe, read_command, read_model, refusal
 from twin.mirror.bus.watched import Watched
 from twin.mirror.output import Output
@@ -36,11 +39,12 @@ from twin.mirror.settings import Settings
 from twin.mirror.warm_up import compile_kernels
 from twin.model.parameters import Model
 
-QUEUE_LENGTH = 5000  # ten seconds of one board
+QUEUE_LENGTH = 5000  # a hundred seconds of one board
 DEAF_S = 5.0  # status comes every second: more than a moment's hold-up, and time for a new session to join
 POLL_S = 0.1  # of the look at the clock where nothing arrives
 _MAY_HAND_OVER = "engineer"  # the role that a guarded bus wants for it; the router has checked who has it
 _REPLY_ENCODING = encoding.zenoh_encoding(pb.CommandReply)
+_TOPICS = ("parameters", "states", "status")
 log = logging.getLogger(__name__)
 
 
@@ -89,7 +93,7 @@ class TwinService:
         self._worker: threading.Thread | None = None
         self._session: zenoh.Session | None = None
         self._hearing: zenoh.Session | None = None  # instead of the first one, once that was deaf
-        self._subscriber: zenoh.Subscriber[None] | None = None
+        self._subscribers: list[zenoh.Subscriber[None]] = []
         self.renewed = 0
         self._heard_s: dict[str, float] = {}  # by board: the latest sample, or when it began to be missed; monotonic
         self._stopping = threading.Event()
@@ -104,11 +108,10 @@ class TwinService:
             raise ServiceError(
                 f"zenoh cannot be opened with {', '.join(self._endpoints)} ({error})", remedy="Check --connect"
             ) from error
+        self._claim = Claim(self._session, self._site, self._board, self._refuse)
         self._worker = threading.Thread(target=self._work, name="twin", daemon=True)
         self._worker.start()
-        # One subscriber for both topics: zenoh keeps the order within a subscriber, not between two, and a sample that
-        # overtakes its board's parameters would be compared under the old ones.
-        self._subscriber = self._hear(self._session)
+        self._subscribers = self._hear(self._session)
         served = f"{self._commands}/{topics.AS}/{_MAY_HAND_OVER}/*" if self._identity is not None else self._commands
         self._session.declare_queryable(served, self._asked)
 
@@ -138,17 +141,19 @@ class TwinService:
         text = zenoh_config("client", connect=self._endpoints, wait_for_router=False, identity=self._identity)
         return zenoh.open(zenoh.Config.from_json5(text))
 
-    def _hear(self, session: zenoh.Session) -> zenoh.Subscriber[None]:
-        return session.declare_subscriber(f"{self._site}/{self._board or '*'}/*", self._receive)
+    def _hear(self, session: zenoh.Session) -> list[zenoh.Subscriber[None]]:
+        # indirect=True would start a thread per subscriber, and samples could overtake their board's parameters.
+        receive = zenoh.handlers.Callback(self._receive, indirect=False)
+        return [session.declare_subscriber(f"{self._site}/{self._board or '*'}/{topic}", receive) for topic in _TOPICS]
 
     # ---- in zenoh's threads
 
+    def _refuse(self, error: ServiceError) -> None:
+        self.failure = error
+
     def _receive(self, sample: zenoh.Sample) -> None:
-        key = str(sample.key_expr)
-        if not key.endswith(("/state", "/parameters", "/status")):
-            return
         try:
-            self._queue.put_nowait((key, sample.payload.to_bytes()))
+            self._queue.put_nowait((str(sample.key_expr), sample.payload.to_bytes()))
         except queue.Full:
             self.dropped += 1
 
@@ -164,11 +169,17 @@ class TwinService:
     def _work(self) -> None:
         try:
             checked = time.monotonic()
-            while True:
+            claimed = False
+            while self.failure is None:
                 try:
                     item = self._queue.get(timeout=POLL_S)
                 except queue.Empty:
                     item = None
+                if item is not None and not claimed:  # something arrived, so the router is there to be asked
+                    claimed = True
+                    self._claim.declare()
+                    if self.failure is not None:
+                        return
                 now = time.monotonic()
                 if isinstance(item, tuple):
                     self._take(*item, now)
@@ -204,15 +215,16 @@ class TwinService:
             if status is not None:
                 self._judge_hearing(board, status, now)
             return
-        state = encoding.parse(pb.State, data)
-        if state is None:
+        batch = encoding.parse(pb.StateBatch, data)
+        if batch is None:
             self.malformed += 1
             return
         self._heard_s[board] = now
         watched = self._watched(site, board)
-        output = watched.take(state, now)
-        if output is not None and self._on_output:
-            self._on_output(watched, output)
+        for state in batch.states:
+            output = watched.take(state, now)
+            if output is not None and self._on_output:
+                self._on_output(watched, output)
 
     def _judge_hearing(self, board: str, status: pb.Status, now: float) -> None:
         # A stream that is thinned out may pause for longer than that.
@@ -227,15 +239,15 @@ class TwinService:
             "board %s: its gateway sends %.0f samples/s and none came for %g s: hearing through a new session",
             board, status.samples_per_s, DEAF_S,
         )  # fmt: skip
-        before, deaf = self._subscriber, self._hearing
+        before, deaf = self._subscribers, self._hearing
         try:
             self._hearing = self._open()
         except zenoh.ZError as error:
             log.warning("no new session: %s", error)
             return
-        if before is not None:
-            before.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
-        self._subscriber = self._hear(self._hearing)
+        for subscriber in before:
+            subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub has no return type
+        self._subscribers = self._hear(self._hearing)
         if deaf is not None:
             deaf.close()  # type: ignore[no-untyped-call]  # the same
 

@@ -17,8 +17,8 @@ Trait = Literal[
     "displaces",  # coil, stop or sensor sits elsewhere: places that are one but for bends
     "delays",  # by a fixed time, which step responses show directly
     "hidden-state",  # adds a state that no channel measures, a delay's memory among them
-    "follows-the-gap",  # of the amplifier, and yet a function of the air gap: its size rests on the travel
     "sticks",  # can hold the ball where it is, whatever the other forces do
+    "of-the-gap",  # its equation has the distance of ball and coil in it
     "warms",  # comes and goes with the warmth of the coil
 ]
 # In innovations, in their spectrum, in the times of samples; a curve, which is no cause, in what is left.

@@ -40,6 +40,7 @@ CAUSE = Cause(
     ),
     signature="at constant u_c, i_c dips while the ball rises and swells while it falls",
     shows_in=("prbs-open-loop", "wide-steps"),
+    traits=frozenset({"of-the-gap"}),
     confirm="move the ball quickly by hand at constant u_c and watch i_c",
     cure="a current loop in the amplifier",
     usual="of an inductance 2 K_c / gap",
@@ -50,7 +51,6 @@ CAUSE = Cause(
             source="H. H. Woodson, J. R. Melcher, Electromechanical Dynamics I, 1968",
         ),
     ),
-    traits=frozenset({"follows-the-gap"}),
 )
 
 

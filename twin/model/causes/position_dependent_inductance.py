@@ -42,6 +42,7 @@ CAUSE = Cause(
     ),
     signature="i_c settles more slowly with the ball high than with the ball low, at the same step of u_c",
     shows_in=("blocked-ball", "wide-steps"),
+    traits=frozenset({"of-the-gap"}),
     confirm="the same u_c step at 25 kHz with the ball at the bottom and with the ball blocked at the top",
     cure="a current loop in the amplifier, or T_A scheduled with x",
     usual="L_0 + 2 K_c / gap, in the time constant alone",
@@ -58,7 +59,6 @@ CAUSE = Cause(
             source="H. H. Woodson, J. R. Melcher, Electromechanical Dynamics I, 1968",
         ),
     ),
-    traits=frozenset({"follows-the-gap"}),
 )
 
 

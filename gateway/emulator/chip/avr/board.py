@@ -21,6 +21,7 @@ from gateway.emulator.chip.avr.build import Image, image, simulator
 from gateway.emulator.firmware.board import AnalogSide
 from gateway.emulator.firmware.flash import CE152_BOARD, DAC_BITS, FIRMWARE, T_S_US, BoardProfile, FlashLimits
 from gateway.emulator.firmware.law import Gains
+from gateway.emulator.firmware.output import OutputFault
 from protocol.errors import ServiceError
 from protocol.wire.framing import cobs_decode
 from protocol.wire.messages import BY_NAME, EventCode, Mode
@@ -48,7 +49,7 @@ class _Chip(ctypes.Structure):
         ("sent_count", c_uint32),
         ("u", c_uint16),
         ("channel", c_uint8),
-        ("deaf", c_uint8),
+        ("output_fault", c_uint8),
         ("sent", c_uint8 * _OUTPUT_SIZE),
     )
 
@@ -166,9 +167,9 @@ class AvrBoard:
         """Put another plant behind the converters."""
         self._plant = plant
 
-    def unplug_converter(self, *, unplugged: bool = True) -> None:
-        """Let the converter of u_c not answer on its bus; its output stays as it is."""
-        self._view.deaf = unplugged
+    def fail_output(self, fault: OutputFault) -> None:
+        """Let the converter of u_c fail from now on, or work again; its output stays as it is."""
+        self._view.output_fault = int(fault)
 
     def feed(self, data: bytes, *, into_tick_us: int = 0) -> None:
         """Put bytes on the chip's RX pin, `into_tick_us` after the last tick; never raises."""

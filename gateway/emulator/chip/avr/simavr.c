@@ -9,6 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+enum { DEAF = 1, STUCK };
 enum { TIME_IS_OVER, CONVERSION, INPUT_CHANGED, CRASHED };
 
 #define F_CPU 16000000U
@@ -28,7 +29,7 @@ struct chip {
     uint32_t sent_count;
     uint16_t u;      /* of the converter */
     uint8_t channel; /* of the conversion */
-    uint8_t deaf;    /* the converter does not answer on its bus */
+    uint8_t output_fault; /* DEAF: the converter does not answer on its bus; STUCK: it does, and keeps its output */
     uint8_t sent[OUTPUT_SIZE];
     uint8_t event, selected, received_count;
     uint8_t received[2]; /* by the converter, of the message on its bus */
@@ -76,7 +77,7 @@ static void on_bus(avr_irq_t *irq, uint32_t value, void *to) {
         chip->avr->cycle += (what & TWI_COND_START) != 0 ? ADDRESS_CYCLES : BYTE_CYCLES - SIMAVR_BYTE_CYCLES;
     }
     if ((what & TWI_COND_START) != 0) {
-        chip->selected = !chip->deaf && message.u.twi.addr == DAC_ADDRESS << 1;
+        chip->selected = chip->output_fault != DEAF && message.u.twi.addr == DAC_ADDRESS << 1;
         chip->received_count = 0;
     }
     if (!chip->selected) {
@@ -86,7 +87,7 @@ static void on_bus(avr_irq_t *irq, uint32_t value, void *to) {
     if ((what & TWI_COND_WRITE) != 0) {
         chip->received[chip->received_count] = message.u.twi.data;
         chip->received_count ^= 1U;
-        if (chip->received_count == 0U && (chip->received[0] & 0xC0U) == 0U) { /* fast mode */
+        if (chip->received_count == 0U && (chip->received[0] & 0xC0U) == 0U && chip->output_fault == 0U) { /* fast mode */
             chip->u = (uint16_t)((chip->received[0] & 0x0FU) << 8 | chip->received[1]);
             happen(chip, INPUT_CHANGED);
         }

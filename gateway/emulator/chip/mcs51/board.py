@@ -22,6 +22,7 @@ from gateway.emulator.chip.mcs51.build import CLOCK_HZ, image, simulator
 from gateway.emulator.chip.mcs51.library import Chip, load
 from gateway.emulator.firmware.board import AnalogSide
 from gateway.emulator.firmware.flash import CE152_BOARD, CURRENT, INPUT, POSITION, T_S_US, BoardProfile
+from gateway.emulator.firmware.output import OutputFault
 from gateway.emulator.native.board import identity_of, settings_of
 from protocol.errors import UsageError
 from protocol.wire.framing import crc16
@@ -85,6 +86,7 @@ class Mcs51Board:
         self._tick_at = 0
         self._u = 0
         self._in_phase = False
+        self._stuck = False
         self._dropped = 0  # before the last reset
         self._library.chip_power_on(chip)
 
@@ -107,6 +109,19 @@ class Mcs51Board:
     def overrun(self) -> None:
         """Hold the main loop for two ticks, of which it can then run one, late."""
         self.chip.held_until = self.chip.cpu.cycles + 2 * TICK_CYCLES
+
+    def fail_output(self, fault: OutputFault) -> None:
+        """Let the output of the converter stay as it is from now on, or follow again.
+
+        Raises:
+            UsageError: the converter is to be deaf: it is on the chip, where nothing is confirmed.
+        """
+        if fault == OutputFault.DEAF:
+            raise UsageError(
+                "The 8051 has its converter on the chip, which cannot be deaf", remedy="Take the fault stuck"
+            )
+        self._stuck = fault == OutputFault.STUCK
+        self._follow_input()
 
     def feed(self, data: bytes, *, into_tick_us: int = 0) -> None:
         """Put bytes from the host on the line, the first of which is in `into_tick_us` after the last tick."""
@@ -190,7 +205,8 @@ class Mcs51Board:
         self._dropped += self._look("dropped")
 
     def _follow_input(self) -> None:
-        self._u = self.chip.u
+        if not self._stuck:
+            self._u = self.chip.u
 
     def _advance(self) -> None:
         """Advance the plant to the chip's cycle, with the input as it has been until now."""
@@ -202,7 +218,7 @@ class Mcs51Board:
 
 def memory_of(board_id: int) -> bytes:
     """Return the content of the data memory of a board: identity and settings as C lays them out, and their CRC."""
-    identity, settings = identity_of(board_id), settings_of()
+    identity, settings = identity_of(board_id), settings_of(CE152_BOARD.settings)
     gains, limits = settings.gains, settings.limits
     data = struct.pack("<I4B", board_id, *(getattr(identity, name) for name in _VERSIONS))
     data += bytes(identity.scalings) + bytes(identity.build)

@@ -7,20 +7,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from gateway.campaign.menu import BY_NAME
 from gateway.views.hmi.html import controls
 from gateway.views.hmi.html.errors_figure import errors_figure
 from gateway.views.hmi.html.markup import Markup, tag
 from gateway.views.hmi.model.campaigns import CampaignFolder
 from gateway.views.hmi.model.finding import Found, FoundCause
-from gateway.views.hmi.model.models import ModelFile, about
+from gateway.views.hmi.model.models import ModelFile, about, plant_assumed
 from gateway.views.hmi.model.work import LIVE_MIN
 from protocol.bus import board51_pb2 as pb
 from protocol.errors import DataError
+from protocol.experiments import BY_NAME
 from protocol.files import parse_json
 
 KINDS = ("campaign", "identify", "diagnose", "hand-over")
 May = Callable[[str], bool]
+_ASSUMED = (
+    "Nobody stated the plant of this rig. A published CE 152 is assumed (8.28 g, 5.7 mm): K_c and b hold for that plant"
+    " only. To state it, write mass and travel into campaign.toml of the campaign and delete the line assumed = true."
+    " Then identify and diagnose again."
+)
 _VERDICTS = {
     "causes-found": "causes found",
     "partly-explained": "explained in part",
@@ -32,13 +37,14 @@ _VERDICTS = {
 
 def steps(chosen: CampaignFolder | None, may: May) -> Markup:
     """The buttons, in the order of the work, and what they said."""
-    name = chosen.name if chosen is not None else ""
+    name = chosen.name if chosen is not None and chosen.toml is not None else ""
     measure = _row(
         controls.job("Run quick (35 s)", "campaign", "start", quick=True),
         controls.job("Run all (2 min)", "campaign", "start", quick=False),
         controls.job("Investigate (1 to 4 min)", "campaign", "start", investigate=True),
     )
     identify = _row(controls.job("Identify", "identify", "start", campaign=name))
+    assumed = _ASSUMED if chosen is not None and chosen.plant_assumed else ""
     of_campaign = (
         controls.job("Diagnose, quick", "diagnose", "start", campaign=name, quick=True),
         controls.job("Diagnose", "diagnose", "start", campaign=name, quick=False),
@@ -48,12 +54,13 @@ def steps(chosen: CampaignFolder | None, may: May) -> Markup:
         controls.job(f"Diagnose the last {LIVE_MIN:g} minutes of flight", "diagnose", "start", live=True),
     )
     of = f"Of the campaign of {chosen.made}." if chosen is not None else "There is no campaign yet: run one first."
+    of += " Nothing was recorded in it." if chosen is not None and not name else ""
     if not may("campaign"):
         return _card("Work", tag("div", "An engineer runs campaigns, identifies and diagnoses.", class_="hint"))
     return _card(
         "Work",
         _step("1 Measure: a campaign", "It moves the ball; the board must be idle.", measure, "campaign"),
-        _step("2 Identify: K_A, T_A, K_c, b", of, identify if name else Markup(), "identify"),
+        _step("2 Identify: K_A, T_A, K_c, b", of, identify if name else Markup(), "identify", warning=assumed),
         _step("3 Diagnose: what the model gets wrong, and why", of, diagnose, "diagnose"),
         _step("4 Hand over", "Choose one of the models; the twin uses it at once.", Markup(), "hand-over"),
     )
@@ -87,10 +94,12 @@ def found_card(chosen: CampaignFolder | None, found: Found | None, problem: str,
     causes = [_cause(chosen, cause, may, sure=found.sure) for cause in found.causes]
     quick = () if found.calibrated else (tag("div", "Made quickly: confidence is not calibrated.", class_="hint"),)
     warnings = [tag("li", text) for text in found.warnings]
+    assumed = "The plant is assumed: K_c and b of this answer hold for a published CE 152 only."
     return _card(
         title,
         tag("div", _VERDICTS.get(found.verdict, found.verdict), class_="verdict", data_verdict=found.verdict),
         tag("p", found.sentence, class_="sentence"),
+        _warning(assumed if found.plant_assumed or chosen.plant_assumed else ""),
         errors_figure(found.ahead) if found.ahead else Markup(),
         *causes,
         *quick,
@@ -104,28 +113,39 @@ def models_card(models: list[ModelFile], may: May) -> Markup:
     rows = [_model(model, may) for model in models]
     if not rows:
         return _card("Models", tag("div", "None yet: identify or diagnose a campaign.", class_="hint"))
-    return _card("Models", *rows, tag("div", "Numbers in SI units: A/V, s, N m\u00b2/A\u00b2, N s/m.", class_="hint"))
+    assumed = any(plant_assumed(model.content) for model in models)
+    note = "Plant assumed: nobody stated it, and the value holds for a published CE 152 only." if assumed else ""
+    return _card(
+        "Models",
+        *rows,
+        _warning(note),
+        tag("div", "Numbers in SI units: A/V, s, N m\u00b2/A\u00b2, N s/m.", class_="hint"),
+    )
 
 
-def campaigns_card(board: str, campaigns: list[CampaignFolder], chosen: CampaignFolder | None) -> Markup:
+def campaigns_card(board: str, campaigns: list[CampaignFolder], chosen: CampaignFolder | None, may: May) -> Markup:
     """The campaigns of the rig; one is looked at."""
     if not campaigns:
         return _card("Campaigns", tag("div", "None yet.", class_="hint"))
-    return _card("Campaigns", *(_campaign(board, one, looked_at=one is chosen) for one in campaigns))
+    return _card("Campaigns", *(_campaign(board, one, may, looked_at=one is chosen) for one in campaigns))
 
 
-def _step(title: str, hint: str, buttons: Markup, kind: str) -> Markup:
+def _step(title: str, hint: str, buttons: Markup, kind: str, *, warning: str = "") -> Markup:
     end = controls.job("Interrupt and park the ball" if kind == "campaign" else "Cancel", kind, "stop")
     return tag(
         "div",
         tag("h3", title),
         tag("div", tag("div", buttons, data_part=f"{kind}-buttons"), data_idle=kind),
         tag("div", _row(end), data_running=kind, hidden=True),
-        tag("div", hint, class_="hint", data_part=f"{kind}-of"),
+        tag("div", hint, _warning(warning), class_="hint", data_part=f"{kind}-of"),
         tag("div", data_live=f"{kind}-said", class_="hint", role="status"),
         tag("div", data_live=f"{kind}-lines", class_="job-lines"),
         class_="step",
     )
+
+
+def _warning(text: str) -> Markup:
+    return tag("div", text, class_="class-of") if text else Markup()
 
 
 def _cause(chosen: CampaignFolder, cause: FoundCause, may: May, *, sure: bool) -> Markup:
@@ -166,15 +186,22 @@ def _model(model: ModelFile, may: May) -> Markup:
     return tag("div", words, tag("span", model.made, class_="at"), act, class_="file")
 
 
-def _campaign(board: str, campaign: CampaignFolder, *, looked_at: bool) -> Markup:
-    done = [
-        word for word, path in (("identified", campaign.model), ("diagnosed", campaign.diagnosis)) if path is not None
-    ]
+def _campaign(board: str, campaign: CampaignFolder, may: May, *, looked_at: bool) -> Markup:
+    stages = (
+        ("identified", campaign.model is not None),
+        ("diagnosed", campaign.diagnosis is not None),
+        ("not finished", campaign.interrupted),
+        ("plant assumed", campaign.plant_assumed),
+    )
+    done = [word for word, holds in stages if holds]
     acts = [tag("div", f"{act.at} {act.who} {act.what}", class_="hint") for act in campaign.acts]
     title = tag("a", f"Campaign of {campaign.made}", href=f"/model/{board}?campaign={campaign.name}",
                 aria_current="true" if looked_at else None)  # fmt: skip
     about_it = ", ".join([f"{campaign.recordings} recordings", *done])
-    return tag("div", tag("div", title, *acts, class_="file-name"), tag("span", about_it, class_="at"), class_="file")
+    resume = controls.job("Continue", "campaign", "start", campaign=campaign.name, resume=True)
+    act = tag("span", resume, data_idle="campaign") if campaign.interrupted and may("campaign") else Markup()
+    words = tag("div", title, *acts, class_="file-name")
+    return tag("div", words, tag("span", about_it, class_="at"), act, class_="file")
 
 
 def _card(title: str, *inside: Markup) -> Markup:

@@ -21,7 +21,7 @@ from gateway.views.hmi.guard import refusal
 from gateway.views.hmi.html import controls, model_page
 from gateway.views.hmi.html.markup import Markup, join, tag
 from gateway.views.hmi.library import LibraryFile
-from gateway.views.hmi.model.campaigns import rig_of
+from gateway.views.hmi.model.campaigns import choose, rig_of
 from gateway.views.hmi.model.finding import read_found
 from gateway.views.hmi.model.work import ModelWork
 from gateway.views.hmi.sessions import LoginSession
@@ -87,7 +87,7 @@ class Pages:
 
     def _model(self, board: str, campaign: str, session: LoginSession) -> Markup:
         campaigns = self._work.campaigns(board)
-        chosen = next((one for one in campaigns if campaign in ("", one.name)), None)
+        chosen = choose(campaigns, campaign)
         found, problem, report = None, "", ""
         if chosen is not None and chosen.diagnosis is not None:
             try:
@@ -105,7 +105,7 @@ class Pages:
             model_page.steps(chosen, may),
             model_page.found_card(chosen, found, problem, report, may),
             model_page.models_card(self._work.models(board), may),
-            model_page.campaigns_card(board, campaigns, chosen),
+            model_page.campaigns_card(board, campaigns, chosen, may),
         )
 
     async def replays(self, request: Request) -> Response:
@@ -137,7 +137,7 @@ class Pages:
                 empty="There are no logs in this folder yet.",
             ),
             tag("dialog", tag("div", class_="file-name"), tag("pre", class_="summary-text"),
-                tag("button", "Close", type="button", data_act="close"), class_="summary card"),
+                tag("button", "Close", type="button", class_="plain", data_act="close"), class_="summary card"),
             class_="library",
         )  # fmt: skip
         return self._page(request, "Logs and reports", body, live="/live")
@@ -148,11 +148,16 @@ class Pages:
         if entry is None:
             return refusal(404, "no-report", "There is no such report.")
         frame = tag("iframe", src=f"/report-file/{entry.name}", title="Report", sandbox="allow-same-origin")
-        return self._page(request, f"Report of {entry.changed}", tag("main", frame, class_="report"), live="/live")
+        body, title = tag("main", frame, class_="report"), f"Report of {entry.changed}"
+        rig = rig_of(entry)
+        if self._actions.feed.board(rig) is None:  # of a rig that is not here: its STOP would stop nothing
+            return self._page(request, title, body, live="/live")
+        return self._page(request, f"{rig}, {title.lower()}", body, live=f"/live/{rig}", board=rig)
 
     def _how_to_report(self) -> str:
         folder = self._actions.reports.folders[0]
-        return f"None yet. `board51 diagnose CAMPAIGN --model MODEL --out {folder}/NAME` writes one."
+        command = f"board51 diagnose CAMPAIGN --model MODEL --out {folder}/NAME"
+        return f"None yet. Press Diagnose on the page of a rig's model, or use `{command}`."
 
     def _replay_banner(self) -> Markup:
         job = self._actions.jobs.get("replay", "*")
@@ -184,7 +189,7 @@ class Pages:
             tag("link", rel="stylesheet", href="/static/hmi.css"),
             tag("meta", name="board51", data_board=board, data_token=session.csrf, data_live=live, data_prefix=prefix,
                 data_replay="yes" if replayed else "", data_stops=stops, data_now=f"{time.monotonic():.3f}",
-                data_may=" ".join(act for act in LEAST_ROLE if self._actions.may(session, act))),
+                data_may="" if replayed else " ".join(a for a in LEAST_ROLE if self._actions.may(session, a))),
             tag("script", src="/static/vendor/uPlot.iife.min.js") if chips else "",
             tag("script", type="module", src="/static/hmi.js"),
             tag("script", type="module", src=f"/static/{script}") if script else "",

@@ -4,7 +4,8 @@
                              .../diagnosis/  diagnosis.json, report.html, extended_model.json; of a diagnosis of live
                                              data its recordings, too
 
-Rule: a name from a browser is looked up among those found, never joined to a path.
+Rule 1: a name from a browser is looked up among those found, never joined to a path.
+Rule 2: a campaign that failed or was interrupted is never shown in place of a finished one, unless it is asked for.
 """
 
 from __future__ import annotations
@@ -12,9 +13,13 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from gateway.views.hmi.library import LibraryFile
 from gateway.views.hmi.model.journal import Act, acts_of
+from protocol.campaign import load_plant
+from protocol.errors import Board51Error, DataError
+from protocol.files import parse_json, read_small
 
 SHOWN = 50  # the newest
 MODEL, DIAGNOSIS = "model.json", "diagnosis"
@@ -30,6 +35,9 @@ class CampaignFolder:
     board: str
     made: str  # for people
     recordings: int
+    left: tuple[str, ...]  # experiments that an interrupted run has not made
+    quick: bool  # of its latest run
+    investigation: bool  # an interrupted one
     acts: tuple[Act, ...]  # the oldest first
 
     @property
@@ -53,6 +61,19 @@ class CampaignFolder:
         recorded = sorted((self.path / DIAGNOSIS).glob("live-*/campaign.toml"))
         return _file(self.path / "campaign.toml") or (recorded[-1] if recorded else None)
 
+    @property
+    def interrupted(self) -> bool:
+        """Whether something is left to do, so that it can be continued."""
+        return bool(self.left) or self.investigation
+
+    @property
+    def plant_assumed(self) -> bool:
+        """Whether nobody stated its plant."""
+        try:
+            return self.toml is not None and load_plant(self.toml).assumed
+        except Board51Error:  # `identify` says what is wrong with it
+            return False
+
 
 def board_of(name: str) -> str:
     """The board whose campaign a folder of that name holds; empty if it is not such a name."""
@@ -75,6 +96,14 @@ def campaigns_of(root: Path, board: str) -> list[CampaignFolder]:
     return [_campaign(root / name, board) for name in mine]
 
 
+def choose(campaigns: list[CampaignFolder], name: str) -> CampaignFolder | None:
+    """The campaign of that name; for an empty name the newest finished one, else the newest with recordings."""
+    if name:
+        return next((one for one in campaigns if one.name == name), None)
+    recorded = [one for one in campaigns if one.toml is not None]
+    return next((one for one in recorded if not one.interrupted), recorded[0] if recorded else None)
+
+
 def find_campaign(root: Path, board: str, name: str) -> CampaignFolder | None:
     """The campaign of that name; the newest for an empty name."""
     found = campaigns_of(root, board)
@@ -84,15 +113,31 @@ def find_campaign(root: Path, board: str, name: str) -> CampaignFolder | None:
 def _campaign(path: Path, board: str) -> CampaignFolder:
     match = _NAME.fullmatch(path.name)
     assert match is not None  # board_of has said so
-    date = match["date"]
+    date, run = match["date"], _table(path / "run.json")
+    journal = _table(path / "investigation.json")
+    left = run.get("left")
     return CampaignFolder(
         name=path.name,
         path=path,
         board=board,
         made=f"{date[:4]}-{date[4:6]}-{date[6:]} {match['hour']}:{match['minute']}",
         recordings=sum(1 for _ in path.glob("*.mcap")) + sum(1 for _ in path.glob(f"{DIAGNOSIS}/live-*/*.mcap")),
+        left=tuple(map(str, left)) if isinstance(left, list) else (),
+        quick=run.get("quick") is True,
+        investigation="ended" in journal and journal["ended"] is None,
         acts=acts_of(path),
     )
+
+
+def _table(path: Path) -> dict[str, Any]:
+    """The content of a JSON file; empty where it is absent or damaged."""
+    if not path.is_file():
+        return {}
+    try:
+        table = parse_json(read_small(path, remedy="Make it again"), where=str(path))
+    except DataError:
+        return {}
+    return table if isinstance(table, dict) else {}
 
 
 def _file(path: Path) -> Path | None:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.campaign.menu import BY_NAME
 from protocol.errors import DataError
+from protocol.experiments import BY_NAME
 from protocol.files import parse_json, read_small
 
 _REMEDY = "Diagnose the campaign again"
@@ -45,6 +45,7 @@ class Found:
     verdict: str
     sentence: str
     calibrated: bool
+    plant_assumed: bool  # nobody stated the plant of the rig
     sure: bool  # whether `causes` are causes, and not candidates
     causes: tuple[FoundCause, ...]
     ahead: tuple[Ahead, ...]
@@ -65,6 +66,7 @@ def read_found(path: Path) -> Found:
             verdict=str(table["verdict"]),
             sentence=str(table["sentence"]),
             calibrated=bool(table.get("calibrated", True)),
+            plant_assumed=table.get("plant_assumed") is True,
             sure=bool(table.get("causes")),
             causes=tuple(map(_cause, causes)),
             ahead=tuple(_ahead(one) for one in show.get("ahead", ())) if show.get("judged") else (),

@@ -22,6 +22,7 @@ from protocol.files import parse_json, read_small
 
 KEPT_SHOWN = 10  # the newest
 _KEPT = "kept"
+_RESTS_ON_THE_PLANT = ("K_c", "b")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,16 +48,22 @@ class ModelFile:
 
 
 def about(content: dict[str, Any]) -> str:
-    """The parameters (SI units) and causes of a model file in one line."""
-    words = []
+    """The parameters (SI units) and causes of a model file in one line; what rests on an assumed plant is marked."""
+    words, assumed = [], plant_assumed(content)
     for name, parameter in (content.get("parameters") or {}).items():
         value = parameter.get("value") if isinstance(parameter, dict) else parameter
         if isinstance(value, int | float):
-            words.append(f"{name} {value:.4g}")
+            words.append(f"{name} {value:.4g}" + " (plant assumed)" * (assumed and name in _RESTS_ON_THE_PLANT))
     causes = [
         str(cause["name"]) for cause in content.get("causes") or () if isinstance(cause, dict) and "name" in cause
     ]
     return ", ".join(words) + (f"; with {', '.join(causes)}" if causes else "")
+
+
+def plant_assumed(content: dict[str, Any]) -> bool:
+    """Whether nobody stated the plant of the rig that a model file is of."""
+    plant = content.get("plant")
+    return isinstance(plant, dict) and plant.get("assumed") is True
 
 
 def models_of(data: Path, board: str, campaigns: list[CampaignFolder], running: pb.TwinModel | None) -> list[ModelFile]:

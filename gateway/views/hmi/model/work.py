@@ -9,13 +9,13 @@ import logging
 import time
 from pathlib import Path
 
-from gateway.campaign.menu import BY_NAME
 from gateway.views.hmi.actions import Actions, Routes, refusal
 from gateway.views.hmi.model.campaigns import DIAGNOSIS, MODEL, CampaignFolder, campaigns_of, find_campaign
 from gateway.views.hmi.model.journal import write_act
 from gateway.views.hmi.model.models import ModelFile, keep, models_of
 from gateway.views.hmi.sessions import LoginSession
 from protocol.bus import board51_pb2 as pb
+from protocol.experiments import BY_NAME
 
 LIVE_MIN = 2.0  # of flight that a diagnosis without a campaign takes
 _logger = logging.getLogger("gateway.hmi")
@@ -60,6 +60,16 @@ class ModelWork:
         words = [*what, "--who", session.name, *["--quick"] * quick, *self._routes.live(session.name)]
         said = "investigates the rig" if investigate else f"began a {'quick ' * quick}campaign"
         return self._start(session, "campaign", "campaign", board, words, folder, said)
+
+    def resume_campaign(self, session: LoginSession, board: str, campaign: str) -> pb.CommandReply:
+        """What an interrupted campaign or investigation has left to do, into the same folder."""
+        found = find_campaign(self._root, board, campaign) if campaign else None
+        if found is None or not found.interrupted:
+            return refusal("no-campaign", "There is no such campaign, or nothing of it is left to do.")
+        what = ["investigate", board, "--out", str(found.path)] if found.investigation else self._run(found.path, board)
+        wanted = () if found.investigation else (word for name in found.left for word in ("--experiment", name))
+        words = [*what, *wanted, *["--quick"] * found.quick, "--who", session.name, *self._routes.live(session.name)]
+        return self._start(session, "campaign", "campaign", board, words, found.path, "continued it")
 
     def add_experiment(
         self, session: LoginSession, board: str, campaign: str, experiment: str, *, prepared: bool = False

@@ -5,15 +5,16 @@ import { act, page, server } from "./server.js";
 
 const SURE_MS = 5000;
 const COUNT_M = 5e-7; // the board's reference is in counts of its converter: smaller differences are rounding
+const metres = (mm) => mm / 1e3; // not mm * 1e-3: 5.2 * 1e-3 is above 0.0052
 const command = (name, body) => act(name, `/api/${page.board}/command`, body);
 const job = (name, body) => act(name, `/api/${page.board || "*"}/job`, body);
 
 // What a form sends: {name: what it is called, path or body}.  Numbers leave in SI units.
 const FORMS = {
-  reference: (f) => ({ name: `reference ${f.mm} mm`, send: (name) => command(name, { set_reference: { x_ref_m: f.mm * 1e-3 } }) }),
+  reference: (f) => ({ name: `reference ${f.mm} mm`, send: (name) => command(name, { set_reference: { x_ref_m: metres(f.mm) } }) }),
   excitation: (f) => {
-    const on_reference = f.on === "reference", scale = on_reference ? 1e-3 : 1, unit = on_reference ? "mm" : "V";
-    const excite = { shape: f.shape, on_reference, amplitude: f.amplitude * scale, offset: f.offset * scale, period_s: Number(f.period),
+    const on_reference = f.on === "reference", si = on_reference ? metres : Number, unit = on_reference ? "mm" : "V";
+    const excite = { shape: f.shape, on_reference, amplitude: si(f.amplitude), offset: si(f.offset), period_s: Number(f.period),
                      period_end_s: f.shape === "SHAPE_CHIRP" ? Number(f.period_end) : 0, seed: 1, duration_s: Number(f.duration) };
     const length = excite.duration_s ? `for ${f.duration} s` : "until it is ended";
     const word = f.shape.replace("SHAPE_", "").toLowerCase();
@@ -40,7 +41,8 @@ const ACTS = {
     await fetch("/logout", { method: "POST", headers: { "x-board51-token": page.token } }).catch(() => null);
     location.href = "/login";
   },
-  delete: remove,
+  delete: deleteLog,
+  remove: (b) => act(`remove ${b.dataset.board}`, `/api/${b.dataset.board}/remove`, {}),
   close: (b) => b.closest("dialog").close(),
   summary,
 };
@@ -58,9 +60,16 @@ async function pressed(button) {
   }
 }
 
+// The second click of a double click, and a press while the first one waits for its answer, are no presses of their own.
+let before = null; // the button of the last click
+
 document.addEventListener("click", (event) => {
-  const button = event.target.closest?.("[data-command], [data-job], [data-act]");
-  if (button && button.dataset.act !== "stop") pressed(button);
+  const button = event.target.closest?.("button");
+  if (!button || button.dataset.act === "stop") return;
+  const again = button === before && event.detail > 1;
+  before = button;
+  if (again || button.hasAttribute("aria-busy")) event.preventDefault();
+  else if (button.matches("[data-command], [data-job], [data-act]")) pressed(button);
 });
 document.addEventListener("submit", (event) => {
   if (!event.target.dataset.form) return;
@@ -108,11 +117,11 @@ export function follow(now, gone, force = false) {
   form.mm.value = form.slide.value = (x_ref * 1e3).toFixed(3);
 }
 
-// The board's limits.
+// What gateway and board both let through.
 export function limits(rest) {
   const form = document.querySelector("[data-form=reference]"), l = rest.limits;
-  if (!form || !l || !(l.x_max_m > l.x_min_m)) return;
-  const [low, high] = [l.x_min_m, l.x_max_m].map((m) => Number((m * 1e3).toFixed(2)));
+  if (!form || !l || !(l.x_max_mm > l.x_min_mm)) return;
+  const [low, high] = [l.x_min_mm, l.x_max_mm];
   Object.assign(form.slide, { min: low, max: high });
   put("reference-range", `${low} .. ${high} mm, steps of ${Number((l.step_m * 1e3).toPrecision(2))} mm at most`);
 }
@@ -159,7 +168,7 @@ async function gains(input) {
 }
 
 // Asks by a second press, and forgets the first one after a while.
-async function remove(button) {
+async function deleteLog(button) {
   if (button.dataset.sure !== "yes") {
     button.dataset.sure = "yes";
     button.textContent = "Delete for good?";

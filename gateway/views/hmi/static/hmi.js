@@ -10,7 +10,7 @@ import { Line } from "./line.js";
 import { History } from "./history.js";
 import { Plots } from "./plots.js";
 import { may, page } from "./server.js";
-import { Stop } from "./stop.js";
+import { IN_DOUBT, Stop } from "./stop.js";
 
 const FRAME_LIMIT_S = 0.7; // without a frame for so long, the server or the line to it is gone
 const ACTED_EVERY_S = 20;
@@ -93,9 +93,9 @@ function values() {
   put("i_c", shown(now.i_c_a, 1, 3));
   put("u_c", shown(now.u_c_v, 1, 3));
   put("twin_x", shown(now.twin_x_m, 1e3, 3));
-  const coil = now.mode === "idle" ? "coil off" : "coil on";
   put("runs", gone ? "" : running().join(" \u00b7 "), "on");
-  chip("mode", now.mode ? `${now.mode} \u00b7 ${coil}` : "\u2013", now.mode === "idle" ? "idle" : "on", gone);
+  const calm = now.mode === "idle" ? "idle" : "on";
+  chip("mode", now.mode ? `${now.mode} \u00b7 ${now.coil}` : "\u2013", now.coil === IN_DOUBT ? "bad" : calm, gone);
   const flags = now.flags ?? [];
   put("flags", flags.length ? `\u25b2 ${flags.join(", ")}` : "no flags", flags.includes("FAULT") ? "bad" : flags.length ? "warn" : "none");
   const above = now.nis_mean !== null && now.nis_on && now.nis_mean > now.nis_on;
@@ -159,7 +159,7 @@ function lists() {
       ["port", status.port], ["commands to the board", status.to_board || "\u2013"], ["samples", `${status.samples_per_s} /s`],
       ["lost samples", status.lost], ["bad frames", status.bad_frames],
       ...Object.entries(status.unexpected).map(([cause, count]) => [UNEXPECTED[cause] ?? cause, count]),
-      ["latency p99", `${status.latency_p99_ms} ms`], ["line load", `${status.line_load} %`], ["not published", status.dropped],
+      ["latency p99", status.latency_p99_ms ? `${status.latency_p99_ms} ms` : "\u2013"], ["line load", `${status.line_load} %`], ["not published", status.dropped],
       ["board resets", status.resets], ["reconnections", status.reconnects],
       ["log file", status.log_file || "\u2013"], ["log", `${status.log_state}, ${status.log_mb} MB`], ["not logged", status.log_dropped],
       ["law", rest.limits ? `${rest.limits.law} ${rest.limits.gains.join(", ")}` : "\u2013"],
@@ -184,13 +184,11 @@ function lists() {
       row.append(button);
     }
     row.append(cell("div", alarm.text, "text"));
-    if (alarm.model) row.append(toModel());
+    if (alarm.model && !page.replay) row.append(toModel()); // the model's page is that of the live rig
     return row;
   }, "\u2713 no alarms");
-  const waiting = rest.alarms.filter((a) => a.active || !a.acknowledged);
-  const faults = waiting.filter((a) => a.active && a.severity === "fault").length;
-  counted = [waiting.length ? `${faults ? "\u2716" : "\u25b2"} ${waiting.length} alarm${waiting.length > 1 ? "s" : ""}` : "\u2713 no alarms",
-             faults ? "bad" : waiting.length ? "warn" : "good"];
+  const active = rest.alarms.filter((a) => a.active), fault = active.some((a) => a.severity === "fault");
+  counted = [alarmWords(active.length, rest.alarms.length - active.length, fault), fault ? "bad" : rest.alarms.length ? "warn" : "good"];
   fill("events", rest.events, (event) => {
     const row = cell("div", "", "entry");
     row.dataset.state = event.severity;
@@ -206,6 +204,13 @@ function lists() {
     return row;
   }, "no commands since this page's server started");
   ball?.setTravel(rest.travel_m);
+}
+
+// How many alarms hold; those that are gone and wait to be acknowledged are not counted among them.
+function alarmWords(active, gone, fault) {
+  const waiting = gone ? `${gone} gone, not acknowledged` : "";
+  if (!active) return waiting ? `\u25bd no alarms \u00b7 ${waiting}` : "\u2713 no alarms";
+  return `${fault ? "\u2716" : "\u25b2"} ${active} alarm${active > 1 ? "s" : ""}${waiting ? ` \u00b7 ${waiting}` : ""}`;
 }
 
 const cards = new Map();
@@ -224,6 +229,12 @@ function card(name) {
     stop.type = "button";
     box.append(stop);
   }
+  if (may.has("acknowledge")) {
+    parts.remove = cell("button", `Remove ${name} from the pages`, "plain");
+    Object.assign(parts.remove.dataset, { act: "remove", board: name });
+    Object.assign(parts.remove, { type: "button", hidden: true });
+    box.append(parts.remove);
+  }
   return { box, parts };
 }
 
@@ -237,6 +248,10 @@ function overview() {
   const gap = line.gap(), gone = gap > FRAME_LIMIT_S;
   put("lost", gone ? `NO DATA for ${gap.toFixed(0)} s \u2013 this page has lost its server` : "", gone ? "bad" : "none");
   if (!place) return;
+  for (const name of [...cards.keys()].filter((one) => !boards?.some((board) => board.name === one))) {
+    cards.get(name).box.remove();
+    cards.delete(name);
+  }
   if (!boards?.length) {
     if (!place.childElementCount) place.append(cell("div", NOBODY, "empty"));
     return;
@@ -246,11 +261,12 @@ function overview() {
     if (!cards.has(board.name)) cards.set(board.name, card(board.name));
     const { box, parts } = cards.get(board.name), live = board.link === "live" && !gone;
     if (box.parentElement !== place) place.append(box);
-    box.dataset.state = !live || board.fault ? "bad" : board.alarms ? "warn" : "good";
+    if (parts.remove) parts.remove.hidden = !board.unseen || gone;
+    box.dataset.state = !live || board.fault ? "bad" : board.alarms + board.gone ? "warn" : "good";
     parts.link.textContent = gone ? "\u2715 NO SERVER" : LINK_WORDS[board.link] ?? board.link;
     parts.x.textContent = live ? `${shown(board.x_m, 1e3, 3)} mm` : `no data${board.age_s === null ? "" : ` for ${Math.round(board.age_s)} s`}`;
-    parts.text.textContent = live ? `reference ${shown(board.x_ref_m, 1e3, 3)} mm \u00b7 ${board.mode} \u00b7 ${board.mode === "idle" ? "coil off" : "coil on"}` : board.reason;
-    parts.alarms.textContent = board.alarms ? `${board.fault ? "\u2716" : "\u25b2"} ${board.alarms} alarm${board.alarms > 1 ? "s" : ""}` : "\u2713 no alarms";
+    parts.text.textContent = live ? `reference ${shown(board.x_ref_m, 1e3, 3)} mm \u00b7 ${board.mode} \u00b7 ${board.coil}` : board.reason;
+    parts.alarms.textContent = alarmWords(board.alarms, board.gone, board.fault);
   }
 }
 
@@ -305,7 +321,7 @@ function draw() {
 // What samples say now of each rig that STOP here is for.
 function rigs() {
   const gone = liveLine.gap() > FRAME_LIMIT_S;
-  const rig = (b, fresh) => ({ fresh, idle: b.mode === "idle", mode: b.mode, tick: b.tick, session: b.session });
+  const rig = (b, fresh) => ({ fresh, idle: b.mode === "idle", mode: b.mode, coil: b.coil, tick: b.tick, session: b.session });
   if (page.stops !== "*") return now ? { [page.stops]: rig(now, lost() === "") } : {};
   const known = (page.replay ? liveRigs : boards) ?? [];
   return Object.fromEntries(known.map((b) => [b.name, rig(b, b.link === "live" && !gone)]));

@@ -85,7 +85,9 @@ export function toast(text, state = "busy") {
     words.textContent = text;
     element.dataset.state = state;
     if (state === "good" || state === "note") setTimeout(() => element.remove(), SHOWN_MS);
-    if (state !== "bad" || element.childElementCount > 1) return;
+    if (state !== "bad") return;
+    for (const other of [...place.children]) if (other !== element && other.firstChild.textContent === text) other.remove();
+    if (element.childElementCount > 1) return;
     const close = document.createElement("button");
     close.type = "button";
     close.textContent = "Close";

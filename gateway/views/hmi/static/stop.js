@@ -10,8 +10,10 @@ import { page, server, toast } from "./server.js";
 
 const UNANSWERED = 3, LATE_S = 3, SHOWN_S = 6, AGAIN_SHOWN_S = 20;
 
+export const IN_DOUBT = "COIL MAY BE ON"; // of a fault that the board cannot end
+
 export class Stop {
-  // rigs(): {name: {fresh, idle, mode, tick, session}} as samples say now; say(text, state): the words across the page
+  // rigs(): {name: {fresh, idle, mode, coil, tick, session}} as samples say now; say(text, state): the words across the page
   constructor(rigs, say) {
     this.rigs = rigs;
     this.say = say;
@@ -76,6 +78,7 @@ export class Stop {
     const coils = names.map((name) => this.coil(press, name, rigs[name], press.replies?.[name]));
     const said = coils.map(([words], n) => (names.length > 1 ? `${names[n]}: ${words}` : words)).join(" \u00b7 ");
     const by_hand = "Switch the rig off by hand.";
+    const refused = names.filter((name) => press.replies && !press.replies[name].accepted);
     if (press.error) return [`STOP NOT DELIVERED, or not answered (${press.error}). ${by_hand} ${said}`, "bad"];
     if (!press.replies) {
       const late = (performance.now() - press.at) / 1000;
@@ -83,18 +86,24 @@ export class Stop {
       return [`STOP sent, NO ANSWER for ${late.toFixed(0)} s. ${by_hand} ${said}`, "bad"];
     }
     if (!names.length) return ["STOP: no rig is known yet, nothing was stopped", "bad"];
-    if (Object.values(press.replies).some((reply) => !reply.accepted)) return [`STOP REFUSED. ${said}. ${by_hand}`, "bad"];
     const worst = ["bad", "busy", "warn"].find((state) => coils.some(([, its]) => its === state)) ?? "good";
+    if (refused.length === names.length && names.length === 1) return [`STOP REFUSED. ${said}`, worst];
+    if (refused.length) return [`STOP REFUSED for ${refused.join(", ")}${refused.length < names.length ? ", accepted for the others" : ""}: ${said}`, worst];
     return [`STOP accepted after ${press.took} ms: ${said}`, worst];
   }
 
   // [words, state] of one coil, by its samples.
   coil(press, name, rig, reply) {
-    if (reply && !reply.accepted) return [`REFUSED by ${reply.refused_by} (${reply.reason}): ${reply.text}`, "bad"];
+    if (reply && !reply.accepted) {
+      const why = `REFUSED by ${reply.refused_by} (${reply.reason}): ${reply.text}`;
+      if (rig?.fresh && rig.idle) return [`${why} Its coil is off, says the sample of tick ${rig.tick}.`, "bad"];
+      return [`${why} Switch ${name} off by hand.`, "bad"];
+    }
     if (!rig?.fresh) {
       const before = press.off[name] ? `coil off at tick ${press.off[name]}, ` : "";
       return [`${before}no samples come now, so whether the coil is off is not known`, "warn"];
     }
+    if (rig.coil === IN_DOUBT) return ["THE COIL MAY BE ON: cut its supply", "bad"];
     // A sample older than the STOP says nothing of it.
     const after = reply && (rig.tick >= reply.tick || rig.session !== press.sessions[name]);
     if (rig.idle) {

@@ -7,6 +7,7 @@ A variable without a range here has none in the address space: an empty range wi
 
 from __future__ import annotations
 
+from gateway.board.reference import reference_range
 from protocol.bus import board51_pb2 as pb
 from protocol.wire.messages import COUNTS_MAX
 
@@ -19,7 +20,7 @@ def ranges(parameters: pb.Parameters) -> dict[str, Span]:
     current = (0.0, COUNTS_MAX * abs(parameters.i_lsb_a))
     position = (min(0.0, parameters.x_ref_min_m), max(parameters.x_ref_max_m, COUNTS_MAX * abs(parameters.x_lsb_m)))
     voltage = (min(0.0, parameters.u_min_v), parameters.u_max_v)
-    reference = _reference(parameters)
+    reference = reference_range(parameters)
     found = {"setpoint/x_ref_m": reference}
     for field, span in (("i_c_a", current), ("x_m", position), ("u_c_v", voltage), ("x_ref_m", reference)):
         for topic in ("state", "twin/state"):
@@ -43,16 +44,6 @@ def instrument_ranges(parameters: pb.Parameters) -> dict[str, Span]:
         "state/u_c_v": (min(parameters.u_min_v, u_end_v), max(parameters.u_min_v, u_end_v)),
         "setpoint/x_ref_m": (parameters.x_ref_min_m, parameters.x_ref_max_m),
     }
-
-
-def _reference(parameters: pb.Parameters) -> Span:
-    """What both let through; the board's alone where the gateway does not state its limits."""
-    if not parameters.gateway_x_ref_max_m:
-        return parameters.x_ref_min_m, parameters.x_ref_max_m
-    return (
-        max(parameters.x_ref_min_m, parameters.gateway_x_ref_min_m),
-        min(parameters.x_ref_max_m, parameters.gateway_x_ref_max_m),
-    )
 
 
 RANGED = frozenset(ranges(pb.Parameters()))  # paths that have an EURange, whatever the board

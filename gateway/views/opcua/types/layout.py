@@ -51,12 +51,24 @@ class Layout:
         for path, variant, is_array, about in EXTRAS:
             data_type = ua.NodeId(LINK_STATE, builder.spaces.types) if path == LINK_CODE else None
             builder.variable(
-                self._above(path), f"{root}/{path}", variant, about, is_array=is_array, data_type=data_type
+                self._above(path),
+                f"{root}/{path}",
+                variant,
+                about,
+                is_array=is_array,
+                data_type=data_type,
+                min_sampling_ms=interval_ms,
             )
         for path, field, about in SETPOINTS:
             leaf = next(leaf for leaf in leaves() if leaf.path == f"state/{field}")
             node = builder.variable(
-                self._above(path), f"{root}/{path}", leaf.variant, about, access=READ | WRITE, kind=_kind(leaf, path)
+                self._above(path),
+                f"{root}/{path}",
+                leaf.variant,
+                about,
+                access=READ | WRITE,
+                kind=_kind(leaf, path),
+                min_sampling_ms=interval_ms,
             )
             self._describe_value(node, leaf, path)
         for method in methods():

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.campaign import menu as campaign_menu
 from gateway.emulator.firmware.flash import POSITION
 from gateway.emulator.plant.rig import CE152, PlantConstants
 from protocol.campaign import Controller, OperatingPoint, Plant
+from protocol.experiments import Experiment, Wave
 from protocol.wire.messages import Shape
 from tests.harness.diagnose.simulated_rig import (
     ITEMS,
@@ -28,7 +28,7 @@ from tests.harness.twin.emulated_campaign import Lab
 from twin.diagnose.experiments import design as experiments
 from twin.diagnose.experiments.design import ENOUGH_Z, Proposal, propose
 from twin.diagnose.experiments.external_measurements import measurement_for
-from twin.diagnose.experiments.menu import MENU, Item, Level, Wave, schedule_of, sentence
+from twin.diagnose.experiments.schedules import MENU, schedule_of, sentence
 from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import moved
@@ -66,48 +66,21 @@ def gap_or_exponent() -> tuple[list[Record], Criterion, Fit, Fit, list[Proposal]
     )
 
 
-def test_the_menu_is_the_campaign_menu() -> None:
-    theirs = {entry.name: entry for entry in campaign_menu.MENU if entry.use == "fit"}
-    assert set(ITEMS) == set(theirs)
-
-    for item in MENU:
-        other = theirs[item.name]
-        assert (item.kind, item.closed_loop, item.clamped) == (other.kind, other.closed_loop, bool(other.person))
-        assert [_as_ours(step) for step in other.steps if not isinstance(step, campaign_menu.Burst)] == list(item.parts)
-        bursts = [(step.u_from, step.u_to) for step in other.steps if isinstance(step, campaign_menu.Burst)]
-        assert bursts == list(item.bursts)
-
-
-def _as_ours(step: campaign_menu.Step) -> Level | Wave:
-    match step:
-        case campaign_menu.CoilOff():
-            return Level(value=0.0, duration_s=step.duration_s)
-        case campaign_menu.Constant():
-            return Level(value=step.u, duration_s=step.duration_s)
-        case campaign_menu.Hover():
-            return Level(value=step.x, duration_s=step.duration_s)
-        case campaign_menu.Wave(shape=shape):
-            assert shape != "step"
-            return Wave(
-                shape=shape, low=step.low, high=step.high, period_s=step.period_s, duration_s=step.duration_s,
-                period_end_s=step.period_end_s,
-            )  # fmt: skip
-        case _:
-            raise AssertionError(step)
-
-
 @pytest.mark.parametrize("item", MENU, ids=lambda item: item.name)
-def test_what_is_commanded_stays_in_its_range_and_is_said_in_numbers(item: Item) -> None:
+def test_what_is_commanded_stays_in_its_range_and_is_said_in_numbers(item: Experiment) -> None:
     schedule, times = schedule_of(item, lift_off_v=3.0, travel_m=5.7e-3, tick_s=TICK_S)
     said = sentence(item, lift_off_v=3.0, travel_m=5.7e-3)
 
     unit = 5.7e-3 if item.closed_loop else 3.0
-    ends = [part.value for part in item.parts if isinstance(part, Level)]
-    ends += [end for part in item.parts if isinstance(part, Wave) for end in (part.low, part.high)]
+    ends = [
+        end for part in item.signals for end in ((part.low, part.high) if isinstance(part, Wave) else (part.value,))
+    ]
     if len(schedule.command):
         assert min(ends) * unit - 1e-12 <= schedule.command.min()
         assert schedule.command.max() <= max(ends) * unit + 1e-12
-        assert len(schedule.command) * TICK_S * times == pytest.approx(item.duration_s, rel=0.01)
+        assert len(schedule.command) * TICK_S * times == pytest.approx(
+            sum(part.duration_s for part in item.signals), rel=0.01
+        )
     assert "{" not in said
     assert ("mm" if item.closed_loop else " V") in said or item.name == "rest"
 
@@ -144,7 +117,7 @@ def test_the_separation_is_what_a_refit_with_the_experiment_finds(
     records, _, own, confounder, proposals = gap_or_exponent
     predicted = next(one.separation_z for one in proposals if one.name == name)
     item = ITEMS[name]
-    whole = replace(item, passes=False)
+    whole = replace(item, stationary=False)
 
     with_it = criterion_of([*records, *made(whole, own.theta, seed=11)])
     found = z_of(fitted(with_it, own.theta, GAP), fitted(with_it, confounder.theta, EXPONENT))
@@ -176,10 +149,9 @@ def test_an_experiment_four_times_as_long_tells_more_but_not_more_than_four(
     gap_or_exponent: tuple[list[Record], Criterion, Fit, Fit, list[Proposal]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, criterion, own, confounder, _ = gap_or_exponent
-    short = Item(name="wide-steps", kind="closed-loop", what="", parts=(
-        Wave(shape="rectangle", low=0.27, high=0.73, period_s=1.4, duration_s=4.2),
-    ))  # fmt: skip
-    long = replace(short, name="longer", parts=(replace(short.parts[0], duration_s=16.8),))
+    steps = Wave(shape="rectangle", low=0.27, high=0.73, period_s=1.4, duration_s=4.2, on_reference=True)
+    short = Experiment(name="wide-steps", kind="closed-loop", use="fit", about="", expects="flies", steps=(steps,))
+    long = replace(short, name="longer", steps=(replace(steps, duration_s=16.8),))
     monkeypatch.setattr(experiments, "MENU", (short, long))
 
     proposals = propose(criterion, own, GAP, [as_trial(EXPONENT, confounder, own)], controller())
@@ -293,10 +265,10 @@ class Bench:
         self._excite(Wave(shape="rectangle", low=0.44, high=0.56, period_s=1.0, duration_s=4.0))
         return [bursts, self.lab.record("narrow", "closed-loop", 2000)]
 
-    def perform(self, item: Item) -> Record:
+    def perform(self, item: Experiment) -> Record:
         """An experiment of the menu on the reference, part by part."""
         pieces = []
-        for part in item.parts:
+        for part in item.signals:
             if isinstance(part, Wave):
                 self._excite(part)
             else:

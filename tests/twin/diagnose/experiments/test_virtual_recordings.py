@@ -23,7 +23,7 @@ from tests.harness.twin.emulated_campaign import Lab
 from twin.diagnose.evidence.sensor_noise import sensor_noise
 from twin.diagnose.experiments.closed_loop import Converters, converters_of
 from twin.diagnose.experiments.designed_law import lift_off_input
-from twin.diagnose.experiments.menu import MENU
+from twin.diagnose.experiments.schedules import MENU
 from twin.diagnose.experiments.virtual_recordings import Schedule, input_limit, resimulate, simulate
 from twin.estimation.innovations import FLIES
 from twin.estimation.record import Record

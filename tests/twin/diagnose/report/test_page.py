@@ -202,8 +202,7 @@ def test_a_legend_lies_above_its_data() -> None:
         regime_figure(show.regimes[0], show.floor_m),
         curve_figure(show.force[0]),
     ):
-        figure.set_canvas(FigureCanvasAgg(figure))
-        figure.draw_without_rendering()
+        FigureCanvasAgg(figure).draw()  # type: ignore[no-untyped-call]  # matplotlib's stub
         (ax,) = figure.axes
         legend = ax.get_legend()
         assert legend is not None

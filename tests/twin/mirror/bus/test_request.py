@@ -42,7 +42,7 @@ def test_it_is_asked_once_per_episode_and_after_the_whole_time() -> None:
 
     assert [(one.name, one.active, one.tick, one.value) for one in first] == [(NAME, True, 80, 30.0)]
     assert first[0].text.startswith("innovation, divergence-x for 30 s")
-    assert "board51 diagnose --live 2" in first[0].text
+    assert "press Diagnose the last 2 minutes of flight, or use board51 diagnose --live 2" in first[0].text
     assert one_left is None
     assert end is not None
     assert (end.name, end.active) == (NAME, False)

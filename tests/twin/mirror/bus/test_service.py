@@ -88,7 +88,7 @@ def test_malformed_messages_are_counted_and_change_nothing(endpoint: str) -> Non
         heard = Heard(session, "lab")
         with TwinService(nominal(), site="lab", endpoints=(endpoint,)) as service:
             introduce(session, service, rig)
-            session.put("lab/rig/state", b"\xff\xff\xff")
+            session.put("lab/rig/states", b"\xff\xff\xff")
             session.put("lab/rig/parameters", b"\x0a\xff")
             publish(session, list(rig.run(10, HELD)))
             wait_for_count(lambda: len(heard.payloads["lab/rig/twin/divergence"]), 10, "divergence")
@@ -132,7 +132,7 @@ def test_a_twin_that_hears_status_and_no_samples_hears_through_a_new_session(mon
             "rules": [
                 {
                     "id": "deaf", "permission": "deny", "messages": ["put"], "flows": ["egress"],
-                    "key_exprs": ["lab/rig/state"],
+                    "key_exprs": ["lab/rig/states"],
                 }
             ],
             "subjects": [{"id": "first", "zids": [str(service._session.zid())]}],
@@ -157,5 +157,6 @@ def stream(session: zenoh.Session, stop: threading.Event) -> None:
     status = pb.Status(link="streaming", samples_per_s=500.0).SerializeToString()
     while not stop.wait(0.02):
         tick += 1
-        session.put("lab/rig/state", pb.State(sequence=tick, tick=tick, session=1).SerializeToString())
+        state = pb.State(sequence=tick, tick=tick, session=1)
+        session.put("lab/rig/states", pb.StateBatch(states=[state]).SerializeToString())
         session.put("lab/rig/status", status)

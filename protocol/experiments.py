@@ -1,19 +1,21 @@
-"""The menu of experiments, as a table: signals, durations and purpose.
+"""The menu of experiments, as a table: signals, durations and purpose.  Pure.
+
+`gateway.campaign` flies them; `twin.diagnose.experiments` simulates those for fitting, to propose the next one.
 
 Rule 1: inputs are shares of the lift-off input (the u_c that just lifts the ball from its rest), positions are shares
         of the travel above the rest, so one table serves every rig.
 Rule 2: recordings for judging are separate experiments with another seed or amplitude than those for fitting.
-Rule 3: durations are those of the default run; `shortened` gives those of `--quick`.
+Rule 3: durations are those of the default run; `quick` is the factor on them for `--quick`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 from protocol.campaign import Kind, Use
 
-Shape = Literal["step", "rectangle", "sawtooth", "prbs", "multisine", "chirp"]
+Shape = Literal["rectangle", "sawtooth", "prbs", "multisine", "chirp"]
 Expectation = Literal["rests", "lifts-off", "bounces", "flies", "is-clamped"]
 
 
@@ -22,13 +24,14 @@ class CoilOff:
     """Mode idle."""
 
     duration_s: float
+    value: float = 0.0  # share of the lift-off input
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Constant:
     """Open loop with a constant input."""
 
-    u: float  # share of the lift-off input
+    value: float  # share of the lift-off input
     duration_s: float
 
 
@@ -59,11 +62,12 @@ class Wave:
 class Hover:
     """Closed loop with a constant reference."""
 
-    x: float  # share of the travel
+    value: float  # share of the travel
     duration_s: float
 
 
-Step = CoilOff | Constant | Burst | Wave | Hover
+Signal = CoilOff | Constant | Wave | Hover
+Step = Signal | Burst
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,11 +83,24 @@ class Experiment:
     standard: bool = True  # part of the default run
     quick: float = 0.35  # factor on the durations for `--quick`; 0: not part of it
     person: str = ""  # manual preparation, as an instruction
+    instruction: str = ""  # for a user without `board51 campaign`; {low}, {high}, {duration}; of those for fitting
+    warms: bool = False  # useful only for causes with heating
+    stationary: bool = True  # a part of its signal carries a proportional part of its information
 
     @property
     def closed_loop(self) -> bool:
         """Whether the ball flies under the board's law."""
         return self.expects == "flies"
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """The steps that last for a stated time: all but the captures."""
+        return tuple(step for step in self.steps if not isinstance(step, Burst))
+
+    @property
+    def captures(self) -> tuple[tuple[float, float], ...]:
+        """Input before and after the step of each 25 kHz capture, shares of the lift-off input."""
+        return tuple((step.u_from, step.u_to) for step in self.steps if isinstance(step, Burst))
 
     @property
     def duration_s(self) -> float:
@@ -96,7 +113,7 @@ LIFT_OFF = "lift-off"
 
 
 def _fly(x: float, *steps: Step) -> tuple[Step, ...]:
-    return (Hover(x=x, duration_s=0.3), *steps)
+    return (Hover(value=x, duration_s=0.3), *steps)
 
 
 def _reference(
@@ -112,7 +129,7 @@ def _bursts(*levels: tuple[float, float]) -> tuple[Step, ...]:
 
 
 def _levels(*levels: float, each_s: float) -> tuple[Step, ...]:
-    return tuple(Constant(u=u, duration_s=each_s) for u in levels)
+    return tuple(Constant(value=value, duration_s=each_s) for value in levels)
 
 
 def _bouncing(duration_s: float, salt: int) -> tuple[Step, ...]:
@@ -128,16 +145,19 @@ MENU: tuple[Experiment, ...] = (
     Experiment(
         name=LIFT_OFF, kind="sawtooth", use="fit", expects="lifts-off", quick=0.34,
         about="the current that just lifts the ball: K_c by eq. (8); measures the lift-off input for all that follows",
+        instruction="raise u_c slowly from 0 to {high} until the ball leaves its rest, several times",
         steps=(Wave(shape="sawtooth", low=0.0, high=1.1, period_s=3.0, duration_s=10.0),),
     ),
     Experiment(
         name="rest", kind="amplifier-step", use="fit", expects="rests",
         about="noise of both sensors with the coil off and under constant currents, the ball at rest",
+        instruction="record the ball at rest with the coil off and at two constant inputs up to {high}",
         steps=(CoilOff(duration_s=1.5), *_levels(0.3, 0.6, each_s=1.5)),
     ),
     Experiment(
         name="amplifier-steps", kind="amplifier-step", use="fit", expects="rests", quick=1.0,
         about="25 kHz steps up and down below lift-off: K_A from the levels, T_A from the way there, eq. (1)",
+        instruction="step u_c between {low} and {high}, the ball at rest, and capture i_c at 25 kHz",
         steps=_bursts((0.0, 0.1), (0.1, 0.35), (0.35, 0.6), (0.6, 0.85), (0.85, 0.35), (0.6, 0.35), (0.1, 0.85),
                       (0.35, 0.1)),
     ),
@@ -149,6 +169,7 @@ MENU: tuple[Experiment, ...] = (
     Experiment(
         name="prbs-open-loop", kind="prbs", use="fit", expects="bounces",
         about="the ball flies between the stops: K_c and b by eq. (7) without a controller",
+        instruction="let a random u_c between {low} and {high} throw the ball from stop to stop for {duration}",
         steps=_bouncing(8.0, salt=1),
     ),
     Experiment(
@@ -159,6 +180,7 @@ MENU: tuple[Experiment, ...] = (
     Experiment(
         name="steps", kind="closed-loop", use="fit", expects="flies",
         about="small reference steps around the middle: fig. 12 of the paper, the loop near its operating point",
+        instruction="step the reference between {low} and {high} for {duration}",
         steps=_reference("rectangle", 0.42, 0.58, 1.0, 8.0),
     ),
     Experiment(
@@ -169,6 +191,7 @@ MENU: tuple[Experiment, ...] = (
     Experiment(
         name="wide-steps", kind="closed-loop", use="fit", expects="flies",
         about="reference steps over half the travel: the force law over the gap",
+        instruction="step the reference over half the travel, between {low} and {high}, for {duration}",
         steps=_reference("rectangle", 0.27, 0.73, 1.4, 8.4),
     ),
     Experiment(
@@ -179,6 +202,7 @@ MENU: tuple[Experiment, ...] = (
     Experiment(
         name="multisine", kind="closed-loop", use="fit", expects="flies",
         about="eight frequencies at once on the reference: K_c and b without a favoured frequency",
+        instruction="let the reference follow eight sines at once between {low} and {high} for {duration}",
         steps=_reference("multisine", 0.35, 0.65, 2.0, 10.0, salt=3),
     ),
     Experiment(
@@ -189,6 +213,7 @@ MENU: tuple[Experiment, ...] = (
     Experiment(
         name="prbs-reference", kind="closed-loop", use="fit", expects="flies",
         about="a random reference: fast motion, where the drag shows",
+        instruction="let the reference jump at random between {low} and {high} for {duration}",
         steps=_reference("prbs", 0.42, 0.58, 0.08, 8.0, salt=5),
     ),
     Experiment(
@@ -199,60 +224,35 @@ MENU: tuple[Experiment, ...] = (
     Experiment(
         name="chirp", kind="closed-loop", use="fit", expects="flies", standard=False, quick=1.0,
         about="a sine from 0.5 to 10 Hz on the reference: lags and resonances by frequency",
+        instruction="let the reference swing between {low} and {high}, from 0.5 Hz up to 10 Hz in {duration}",
         steps=_fly(0.5, Wave(shape="chirp", low=0.47, high=0.53, period_s=2.0, period_end_s=0.1, duration_s=15.0,
                              on_reference=True)),
     ),
     Experiment(
         name="holds", kind="closed-loop", use="fit", expects="flies", standard=False, quick=1.0,
         about="seven positions over the travel, each held: force law and sensor against position, at rest",
-        steps=tuple(Hover(x=x, duration_s=2.5) for x in (0.1, 0.22, 0.35, 0.48, 0.61, 0.74, 0.87)),
+        instruction="hold the ball for 2.5 s at each of seven heights from {low} to {high}",
+        steps=tuple(Hover(value=x, duration_s=2.5) for x in (0.1, 0.22, 0.35, 0.48, 0.61, 0.74, 0.87)),
     ),
     Experiment(
         name="slow-ramp", kind="closed-loop", use="fit", expects="flies", standard=False, quick=1.0,
         about="the reference rises slowly and falls back: every position passed, almost at rest",
+        instruction="raise the reference slowly from {low} to {high}, two times in {duration}",
         steps=_reference("sawtooth", 0.28, 0.72, 10.0, 20.0),
     ),
     Experiment(
         name="warm-run", kind="closed-loop", use="fit", expects="flies", standard=False, quick=1.0,
         about="steps, 60 s held low under a high current, the same steps again: what warming up changes",
-        steps=_fly(0.5, _SAME_STEPS, Hover(x=0.1, duration_s=60.0), Hover(x=0.5, duration_s=0.5), _SAME_STEPS),
+        instruction="step the reference, hold the ball at {low} for a minute so that the coil warms up, step again",
+        warms=True, stationary=False,
+        steps=_fly(0.5, _SAME_STEPS, Hover(value=0.1, duration_s=60.0), Hover(value=0.5, duration_s=0.5), _SAME_STEPS),
     ),
     Experiment(
         name="blocked-ball", kind="amplifier-step", use="fit", expects="is-clamped", standard=False, quick=1.0,
         person="Clamp the ball so that it cannot move (a shim between ball and coil housing).",
         about="steps of u_c with the ball clamped: the amplifier alone, up to inputs at which a free ball would fly",
+        instruction="clamp the ball (a shim between ball and coil housing) and step u_c between {low} and {high}",
         steps=(*_levels(0.2, 0.6, 1.1, 0.8, 0.4, each_s=1.0), *_bursts((0.1, 1.1), (1.1, 0.5), (0.5, 0.1))),
     ),
 )  # fmt: skip
 BY_NAME = {experiment.name: experiment for experiment in MENU}
-
-
-def shortened(experiment: Experiment) -> Experiment:
-    """The experiment for `--quick`: shorter, or with every other amplifier step."""
-    keep = experiment.quick
-    if not 0.0 < keep < 1.0:
-        return replace(experiment, steps=experiment.steps[::2]) if experiment.name == "amplifier-steps" else experiment
-    return replace(experiment, steps=tuple(_shortened(step, keep, experiment.expects) for step in experiment.steps))
-
-
-def _shortened(step: Step, keep: float, expects: Expectation) -> Step:
-    match step:
-        case Burst():
-            return step
-        case Wave() if expects == "lifts-off":  # as many ramps, each shorter
-            return replace(step, period_s=step.period_s * keep, duration_s=step.duration_s * keep)
-        case Hover(duration_s=duration_s) if duration_s < 1.0:
-            return step
-        case _:
-            return replace(step, duration_s=step.duration_s * keep)
-
-
-def chosen(names: tuple[str, ...] = (), *, quick: bool = False) -> tuple[Experiment, ...]:
-    """The experiments of a run, in the order of the menu.
-
-    Args:
-        names: Names of the experiments; empty: the default run.
-        quick: Whether to shorten them.
-    """
-    listed = [e for e in MENU if (e.name in names if names else e.standard and (e.quick > 0.0 or not quick))]
-    return tuple(shortened(e) if quick else e for e in listed)

@@ -1,0 +1,88 @@
+"""The node of a condition: an instance of AlarmConditionType that shows what the newest event says of it.
+
+It is made when the alarm is first raised, as a component of the rig's `alarms`, and stays; the rig refers to it by
+HasCondition (Part 9, 5.12).  Of the type's declarations it has the mandatory ones and all that the events state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from asyncua import ua
+from asyncua.server.address_space import AddressSpace
+
+from gateway.views.opcua.address_space.values import Value, tell
+from gateway.views.opcua.types.build import READ, VALUE, Builder
+
+_O = ua.ObjectIds
+_A = ua.AttributeIds
+_MANDATORY = ua.NodeId(_O.ModellingRule_Mandatory)
+
+
+class ConditionObject:
+    """Builds and updates the nodes of one condition.
+
+    Args:
+        space: where they are.
+        builder: of the site's namespace.
+        rig: to which the condition belongs.
+        event: the first event of the condition.
+    """
+
+    def __init__(self, space: AddressSpace, builder: Builder, rig: ua.NodeId, event: Any) -> None:
+        self._space, self._builder = space, builder
+        self._variables: dict[str, ua.NodeId] = {}  # by the name of the event's field
+        path, about = event.NodeId.Identifier, f"the alarm {event.ConditionName}"
+        kind = ua.NodeId(_O.AlarmConditionType)
+        node = builder.object(builder.id(f"{rig.Identifier}/alarms"), path, about, kind=kind)
+        builder.refer(rig, _O.HasCondition, node)
+        while kind != ua.NodeId(_O.BaseObjectType):
+            self._declarations(kind, node, path, "", event)
+            kind = next(r.NodeId for r in space[kind].references if _is(r, _O.HasSubtype, forward=False))
+
+    async def show(self, event: Any) -> None:
+        """Take over the fields of an event."""
+        for name, node in self._variables.items():
+            held = ua.Variant(getattr(event, name), event.data_types[name])
+            attribute = self._space[node].attributes[VALUE]
+            attribute.value = Value(Value=held, SourceTimestamp=event.Time)
+            await tell(attribute, attribute.value)
+
+    def _declarations(self, declared: ua.NodeId, parent: ua.NodeId, path: str, prefix: str, event: Any) -> None:
+        for reference in _components(self._space, declared):
+            attributes = self._space[reference.NodeId].attributes
+            browse_name = attributes[_A.BrowseName].value.Value.Value
+            name = prefix + browse_name.Name
+            if attributes[_A.NodeClass].value.Value.Value == ua.NodeClass.Method:
+                if _is_mandatory(self._space, reference.NodeId):
+                    self._builder.refer(parent, reference.ReferenceTypeId.Identifier, reference.NodeId)
+            elif name not in self._variables and getattr(event, name, None) is not None:  # a subtype repeats some
+                node = self._variable(parent, f"{path}/{browse_name.Name}", reference, browse_name)
+                self._variables[name] = node
+                self._declarations(reference.NodeId, node, f"{path}/{browse_name.Name}", f"{name}/", event)
+
+    def _variable(self, parent: ua.NodeId, path: str, reference: Any, browse_name: ua.QualifiedName) -> ua.NodeId:
+        declared = self._space[reference.NodeId]
+        attributes = ua.VariableAttributes()
+        attributes.DataType = declared.attributes[_A.DataType].value.Value.Value
+        attributes.ValueRank = declared.attributes[_A.ValueRank].value.Value.Value
+        attributes.AccessLevel = attributes.UserAccessLevel = READ
+        attributes.Value = ua.Variant(None, ua.VariantType.Null)
+        attributes.DisplayName = attributes.Description = ua.LocalizedText(browse_name.Name)
+        attributes.WriteMask = attributes.UserWriteMask = 0
+        kind = next(r.NodeId for r in declared.references if _is(r, _O.HasTypeDefinition))
+        by = reference.ReferenceTypeId.Identifier
+        return self._builder.add(parent, path, ua.NodeClass.Variable, attributes, by, kind, name=browse_name)
+
+
+def _is(reference: Any, kind: int, *, forward: bool = True) -> bool:
+    return bool(reference.IsForward == forward and reference.ReferenceTypeId == ua.NodeId(kind))
+
+
+def _components(space: AddressSpace, node: ua.NodeId) -> Iterator[Any]:
+    return (r for r in list(space[node].references) if _is(r, _O.HasComponent) or _is(r, _O.HasProperty))
+
+
+def _is_mandatory(space: AddressSpace, node: ua.NodeId) -> bool:
+    return any(_is(r, _O.HasModellingRule) and r.NodeId == _MANDATORY for r in space[node].references)

@@ -1,0 +1,52 @@
+"""Memory of a log that is written for years: the index of the open part grows, and goes with the part."""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+
+import pytest
+
+from gateway.record.writer import LogWriter
+
+CHUNKS = 4000  # at 10 a second: those of 7 minutes
+
+
+class Statistics(ctypes.Structure):
+    """Glibc's `struct mallinfo2`."""
+
+    _fields_ = [
+        (name, ctypes.c_size_t)
+        for name in (
+            "arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks", "keepcost",
+        )
+    ]  # fmt: skip
+
+
+def allocated() -> int:
+    """Bytes that malloc has handed out and not got back, in all arenas; the index is in the library's memory."""
+    try:
+        statistics = ctypes.CDLL(None).mallinfo2
+    except AttributeError:
+        pytest.skip("the C library has no mallinfo2")
+    statistics.restype = Statistics
+    found = statistics()
+    return int(found.uordblks + found.hblkhd)
+
+
+def test_a_part_that_is_closed_leaves_no_index_behind(tmp_path: Path) -> None:
+    opened, closed = list[int](), list[int]()
+    for part in range(4):
+        writer = LogWriter(tmp_path / f"{part}.mcap")
+        for chunk in range(CHUNKS):
+            writer.write("board51/rig/raw", b"\x00", chunk)
+            writer.flush()
+        opened.append(allocated())
+        writer.close()
+        del writer
+        closed.append(allocated())
+
+    indexes = [before - after for before, after in zip(opened, closed, strict=True)]
+    assert min(indexes) > 100 * CHUNKS  # what is held is seen here
+    assert max(indexes) < 1000 * CHUNKS  # gateway/README.md states it
+    assert closed[-1] - closed[0] < min(indexes) / 4

@@ -1,0 +1,104 @@
+"""A condition can be browsed: an instance of its type below the rig, with the values of its newest event."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from asyncua import ua
+
+from gateway.access.roles import Role
+from gateway.views.opcua.server import OpcuaSettings
+from protocol.bus import board51_pb2 as pb
+from tests.harness.gateway.bus_peers import played_gateway, ticking
+from tests.harness.gateway.opcua_peers import Notifications, Peer, Served, peer, until
+
+ID, S = ua.ObjectIds, ua.StatusCodes
+CONDITION = "rig/alarm/divergence-x"
+
+
+async def declared(client: Peer, kind: ua.NodeId, *, prefix: str = "") -> dict[str, tuple[Any, ...]]:
+    """Mandatory declarations of a type and of all above it, by the path of browse names."""
+    found: dict[str, tuple[Any, ...]] = {}
+    node = client.client.get_node(kind)
+    for child in await node.get_referenced_nodes(ID.Aggregates, ua.BrowseDirection.Forward):
+        rules = await child.get_referenced_nodes(ID.HasModellingRule, ua.BrowseDirection.Forward)
+        if [rule.nodeid.Identifier for rule in rules] == [ID.ModellingRule_Mandatory]:
+            name = prefix + (await child.read_browse_name()).to_string()
+            found[name] = await seen(child)
+            if found[name][0] is ua.NodeClass.Variable:
+                found |= await declared(client, child.nodeid, prefix=f"{name}/")
+    if not prefix and kind != ua.NodeId(ID.BaseEventType):
+        [above] = await node.get_referenced_nodes(ID.HasSubtype, ua.BrowseDirection.Inverse)
+        found |= await declared(client, above.nodeid)
+    return found
+
+
+async def below(node: Any, prefix: str = "") -> dict[str, tuple[Any, ...]]:
+    found: dict[str, tuple[Any, ...]] = {}
+    for child in await node.get_referenced_nodes(ID.Aggregates, ua.BrowseDirection.Forward):
+        name = prefix + (await child.read_browse_name()).to_string()
+        found[name] = await seen(child)
+        if found[name][0] is ua.NodeClass.Variable:
+            found |= await below(child, f"{name}/")
+    return found
+
+
+async def seen(node: Any) -> tuple[Any, ...]:
+    """Class of a node, and of a variable its data type and type definition."""
+    kind = await node.read_node_class()
+    is_variable = kind is ua.NodeClass.Variable
+    return (kind, await node.read_data_type(), await node.read_type_definition()) if is_variable else (kind,)
+
+
+def test_a_condition_is_browsed_read_heard_and_acknowledged() -> None:
+    notified = Notifications()
+
+    async def ask(server: Served) -> None:
+        async with peer(server.port) as client:
+            await client.await_status("rig/state/x_m", S.Good)
+            alarm = pb.Alarm(name="divergence-x", active=True, text="x is off", value=9.0)
+            server.gateway.send("twin/alarm", alarm, "rig")
+
+            async def raised() -> Any:
+                conditions = await client.node("rig").get_referenced_nodes(ID.HasCondition, ua.BrowseDirection.Forward)
+                return next((node for node in conditions if node.nodeid.Identifier == CONDITION), None)
+
+            node = await until(raised, "the condition of the rig")
+            assert (await node.read_type_definition()).Identifier == ID.AlarmConditionType
+            assert node in await client.node("rig/alarms").get_children()
+            shown, wanted = await below(node), await declared(client, ua.NodeId(ID.AlarmConditionType))
+            assert {name: shown.get(name) for name in wanted} == wanted
+            assert {"0:Acknowledge", "0:AddComment", "0:Enable", "0:Disable", "0:AckedState/0:Id"} <= wanted.keys()
+            for name in shown:
+                if shown[name][0] is ua.NodeClass.Variable:
+                    path = "/".join([CONDITION, *(part.partition(":")[2] for part in name.split("/"))])
+                    await client.node(path).read_value()  # raises where the status is bad
+
+            assert (await value(client, "Message")).Text == "x is off"
+            assert await value(client, "SourceNode") == client.node("rig").nodeid
+            assert [await value(client, f"{state}State/Id") for state in ("Active", "Acked")] == [True, False]
+            subscription = await client.client.create_subscription(20, notified)
+            await subscription.subscribe_data_change(client.node(f"{CONDITION}/AckedState/Id"))
+            method = await node.get_child("0:Acknowledge")
+            request = ua.CallMethodRequest(node.nodeid, method.nodeid)
+            request.InputArguments = [
+                ua.Variant(await value(client, "EventId"), ua.VariantType.ByteString),
+                ua.Variant(ua.LocalizedText("a cold coil")),
+            ]
+            [called] = await client.client.uaclient.call([request])
+            assert called.StatusCode.value == S.Good
+
+            async def heard() -> bool | None:
+                return True if [v.Value.Value for v in notified.values[f"{CONDITION}/AckedState/Id"]][-1] else None
+
+            await until(heard, "the acknowledgement")
+            assert (await value(client, "Comment")).Text == "a cold coil"
+
+    with played_gateway() as gateway, ticking(gateway, "rig"):
+        with Served(gateway, OpcuaSettings(port=0, anonymous=Role.ENGINEER)) as served:
+            asyncio.run(ask(served))
+
+
+async def value(client: Peer, path: str) -> Any:
+    return await client.node(f"{CONDITION}/{path}").read_value()

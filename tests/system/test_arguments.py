@@ -1,0 +1,68 @@
+"""Errors of arguments: one line each, in words of the user, for every argument of every command."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import re
+from collections.abc import Iterator
+
+import pytest
+
+import board51
+
+BAD = ("no-such", "\x01")  # the second for arguments that take any text that can be printed
+PYTHON = re.compile(r"[<>]|\b_\w|\b(?:float|int|str|lambda|function|object|None|Path)\b")
+Argument = tuple[argparse.ArgumentParser, argparse.Action]
+
+
+def arguments(parser: argparse.ArgumentParser) -> Iterator[Argument]:
+    """All that may refuse a value, of sub-commands too."""
+    for action in parser._actions:
+        if isinstance(action.choices, dict):  # the sub-commands
+            for inner in action.choices.values():
+                yield from arguments(inner)
+        if action.type is not None or action.choices is not None:
+            yield parser, action
+
+
+def refusals(parser: argparse.ArgumentParser, action: argparse.Action) -> Iterator[str]:
+    for value in BAD:
+        try:
+            parser._check_value(action, parser._get_value(action, value))
+        except argparse.ArgumentError as error:
+            yield str(error)
+
+
+def of_command(name: str) -> list[Argument]:
+    parser = board51.Parser(prog=f"board51 {name}")
+    importlib.import_module(board51.COMMANDS[name][0]).configure(parser)
+    return list(arguments(parser))
+
+
+@pytest.mark.parametrize("name", sorted(board51.COMMANDS))
+def test_no_refusal_of_an_argument_has_a_name_of_python(name: str) -> None:
+    seen = [text for parser, action in of_command(name) for text in refusals(parser, action)]
+
+    assert not [text for text in seen if PYTHON.search(text)]
+
+
+def test_the_walk_reaches_sub_commands_and_all_kinds_of_refusals() -> None:
+    seen = [text for name in ("send", "campaign") for one in of_command(name) for text in refusals(*one)]
+
+    assert "argument mode: invalid choice: 'no-such'" in " ".join(seen)
+    assert "argument METRES: 'no-such' is not a number" in seen
+    assert "argument --seed: 'no-such' is not a whole number" in seen
+    assert r"argument --id: '\x01' has characters that cannot be printed" in seen
+
+
+@pytest.mark.parametrize(
+    "words", [["bogus"], ["send", "rig1", "mode", "none"], ["send"], ["watch", "--every", "x"], ["start"]], ids=" ".join
+)
+def test_a_wrong_word_is_one_line_that_names_the_help(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        board51.main(words)
+
+    out, err = capsys.readouterr()
+    assert (end.value.code, out, err.count("\n")) == (2, "", 1)
+    assert re.match(r"board51.*: .+\. `board51.* --help` explains\.\n", err)

@@ -1,0 +1,146 @@
+"""Two twins for one board: the second one ends and says who serves it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+import zenoh
+
+from tests.harness.twin.rig import Rig
+from tests.harness.twin.twin_bus import Heard, free_endpoint, introduce, publish, router, wait
+from tests.patience import HANG_S
+from twin.mirror.bus.service import TwinService
+from twin.model.nominal import nominal
+
+HELD = 2.85e-3
+
+
+@pytest.fixture
+def endpoint() -> str:
+    return free_endpoint()
+
+
+def twin_of(endpoint: str, board: str | None = None, site: str = "lab") -> TwinService:
+    return TwinService(nominal(), site=site, board=board, endpoints=(endpoint,))
+
+
+def ended(session: zenoh.Session, service: TwinService) -> str:
+    """What the service says, when the next message of the board has reached it."""
+    parameters = Rig(seed=2).parameters().SerializeToString()
+
+    def failed() -> bool:
+        session.put("lab/rig/parameters", parameters)
+        return service.failure is not None
+
+    wait(failed, "the refusal")
+    wait(lambda: not service.running, "the end of the worker")
+    return str(service.failure)
+
+
+@pytest.mark.parametrize(("first", "second"), [(None, None), ("rig", "rig"), (None, "rig"), ("rig", None)])
+def test_the_second_twin_of_a_board_ends_and_says_who_serves_it(
+    endpoint: str, first: str | None, second: str | None
+) -> None:
+    rig = Rig(seed=2)
+    rig.hold(HELD)
+    with router(endpoint) as session:
+        heard = Heard(session, "lab")
+        with twin_of(endpoint, first) as one:
+            introduce(session, one, rig)
+            publish(session, list(rig.run(50, HELD)))
+            wait(lambda: len(heard.payloads["lab/rig/twin/divergence"]) == 50, "divergence")
+            with twin_of(endpoint, second) as two:
+                said = ended(session, two)
+            publish(session, list(rig.run(50, HELD)))
+            wait(lambda: len(heard.payloads["lab/rig/twin/divergence"]) == 100, "divergence of one twin")
+
+            assert f"process {os.getpid()} on " in said
+            assert ("every board" if first is None else "board rig") in said
+            assert one.failure is None
+            assert two.boards == {}
+
+
+def test_twins_of_other_boards_and_sites_do_not_meet(endpoint: str) -> None:
+    one, two, three = twin_of(endpoint, "rig"), twin_of(endpoint, "other"), twin_of(endpoint, site="elsewhere")
+    with router(endpoint) as session, one, two, three:
+        introduce(session, one, Rig(seed=2))
+        introduce(session, two, Rig(seed=3), board="other")
+
+        assert [service.failure for service in (one, two, three)] == [None] * 3
+
+
+def test_of_two_that_wait_for_the_router_one_serves(endpoint: str) -> None:
+    with twin_of(endpoint) as one, twin_of(endpoint) as two, router(endpoint) as session:
+        parameters = Rig(seed=2).parameters().SerializeToString()
+
+        def decided() -> bool:
+            session.put("lab/rig/parameters", parameters)
+            served = [service for service in (one, two) if service.failure is None and service.boards]
+            return len(served) == 1 and any(service.failure for service in (one, two))
+
+        wait(decided, "one twin")
+
+
+def test_a_twin_that_was_stopped_frees_its_board(endpoint: str) -> None:
+    with router(endpoint) as session:
+        for seed in (2, 3):
+            with twin_of(endpoint) as service:
+                introduce(session, service, Rig(seed=seed))
+                assert service.failure is None
+
+
+def test_the_command_ends_with_one_line_and_starts_again_after_the_other_was_killed(endpoint: str) -> None:
+    words = [sys.executable, "-m", "board51", "twin", "--site", "lab", "--connect", endpoint]
+    with router(endpoint) as session, speaking(session) as twins, running(words) as first:
+        wait(twins, "the first twin")
+
+        second = subprocess.run([*words, "--duration", str(HANG_S)], capture_output=True, text=True, check=False)
+
+        assert second.returncode == 1
+        last = second.stderr.strip().splitlines()[-1]
+        assert f"A twin already serves every board of site lab: process {first.pid} on " in last
+
+        first.kill()
+        first.wait()
+        with running(words):
+            wait(twins, "the twin that took over")
+
+
+@contextmanager
+def running(words: list[str]) -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait()
+
+
+@contextmanager
+def speaking(session: zenoh.Session) -> Iterator[Callable[[], bool]]:
+    """A board that repeats itself; yields whether a twin has answered since the last call."""
+    rig, heard, over = Rig(seed=2), Heard(session, "lab"), threading.Event()
+    rig.hold(HELD)
+
+    def speak() -> None:
+        while not over.wait(0.02):
+            session.put("lab/rig/parameters", rig.parameters().SerializeToString())
+            publish(session, list(rig.run(1, HELD)))
+
+    def answered() -> bool:
+        return bool(heard.payloads.pop("lab/rig/twin/divergence", []))
+
+    speaker = threading.Thread(target=speak)
+    speaker.start()
+    try:
+        yield answered
+    finally:
+        over.set()
+        speaker.join()
