@@ -55,7 +55,7 @@ class _File:
 
 
 def is_emulated(parameters: pb.Parameters) -> bool:
-    """Whether the board is an emulated CE 152, as its build says."""
+    """Return whether the board is an emulated CE 152, as its build says."""
     return "emulated" in parameters.firmware
 
 

@@ -216,7 +216,7 @@ class BoardFeed:
             self._book.acknowledge(alarm, who, now_ns, comment)
 
     def is_unseen(self) -> bool:
-        """Whether nothing has come from the gateway for UNSEEN_S."""
+        """Return whether nothing has come from the gateway for UNSEEN_S."""
         return min(self.age_s(kind) for kind in _OF_GATEWAY) > UNSEEN_S
 
     def _seen(self, record: pb.CommandRecord) -> None:

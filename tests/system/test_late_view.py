@@ -11,7 +11,7 @@ import zenoh
 from gateway.views.feed import Feed
 from gateway.views.opcua.server import OpcuaSettings
 from protocol.bus import topics
-from tests.harness.gateway.bus_peers import played_gateway
+from tests.harness.gateway.bus_peers import PlayedGateway, played_gateway
 from tests.harness.gateway.gateway_peers import client, wait_for
 from tests.harness.gateway.opcua_peers import Served, peer, until
 from tests.harness.twin.rig import Rig
@@ -56,9 +56,14 @@ def test_a_late_view_lists_the_alarms_of_the_twin_that_last_until_they_end() -> 
             raised = wait_for(lasting, "the alarms of the flight, then that of its end", COMPILED_S)
 
             late = Feed(other.session)
-            listed = wait_for(lambda: active(late), "an alarm in a view that came late")
+
+            def listed_late() -> dict[str, int]:
+                gateway.status(BOARD)
+                return active(late)
+
+            listed = wait_for(listed_late, "an alarm in a view that came late")
             with Served(gateway, OpcuaSettings(port=0)) as server:
-                shown = asyncio.run(shown_by(server.port, lambda lines: LASTS <= names(lines)))
+                shown = asyncio.run(shown_by(server.port, gateway, lambda lines: LASTS <= names(lines)))
                 wait_for(lambda: len(early.messages["rig/twin/alarms"]) >= 3, "repeats")
                 board = late.board(BOARD)
                 assert board is not None
@@ -78,11 +83,12 @@ def names(lines: list[str]) -> set[str]:
     return {line.partition(":")[0] for line in lines}
 
 
-async def shown_by(port: int, enough: Callable[[list[str]], bool]) -> list[str]:
-    """`alarms/list` of an OPC UA client, once it is `enough`."""
+async def shown_by(port: int, gateway: PlayedGateway, enough: Callable[[list[str]], bool]) -> list[str]:
+    """Return `alarms/list` of an OPC UA client, once it is `enough`; a gateway sends its status all the while."""
     async with peer(port) as opcua:
 
         async def look() -> list[str] | None:
+            gateway.status(BOARD)
             lines = (await opcua.read(f"{BOARD}/alarms/list")).Value.Value or []
             return lines if enough(lines) else None
 

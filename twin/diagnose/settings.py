@@ -170,9 +170,6 @@ LONGEST_GAP = 50
 # narrow.
 ERROR_BLOCK_S = 0.5
 ERROR_BLOCKS = 10
-# Level.  Family-wise: the chance that a report finds a right model wrong in any test of one family
-# (`twin/diagnose/residuals/family.py`).
-FAMILY_LEVEL = 0.05
 # Reasoned.  Factor on the error of the reference from which a model is worse: nobody would notice less, and right
 # models differ by as much through the errors of their parameters.
 WORSE_ERROR = 1.02

@@ -2,7 +2,7 @@
 
 Rule 1: the same code measures rig and simulation; the simulation's figure is the mean over its realisations.
 Rule 2: the difference is rig - simulation, paired step by step, with Student's interval over the steps.  A single step
-        has no interval.
+        has no interval.  All figures of the same steps are one family of tests (`family.py`).
 Rule 3: x is averaged over 10 ms before thresholds are applied.  The settling band is at least 4 standard deviations of
         the effect of noise, so that noise does not end a settling.  The band is reported with the figure.
 Rule 4: with a band wider than 10 % there is no settling time, because the response would be inside before it has risen
@@ -12,12 +12,13 @@ Rule 4: with a band wider than 10 % there is no settling time, because the respo
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from scipy.stats import t as student
 
+from twin.estimation.family import holm
 from twin.estimation.record import FloatArray, runs
 
 DWELL_S = 0.15  # a step is a change of the reference after which it is constant for this time
@@ -61,18 +62,14 @@ class Compared:
     simulation: float
     difference: float  # rig - simulation
     ci95: tuple[float, float] | None  # None: fewer than two steps
-    chance: float = float("nan")  # p value of no difference, two-sided; NaN: fewer than two steps, or no spread
+    chance: float = float("nan")  # p value of no difference, two-sided; NaN: fewer than two steps
     count: int  # steps in which both have the figure
     steps: int  # all steps
     rig_count: int  # steps in which the rig has it
     simulation_count: int  # steps in which every realisation has it
     bands: tuple[float, float] | None = None  # of a settling time: narrowest and widest, shares of the step
     too_small: int = 0  # steps too small for a settling time in this noise
-
-    @property
-    def significant(self) -> bool:
-        """Whether the 95 % interval excludes 0."""
-        return self.ci95 is not None and not self.ci95[0] <= 0.0 <= self.ci95[1]
+    significant: bool = False  # whether the two differ, by `together`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,10 +149,18 @@ def compare_steps(loops: Sequence[LoopRun], sigma_x_m: float) -> tuple[Compared,
             simulation.append(list(np.where(known, np.where(known, table, 0.0).mean(axis=0), np.nan)))
     if not rig:
         return ()
-    return tuple(
-        compared(name, np.array(rig)[:, n], np.array(simulation)[:, n], bands if name == "settling_s" else ())
-        for n, name in enumerate(FIGURES)
+    return together(
+        [
+            compared(name, np.array(rig)[:, n], np.array(simulation)[:, n], bands if name == "settling_s" else ())
+            for n, name in enumerate(FIGURES)
+        ]
     )
+
+
+def together(rows: Sequence[Compared]) -> tuple[Compared, ...]:
+    """The figures of the same steps with `significant`, decided as one family of tests."""
+    found = holm([row.chance for row in rows])
+    return tuple(replace(row, significant=differs) for row, differs in zip(rows, found, strict=True))
 
 
 def _widths(bands: Sequence[float]) -> tuple[float, float] | None:
@@ -273,7 +278,7 @@ def compared(name: str, rig: FloatArray, simulation: FloatArray, bands: Sequence
         error = float(difference.std(ddof=1) / np.sqrt(n))
         half = float(student.ppf(0.975, n - 1)) * error
         ci95 = (mean - half, mean + half)
-        chance = float(2.0 * student.sf(abs(mean) / error, n - 1)) if error > 0.0 else chance
+        chance = float(2.0 * student.sf(abs(mean) / error, n - 1)) if error > 0.0 else float(mean == 0.0)
     return Compared(
         name=name,
         rig=float(rig[both].mean()) if n else float("nan"),

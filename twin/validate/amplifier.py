@@ -9,7 +9,16 @@ from itertools import pairwise
 import numpy as np
 
 from twin.estimation.record import FloatArray, intervals, runs
-from twin.estimation.step_figures import FIGURES, SMALLEST_SIGMAS, Compared, Step, compared, measure, settling_band
+from twin.estimation.step_figures import (
+    FIGURES,
+    SMALLEST_SIGMAS,
+    Compared,
+    Step,
+    compared,
+    measure,
+    settling_band,
+    together,
+)
 from twin.model.parameters import Model
 from twin.validate.extended import current
 from twin.validate.source import Source, chosen
@@ -110,10 +119,12 @@ def _steps(traces: Sequence[AmplifierTrace], noise_a: float) -> tuple[Compared, 
                 simulated.append(np.mean(several[1:], axis=0).tolist())
     if not measured:
         return ()
-    return tuple(
-        compared(name, np.array(measured)[:, n], np.array(simulated)[:, n], bands if name == "settling_s" else ())
-        for n, name in enumerate(FIGURES)
-        if name in CURRENT_FIGURES
+    return together(
+        [
+            compared(name, np.array(measured)[:, n], np.array(simulated)[:, n], bands if name == "settling_s" else ())
+            for n, name in enumerate(FIGURES)
+            if name in CURRENT_FIGURES
+        ]
     )
 
 

@@ -95,7 +95,7 @@ def _pictures(result: Validation) -> dict[str, Picture]:
     if not isinstance(result.windows, str):
         figure = figures.ball_figure(result.windows, result.model.plant.travel_m)
         drawn["ball"] = figure, "measured position and short predictions"
-    if result.ahead:
+    if len(result.ahead) > 1:  # of one horizon the table says all
         drawn["ahead"] = figures.ahead_figure(result.ahead), "error over the horizon"
     if not isinstance(result.channels, str):
         drawn["residuals"] = figures.residual_figure(result.channels), "residual correlations"

@@ -29,7 +29,7 @@ class FirmwareCapture:
 
     @property
     def step_is_due(self) -> bool:
-        """Whether the step is made at this instant, behind its sample."""
+        """Return whether the step is made at this instant, behind its sample."""
         return len(self._samples) == self._pre and self._start_us == 0
 
     @property

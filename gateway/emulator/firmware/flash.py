@@ -77,7 +77,7 @@ class FlashLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """What a board keeps in a memory that can be written, in counts."""
+    """The settings that a board keeps in writable memory, in counts."""
 
     gains: Gains
     limits: FlashLimits

@@ -16,7 +16,7 @@ UNCOMMANDED_CURRENT_COUNTS = 512
 
 
 class OutputFault(IntEnum):
-    """What may be wrong with a converter."""
+    """The faults of a converter."""
 
     NONE = 0
     DEAF = 1  # it confirms nothing, and keeps its output
@@ -38,7 +38,7 @@ class InputConverter:
 
 
 class Output:
-    """What the converter has confirmed since the reset, and for how many ticks in a row it has not done its work."""
+    """The output confirmed since the reset, and for how many ticks in a row the converter has failed."""
 
     def __init__(self, converter: InputConverter) -> None:
         self._converter = converter

@@ -123,8 +123,8 @@ def test_a_press_during_a_gap_is_answered_in_words_and_not_done_later(page: Page
     page.click('[data-mode="open loop"]')
     page.click('[data-mode="open loop"]')
     page.click('[data-mode="open loop"]')
-    expect(page.locator(".toast", has_text="NOT SENT")).to_have_count(1)
-    expect(page.locator(".toast", has_text="NOT ANSWERED")).to_have_count(3)
+    # A press of the same button while the first is unanswered is no press.
+    expect(page.locator(".toast", has_text="NOT ANSWERED")).to_have_count(2)
     network.restore()  # the server gets what the network held up
     page.wait_for_selector("body[data-live=yes]")
     page.get_by_label("remark").fill("after the gap")
@@ -206,7 +206,9 @@ def test_an_excitation_around_any_reference_is_ended_by_its_button(page: Page, b
 def test_what_was_refused_does_not_stand_as_if_in_force(page: Page, bus: Bus) -> None:
     close_loop(bus)
     field, said = page.locator('[data-number="reference"]'), page.locator(".toast[data-state=bad]")
-    expect(page.locator('[data-live="reference-range"]')).to_contain_text("0.3 .. 5.2 mm")
+    expect(page.locator('[data-live="reference-range"]')).to_contain_text(
+        "0.3 .. 5.199 mm"
+    )  # 5.2 mm is between two counts
     in_force = field.input_value()
 
     field.fill("9")

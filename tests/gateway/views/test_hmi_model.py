@@ -241,7 +241,7 @@ def test_a_diagnosis_that_found_nothing_better_offers_no_model(tmp_path: Path) -
     file = folder / "extended_model.json"
     campaigns = campaigns_of(root, "rig")
 
-    def offered(provenance: dict[str, str], causes: list[Any]) -> bool:
+    def offered(provenance: dict[str, str], causes: object) -> bool:
         file.write_text(json.dumps({**MODEL, "causes": causes, "provenance": provenance}))
         return any(one.path == file for one in models_of(tmp_path, "rig", campaigns, None))
 

@@ -12,7 +12,7 @@ import pytest
 from protocol.campaign import Controller, OperatingPoint, Plant
 from tests.harness.twin.independent_plant import Ball
 from twin.estimation.record import Capture, Record
-from twin.estimation.step_figures import FIGURES, find_steps, measure
+from twin.estimation.step_figures import FIGURES, Compared, find_steps, measure, together
 from twin.model.parameters import PARAMETERS, Model, Noise, Parameter
 from twin.validate.ball import Ahead
 from twin.validate.figures import ahead_figure
@@ -84,6 +84,26 @@ def test_a_plant_that_nobody_stated_is_said_in_notes_and_report(records: list[Re
     ball = f"for an assumed ball of {BALL.m * 1e3:.3g} g"
     assert ball in result.notes[0]
     assert f"K_c and b {ball}" in to_html(result, title="t")
+
+
+def test_an_error_at_one_horizon_is_a_table_without_a_chart(records: list[Record]) -> None:
+    result = judged(records, model_of(BALL))
+
+    whole = to_html(result, title="t")
+    short = to_html(replace(result, ahead=result.ahead[:1]), title="t")
+
+    assert 'alt="error over the horizon"' in whole
+    assert 'alt="error over the horizon"' not in short
+    assert f"<td>{result.ahead[0].horizon_s * 1e3:.0f} ms</td>" in short
+
+
+def test_a_step_figure_that_just_misses_among_five_is_no_difference() -> None:
+    rows = [Compared(name=name, rig=1.0, simulation=1.0, difference=0.1, ci95=(0.01, 0.2), count=9, steps=9,
+                     rig_count=9, simulation_count=9, chance=chance)
+            for name, chance in zip(FIGURES, (0.04, 0.5, 0.6, 0.7, 0.8), strict=True)]  # fmt: skip
+
+    assert not any(row.significant for row in together(rows))
+    assert [row.significant for row in together([replace(rows[0], chance=1e-4), *rows[1:]])] == [True, *[False] * 4]
 
 
 def test_right_model_passes_every_part(records: list[Record]) -> None:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 from twin.diagnose.report import figures
 from twin.diagnose.report.sentences import LACKED, WHERE_JUDGED, capital, percent, quantity
-from twin.diagnose.residuals.family import holm
 from twin.diagnose.residuals.force import Curve
 from twin.diagnose.residuals.step_response import Steps
 from twin.diagnose.residuals.summary import Show
 from twin.diagnose.result import Diagnosis
-from twin.estimation.step_figures import FIGURES, Compared, definition
+from twin.estimation.step_figures import FIGURES, definition
 from twin.page.figures import inline
 
 _QUICK_REGIMES = ("position", "speed")
@@ -83,8 +81,8 @@ def _pace(steps: Steps, alone: bool) -> str:
         return ""
     low, high = first.ci95
     same = "the simulation" if alone else "the baseline simulation"
-    left = not alone and "rise_s" in significant([pair[1] for pair in steps.figures])
-    if "rise_s" not in significant([pair[0] for pair in steps.figures]):
+    left = not alone and second.significant
+    if not first.significant:
         text = f"The rig is as fast as {same}, within {max(abs(low), abs(high)) * 1e3:.2g} ms."
         return text + f" The extended model is off by {abs(second.difference) * 1e3:.2g} ms." * left
     slower = "slower" if first.difference > 0.0 else "faster"
@@ -97,16 +95,10 @@ def _pace(steps: Steps, alone: bool) -> str:
     return f"{text} {rest}"
 
 
-def significant(figures: Sequence[Compared]) -> list[str]:
-    """Names of the figures of a step in which rig and simulation surely differ, as one family of tests."""
-    shown = [one for one in figures if one.name in _STEP_FIGURES]
-    return [one.name for one, differs in zip(shown, holm([one.chance for one in shown]), strict=True) if differs]
-
-
 def unlike(steps: Steps) -> str:
     """In which figures of a step the extended model surely differs from the rig; empty if in none."""
-    names = [FIGURES[name][0] for name in significant([pair[1] for pair in steps.figures])]
-    return " and ".join(names)
+    rows = [second for _, second in steps.figures]
+    return " and ".join(FIGURES[row.name][0] for row in rows if row.significant and row.name in _STEP_FIGURES)
 
 
 def _single(curve: Curve) -> str:

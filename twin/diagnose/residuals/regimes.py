@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.diagnose import settings
-from twin.diagnose.residuals.family import chance_of_worse
+from twin.estimation.family import chance_of_worse
 from twin.estimation.record import BoolArray, FloatArray
 
 Labels = NDArray[np.int64]  # group of each sample, -1: none

@@ -19,12 +19,12 @@ import numpy as np
 from protocol.campaign import Controller, Plant
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.judge.prediction_gain import Gain, gain
-from twin.diagnose.residuals.family import chance_of_worse, holm
 from twin.diagnose.residuals.force import Curve, Filtered, current_curves, filtered, force_curves
 from twin.diagnose.residuals.groups import sorted_errors
 from twin.diagnose.residuals.regimes import Blocks, Estimate, Regime, blocks_of, estimate, means
 from twin.diagnose.residuals.spectrum import Spectrum, spectrum
 from twin.diagnose.residuals.step_response import Steps, step_responses
+from twin.estimation.family import chance_of_worse, holm
 from twin.estimation.record import FloatArray, runs
 from twin.page.plain import plain
 

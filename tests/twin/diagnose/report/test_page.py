@@ -24,6 +24,7 @@ from twin.diagnose.report.sentences import finding_sentence, measured, quantity,
 from twin.diagnose.residuals.step_response import Steps
 from twin.diagnose.residuals.summary import shown
 from twin.diagnose.result import Diagnosis, MinorEffect, Proposal
+from twin.estimation.step_figures import together
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 from twin.model.parameters import Parameter
@@ -156,16 +157,14 @@ def with_chances(**chances: float) -> str:
     """The page of the gap with these p values of the extended model's step figures."""
     show = shown(found_gap(), controller())
     assert isinstance(show.steps, Steps)
-    figures = tuple(
-        (first, replace(second, chance=chances.get(second.name, 0.9), ci95=(1e-4, 2e-3)))
-        for first, second in show.steps.figures
-    )
+    rows = [replace(row, chance=chances.get(row.name, 0.9), ci95=(1e-4, 2e-3)) for _, row in show.steps.figures]
+    figures = tuple(zip([first for first, _ in show.steps.figures], together(rows), strict=True))
     show = replace(show, steps=replace(show.steps, figures=figures))
     return text_of(to_html(found_gap(), show, campaign=Path("runs/monday"), out=Path("diagnosis")))
 
 
 def test_a_step_figure_that_just_misses_is_no_contradiction_of_nothing_left() -> None:
-    """One of three figures at 4 %: a right model has such a one on every ninth page."""
+    """One of five figures at 4 %: a right model has such a one on every fifth page."""
     text = with_chances(rise_s=0.04)
 
     assert "Nothing that can be measured: what is left is white" in text

@@ -11,12 +11,12 @@ from tests.harness.diagnose.known_diagnosis import QUIET, diagnosis, steps
 from tests.harness.diagnose.simulated_rig import PLANT, TICK_S, controller, strong
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.noise_floor import Floor
-from twin.diagnose.residuals.family import holm
 from twin.diagnose.residuals.force import filtered, parabola
 from twin.diagnose.residuals.regimes import blocks_of, by_edges, error_bins
 from twin.diagnose.residuals.spectrum import spectrum
 from twin.diagnose.residuals.step_response import Steps, step_responses
 from twin.diagnose.residuals.summary import Show, shown, to_dict
+from twin.estimation.family import holm
 
 GAP_M = 5e-4
 FLOOR = Floor(sigma_i_c_a=QUIET.sigma_i_c_a, sigma_x_m=QUIET.sigma_x_m, measured=True, counts=(0, 1))

@@ -16,11 +16,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import norm
 
-from twin.diagnose import settings
 from twin.estimation.record import FloatArray
 
+# Level.  The chance that a report finds a right model wrong in any test of one family.
+FAMILY_LEVEL = 0.05
 
-def holm(chances: Sequence[float], level: float = settings.FAMILY_LEVEL) -> list[bool]:
+
+def holm(chances: Sequence[float], level: float = FAMILY_LEVEL) -> list[bool]:
     """Which tests of a family are significant together.
 
     Args:

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from tests.harness.diagnose.simulated_rig import TICK_S
-from twin.diagnose import settings
-from twin.diagnose.residuals.family import holm
 from twin.diagnose.residuals.regimes import blocks_of, error_bins
+from twin.estimation.family import FAMILY_LEVEL, holm
 
 
 def test_a_test_that_just_misses_among_many_is_no_finding() -> None:
@@ -32,19 +31,20 @@ def test_two_equally_good_models_are_seldom_told_apart_in_any_of_fifty_groups() 
     n, groups, trials = 50_000, 50, 100
     labels = (np.arange(n) // (n // groups)).astype(np.int64)
     names = [str(group) for group in range(groups)]
-    # The models of the bootstrap's blocks are Gaussian; 16 blocks of 62 samples in each group.
-    blocks = blocks_of((np.arange(n) // 2000).astype(np.int32), TICK_S / 8.0, 0)
+    # Half a second is 62 samples of this interval: 16 blocks in each group.
+    blocks = blocks_of(np.zeros(n, np.int32), 4.0 * TICK_S, 0)
 
     failed = 0
     for _ in range(trials):
         bins = error_bins(rng.standard_normal((2, n)), labels, names, labels.astype(float), blocks)
+        assert len(bins) == groups
         failed += any(holm([one.chance for one in bins]))
 
     # Few blocks make the tail a little heavier: twice the level, and 3 standard errors of the trials.
-    most = 2.0 * settings.FAMILY_LEVEL
+    most = 2.0 * FAMILY_LEVEL
     assert failed / trials <= most + 3.0 * math.sqrt(most * (1.0 - most) / trials)
 
 
 def test_a_level_of_its_own_can_be_given() -> None:
     assert holm([0.04, 0.5], level=0.1) == [True, False]
-    assert settings.FAMILY_LEVEL == pytest.approx(0.05)
+    assert FAMILY_LEVEL == pytest.approx(0.05)
