@@ -13,7 +13,7 @@ from tests.harness.diagnose.simulated_rig import controller
 from twin.diagnose.report.figures import short_label
 from twin.diagnose.report.page import to_html
 from twin.diagnose.report.sentences import finding_sentence, measured, quantity, summary_sentence
-from twin.diagnose.residuals.summary import shown
+from twin.diagnose.residuals.summary import summarise
 from twin.diagnose.result import Diagnosis, MinorEffect, Proposal
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
@@ -23,7 +23,7 @@ PICTURE = "data:image/svg+xml;base64,"
 
 
 def page(found: Diagnosis) -> str:
-    show = shown(found, controller(), quick=found.quick)
+    show = summarise(found, controller(), quick=found.quick)
     return to_html(found, show, campaign=Path("runs/monday"), out=Path("diagnosis"))
 
 
