@@ -16,7 +16,7 @@ from protocol.campaign import load
 from tests.harness.diagnose.foreign import hall_campaign
 from tests.harness.diagnose.hidden_campaign import make_campaign
 from twin.diagnose.pipeline import diagnose
-from twin.diagnose.residuals.summary import shown
+from twin.diagnose.residuals.summary import summarise
 
 EFFECT = {"quadratic-drag": 1.0}
 SEED = 104
@@ -62,7 +62,7 @@ def _rows(folder: Path, mode: str) -> list[dict[str, Any]]:
     wall, cpu = time.perf_counter(), time.process_time()
     found = diagnose(campaign, quick=mode == "quick")
     between = time.perf_counter()
-    shown(found, campaign.controller, quick=mode == "quick", seed=0)
+    summarise(found, campaign.controller, quick=mode == "quick", seed=0)
     wall_s, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
     stages = {**found.stages_s, "pictures": time.perf_counter() - between}
     target = TARGETS_S[mode]

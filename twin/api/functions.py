@@ -125,9 +125,9 @@ def diagnose(
         UsageError: `share` or `budget` is out of range.
     """
     from twin.diagnose import pipeline
-    from twin.diagnose.equilibria.run import rests_alone
+    from twin.diagnose.equilibria.run import is_static
     from twin.diagnose.inference.budget import MILLION
-    from twin.diagnose.residuals.summary import shown
+    from twin.diagnose.residuals.summary import summarise
 
     if not 0.0 < share <= 1.0:
         raise UsageError(f"--share is {share:g}", remedy="Give a part of 1, as 0.2")
@@ -135,7 +135,7 @@ def diagnose(
         raise UsageError(f"--budget is {budget:g}", remedy="Give millions of filter steps, as 600")
     where = campaign.where if isinstance(campaign, Campaign) else str(campaign)
     campaign, reference = _campaign(campaign), None if model is None else _model(model)
-    if rests_alone(campaign):
+    if is_static(campaign):
         return _diagnosed_at_rest(campaign, reference, data, where, say)
     found = pipeline.diagnose(
         campaign,
@@ -158,7 +158,7 @@ def diagnose(
         extended=found.extended,
         warnings=found.warnings,
         details=found,
-        residuals=shown(found, campaign.controller, quick=quick, seed=seed),
+        residuals=summarise(found, campaign.controller, quick=quick, seed=seed),
         where=where,
     )
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from twin.design.design import Design
     from twin.diagnose.equilibria.diagnosis import StaticDiagnosis
-    from twin.diagnose.residuals.summary import Show
+    from twin.diagnose.residuals.summary import Summary
     from twin.diagnose.result import Diagnosis
     from twin.identify.result import Identification
     from twin.prediction import Prediction
@@ -124,7 +124,7 @@ class Diagnosed:
     extended: Model  # the model with its causes, for any function that takes a model
     warnings: tuple[str, ...]
     details: Diagnosis | StaticDiagnosis  # StaticDiagnosis: the campaign has equilibria only
-    residuals: Show | None  # errors before and after the extension, as arrays; None for equilibria only
+    residuals: Summary | None  # errors before and after the extension, as arrays; None for equilibria only
     where: str  # path of the campaign, for the report
 
     @property

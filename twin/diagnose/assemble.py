@@ -56,24 +56,24 @@ from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 from twin.model.parameters import Model, Parameter
 
-Say = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 @dataclass(kw_only=True)
-class Searched:
+class SearchResult:
     """Result of the search; with a change point, criterion and selection are those of the change."""
 
     criterion: Criterion
     base: Fit
     floor: Floor
-    found: Selection
-    fine: bool  # whether only noise is left
+    selection: Selection
+    is_adequate: bool  # whether only noise is left
     why_not: str
     change: Change | None
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
+class Options:
     """The options of the user."""
 
     model: Model | None
@@ -84,7 +84,7 @@ class Asked:
     seed: int
     workers: int
     budget: Budget
-    say: Say
+    say: Progress
 
 
 @contextmanager
@@ -104,77 +104,85 @@ def testable_causes(records: Sequence[Record]) -> tuple[Cause, ...]:
     )
 
 
-def told(
+def assemble(
     campaign: Campaign,
-    done: Searched,
+    search: SearchResult,
     records: Sequence[Record],
     judges: Sequence[Record],
     evidence: Evidence,
     judge: Evidence | None,
     warnings: list[str],
-    asked: Asked,
+    options: Options,
     stages: dict[str, float],
 ) -> Diagnosis:
     """Assemble the diagnosis.
 
     Args:
         campaign: plant and controller.
-        done: result of the search.
+        search: result of the search.
         records: recordings for fitting.
         judges: recordings for judging.
         evidence: prepared recordings for fitting.
         judge: prepared recordings for judging; None: there are none.
         warnings: receives further warnings.
-        asked: options of the user.
+        options: of the user.
         stages: receives the duration of each stage, s.
     """
-    criterion, found, floor = done.criterion, done.found, done.floor
-    finished = not asked.budget.unanswered  # questions left open from here on do not change the verdict
-    asked.budget.reopen()
+    criterion, selection, floor = search.criterion, search.selection, search.floor
+    finished = not options.budget.unanswered  # questions left open from here on do not change the verdict
+    options.budget.reopen()
     with timed(stages, "what is left"):
-        under = floor.under(criterion, found.fit.theta)
-        account = account_of(found, under.excess(found.fit.loglik), done.fine)
-        where = "" if done.fine else where_left(criterion, found.fit, under)
-        spread = spreads(criterion, found.fit)
-        warnings += _inconsistent(done)
+        under = floor.under(criterion, selection.fit.theta)
+        account = account_of(selection, under.excess(selection.fit.loglik), search.is_adequate)
+        where = "" if search.is_adequate else where_left(criterion, selection.fit, under)
+        spread = spreads(criterion, selection.fit)
+        warnings += _inconsistent(search)
     with timed(stages, "next experiments"):
-        proposals = _proposals(criterion, found, campaign, asked) if asked.experiments else {}
+        proposals = _proposals(criterion, selection, campaign, options) if options.experiments else {}
     with timed(stages, "gain"):
         lost = lost_samples([*records, *judges])
-        bench = _bench(done, judge, campaign.plant, asked)
-        judged = judgement.judge(
-            found, asked.model, bench, account, is_adequate=done.fine, finished=finished, counted=lost is not None
+        bench = _bench(search, judge, campaign.plant, options)
+        outcome = judgement.judge(
+            selection,
+            options.model,
+            bench,
+            account,
+            is_adequate=search.is_adequate,
+            finished=finished,
+            counted=lost is not None,
         )
-        verdict, choice, whole = judged.verdict, judged.choice, judged.whole
-        warnings += [judged.off] if judged.off else []
+        verdict, choice, whole = outcome.verdict, outcome.choice, outcome.whole
+        warnings += [outcome.off] if outcome.off else []
     with timed(stages, "remainder"):
-        remainder = _remainder(done, records, judge, whole, choice, asked)
-        if not _harmless(bench, judged.before, choice, remainder):
+        remainder = _remainder(search, records, judge, whole, choice, options)
+        if not _harmless(bench, outcome.before, choice, remainder):
             warnings.append("a curve of what is left was tried and refused: with it the judge recordings get worse")
             remainder = None
     final = choice.fit if remainder is None else remainder.fit
-    final_spread = spread if final is found.fit else {} if final is None else spreads(criterion, final)
-    if verdict == "partly-explained" and remainder is not None and remainder.beside == "paper":
+    final_spread = spread if final is selection.fit else {} if final is None else spreads(criterion, final)
+    if verdict == "partly-explained" and remainder is not None and remainder.extends == "paper":
         verdict = "unknown-cause"
-    findings = _findings(found, account, spread, proposals, verdict, lost, campaign.plant)
-    if done.change is not None:
-        findings = [_late(one, done.change) for one in findings]
-    if done.fine and verdict == "unknown-cause" and choice.refused and choice.refused[0].worse:
+    findings = _findings(selection, account, spread, proposals, verdict, lost, campaign.plant)
+    if search.change is not None:
+        findings = [_with_change(finding, search.change) for finding in findings]
+    if search.is_adequate and verdict == "unknown-cause" and choice.refused and choice.refused[0].worse:
         where = harm_sentence(choice.refused[0])
-    elif done.fine and whole is not None and exceeds_floor(whole):
+    elif search.is_adequate and whole is not None and exceeds_floor(whole):
         where = beyond_sentence(whole)
-    warnings += [f"not all is explained {where}"] * bool(where) if done.fine else [done.why_not]
-    minor_effects = tuple(minor_effects_of(criterion, found)) if done.fine and done.change is None else ()
-    lacked = under.excess(done.base.loglik)
-    paper = model_of(campaign, done.base, {}, records, lacked, "the paper's model at its best")
-    baseline = asked.model or paper
+    warnings += [f"not all is explained {where}"] * bool(where) if search.is_adequate else [search.why_not]
+    minor_effects = (
+        tuple(minor_effects_of(criterion, selection)) if search.is_adequate and search.change is None else ()
+    )
+    lacked = under.excess(search.base.loglik)
+    paper = model_of(campaign, search.base, {}, records, lacked, "the paper's model at its best")
+    baseline = options.model or paper
     diagnosis = Diagnosis(
         verdict=verdict,
         sentence="",
         causes=tuple(findings),
-        not_testable=tuple(not_testable(found, records)),
+        not_testable=tuple(not_testable(selection, records)),
         minor_effects=minor_effects,
-        ruled_out=tuple(ruled_out(found, {*_names(findings), *(one.name for one in minor_effects)}))
+        ruled_out=tuple(ruled_out(selection, {*_names(findings), *(effect.name for effect in minor_effects)}))
         if finished
         else (),
         account=account,
@@ -190,64 +198,66 @@ def told(
         ),
         choice=choice,
         warnings=tuple(dict.fromkeys(warnings)),
-        quick=asked.quick or asked.share < settings.MIN_SHARE,
+        quick=options.quick or options.share < settings.MIN_SHARE,
         stages_s=stages,
-        selection=found,
+        selection=selection,
         floor=floor,
         fit_evidence=evidence,
         judge_evidence=judge,
-        before=judged.before,
-        after=judged.before if choice.fit is None else choice.fit.theta,
+        before=outcome.before,
+        after=outcome.before if choice.fit is None else choice.fit.theta,
         tick_s=criterion.tick_s,
         remainder=remainder,
-        budget=asked.budget,
+        budget=options.budget,
     )
-    sentence = answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=judged.off)
+    sentence = answer_sentence(diagnosis, blind=not any(r.has("x") for r in records), off=outcome.off)
     return replace(diagnosis, sentence=answer_with(diagnosis, sentence) + choice_sentence(diagnosis))
 
 
-def _inconsistent(done: Searched) -> list[str]:
+def _inconsistent(search: SearchResult) -> list[str]:
     """Warnings about effects that are not the same in all recordings, or begin in the middle of one."""
-    criterion, fit = done.criterion, done.found.fit
-    always = [name for name in done.found.causes if BY_NAME[name].found_by != "spectral-line" and done.change is None]
-    return [contradiction_sentence(one) for one in contradictions(criterion, fit)] + [
-        beginning_sentence(late) for late in beginnings(criterion, fit, always)
+    criterion, fit = search.criterion, search.selection.fit
+    always = [
+        name for name in search.selection.causes if BY_NAME[name].found_by != "spectral-line" and search.change is None
+    ]
+    return [contradiction_sentence(contradiction) for contradiction in contradictions(criterion, fit)] + [
+        beginning_sentence(beginning) for beginning in beginnings(criterion, fit, always)
     ]
 
 
 def _remainder(
-    done: Searched,
+    search: SearchResult,
     records: Sequence[Record],
     judge: Evidence | None,
     whole: Gain | None,
     choice: Choice,
-    asked: Asked,
+    options: Options,
 ) -> Remainder | None:
     """What is left, modelled; None where nothing is, nobody asked, or there is nothing to choose by."""
-    more = not done.fine or (whole is not None and exceeds_floor(whole))
-    wanted = more and not asked.quick if asked.free_form is None else asked.free_form
-    if not wanted or judge is None or whole is None or choice.fit is None or done.change is not None:
+    has_remainder = not search.is_adequate or (whole is not None and exceeds_floor(whole))
+    is_requested = has_remainder and not options.quick if options.free_form is None else options.free_form
+    if not is_requested or judge is None or whole is None or choice.fit is None or search.change is not None:
         return None
-    asked.say("what is left, as a curve?")
-    question = asked.budget.question("what is left, as a curve")
-    with suppress(Spent), question, done.criterion.charging(asked.budget):
+    options.say("what is left, as a curve?")
+    question = options.budget.question("what is left, as a curve")
+    with suppress(Spent), question, search.criterion.charging(options.budget):
         candidates = testable_causes(records)
-        paper = done.base if more else None
-        return remainder_of(done.criterion, choice.fit, paper, judge, done.floor, candidates, seed=asked.seed)
+        paper = search.base if has_remainder else None
+        return remainder_of(search.criterion, choice.fit, paper, judge, search.floor, candidates, seed=options.seed)
     return None
 
 
-def _bench(done: Searched, judge: Evidence | None, plant: Plant, asked: Asked) -> Bench | None:
+def _bench(search: SearchResult, judge: Evidence | None, plant: Plant, options: Options) -> Bench | None:
     if judge is None or not len(judge.series):
         return None
     return Bench(
         judge=judge,
-        floor=done.floor,
+        floor=search.floor,
         plant=plant,
-        tick_s=done.criterion.tick_s,
-        seed=asked.seed,
-        workers=asked.workers,
-        budget=asked.budget,
+        tick_s=search.criterion.tick_s,
+        seed=options.seed,
+        workers=options.workers,
+        budget=options.budget,
     )
 
 
@@ -257,7 +267,7 @@ def _harmless(bench: Bench | None, before: Theta, choice: Choice, left: Remainde
 
 
 def _findings(
-    found: Selection,
+    selection: Selection,
     account: Account,
     spread: dict[str, float],
     proposals: dict[str, Proposal],
@@ -266,21 +276,21 @@ def _findings(
     plant: Plant,
 ) -> list[Finding]:
     findings = []
-    for cause in found.causes:
-        near = found.classes.get(cause, ())
-        parameters = fit_parameters(found.fit, cause, spread)
+    for cause in selection.causes:
+        members = selection.classes.get(cause, ())
+        parameters = fit_parameters(selection.fit, cause, spread)
         findings.append(
             Finding(
                 name=cause,
-                sentence=finding_sentence(cause, parameters) + _for(cause, plant),
+                sentence=finding_sentence(cause, parameters) + _assumption_clause(cause, plant),
                 form=form_of(BY_NAME[cause], parameters),
                 parameters=parameters,
                 confidence=confidence_of(
-                    found,
+                    selection,
                     cause,
                     verdict if verdict == "causes-found" or account.leads(cause) else "unknown-cause",
                 ),
-                indistinguishable_from=tuple(_member(trial) for trial in near),
+                indistinguishable_from=tuple(_member(trial) for trial in members),
                 share_of_excess_explained=account.cause_shares[cause],
                 loglik_gain=account.gains[cause],
                 next_experiment=proposals.get(cause),
@@ -302,12 +312,12 @@ def _findings(
     return findings
 
 
-def _for(cause: str, plant: Plant) -> str:
+def _assumption_clause(cause: str, plant: Plant) -> str:
     """For which assumed plant the size of a cause holds; empty if it does not rest on one."""
     return f", {assumption(plant)}" if plant.assumed and rests_on_plant(BY_NAME[cause]) else ""
 
 
-def _late(finding: Finding, change: Change) -> Finding:
+def _with_change(finding: Finding, change: Change) -> Finding:
     """The finding with the recording in which it begins or after which it ends."""
     if finding.name not in change.selection.causes:
         return finding
@@ -323,23 +333,23 @@ def _names(findings: Sequence[Finding]) -> set[str]:
     }
 
 
-def _proposals(criterion: Criterion, found: Selection, campaign: Campaign, asked: Asked) -> dict[str, Proposal]:
+def _proposals(criterion: Criterion, selection: Selection, campaign: Campaign, options: Options) -> dict[str, Proposal]:
     """For each cause with an equivalence class, the experiment that splits it best, or a measurement if none does."""
     result = {}
-    for cause in found.causes:
-        near = found.classes.get(cause, ())
-        if not near:
+    for cause in selection.causes:
+        members = selection.classes.get(cause, ())
+        if not members:
             continue
-        question = f"which experiment tells {cause} from {', '.join(trial.cause for trial in near)}"
-        asked.say(f"{question}?")
+        question = f"which experiment tells {cause} from {', '.join(trial.cause for trial in members)}"
+        options.say(f"{question}?")
         ranked = []
-        with suppress(Spent), asked.budget.question(question):
-            ranked = propose(criterion, found.fit, cause, near, campaign.controller, asked.budget)
+        with suppress(Spent), options.budget.question(question):
+            ranked = propose(criterion, selection.fit, cause, members, campaign.controller, options.budget)
         if not ranked:
             continue
         best = ranked[0]
         outside = tuple(
-            f"{pair.own} and {pair.confounder}: no experiment on this rig tells them apart; {pair.measurement}"
+            f"{pair.cause} and {pair.confounder}: no experiment on this rig tells them apart; {pair.measurement}"
             for pair in best.pairs
             if not pair.separable
         )
@@ -348,16 +358,18 @@ def _proposals(criterion: Criterion, found: Selection, campaign: Campaign, asked
             separation_z=best.separation_z,
             command=best.command if best.separable else "",
             outside=outside,
-            others=tuple((one.name, one.separation_z) for one in ranked[1:4]),
+            next_best=tuple((proposal.name, proposal.separation_z) for proposal in ranked[1:4]),
             now_z={pair.confounder: pair.now_z for pair in best.pairs},
-            experiments=tuple((one.name, {pair.confounder: pair.separation_z for pair in one.pairs}) for one in ranked),
+            experiments=tuple(
+                (proposal.name, {pair.confounder: pair.separation_z for pair in proposal.pairs}) for proposal in ranked
+            ),
         )
     return result
 
 
 def _member(trial: Trial) -> Member:
-    return Member(name=trial.cause, parameters=fit_parameters(trial.fit, trial.cause, _own_spread(trial.fit)))
+    return Member(name=trial.cause, parameters=fit_parameters(trial.fit, trial.cause, _unknown_spread(trial.fit)))
 
 
-def _own_spread(fit: Fit) -> dict[str, float]:
+def _unknown_spread(fit: Fit) -> dict[str, float]:
     return {name: math.nan for name in fit.free}

@@ -22,7 +22,7 @@ import numpy as np
 from protocol.campaign import Campaign, Plant
 from protocol.errors import DataError
 from twin.diagnose import settings
-from twin.diagnose.assemble import Asked, Say, Searched, testable_causes, timed, told
+from twin.diagnose.assemble import Options, Progress, SearchResult, assemble, testable_causes, timed
 from twin.diagnose.checks.change_point import find_change
 from twin.diagnose.checks.outlier_recording import Outlier, find_outlier
 from twin.diagnose.evidence.gather import Evidence, gather
@@ -50,7 +50,7 @@ from twin.model.parameters import Model
 from twin.readers.campaign import read_campaign
 
 UNASKED = "--quick: not asked whether an effect begins or ends in the middle of the campaign"
-FLIGHT_LEAST_S = 2.0  # 120 time constants of the unstable pole
+MIN_FLIGHT_S = 2.0  # 120 time constants of the unstable pole
 
 
 def diagnose(
@@ -65,7 +65,7 @@ def diagnose(
     seed: int = 0,
     workers: int = 2,
     budget: float | None = None,
-    say: Say = lambda line: None,
+    say: Progress = lambda line: None,
 ) -> Diagnosis:
     """Diagnose a campaign.
 
@@ -126,14 +126,14 @@ def diagnose_records(
     workers: int = 2,
     budget: Budget | None = None,
     look_for_outlier: bool = True,
-    say: Say = lambda line: None,
+    say: Progress = lambda line: None,
 ) -> Diagnosis:
     """`diagnose` with recordings in memory.
 
     With `look_for_outlier`, a recording that contradicts all others is left out.  Raises DataError.
     """
     budget = budget or Budget()
-    asked = Asked(
+    options = Options(
         model=model,
         quick=quick,
         share=share,
@@ -144,63 +144,63 @@ def diagnose_records(
         budget=budget,
         say=_with_share(say, budget),
     )
-    return _diagnosed(campaign, records, judges, asked, look_for_outlier=look_for_outlier)
+    return _diagnosed(campaign, records, judges, options, look_for_outlier=look_for_outlier)
 
 
 def _diagnosed(
     campaign: Campaign,
     everything: Sequence[Record],
     judges: Sequence[Record],
-    asked: Asked,
+    options: Options,
     *,
     look_for_outlier: bool,
 ) -> Diagnosis:
-    plant, budget = campaign.plant, asked.budget
-    if asked.model is not None:
-        check_plant(asked.model, plant)
-    records, warnings = _prepared(campaign, everything, asked.quick)
+    plant, budget = campaign.plant, options.budget
+    if options.model is not None:
+        check_plant(options.model, plant)
+    records, warnings = _prepared(campaign, everything, options.quick)
     stages: dict[str, float] = {}
     with timed(stages, "evidence"):
         evidence, judge, noise = _evidence(records, judges, plant)
         warnings += evidence.notes
     warnings += _missing(records, judges)
     start = with_noise_bounds(start_theta(records, plant), evidence)
-    enough(evidence)
-    criterion = Criterion(evidence, plant, tick_of(records), workers=asked.workers, budget=budget)
+    check_flight_time(evidence)
+    criterion = Criterion(evidence, plant, tick_of(records), workers=options.workers, budget=budget)
     with ExitStack() as closing:
         closing.callback(criterion.close)
-        done = _search(criterion, start, records, asked, stages)
-        if not done.fine and asked.quick:
+        search = _search(criterion, start, records, options, stages)
+        if not search.is_adequate and options.quick:
             warnings.append(UNASKED)
         # An offset that wanders from recording to recording also explains one of another rig.
-        wanders = _wanders(done.found.fit.theta)
-        outlier = _outlier(criterion, done) if look_for_outlier and (wanders or not done.fine) else None
+        wanders = _wanders(search.selection.fit.theta)
+        outlier = _outlier(criterion, search) if look_for_outlier and (wanders or not search.is_adequate) else None
         if outlier is not None:
-            asked.say(f"{outlier.name} contradicts the others: once more without it")
-            (left,) = budget.shares(1)
+            options.say(f"{outlier.name} contradicts the others: once more without it")
+            (remaining_budget,) = budget.shares(1)
             rest = _diagnosed(
                 campaign,
-                [record for place, record in enumerate(everything) if place != outlier.recording],
+                [record for index, record in enumerate(everything) if index != outlier.recording],
                 judges,
-                replace(asked, budget=left, say=_with_share(asked.say, left)),
+                replace(options, budget=remaining_budget, say=_with_share(options.say, remaining_budget)),
                 look_for_outlier=False,
             )
-            budget.settle([left])
+            budget.settle([remaining_budget])
             if rest.verdict == "unfinished":
                 budget.unanswered.append(f"whether the others agree without {outlier.name}")
             elif rest.verdict != "unknown-cause" and not _wanders(rest.after):
                 return without_outlier(replace(rest, budget=budget), outlier)
-        if (change := done.change) is not None:
-            closing.callback(done.criterion.close)
+        if (change := search.change) is not None:
+            closing.callback(search.criterion.close)
             warnings.append(change_sentence(change))
             stops = evidence.low_m, evidence.high_m
             evidence = with_noise(
-                gather([one for one in records if one.name in change.recordings], plant, stops), noise
+                gather([record for record in records if record.name in change.recordings], plant, stops), noise
             )
             if judge is not None and (later := change.of(judges)):
                 judge = with_noise(without_outliers(gather(later, plant, stops)), noise)
-        with criterion.free(), done.criterion.free():
-            return told(campaign, done, records, judges, evidence, judge, warnings, asked, stages)
+        with criterion.free(), search.criterion.free():
+            return assemble(campaign, search, records, judges, evidence, judge, warnings, options, stages)
 
 
 def _evidence(
@@ -224,13 +224,13 @@ def _missing(records: Sequence[Record], judges: Sequence[Record]) -> list[str]:
     return warnings
 
 
-def _with_share(say: Say, budget: Budget) -> Say:
+def _with_share(say: Progress, budget: Budget) -> Progress:
     return lambda line: say(f"{100.0 * budget.used:3.0f} %  {line}")
 
 
-def _outlier(criterion: Criterion, done: Searched) -> Outlier | None:
+def _outlier(criterion: Criterion, search: SearchResult) -> Outlier | None:
     with suppress(Spent), criterion.budget.question("whether one recording contradicts all others"):
-        return find_outlier(criterion, done.base, done.floor)
+        return find_outlier(criterion, search.base, search.floor)
     return None
 
 
@@ -246,21 +246,21 @@ def _prepared(campaign: Campaign, records: Sequence[Record], quick: bool) -> tup
     retained: list[Record] = []
     for record in records:
         # In other kinds the ball may be at rest, or beyond the range of its sensor.
-        asked = [record] if record.kind in ("closed-loop", "prbs") else []
-        alive, dead = without_dead(asked, campaign.plant)
+        flight = [record] if record.kind in ("closed-loop", "prbs") else []
+        alive, dead = without_dead(flight, campaign.plant)
         retained += alive or [record]
         warnings += dead
     if quick:
-        retained, said = shortened(retained)
-        warnings += [said] if said else []
+        retained, note = shortened(retained)
+        warnings += [note] if note else []
     return retained, warnings
 
 
 def _search(
-    criterion: Criterion, start: Theta, records: Sequence[Record], asked: Asked, stages: dict[str, float]
-) -> Searched:
+    criterion: Criterion, start: Theta, records: Sequence[Record], options: Options, stages: dict[str, float]
+) -> SearchResult:
     """Fit the paper's model, select causes, and if more than noise is left, look for a change point."""
-    say, few = asked.say, 3 if asked.quick else 6
+    say, max_fits = options.say, 3 if options.quick else 6
     with timed(stages, "base fit"):
         say(f"{len(records)} recordings, {len(criterion.evidence.series)} samples; the paper's model first")
         try:
@@ -268,42 +268,56 @@ def _search(
             floor = floor_of(criterion, base.theta)
         except Spent:
             raise DataError(
-                f"the budget of {millions(asked.budget.limit)} does not fit even the paper's model to "
+                f"the budget of {millions(options.budget.limit)} does not fit even the paper's model to "
                 f"{len(criterion.evidence.series)} samples",
                 remedy="Give fewer or shorter recordings, or more with --budget",
             ) from None
         say(f"lacks {max(floor.excess(base.loglik), 0.0):.0f} of log-likelihood against sensor noise alone")
     candidates = testable_causes(records)
     with timed(stages, "search"):
-        found = select(
+        selection = select(
             criterion,
             base,
             floor,
             candidates=candidates,
-            max_candidates=few,
-            quick=asked.quick,
-            share=asked.share,
+            max_candidates=max_fits,
+            quick=options.quick,
+            share=options.share,
             report=say,
         )
     with timed(stages, "what is left"):
         with criterion.free():
-            fine, why_not = adequate(criterion, found.fit, floor.under(criterion, found.fit.theta))
+            is_adequate, why_not = adequate(criterion, selection.fit, floor.under(criterion, selection.fit.theta))
     change = None
-    if not fine and not asked.quick:
-        unasked = "whether an effect begins or ends in the middle of the campaign"
-        with timed(stages, "change"), suppress(Spent), asked.budget.question(unasked):
+    if not is_adequate and not options.quick:
+        question = "whether an effect begins or ends in the middle of the campaign"
+        with timed(stages, "change"), suppress(Spent), options.budget.question(question):
             change = find_change(
-                criterion, found, floor, candidates=candidates, max_candidates=few, workers=asked.workers, report=say
+                criterion,
+                selection,
+                floor,
+                candidates=candidates,
+                max_candidates=max_fits,
+                workers=options.workers,
+                report=say,
             )
     if change is not None:
-        criterion, found, fine, why_not = change.criterion, change.selection, True, ""
-    return Searched(criterion=criterion, base=base, floor=floor, found=found, fine=fine, why_not=why_not, change=change)
+        criterion, selection, is_adequate, why_not = change.criterion, change.selection, True, ""
+    return SearchResult(
+        criterion=criterion,
+        base=base,
+        floor=floor,
+        selection=selection,
+        is_adequate=is_adequate,
+        why_not=why_not,
+        change=change,
+    )
 
 
 def without_outlier(rest: Diagnosis, outlier: Outlier) -> Diagnosis:
     """The diagnosis of the other recordings, with a sentence on the outlier."""
-    said = outlier_sentence(outlier)
-    return replace(rest, sentence=f"{rest.sentence} But {said}.", warnings=(said, *rest.warnings))
+    text = outlier_sentence(outlier)
+    return replace(rest, sentence=f"{rest.sentence} But {text}.", warnings=(text, *rest.warnings))
 
 
 def tick_of(records: Sequence[Record]) -> float:
@@ -316,7 +330,7 @@ def tick_of(records: Sequence[Record]) -> float:
     return 2e-3
 
 
-def enough(evidence: Evidence) -> None:
+def check_flight_time(evidence: Evidence) -> None:
     """Check that the flights are long enough to distinguish causes.
 
     Raises:
@@ -324,8 +338,8 @@ def enough(evidence: Evidence) -> None:
     """
     series = evidence.series
     flown_s = float(series.step[series.flags & (FLIES | FOLLOWS) == FLIES | FOLLOWS].sum())
-    if any(record.has("x") for record in evidence.records) and flown_s < FLIGHT_LEAST_S:
+    if any(record.has("x") for record in evidence.records) and flown_s < MIN_FLIGHT_S:
         raise DataError(
             f"the recordings for fitting hold {flown_s:.2g} s of flight: too little to tell one cause from another",
-            remedy=f"Record at least {FLIGHT_LEAST_S:g} s with the ball in flight, better a minute with steps of x_ref",
+            remedy=f"Record at least {MIN_FLIGHT_S:g} s with the ball in flight, better a minute with steps of x_ref",
         )

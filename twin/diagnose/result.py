@@ -40,7 +40,7 @@ class Proposal:
     separation_z: float
     command: str = ""
     outside: tuple[str, ...] = ()  # pairs that no experiment separates, with the measurement that would
-    others: tuple[tuple[str, float], ...] = ()  # next best experiments and their z
+    next_best: tuple[tuple[str, float], ...] = ()  # next best experiments and their z
     now_z: Mapping[str, float] = field(default_factory=dict)  # by confounder: separation by the recordings so far
     experiments: tuple[
         tuple[str, Mapping[str, float]], ...
@@ -133,45 +133,48 @@ class Diagnosis:
         return self.verdict == "causes-found" or cause.confidence > MAX_CONFIDENCE[self.verdict]
 
 
-def to_json(found: Diagnosis) -> dict[str, Any]:
+def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """The contract of diagnosis.json."""
     return {
-        "verdict": found.verdict,
-        "sentence": found.sentence,
-        "calibrated": not found.quick,
-        "causes": [_finding(cause) for cause in found.causes if found.holds(cause)],
-        "candidates": [_finding(cause) for cause in found.causes if not found.holds(cause)],
-        "not_testable": [{"name": entry.name, "why": entry.why} for entry in found.not_testable],
+        "verdict": diagnosis.verdict,
+        "sentence": diagnosis.sentence,
+        "calibrated": not diagnosis.quick,
+        "causes": [_finding(cause) for cause in diagnosis.causes if diagnosis.holds(cause)],
+        "candidates": [_finding(cause) for cause in diagnosis.causes if not diagnosis.holds(cause)],
+        "not_testable": [{"name": entry.name, "why": entry.why} for entry in diagnosis.not_testable],
         "minor_effects": [
             {
                 "name": minor_effect.name,
                 "parameters": parameters_json(minor_effect.parameters),
                 "log_likelihood_gain": _number(minor_effect.loglik_gain),
             }
-            for minor_effect in found.minor_effects
+            for minor_effect in diagnosis.minor_effects
         ],
-        "ruled_out": [{"name": entry.name, "why": entry.why} for entry in found.ruled_out],
-        "jointly_explained": {"share_of_excess": _number(found.account.jointly)},
-        "unexplained": {"share_of_excess": _number(found.account.unexplained), "where": found.unexplained_where},
+        "ruled_out": [{"name": entry.name, "why": entry.why} for entry in diagnosis.ruled_out],
+        "jointly_explained": {"share_of_excess": _number(diagnosis.account.jointly)},
+        "unexplained": {
+            "share_of_excess": _number(diagnosis.account.unexplained),
+            "where": diagnosis.unexplained_where,
+        },
         "excess": {
             "quantity": "log-likelihood of the recordings for fitting, against sensor noise alone",
-            "explained": _number(found.account.explained),
-            "left": _number(found.account.left),
+            "explained": _number(diagnosis.account.explained),
+            "left": _number(diagnosis.account.left),
         },
-        "noise": noise_json(found.fit_evidence.noise, (found.floor.sigma_i_c_a, found.floor.sigma_x_m)),
-        **({"noise_colour": colours} if (colours := colours_json(found.fit_evidence.noise)) else {}),
-        "remainder": None if found.remainder is None else _remainder(found.remainder, found.extended),
-        "extended_model": _extended_model(found),
-        "plant_assumed": found.extended.plant.assumed,
-        "gain": _gain(found.gain),
-        "gains": [_gain(gain) for gain in found.gains],
-        "warnings": list(found.warnings),
+        "noise": noise_json(diagnosis.fit_evidence.noise, (diagnosis.floor.sigma_i_c_a, diagnosis.floor.sigma_x_m)),
+        **({"noise_colour": colours} if (colours := colours_json(diagnosis.fit_evidence.noise)) else {}),
+        "remainder": None if diagnosis.remainder is None else _remainder(diagnosis.remainder, diagnosis.extended),
+        "extended_model": _extended_model(diagnosis),
+        "plant_assumed": diagnosis.extended.plant.assumed,
+        "gain": _gain(diagnosis.gain),
+        "gains": [_gain(gain) for gain in diagnosis.gains],
+        "warnings": list(diagnosis.warnings),
         "budget": {
-            "filter_steps": _number(found.budget.limit),
-            "spent": found.budget.spent,
-            "unanswered": list(found.budget.unanswered),
+            "filter_steps": _number(diagnosis.budget.limit),
+            "spent": diagnosis.budget.spent,
+            "unanswered": list(diagnosis.budget.unanswered),
         },
-        "stages_s": {name: round(seconds, 2) for name, seconds in found.stages_s.items()},
+        "stages_s": {name: round(seconds, 2) for name, seconds in diagnosis.stages_s.items()},
     }
 
 
@@ -200,7 +203,7 @@ def _finding(cause: Finding) -> dict[str, Any]:
             "separation_z": _number(proposal.separation_z),
             "command": proposal.command,
             "not_separable_here": list(proposal.outside),
-            "others": [{"name": name, "separation_z": _number(z)} for name, z in proposal.others],
+            "others": [{"name": name, "separation_z": _number(z)} for name, z in proposal.next_best],
             "separation_z_now": {confounder: _number(z) for confounder, z in proposal.now_z.items()},
             "experiments": [
                 {"name": name, "separation_z": {confounder: _number(z) for confounder, z in zs.items()}}
@@ -212,12 +215,12 @@ def _finding(cause: Finding) -> dict[str, Any]:
 
 def fit_parameters(fit: Fit, cause: str, std: Mapping[str, float]) -> dict[str, Parameter]:
     """The parameters of one cause of a fit, with intervals."""
-    found = {}
+    parameters = {}
     for parameter in BY_NAME[cause].parameters:
         value = fit.theta.value(f"{cause}.{parameter.name}")
         spread = std.get(f"{cause}.{parameter.name}", math.nan)
         known = math.isfinite(spread) and spread > 0.0
-        found[parameter.name] = Parameter(
+        parameters[parameter.name] = Parameter(
             value=float(value),
             unit=parameter.unit,
             std=float(spread) if known else None,
@@ -231,7 +234,7 @@ def fit_parameters(fit: Fit, cause: str, std: Mapping[str, float]) -> dict[str, 
             method="maximum likelihood of the innovations, all recordings together",
             equation=BY_NAME[cause].equation,
         )
-    return found
+    return parameters
 
 
 def parameters_json(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
@@ -242,23 +245,23 @@ def parameters_json(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     }
 
 
-def _extended_model(found: Diagnosis) -> dict[str, Any] | None:
+def _extended_model(diagnosis: Diagnosis) -> dict[str, Any] | None:
     """Which model extended_model.json is, and the models that were refused."""
-    chosen = found.choice
-    if chosen is None:
+    choice = diagnosis.choice
+    if choice is None:
         return None
     return {
-        "is": chosen.kind,
-        "causes": [cause.name for cause in found.extended.causes],
-        "judged": chosen.compared,
-        "offered": found.offered,
+        "is": choice.kind,
+        "causes": [cause.name for cause in diagnosis.extended.causes],
+        "judged": choice.compared,
+        "offered": diagnosis.offered,
         "refused": [
             {
-                "causes": list(one.causes),
-                "why": "worse" if one.worse else "not surely better",
-                **(_gain(one.gain) or {}),
+                "causes": list(refusal.causes),
+                "why": "worse" if refusal.worse else "not surely better",
+                **(_gain(refusal.gain) or {}),
             }
-            for one in chosen.refused
+            for refusal in choice.refused
         ],
     }
 
@@ -281,10 +284,10 @@ def _gain(gain: Gain | None) -> dict[str, Any] | None:
     }
 
 
-def _remainder(found: Remainder, extended: Model) -> dict[str, Any]:
-    worth = found.worth
+def _remainder(remainder: Remainder, extended: Model) -> dict[str, Any]:
+    improvement = remainder.improvement
     return {
-        "beside": found.beside,
+        "beside": remainder.extends,
         "curves": [
             {
                 "name": shape.curve.name,
@@ -296,33 +299,33 @@ def _remainder(found: Remainder, extended: Model) -> dict[str, Any]:
                 "mean": shape.share.tolist(),
                 "ci95": [shape.low.tolist(), shape.high.tolist()],
             }
-            for shapes, in_model in ((found.shapes, True), (found.replaced, False))
+            for shapes, in_model in ((remainder.shapes, True), (remainder.replaced, False))
             for shape in shapes
         ],
         "proposed": [
             {"name": cause.name, "parameters": parameters_json(cause.parameters)}
             for cause in extended.causes
-            if cause.name in found.proposed
+            if cause.name in remainder.proposed
         ],
         "tried": [
             {
-                "name": one.name,
-                "beside": one.beside,
-                "log_likelihood_gain": _number(one.loglik_gain),
-                "rmse_m": _number(one.rmse_m),
-                "form_absorbed": _number(one.absorbed),
+                "name": attempt.name,
+                "beside": attempt.extends,
+                "log_likelihood_gain": _number(attempt.loglik_gain),
+                "rmse_m": _number(attempt.rmse_m),
+                "form_absorbed": _number(attempt.absorbed),
             }
-            for one in found.tried
+            for attempt in remainder.attempts
         ],
         "judge": {
-            "horizon_s": worth.horizon_s,
-            "causes_rmse_m": worth.causes_rmse_m,
-            "extended_rmse_m": worth.extended_rmse_m,
-            "ci95_ratio": [_number(end) for end in worth.ci95_ratio],
-            "noise_floor_m": _number(worth.floor_m),
-            "excess_removed": _number(worth.removed),
-            "flexible_rmse_m": _number(worth.flexible_rmse_m),
-            "samples": worth.count,
+            "horizon_s": improvement.horizon_s,
+            "causes_rmse_m": improvement.causes_rmse_m,
+            "extended_rmse_m": improvement.extended_rmse_m,
+            "ci95_ratio": [_number(end) for end in improvement.ci95_ratio],
+            "noise_floor_m": _number(improvement.floor_m),
+            "excess_removed": _number(improvement.removed),
+            "flexible_rmse_m": _number(improvement.flexible_rmse_m),
+            "samples": improvement.count,
         },
     }
 

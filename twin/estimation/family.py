@@ -29,25 +29,25 @@ def holm(chances: Sequence[float], level: float = FAMILY_LEVEL) -> list[bool]:
         chances: p value of each test; NaN: there is no test.
         level: chance of one or more wrong answers in the whole family.
     """
-    known = sorted((chance, place) for place, chance in enumerate(chances) if math.isfinite(chance))
+    ordered = sorted((chance, index) for index, chance in enumerate(chances) if math.isfinite(chance))
     significant = [False] * len(chances)
-    for passed, (chance, place) in enumerate(known):
-        if chance > level / (len(known) - passed):
+    for rejected, (chance, index) in enumerate(ordered):
+        if chance > level / (len(ordered) - rejected):
             break
-        significant[place] = True
+        significant[index] = True
     return significant
 
 
-def chance_of_worse(ratio: float, drawn: FloatArray) -> float:
-    """One-sided p value of a ratio of errors above 1, from its bootstrap; NaN without a spread.
+def chance_of_worse(ratio: float, draws: FloatArray) -> float:
+    """Return the one-sided p value of a ratio of errors above 1, from its bootstrap; NaN without a spread.
 
     A normal distribution of the logarithm: quantiles of 400 draws end at 0.25 %, and a family of fifty needs 0.1 %.
 
     Args:
         ratio: the errors of one model over those of the other.
-        drawn: the same of each draw, shape (DRAWS,).
+        draws: the same ratio in each draw of the bootstrap, shape (DRAWS,).
     """
-    known = drawn[np.isfinite(drawn) & (drawn > 0.0)]
+    known = draws[np.isfinite(draws) & (draws > 0.0)]
     if len(known) < 2 or not (math.isfinite(ratio) and ratio > 0.0):
         return math.nan
     spread = float(np.log(known).std(ddof=1))

@@ -23,8 +23,8 @@ from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import BASE, STOPS, Theta, coordinates_of
 from twin.diagnose.judge.prediction_gain import predictions
 from twin.diagnose.pipeline import tick_of
-from twin.diagnose.remainder.curve_fits import begun, ended, scores
-from twin.diagnose.remainder.likeness import alike
+from twin.diagnose.remainder.curve_fits import fully_fitted, roughly_fitted, scores
+from twin.diagnose.remainder.likeness import substitutes
 from twin.estimation.innovations import FLIES
 from twin.model.causes.catalogue import BY_NAME
 from twin.model.causes.curve import CURVES
@@ -212,8 +212,8 @@ def test_with_the_iron_saturated_the_rig_s_own_laws_predict_to_40_micrometres() 
         free = (*BASE, *STOPS, *(name for cause in names for name in coordinates_of(cause)))
         fit = climb(criterion, start, free)
         (score,) = scores(criterion, fit, [curve])
-        thetas = [fit.theta, ended(criterion, begun(criterion, fit, score)).theta]
-        (like, *_) = alike(criterion, fit, curve, score.evidence, [BY_NAME["core-saturation"]])
+        thetas = [fit.theta, fully_fitted(criterion, roughly_fitted(criterion, fit, score)).theta]
+        (like, *_) = substitutes(criterion, fit, curve, score.evidence, [BY_NAME["core-saturation"]])
         thetas.append(like.trial.fit.theta)
     finally:
         criterion.close()

@@ -78,7 +78,7 @@ class StaticDiagnosis:
     base_off_m: FloatArray  # by how much (3) holds the ball elsewhere with the measured i_c, m
     reference_off_a: FloatArray | None  # what the model file that was given gets wrong, A
     members: tuple[Explanation, ...]  # of the class, best first; empty where nothing is named
-    others: tuple[Explanation, ...]  # tested, and worse
+    rejected: tuple[Explanation, ...]  # tested, and worse
     absorbed: tuple[str, ...]  # K_c does what they do
     verdict: Verdict
     confidence: float
@@ -125,12 +125,12 @@ def diagnose_points(
             absorbed.append(name)
             continue
         explained.append(_explanation(points, plant, base, fit))
-    explained.sort(key=lambda one: one.fit.rss_a2)
-    possible = [one for one in explained if not one.fit.at_bound]
+    explained.sort(key=lambda explanation: explanation.fit.rss_a2)
+    possible = [explanation for explanation in explained if not explanation.fit.at_bound]
     round_a = rounding_of(points, computed)
     tests = max(len(explained), 1)
     members, verdict, confidence = _verdict(possible, base, round_a, tests)
-    others = tuple(one for one in explained if one not in members)
+    rejected = tuple(explanation for explanation in explained if explanation not in members)
     warnings += _remarks(points, computed, members)
     judge_points = _judge_points(judges, plant, warnings)
     after = members[0].fit if members else base
@@ -158,7 +158,7 @@ def diagnose_points(
         base_off_m=base.residual_a / slope,
         reference_off_a=reference_off_a,
         members=tuple(members),
-        others=others,
+        rejected=rejected,
         absorbed=tuple(absorbed),
         verdict=verdict,
         confidence=confidence,
@@ -187,22 +187,22 @@ def rounding_of(points: Points, computed_a_v: float | None) -> float:
     return rounding(points.i_c_a) / math.sqrt(12.0)
 
 
-def separation(one: Explanation, other: Explanation) -> float:
+def separation(first: Explanation, second: Explanation) -> float:
     """Standard errors by which a measured pole would tell the two apart."""
-    spread = math.hypot(one.pole_std_per_s, other.pole_std_per_s, 0.01 * one.pole_per_s)
-    return abs(one.pole_per_s - other.pole_per_s) / spread
+    spread = math.hypot(first.pole_std_per_s, second.pole_std_per_s, 0.01 * first.pole_per_s)
+    return abs(first.pole_per_s - second.pole_per_s) / spread
 
 
-def proposal_for(one: Explanation, other: Explanation) -> tuple[str, float, str]:
+def proposal_for(first: Explanation, second: Explanation) -> tuple[str, float, str]:
     """(what to measure, separation in standard errors, command) to tell two members apart."""
-    z = separation(one, other)
+    z = separation(first, second)
     if z >= settings.STATIC_Z:
         what = (
-            f"fly wide steps in closed loop: the unstable pole at mid-travel is {one.pole_per_s:.1f} 1/s with"
-            f" {one.name} and {other.pole_per_s:.1f} 1/s with {other.name}"
+            f"fly wide steps in closed loop: the unstable pole at mid-travel is {first.pole_per_s:.1f} 1/s with"
+            f" {first.name} and {second.pole_per_s:.1f} 1/s with {second.name}"
         )
         return what, z, "board51 campaign run FOLDER --experiment wide-steps"
-    return measurement_for(one.name, other.name), z, ""
+    return measurement_for(first.name, second.name), z, ""
 
 
 def _explanation(points: Points, plant: Plant, base: StaticFit, fit: StaticFit) -> Explanation:
@@ -210,16 +210,24 @@ def _explanation(points: Points, plant: Plant, base: StaticFit, fit: StaticFit) 
     if p > settings.STATIC_LEVEL or fit.at_bound:
         # It will not be named: nobody asks how large it is.
         nan = math.nan
-        nothing = np.full(len(points), nan)
+        no_errors = np.full(len(points), nan)
         return Explanation(
-            name=fit.cause, fit=fit, low=nan, high=nan, F=F, p=p, left_out_a=nothing, pole_per_s=nan, pole_std_per_s=nan
+            name=fit.cause,
+            fit=fit,
+            low=nan,
+            high=nan,
+            F=F,
+            p=p,
+            left_out_a=no_errors,
+            pole_per_s=nan,
+            pole_std_per_s=nan,
         )
     low, high = interval(points, plant, fit)
     middle = 0.5 * plant.travel_m
     coordinate = f"{fit.cause}.{BY_NAME[fit.cause].strength.name}"
     std = standard_error(points, plant, fit)
-    here = pole(fit.theta, plant, middle)
-    beside = pole(fit.theta.having(coordinate, fit.theta.value(coordinate) + 0.1 * std), plant, middle)
+    pole_per_s = pole(fit.theta, plant, middle)
+    moved_pole_per_s = pole(fit.theta.having(coordinate, fit.theta.value(coordinate) + 0.1 * std), plant, middle)
     return Explanation(
         name=fit.cause,
         fit=fit,
@@ -228,8 +236,10 @@ def _explanation(points: Points, plant: Plant, base: StaticFit, fit: StaticFit) 
         F=F,
         p=p,
         left_out_a=left_out(points, plant, fit),
-        pole_per_s=here,
-        pole_std_per_s=abs(beside - here) * 10.0 if math.isfinite(beside - here) else 0.0,
+        pole_per_s=pole_per_s,
+        pole_std_per_s=abs(moved_pole_per_s - pole_per_s) * 10.0
+        if math.isfinite(moved_pole_per_s - pole_per_s)
+        else 0.0,
     )
 
 
@@ -244,13 +254,15 @@ def _verdict(
     best = possible[0]
     limit = float(f_distribution.ppf(1.0 - settings.STATIC_LEVEL, best.fit.freedom, best.fit.freedom))
     members = [
-        one for one in possible if one.fit.rss_a2 <= limit * best.fit.rss_a2 and one.p * tests <= settings.STATIC_LEVEL
+        explanation
+        for explanation in possible
+        if explanation.fit.rss_a2 <= limit * best.fit.rss_a2 and explanation.p * tests <= settings.STATIC_LEVEL
     ]
-    order = {cause.name: place for place, cause in enumerate(CATALOGUE)}
+    order = {cause.name: index for index, cause in enumerate(CATALOGUE)}
     families = {"force": 0, "motion": 1, "sensing": 2, "amplifier": 3, "timing": 4}
-    tied = [one for one in members if one.fit.rss_a2 <= settings.STATIC_TIE * best.fit.rss_a2]
-    tied.sort(key=lambda one: (families[BY_NAME[one.name].family], order[one.name]))
-    rest = [one for one in members if one not in tied]
+    tied = [explanation for explanation in members if explanation.fit.rss_a2 <= settings.STATIC_TIE * best.fit.rss_a2]
+    tied.sort(key=lambda explanation: (families[BY_NAME[explanation.name].family], order[explanation.name]))
+    rest = [explanation for explanation in members if explanation not in tied]
     return [*tied, *rest], "causes-found", min(settings.STATIC_CONFIDENCE, 1.0 - min(best.p * tests, 1.0))
 
 
@@ -270,13 +282,13 @@ def _remarks(points: Points, computed: float | None, members: Sequence[Explanati
 
 
 def _judge_points(judges: Sequence[Record], plant: Plant, warnings: list[str]) -> Points | None:
-    still = [record for record in judges if record.kind == "equilibria"]
-    if len(still) < len(judges):
+    static = [record for record in judges if record.kind == "equilibria"]
+    if len(static) < len(judges):
         warnings.append("judge recordings with motion are not used: points of rest do not show T_A and b")
-    if not still:
+    if not static:
         return None
     try:
-        return points_of(still, plant, fewest=1)
+        return points_of(static, plant, min_points=1)
     except DataError as error:
         warnings.append(f"judge points are not used: {error}")
         return None
@@ -362,20 +374,20 @@ def _extended(
     ), assumed
 
 
-def parameters_of(one: Explanation) -> dict[str, file.Parameter]:
+def parameters_of(explanation: Explanation) -> dict[str, file.Parameter]:
     """Of its cause: the strength as fitted, others at their usual values."""
-    found = {}
-    for n, entry in enumerate(BY_NAME[one.name].parameters):
+    parameters = {}
+    for n, entry in enumerate(BY_NAME[explanation.name].parameters):
         if n:
-            found[entry.name] = file.Parameter(value=entry.neutral, unit=entry.unit, method="not in these data")
+            parameters[entry.name] = file.Parameter(value=entry.neutral, unit=entry.unit, method="not in these data")
             continue
-        half = 0.5 * abs(one.high - one.low)
-        found[entry.name] = file.Parameter(
-            value=one.value,
+        half = 0.5 * abs(explanation.high - explanation.low)
+        parameters[entry.name] = file.Parameter(
+            value=explanation.value,
             unit=entry.unit,
-            ci95=(one.low, one.high),
-            verdict="identified" if half < 0.25 * abs(one.value) else "weak",
-            method=f"{_METHOD}; interval by profile, F(1, {one.fit.freedom})",
-            equation=BY_NAME[one.name].equation,
+            ci95=(explanation.low, explanation.high),
+            verdict="identified" if half < 0.25 * abs(explanation.value) else "weak",
+            method=f"{_METHOD}; interval by profile, F(1, {explanation.fit.freedom})",
+            equation=BY_NAME[explanation.name].equation,
         )
-    return found
+    return parameters

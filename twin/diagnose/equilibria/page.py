@@ -12,59 +12,59 @@ from twin.page.figures import EXTENDED, MODEL, inline, legend_above, styled
 from twin.page.render import render
 
 
-def page(found: StaticDiagnosis, title: str) -> str:
+def page(diagnosis: StaticDiagnosis, title: str) -> str:
     """Self-contained HTML."""
-    points, base, members = found.points, found.base, found.members
+    points, base, members = diagnosis.points, diagnosis.base, diagnosis.members
     best = members[0] if members else None
     columns = (
         points.x_m,
         points.i_c_a,
         base.residual_a,
-        found.base_off_m,
+        diagnosis.base_off_m,
         best.fit.residual_a if best else base.residual_a,
-        best.left_out_a if best else found.base_left_out_a,
+        best.left_out_a if best else diagnosis.base_left_out_a,
     )
-    about = "points of rest, what (3) and the extended model say of them, and the errors of both"
+    caption = "points of rest, what (3) and the extended model say of them, and the errors of both"
     return render(
         "diagnose/equilibria/page.html",
         title=title,
-        answer=sentence_of(found),
-        colour="fail" if found.verdict == "unknown-cause" else "pass",
-        picture=inline(figure(found), about, "png"),
+        answer=sentence_of(diagnosis),
+        colour="fail" if diagnosis.verdict == "unknown-cause" else "pass",
+        picture=inline(figure(diagnosis), caption, "png"),
         points=[
             [
                 f"{1e3 * x:.3f}",
                 f"{1e3 * i:.1f}",
                 f"{1e3 * off:+.1f}",
                 f"{100 * off / i:+.1f}",
-                f"{1e3 * place:+.2f}",
+                f"{1e3 * shift:+.2f}",
                 f"{1e3 * left:+.1f}",
                 f"{1e3 * predicted:+.1f}",
             ]
-            for x, i, off, place, left, predicted in zip(*columns, strict=True)
+            for x, i, off, shift, left, predicted in zip(*columns, strict=True)
         ],
         members=[
             [
-                one.name,
-                named(one).partition(": ")[2],
-                f"{one.fit.theta.K_c:.3g}",
-                f"{1e3 * rms(one.fit.residual_a):.1f}",
-                f"{one.pole_per_s:.1f} ± {one.pole_std_per_s:.1f}",
+                explanation.name,
+                named(explanation).partition(": ")[2],
+                f"{explanation.fit.theta.K_c:.3g}",
+                f"{1e3 * rms(explanation.fit.residual_a):.1f}",
+                f"{explanation.pole_per_s:.1f} ± {explanation.pole_std_per_s:.1f}",
             ]
-            for one in members
+            for explanation in members
         ],
-        chance=_chance(found),
+        chance=_chance(diagnosis),
         proposals=[_proposal(members[0], other) for other in members[1:]],
-        others=[f"{one.name}: {why_not(found, one)}" for one in found.others],
-        warnings=found.warnings,
-        not_testable=[f"{name}: {why}" for name, why in not_testable(found)],
+        rejected=[f"{explanation.name}: {why_not(diagnosis, explanation)}" for explanation in diagnosis.rejected],
+        warnings=diagnosis.warnings,
+        not_testable=[f"{name}: {why}" for name, why in not_testable(diagnosis)],
     )
 
 
-def _chance(found: StaticDiagnosis) -> str:
-    if not found.members:
+def _chance(diagnosis: StaticDiagnosis) -> str:
+    if not diagnosis.members:
         return ""
-    first, tried = found.members[0], len(found.members) + len(found.others)
+    first, tried = diagnosis.members[0], len(diagnosis.members) + len(diagnosis.rejected)
     odds = f"F = {first.F:.0f} with 1 and {first.fit.freedom} degrees of freedom: by chance {first.p:.2g}"
     return f"{odds}, and {tried} causes were tried."
 
@@ -75,15 +75,15 @@ def _proposal(first: Explanation, other: Explanation) -> str:
 
 
 @styled
-def figure(found: StaticDiagnosis) -> Figure:
+def figure(diagnosis: StaticDiagnosis) -> Figure:
     """Currents over x, errors over x."""
     drawn = Figure(figsize=(9.6, 3.8), layout="constrained")
     left, right = drawn.subplots(1, 2)
-    plant, points = found.plant, found.points
+    plant, points = diagnosis.plant, diagnosis.points
     x = np.linspace(0.0, plant.travel_m, 80)
-    models = [("(3), K_c at its best", found.base, MODEL)]
-    if found.members:
-        models.append((f"with {found.members[0].name}", found.members[0].fit, EXTENDED))
+    models = [("(3), K_c at its best", diagnosis.base, MODEL)]
+    if diagnosis.members:
+        models.append((f"with {diagnosis.members[0].name}", diagnosis.members[0].fit, EXTENDED))
     for label, fit, colour in models:
         left.plot(1e3 * x, holding_currents(fit.theta, plant, x), color=colour, label=label)
         right.plot(1e3 * points.x_m, 1e3 * fit.residual_a, "o", color=colour, label=label)

@@ -71,7 +71,7 @@ class StaticFit:
         return math.sqrt(self.rss_a2 / self.freedom) if self.freedom > 0 else math.nan
 
 
-def points_of(records: Sequence[Record], plant: Plant, fewest: int = settings.STATIC_POINTS) -> Points:
+def points_of(records: Sequence[Record], plant: Plant, min_points: int = settings.STATIC_POINTS) -> Points:
     """The rows of equilibria recordings, at least so many.
 
     Raises:
@@ -92,7 +92,7 @@ def points_of(records: Sequence[Record], plant: Plant, fewest: int = settings.ST
                 f"{name}: i_c is {i[row]:.4g} A, which cannot hold the ball", remedy="Write i_c in A, positive upwards"
             )
     good = np.isfinite(x) & np.isfinite(i)
-    if good.sum() < fewest or (fewest > 1 and np.ptp(x[good]) < 0.05 * plant.travel_m):
+    if good.sum() < min_points or (min_points > 1 and np.ptp(x[good]) < 0.05 * plant.travel_m):
         raise DataError(
             f"{good.sum()} points of rest over {np.ptp(x[good]) * 1e3 if good.any() else 0.0:.2g} mm are too few",
             remedy=f"Hold the ball at {settings.STATIC_POINTS} heights or more, spread over the travel",
@@ -150,22 +150,22 @@ def fit_static(points: Points, plant: Plant, cause: str = "") -> StaticFit:
         at = begin.having(_coordinate(cause), value)
         strength = BY_NAME[cause].strength
         fits.append(_climb(points, plant, at, cause, (math.log(begin.K_c), strength.coordinate(value) / unit)))
-    return min(fits, key=lambda one: one.rss_a2)
+    return min(fits, key=lambda fit: fit.rss_a2)
 
 
-def refit(points: Points, plant: Plant, near: StaticFit) -> StaticFit:
+def refit(points: Points, plant: Plant, initial: StaticFit) -> StaticFit:
     """The same to other points, from a fit that is near."""
-    begin: tuple[float, ...] = (math.log(near.theta.K_c),)
-    if near.cause:
-        strength = BY_NAME[near.cause].strength
-        begin += (strength.coordinate(near.theta.value(_coordinate(near.cause))) / _unit(near.cause),)
-    return _climb(points, plant, near.theta, near.cause, begin)
+    begin: tuple[float, ...] = (math.log(initial.theta.K_c),)
+    if initial.cause:
+        strength = BY_NAME[initial.cause].strength
+        begin += (strength.coordinate(initial.theta.value(_coordinate(initial.cause))) / _unit(initial.cause),)
+    return _climb(points, plant, initial.theta, initial.cause, begin)
 
 
-def fit_held(points: Points, plant: Plant, cause: str, value: float, near: Theta) -> StaticFit:
+def fit_gain(points: Points, plant: Plant, cause: str, value: float, initial: Theta) -> StaticFit:
     """K_c alone, the cause's strength held at `value`."""
-    at = near.having(_coordinate(cause), value)
-    fit = _climb(points, plant, at, cause, (math.log(near.K_c),))
+    at = initial.having(_coordinate(cause), value)
+    fit = _climb(points, plant, at, cause, (math.log(initial.K_c),))
     return replace(fit, freedom=len(points) - 2)
 
 
@@ -173,7 +173,7 @@ def is_absorbed(points: Points, plant: Plant, base: StaticFit, cause: str) -> bo
     """Whether K_c makes up for any strength of this cause: the points then say nothing of it."""
     strength = BY_NAME[cause].strength
     values = [strength.value(step * _unit(cause)) for step in (-10.0, 10.0)]
-    held = [fit_held(points, plant, cause, value, base.theta).rss_a2 for value in values if value != _neutral(cause)]
+    held = [fit_gain(points, plant, cause, value, base.theta).rss_a2 for value in values if value != _neutral(cause)]
     return all(abs(rss - base.rss_a2) < 0.01 * base.rss_a2 for rss in held)
 
 
@@ -190,7 +190,7 @@ def interval(points: Points, plant: Plant, fit: StaticFit) -> tuple[float, float
         sign = 1.0 if edge > best else -1.0
 
         def over(distance: float, sign: float = sign) -> float:
-            held = fit_held(points, plant, fit.cause, strength.value(best + sign * distance), fit.theta)
+            held = fit_gain(points, plant, fit.cause, strength.value(best + sign * distance), fit.theta)
             return held.rss_a2 - limit if math.isfinite(held.rss_a2) else 1.0
 
         reach = abs(edge - best)
@@ -208,18 +208,20 @@ def standard_error(points: Points, plant: Plant, fit: StaticFit, *, of_gain: boo
     steps = [1e-4]
     if fit.cause:
         strength = BY_NAME[fit.cause].strength
-        here = strength.coordinate(fit.theta.value(_coordinate(fit.cause)))
-        by = 1e-3 * _unit(fit.cause)
-        if strength.value(here + by) == fit.theta.value(_coordinate(fit.cause)):
-            by = -by
-        moves.append(fit.theta.having(_coordinate(fit.cause), strength.value(here + by)))
+        coordinate = strength.coordinate(fit.theta.value(_coordinate(fit.cause)))
+        change = 1e-3 * _unit(fit.cause)
+        if strength.value(coordinate + change) == fit.theta.value(_coordinate(fit.cause)):
+            change = -change
+        moves.append(fit.theta.having(_coordinate(fit.cause), strength.value(coordinate + change)))
         steps.append(moves[-1].value(_coordinate(fit.cause)) - fit.theta.value(_coordinate(fit.cause)))
     now = holding_currents(fit.theta, plant, points.x_m)
-    columns = [(holding_currents(at, plant, points.x_m) - now) / by for at, by in zip(moves, steps, strict=True)]
+    columns = [
+        (holding_currents(at, plant, points.x_m) - now) / change for at, change in zip(moves, steps, strict=True)
+    ]
     gram = np.array(columns) @ np.array(columns).T
     covariance = np.linalg.pinv(gram, rcond=1e-12) * fit.std_a**2
-    place = 0 if of_gain or not fit.cause else 1
-    return math.sqrt(max(float(covariance[place, place]), 0.0))
+    index = 0 if of_gain or not fit.cause else 1
+    return math.sqrt(max(float(covariance[index, index]), 0.0))
 
 
 def f_test(base: StaticFit, fit: StaticFit) -> tuple[float, float]:
@@ -271,12 +273,12 @@ def _climb(points: Points, plant: Plant, at: Theta, cause: str, begin: tuple[flo
         low.append(edges[0])
         high.append(edges[1])
     inner = [min(max(z, a + 1e-9), b - 1e-9) for z, a, b in zip(begin, low, high, strict=True)]
-    found = least_squares(residual, inner, bounds=(low, high), xtol=1e-12, ftol=1e-12, gtol=1e-14, max_nfev=300)
-    off = residual(found.x)
-    at_bound = len(begin) > 1 and bool(min(found.x[1] - low[1], high[1] - found.x[1]) < 1e-6 * (high[1] - low[1]))
+    solution = least_squares(residual, inner, bounds=(low, high), xtol=1e-12, ftol=1e-12, gtol=1e-14, max_nfev=300)
+    off = residual(solution.x)
+    at_bound = len(begin) > 1 and bool(min(solution.x[1] - low[1], high[1] - solution.x[1]) < 1e-6 * (high[1] - low[1]))
     return StaticFit(
         cause=cause,
-        theta=theta_of(found.x),
+        theta=theta_of(solution.x),
         rss_a2=float(off @ off),
         residual_a=off,
         freedom=len(points) - len(begin),

@@ -12,7 +12,7 @@ from twin.model.parameters import Model
 from twin.readers.campaign import read_campaign
 
 
-def rests_alone(campaign: Campaign) -> bool:
+def is_static(campaign: Campaign) -> bool:
     """Whether every recording for fitting is of kind `equilibria`."""
     kinds = {recording.kind for recording in campaign.recordings if recording.use == "fit"}
     return kinds == {"equilibria"}

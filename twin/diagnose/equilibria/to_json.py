@@ -15,109 +15,115 @@ from twin.diagnose.result import parameters_json
 from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 
-_NOTHING_A = 1e-12  # points without any error, as by hand: no ratio divides by less
+_MIN_CURRENT_A = 1e-12  # points without any error, as by hand: no ratio divides by less
 
 
-def sentence_of(found: StaticDiagnosis) -> str:
+def sentence_of(diagnosis: StaticDiagnosis) -> str:
     """The answer, first."""
-    n = len(found.points)
-    worst = int(np.argmax(np.abs(found.base.residual_a)))
-    off, i = found.base.residual_a[worst], found.points.i_c_a[worst]
+    n = len(diagnosis.points)
+    base_a = diagnosis.base.residual_a
+    worst = int(np.argmax(np.abs(base_a)))
+    off, i = base_a[worst], diagnosis.points.i_c_a[worst]
     wrong = (
-        f"With K_c at its best, (3) is off by {1e3 * rms(found.base.residual_a):.3g} mA rms over {n} points of rest,"
-        f" most at x = {1e3 * found.points.x_m[worst]:.2f} mm: the ball took {1e3 * off:+.0f} mA"
+        f"With K_c at its best, (3) is off by {1e3 * rms(base_a):.3g} mA rms over {n} points of rest,"
+        f" most at x = {1e3 * diagnosis.points.x_m[worst]:.2f} mm: the ball took {1e3 * off:+.0f} mA"
         f" ({100 * off / i:+.0f} % of its holding current) against what (3) says"
     )
-    if found.verdict == "model-adequate":
-        off_ma = 1e3 * rms(found.base.residual_a)
+    if diagnosis.verdict == "model-adequate":
+        off_ma = 1e3 * rms(diagnosis.base.residual_a)
         return f"These {n} points of rest do not contradict (3): it is off by {off_ma:.3g} mA rms."
-    if found.verdict == "unknown-cause":
-        nearest = next((one for one in found.others if not one.fit.at_bound), None)
-        taken = 0.0 if nearest is None else 1.0 - nearest.fit.rss_a2 / found.base.rss_a2
-        if nearest is None or taken < settings.STATIC_NEARLY:
+    if diagnosis.verdict == "unknown-cause":
+        nearest = next((explanation for explanation in diagnosis.rejected if not explanation.fit.at_bound), None)
+        removed = 0.0 if nearest is None else 1.0 - nearest.fit.rss_a2 / diagnosis.base.rss_a2
+        if nearest is None or removed < settings.STATIC_NEARLY:
             return f"{wrong}; no single cause of the catalogue explains it."
-        by_chance = 100 * min(nearest.p * len(found.others), 1.0)
+        chance_percent = 100 * min(nearest.p * len(diagnosis.rejected), 1.0)
         return (
-            f"{wrong}. {nearest.name} would take {100 * taken:.0f} % of the squares away, but {n} points are too few"
-            f" to name it: of {len(found.others)} causes one does as much by chance in {by_chance:.0f} % of campaigns."
+            f"{wrong}. {nearest.name} would take {100 * removed:.0f} % of the squares away, but {n} points are too few"
+            f" to name it: of {len(diagnosis.rejected)} causes one does as much by chance"
+            f" in {chance_percent:.0f} % of campaigns."
         )
-    first = found.members[0]
+    first = diagnosis.members[0]
     strength = BY_NAME[first.name].strength
     size = f"{strength.symbol} = {quantity(first.value, strength.unit)}"
     size += f" ({quantity(first.low, strength.unit)} to {quantity(first.high, strength.unit)})"
-    also = ", ".join(one.name for one in found.members[1:])
-    before, after = rms(found.base_left_out_a), rms(first.left_out_a)
+    also = ", ".join(explanation.name for explanation in diagnosis.members[1:])
+    before, after = rms(diagnosis.base_left_out_a), rms(first.left_out_a)
     text = f"{wrong}. {BY_NAME[first.name].title[:1].upper()}{BY_NAME[first.name].title[1:]}, {size}, would explain it"
     text += f"; so would, as well, {also}." if also else "."
     return (
         f"{text} A point predicted from the others is then off by {1e3 * after:.3g} mA rms"
-        f" instead of {1e3 * before:.3g} ({before / max(after, _NOTHING_A):.2g} times less)."
+        f" instead of {1e3 * before:.3g} ({before / max(after, _MIN_CURRENT_A):.2g} times less)."
     )
 
 
-def to_json(found: StaticDiagnosis) -> dict[str, Any]:
+def to_json(diagnosis: StaticDiagnosis) -> dict[str, Any]:
     """The contract of diagnosis.json, with what is special to points of rest under `static`."""
-    base, first = found.base, found.members[0] if found.members else None
-    floor = len(found.points) * found.rounding_a**2
+    base, first = diagnosis.base, diagnosis.members[0] if diagnosis.members else None
+    floor = len(diagnosis.points) * diagnosis.rounding_a**2
     excess = max(base.rss_a2 - floor, 1e-300)
     left = first.fit.rss_a2 if first else base.rss_a2
-    after = first.left_out_a if first else found.base_left_out_a
+    after = first.left_out_a if first else diagnosis.base_left_out_a
     worst = int(np.argmax(np.abs(first.fit.residual_a if first else base.residual_a)))
     remains = first.fit if first else base
     where = (
-        f"{1e3 * remains.std_a:.2g} mA, most at x = {1e3 * found.points.x_m[worst]:.2f} mm;"
-        f" rounding alone makes {1e3 * found.rounding_a:.2g} mA"
+        f"{1e3 * remains.std_a:.2g} mA, most at x = {1e3 * diagnosis.points.x_m[worst]:.2f} mm;"
+        f" rounding alone makes {1e3 * diagnosis.rounding_a:.2g} mA"
     )
     return {
-        "verdict": found.verdict,
-        "sentence": sentence_of(found),
+        "verdict": diagnosis.verdict,
+        "sentence": sentence_of(diagnosis),
         "calibrated": True,
-        "causes": [] if first is None else [_cause(found, first, min((base.rss_a2 - left) / excess, 1.0))],
+        "causes": [] if first is None else [_cause(diagnosis, first, min((base.rss_a2 - left) / excess, 1.0))],
         "candidates": [],
-        "not_testable": [{"name": name, "why": why} for name, why in not_testable(found)],
-        "ruled_out": [{"name": one.name, "why": why_not(found, one)} for one in found.others],
+        "not_testable": [{"name": name, "why": why} for name, why in not_testable(diagnosis)],
+        "ruled_out": [
+            {"name": explanation.name, "why": why_not(diagnosis, explanation)} for explanation in diagnosis.rejected
+        ],
         "jointly_explained": {"share_of_excess": 0.0},
         "unexplained": {
-            "share_of_excess": 0.0 if found.verdict == "model-adequate" else min(max(left - floor, 0.0) / excess, 1.0),
+            "share_of_excess": 0.0
+            if diagnosis.verdict == "model-adequate"
+            else min(max(left - floor, 0.0) / excess, 1.0),
             "where": where,
         },
         "gain": {
             "horizon_samples": 0,
             "judge": None
-            if found.judge is None
-            else {"baseline_rmse_a": rms(found.judge[0]), "extended_rmse_a": rms(found.judge[1])},
+            if diagnosis.judge is None
+            else {"baseline_rmse_a": rms(diagnosis.judge[0]), "extended_rmse_a": rms(diagnosis.judge[1])},
             "why": "points of rest hold no motion to predict",
             "leave_one_out": {
-                "baseline_rmse_a": rms(found.base_left_out_a),
+                "baseline_rmse_a": rms(diagnosis.base_left_out_a),
                 "extended_rmse_a": rms(after),
-                "ratio": rms(after) / max(rms(found.base_left_out_a), _NOTHING_A),
-                "noise_floor_a": found.rounding_a,
-                "points": len(found.points),
+                "ratio": rms(after) / max(rms(diagnosis.base_left_out_a), _MIN_CURRENT_A),
+                "noise_floor_a": diagnosis.rounding_a,
+                "points": len(diagnosis.points),
             },
         },
-        "plant_assumed": found.plant.assumed,
+        "plant_assumed": diagnosis.plant.assumed,
         "extended_model": {
-            "is": "all-causes" if found.extended.causes else "reference",
-            "causes": [cause.name for cause in found.extended.causes],
+            "is": "all-causes" if diagnosis.extended.causes else "reference",
+            "causes": [cause.name for cause in diagnosis.extended.causes],
             "judged": True,
-            "offered": bool(found.extended.causes),
+            "offered": bool(diagnosis.extended.causes),
             "refused": [],
         },
-        "static": _rows(found, remains),
-        "warnings": list(found.warnings),
+        "static": _rows(diagnosis, remains),
+        "warnings": list(diagnosis.warnings),
     }
 
 
-def _cause(found: StaticDiagnosis, first: Explanation, share: float) -> dict[str, Any]:
+def _cause(diagnosis: StaticDiagnosis, first: Explanation, share: float) -> dict[str, Any]:
     """The cause that is named, with those that explain as much and what would tell them apart."""
-    others = found.members[1:]
-    proposals = [proposal_for(first, other) for other in others]
+    alternatives = diagnosis.members[1:]
+    proposals = [proposal_for(first, other) for other in alternatives]
     return {
         "name": first.name,
         "sentence": named(first),
         "parameters": parameters_json(parameters_of(first)),
-        "confidence": round(found.confidence, 3),
-        "indistinguishable_from": [other.name for other in others],
+        "confidence": round(diagnosis.confidence, 3),
+        "indistinguishable_from": [other.name for other in alternatives],
         "alternatives": [
             {
                 "name": other.name,
@@ -126,7 +132,7 @@ def _cause(found: StaticDiagnosis, first: Explanation, share: float) -> dict[str
                 "unstable_pole_per_s": other.pole_per_s,
                 "told_apart_by": {"what": what, "separation_z": z, "command": command},
             }
-            for other, (what, z, command) in zip(others, proposals, strict=True)
+            for other, (what, z, command) in zip(alternatives, proposals, strict=True)
         ],
         "share_of_excess_explained": share,
         "next_experiment": _best_proposal(proposals),
@@ -134,17 +140,17 @@ def _cause(found: StaticDiagnosis, first: Explanation, share: float) -> dict[str
     }
 
 
-def _rows(found: StaticDiagnosis, remains: StaticFit) -> dict[str, Any]:
+def _rows(diagnosis: StaticDiagnosis, remains: StaticFit) -> dict[str, Any]:
     """Point by point: what was read, and what each model gets wrong."""
-    base, first = found.base, found.members[0] if found.members else None
+    base, first = diagnosis.base, diagnosis.members[0] if diagnosis.members else None
     return {
-        "x_m": found.points.x_m.tolist(),
-        "i_c_a": found.points.i_c_a.tolist(),
+        "x_m": diagnosis.points.x_m.tolist(),
+        "i_c_a": diagnosis.points.i_c_a.tolist(),
         "baseline_error_a": base.residual_a.tolist(),
-        "baseline_error_share": (base.residual_a / found.points.i_c_a).tolist(),
-        "baseline_error_m": found.base_off_m.tolist(),
+        "baseline_error_share": (base.residual_a / diagnosis.points.i_c_a).tolist(),
+        "baseline_error_m": diagnosis.base_off_m.tolist(),
         "extended_error_a": remains.residual_a.tolist(),
-        "reference_model_error_a": None if found.reference_off_a is None else found.reference_off_a.tolist(),
+        "reference_model_error_a": None if diagnosis.reference_off_a is None else diagnosis.reference_off_a.tolist(),
         "K_c": {"paper": base.theta.K_c, "extended": remains.theta.K_c},
         "F": None if first is None else first.F,
         "p": None if first is None else first.p,
@@ -152,16 +158,16 @@ def _rows(found: StaticDiagnosis, remains: StaticFit) -> dict[str, Any]:
     }
 
 
-def not_testable(found: StaticDiagnosis) -> list[tuple[str, str]]:
+def not_testable(diagnosis: StaticDiagnosis) -> list[tuple[str, str]]:
     """(name, why) of every cause of the catalogue that points of rest do not show."""
     entries = []
-    tested = {one.name for one in (*found.members, *found.others)}
+    tested = {explanation.name for explanation in (*diagnosis.members, *diagnosis.rejected)}
     for cause in CATALOGUE:
         if cause.name in tested:
             continue
         if cause.not_testable:
             why = cause.not_testable
-        elif cause.name in found.absorbed:
+        elif cause.name in diagnosis.absorbed:
             why = "at rest K_c does what it does"
         elif cause.at_rest == "amplifier":
             why = "i_c was measured: what the amplifier makes of u_c does not matter to the force balance"
@@ -171,30 +177,28 @@ def not_testable(found: StaticDiagnosis) -> list[tuple[str, str]]:
     return entries
 
 
-def why_not(found: StaticDiagnosis, one: Explanation) -> str:
+def why_not(diagnosis: StaticDiagnosis, explanation: Explanation) -> str:
     """Why a cause that was tried is not in the class."""
-    left = f"leaves {1e3 * rms(one.fit.residual_a):.3g} mA rms"
-    strength = BY_NAME[one.name].strength
-    if one.fit.at_bound:
-        return (
-            f"{left} even with {strength.symbol} at the end of its physical range, {quantity(one.value, strength.unit)}"
-        )
-    if found.base.rss_a2 - one.fit.rss_a2 < 1e-3 * found.base.rss_a2:
+    left = f"leaves {1e3 * rms(explanation.fit.residual_a):.3g} mA rms"
+    strength = BY_NAME[explanation.name].strength
+    if explanation.fit.at_bound:
+        end = quantity(explanation.value, strength.unit)
+        return f"{left} even with {strength.symbol} at the end of its physical range, {end}"
+    if diagnosis.base.rss_a2 - explanation.fit.rss_a2 < 1e-3 * diagnosis.base.rss_a2:
         return "any size of it makes the balance worse"
-    best = found.members[0].fit if found.members else None
+    best = diagnosis.members[0].fit if diagnosis.members else None
     if best is None:
-        return f"{left}; chance does that in {100 * one.p:.2g} % of such campaigns, and others were tried too"
-    times = rms(one.fit.residual_a) / max(rms(best.residual_a), _NOTHING_A)
+        return f"{left}; chance does that in {100 * explanation.p:.2g} % of such campaigns, and others were tried too"
+    times = rms(explanation.fit.residual_a) / max(rms(best.residual_a), _MIN_CURRENT_A)
     return f"{left}, {times:.3g} times what {best.cause} leaves"
 
 
-def named(one: Explanation) -> str:
+def named(explanation: Explanation) -> str:
     """The cause in plain words, with its size."""
-    strength = BY_NAME[one.name].strength
-    size = f"{strength.symbol} = {quantity(one.value, strength.unit)}"
-    return (
-        f"{BY_NAME[one.name].title}: {size} ({quantity(one.low, strength.unit)} to {quantity(one.high, strength.unit)})"
-    )
+    strength = BY_NAME[explanation.name].strength
+    size = f"{strength.symbol} = {quantity(explanation.value, strength.unit)}"
+    ends = f"{quantity(explanation.low, strength.unit)} to {quantity(explanation.high, strength.unit)}"
+    return f"{BY_NAME[explanation.name].title}: {size} ({ends})"
 
 
 def _best_proposal(proposals: Sequence[tuple[str, float, str]]) -> dict[str, Any] | None:

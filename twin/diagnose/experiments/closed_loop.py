@@ -160,7 +160,7 @@ def play(
     x_prev = 0.0
     for n in range(len(t)):
         if n > 0:
-            held_x, shown, rate = y[X], y[SENSOR], y[RATE]
+            held_x, sensed, rate = y[X], y[SENSOR], y[RATE]
             propagate(base, c, y, u, n, 0, t[n - 1], step[n], True)
             if clamped:
                 y[X], y[V] = held_x, 0.0
@@ -176,8 +176,8 @@ def play(
                     y[X] += 0.5 * a * T_s * T_s
                     y[V] += a * T_s
                 if touches and lag_s > 0.0:
-                    settled = position_reading(p, c, y[X], y[I_C])
-                    y[SENSOR], y[RATE] = lagging_reading(c, shown, rate, settled, T_s)
+                    steady_reading = position_reading(p, c, y[X], y[I_C])
+                    y[SENSOR], y[RATE] = lagging_reading(c, sensed, rate, steady_reading, T_s)
             y[I_C] += noise[2, n]
         if lag_s <= 0.0:
             y[SENSOR] = position_reading(p, c, y[X], y[I_C])
@@ -211,18 +211,18 @@ def converters_of(records: Sequence[Record]) -> Converters:
     """The converters' steps, from the log or as the smallest differences of readings."""
 
     def smallest(channel: str) -> float:
-        found = []
+        steps = []
         for record in records:
             values = getattr(record, channel)
             distinct = np.unique(values[np.isfinite(values)])
             if len(distinct) > 2 and record.kind != "equilibria":
                 gaps = np.diff(distinct)
                 gaps = gaps[gaps > 1e-6 * (distinct[-1] - distinct[0])]
-                found.append(float(np.min(gaps)))
-        return min(found, default=0.0)
+                steps.append(float(np.min(gaps)))
+        return min(steps, default=0.0)
 
-    told = [record.lsb for record in records if record.lsb != (0.0, 0.0)]
-    i_lsb, x_lsb = told[0] if told else (smallest("i_c"), smallest("x"))
+    logged = [record.lsb for record in records if record.lsb != (0.0, 0.0)]
+    i_lsb, x_lsb = logged[0] if logged else (smallest("i_c"), smallest("x"))
     lowest = [np.nanmin(r.i_c) for r in records if r.has("i_c") and r.kind != "equilibria"]
     lowest += [np.min(capture.i_c_a) for r in records for capture in r.captures]
     return Converters(

@@ -46,7 +46,7 @@ from twin.estimation.record import FloatArray, Record
 from twin.model.causes.catalogue import with_trait
 
 ENOUGH_Z = math.sqrt(2.0 * settings.EQUIVALENT_GAIN)  # two causes with a larger z are not in one equivalence class
-_NEAR_STOP = 0.02  # of the travel
+_STOP_SHARE = 0.02  # of the travel
 _SEED = 1
 
 
@@ -54,7 +54,7 @@ _SEED = 1
 class Pair:
     """Two causes, and their separation by one experiment."""
 
-    own: str
+    cause: str
     confounder: str
     now_z: float  # separation by the campaign so far, standard errors
     separation_z: float  # separation with the experiment added
@@ -77,7 +77,7 @@ class Proposal:
 def propose(
     criterion: Criterion,
     fit: Fit,
-    own: str,
+    cause: str,
     confounders: Sequence[Trial],
     controller: Controller | None,
     budget: Budget | None = None,
@@ -87,7 +87,7 @@ def propose(
     Args:
         criterion: of the recordings so far.
         fit: of the model with the named cause.
-        own: name of that cause.
+        cause: name of that cause.
         confounders: fits of the causes that the recordings cannot distinguish from it.
         controller: of the board; None: LQI designed for the rig.
         budget: for the runs along the experiments; None: no limit.
@@ -106,12 +106,12 @@ def propose(
     for experiment, zs in ranked:
         pairs = tuple(
             Pair(
-                own=own,
+                cause=cause,
                 confounder=trial.cause,
                 now_z=now[k],
                 separation_z=zs[k],
                 separable=can[k],
-                measurement="" if can[k] else measurement_for(own, trial.cause),
+                measurement="" if can[k] else measurement_for(cause, trial.cause),
             )
             for k, trial in enumerate(confounders)
         )
@@ -127,7 +127,7 @@ def propose(
                 pairs=pairs,
             )
         )
-    return sorted(proposals, key=lambda one: -one.separation_z)
+    return sorted(proposals, key=lambda proposal: -proposal.separation_z)
 
 
 def rank(
@@ -150,10 +150,10 @@ def rank(
     lift_off_v = lift_off_input(fit.theta, plant)
     steps = converters_of(criterion.evidence.records)
     u_max_v = min(
-        (input_limit(one) for one in criterion.evidence.records if one.kind == "closed-loop"), default=math.inf
+        (input_limit(record) for record in criterion.evidence.records if record.kind == "closed-loop"), default=math.inf
     )
-    causes = {name.partition(".")[0] for one in (fit, *members) for name, _ in one.theta.causes}
-    held = [_tied(fit, member) for member in members]
+    causes = {name.partition(".")[0] for fitted in (fit, *members) for name, _ in fitted.theta.causes}
+    held = [_information_on(fit, member) for member in members]
     ranked = []
     for experiment in MENU:
         if experiment.warms and not causes & with_trait("warms"):
@@ -175,8 +175,8 @@ def rank(
         )
         if experiment.closed_loop and not _floats(records[0], criterion):
             continue
-        seen = _gathered(records, criterion, experiment)
-        trial = Criterion(seen, plant, criterion.tick_s, budget=budget)
+        evidence = _gathered(records, criterion, experiment)
+        trial = Criterion(evidence, plant, criterion.tick_s, budget=budget)
         try:
             zs = _separations(trial, fit, members, held, times)
         finally:
@@ -194,20 +194,20 @@ class _Tied:
     lead: float  # |Delta_campaign|^2
 
 
-def _tied(own: Fit, member: Fit) -> _Tied:
-    places = [
-        place
-        for place, name in enumerate(member.free)
-        if name not in NOISES + COLOURS and member.covariance[place, place] > 0.0
+def _information_on(named_fit: Fit, member: Fit) -> _Tied:
+    indices = [
+        index
+        for index, name in enumerate(member.free)
+        if name not in NOISES + COLOURS and member.covariance[index, index] > 0.0
     ]
-    gram = inverse(member.covariance[np.ix_(places, places)]) if places else np.zeros((0, 0))
-    lead = 2.0 * max(own.loglik - member.loglik, 0.0)
-    return _Tied(names=tuple(member.free[place] for place in places), gram=gram, lead=lead)
+    gram = inverse(member.covariance[np.ix_(indices, indices)]) if indices else np.zeros((0, 0))
+    lead = 2.0 * max(named_fit.loglik - member.loglik, 0.0)
+    return _Tied(names=tuple(member.free[index] for index in indices), gram=gram, lead=lead)
 
 
 def _floats(record: Record, criterion: Criterion) -> bool:
     travel = criterion.plant.travel_m
-    at_stop = (record.x < _NEAR_STOP * travel) | (record.x > (1.0 - _NEAR_STOP) * travel) | ~np.isfinite(record.x)
+    at_stop = (record.x < _STOP_SHARE * travel) | (record.x > (1.0 - _STOP_SHARE) * travel) | ~np.isfinite(record.x)
     return float(np.mean(at_stop)) <= settings.CONTACT_SHARE
 
 
@@ -218,7 +218,7 @@ def _gathered(records: Sequence[Record], criterion: Criterion, experiment: Exper
 
 
 def _separations(
-    trial: Criterion, own: Fit, members: Sequence[Fit], held: Sequence[_Tied], times: float
+    trial: Criterion, named_fit: Fit, members: Sequence[Fit], held: Sequence[_Tied], times: float
 ) -> tuple[float, ...]:
     """Separation z of each member with this experiment added; `times`: weight of its information."""
     plant, series = trial.plant, trial.evidence.series
@@ -226,28 +226,34 @@ def _separations(
         return tuple(math.sqrt(tied.lead) for tied in held)
     rests = bool((series.flags & (RESTS_LOW | RESTS_HIGH)).any())
     common = [*PARAMETERS, *(STOPS if rests else ())]
-    steps = [derivative_step(own.theta, name, plant) for name in common]
-    thetas = [own.theta, *(moved(own.theta, name, by, plant) for name, by in zip(common, steps, strict=True))]
+    steps = [derivative_step(named_fit.theta, name, plant) for name in common]
+    thetas = [
+        named_fit.theta,
+        *(moved(named_fit.theta, name, step, plant) for name, step in zip(common, steps, strict=True)),
+    ]
     spans = []
     for member, tied in zip(members, held, strict=True):
         confounder = member.theta
         for name in NOISES + COLOURS:
-            confounder = confounder.having(name, own.theta.value(name))
+            confounder = confounder.having(name, named_fit.theta.value(name))
         names = [name for name in tied.names if "." in name]
-        by = [derivative_step(confounder, name, plant) for name in names]
-        spans.append((len(thetas), names, by))
-        thetas += [confounder, *(moved(confounder, name, step, plant) for name, step in zip(names, by, strict=True))]
+        changes = [derivative_step(confounder, name, plant) for name in names]
+        spans.append((len(thetas), names, changes))
+        thetas += [
+            confounder,
+            *(moved(confounder, name, step, plant) for name, step in zip(names, changes, strict=True)),
+        ]
     # The phases of the campaign are not those of an experiment.
     outs = trial.several([replace(theta, phases_s=()) for theta in thetas])
     base = outs[0]
     shared = {name: (outs[1 + k] - base) / steps[k] for k, name in enumerate(common)}
-    found = []
-    for (first, names, by), tied in zip(spans, held, strict=True):
-        own_moves = {name: (outs[first + 1 + k] - outs[first]) / by[k] for k, name in enumerate(names)}
-        moves = shared | own_moves
+    separations = []
+    for (first, names, changes), tied in zip(spans, held, strict=True):
+        cause_moves = {name: (outs[first + 1 + k] - outs[first]) / changes[k] for k, name in enumerate(names)}
+        moves = shared | cause_moves
         rows = [outs[first] - base, *(moves.get(name, np.zeros_like(base)) for name in tied.names)]
-        found.append(_separation(base, np.array(rows), tied, times))
-    return tuple(found)
+        separations.append(_separation(base, np.array(rows), tied, times))
+    return tuple(separations)
 
 
 def _separation(base: FloatArray, rows: FloatArray, tied: _Tied, times: float) -> float:

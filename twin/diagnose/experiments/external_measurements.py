@@ -5,8 +5,8 @@ from __future__ import annotations
 from twin.model.causes.catalogue import BY_NAME
 
 
-def measurement_for(own: str, confounder: str) -> str:
+def measurement_for(name: str, confounder: str) -> str:
     """The measurement that distinguishes two causes; without one in the catalogue, how to confirm each by hand."""
-    one, other = BY_NAME[own], BY_NAME[confounder]
-    known = one.told_from.get(confounder) or other.told_from.get(own)
-    return known or f"for {own}: {one.confirm}; for {confounder}: {other.confirm}"
+    cause, other = BY_NAME[name], BY_NAME[confounder]
+    known = cause.told_from.get(confounder) or other.told_from.get(name)
+    return known or f"for {name}: {cause.confirm}; for {confounder}: {other.confirm}"

@@ -95,7 +95,7 @@ def _values(part: Signal, tick_s: float) -> FloatArray:
     return np.asarray(middle + half * wave)
 
 
-def _approached(start: float, values: FloatArray, most: float) -> FloatArray:
+def _approached(start: float, values: FloatArray, max_step: float) -> FloatArray:
     """The constant `values`, approached from `start` in steps of at most `most`."""
-    way = np.sign(values[0] - start) * most * np.arange(1, len(values) + 1) + start
-    return np.asarray(np.minimum(way, values) if values[0] > start else np.maximum(way, values))
+    ramp = np.sign(values[0] - start) * max_step * np.arange(1, len(values) + 1) + start
+    return np.asarray(np.minimum(ramp, values) if values[0] > start else np.maximum(ramp, values))

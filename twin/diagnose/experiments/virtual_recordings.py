@@ -108,18 +108,18 @@ def simulate(
             y[I_C] = y[FIELD] = settled_current(theta.base(plant), theta.vector(), first)
             y[WARMTH] = y[I_C] ** 2
         run(theta, plant, numbers, steps, t, command, y, s, 0.0, tick_s, rng, out, clamped=clamped is not None)
-    there = rng.random(n) >= theta.vector()[sample_loss.CAUSE.strength.place]
+    is_received = rng.random(n) >= theta.vector()[sample_loss.CAUSE.strength.place]
     x_ref = command if schedule.closed_loop else np.full(n, np.nan)
     return [
         Record(
             name=schedule.name,
             kind=schedule.kind,
             use=use,
-            t=t[there],
-            u_c=out[there, 0],
-            i_c=out[there, 1],
-            x=out[there, 2],
-            x_ref=x_ref[there],
+            t=t[is_received],
+            u_c=out[is_received, 0],
+            i_c=out[is_received, 1],
+            x=out[is_received, 2],
+            x_ref=x_ref[is_received],
             captures=captures,
             lsb=(steps.i_lsb_a, steps.x_lsb_m),
         )
@@ -274,8 +274,8 @@ def _bridged(t: FloatArray) -> FloatArray:
     if np.all(missing == 1):
         return t
     starts = np.repeat(t[:-1], missing)
-    place = np.arange(len(starts)) - np.repeat(np.cumsum(missing) - missing, missing)
-    return np.append(starts + place * np.repeat(steps / missing, missing), t[-1])
+    offset = np.arange(len(starts)) - np.repeat(np.cumsum(missing) - missing, missing)
+    return np.append(starts + offset * np.repeat(steps / missing, missing), t[-1])
 
 
 def _held(values: FloatArray, rows: NDArray[np.int64], n: int) -> FloatArray:
@@ -312,8 +312,8 @@ def _recorded_integral(numbers: LawNumbers, record: Record, piece: slice) -> flo
         i, x, x_prev = float(record.i_c[n]), float(record.x[n]), float(record.x[n - 1])
         x_ref, u = float(record.x_ref[n]), float(record.u_c[n])
         if all(map(math.isfinite, (i, x, x_prev, x_ref, u))) and numbers.u_low < u < numbers.u_high:
-            here = _integral(numbers, i, x, x_prev, x_ref, u)
-            return here - float(errors[:k].sum()) * numbers.sample_time_s
+            integral = _integral(numbers, i, x, x_prev, x_ref, u)
+            return integral - float(errors[:k].sum()) * numbers.sample_time_s
     return 0.0
 
 

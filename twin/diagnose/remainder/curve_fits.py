@@ -34,7 +34,7 @@ class CurveScore:
 
 def coefficients(curve: Cause) -> tuple[str, ...]:
     """The coordinates of a curve that are fitted: all but the ends of its range."""
-    return tuple(f"{curve.name}.{one.name}" for one in curve.shapes)
+    return tuple(f"{curve.name}.{parameter.name}" for parameter in curve.shapes)
 
 
 def visited(evidence: Evidence) -> dict[str, FloatArray]:
@@ -49,19 +49,19 @@ def visited(evidence: Evidence) -> dict[str, FloatArray]:
     n, reach = len(series), _SLOPE_SAMPLES
     inner = np.roll(has_x, reach) & np.roll(has_x, -reach)
     inner[:reach] = inner[max(n - reach, 0) :] = False
-    for by in range(1 - reach, reach + 1):
-        inner &= np.roll(follows, -by)
+    for shift in range(1 - reach, reach + 1):
+        inner &= np.roll(follows, -shift)
     (middle,) = np.nonzero(inner)
-    duration = sum((series.step[middle + by] for by in range(1 - reach, reach + 1)), np.zeros(len(middle)))
+    duration = sum((series.step[middle + shift] for shift in range(1 - reach, reach + 1)), np.zeros(len(middle)))
     speed = (series.x[middle + reach] - series.x[middle - reach]) / duration
     return {"x": series.x[has_x], "v": speed, "i": series.i[has_i], "u": series.u[flies]}
 
 
-def ranged(theta: Theta, curve: Cause, values: FloatArray) -> Theta:
+def with_range(theta: Theta, curve: Cause, values: FloatArray) -> Theta:
     """With a curve that is 0 over the range of these values."""
     ends = np.nanquantile(values, (_OUTER, 1.0 - _OUTER)).tolist()
-    for one, end in zip(curve.parameters[:2], ends, strict=True):
-        theta = theta.having(f"{curve.name}.{one.name}", float(end))
+    for parameter, end in zip(curve.parameters[:2], ends, strict=True):
+        theta = theta.having(f"{curve.name}.{parameter.name}", float(end))
     for name in coefficients(curve):
         theta = theta.having(name, 0.0)
     return theta
@@ -70,41 +70,43 @@ def ranged(theta: Theta, curve: Cause, values: FloatArray) -> Theta:
 def scores(criterion: Criterion, at: Fit, curves: Sequence[Cause]) -> list[CurveScore]:
     """The curves beside `at`, best first; those whose quantity hardly moves are left out."""
     values = visited(criterion.evidence)
-    curves = [one for one in curves if _moves(values[_over(one)])]
+    curves = [curve_ for curve_ in curves if _moves(values[_over(curve_)])]
     if not curves:
         return []
     theta = at.theta
     for curve in curves:
-        theta = ranged(theta, curve, values[_over(curve)])
+        theta = with_range(theta, curve, values[_over(curve)])
     names = (*at.free, *(name for curve in curves for name in coefficients(curve)))
     run = criterion.run(theta)
     outputs, change = criterion.derivatives(theta, names, run, rough=True)
     _, score, fisher = criterion.slopes(theta, names, outputs, change)
     k = len(at.free)
     known = inverse(fisher[:k, :k])
-    found = []
+    results = []
     for number, curve in enumerate(curves):
-        own = slice(k + number * COEFFICIENTS, k + (number + 1) * COEFFICIENTS)
-        cross = fisher[own, :k] @ known
-        left = fisher[own, own] - cross @ fisher[:k, own]  # with the information of the prior
-        slope = score[own] - cross @ score[:k]
+        block = slice(k + number * COEFFICIENTS, k + (number + 1) * COEFFICIENTS)
+        cross = fisher[block, :k] @ known
+        left = fisher[block, block] - cross @ fisher[:k, block]  # with the information of the prior
+        slope = score[block] - cross @ score[:k]
         step = np.linalg.solve(left, slope)
         widths = np.array([prior_spread(name) for name in coefficients(curve)])
         _, logarithm = np.linalg.slogdet(left * np.outer(widths, widths))
-        start = ranged(at.theta, curve, values[_over(curve)])
-        for name, by in zip(coefficients(curve), (_OVERSHOOT * step).tolist(), strict=True):
-            start = moved(start, name, by, criterion.plant)
-        found.append(CurveScore(curve=curve, evidence=0.5 * float(slope @ step) - 0.5 * float(logarithm), start=start))
-    return sorted(found, key=lambda one: -one.evidence)
+        start = with_range(at.theta, curve, values[_over(curve)])
+        for name, change in zip(coefficients(curve), (_OVERSHOOT * step).tolist(), strict=True):
+            start = moved(start, name, change, criterion.plant)
+        results.append(
+            CurveScore(curve=curve, evidence=0.5 * float(slope @ step) - 0.5 * float(logarithm), start=start)
+        )
+    return sorted(results, key=lambda curve_: -curve_.evidence)
 
 
-def begun(criterion: Criterion, at: Fit, score: CurveScore) -> Fit:
+def roughly_fitted(criterion: Criterion, at: Fit, score: CurveScore) -> Fit:
     """`at` with a curve, everything fitted again, not to the end: near enough to tell which predicts better."""
     fit = approach(criterion, score.start, (*at.free, *coefficients(score.curve)))
     return climb(criterion, fit.theta, fit.free, passes=settings.CURVE_PASSES, approximate=True)
 
 
-def ended(criterion: Criterion, fit: Fit) -> Fit:
+def fully_fitted(criterion: Criterion, fit: Fit) -> Fit:
     """The same, fitted to the end."""
     return climb(criterion, fit.theta, fit.free, passes=settings.CURVE_PASSES, tolerance=settings.CURVE_TOLERANCE)
 
@@ -121,12 +123,12 @@ def band(fit: Fit, curve: Cause, at: FloatArray, weights_at: FloatArray) -> tupl
         at: where, shape (n,), in the unit of what it is a function of.
         weights_at: the values that were visited.
     """
-    low, high = (fit.theta.value(f"{curve.name}.{one.name}") for one in curve.parameters[:2])
+    low, high = (fit.theta.value(f"{curve.name}.{parameter.name}") for parameter in curve.parameters[:2])
     names = coefficients(curve)
     units = np.array([abs(parameter_of(name).probes[0]) for name in names])
     k = np.array([fit.theta.value(name) for name in names])
-    places = [fit.free.index(name) for name in names]
-    covariance = fit.covariance[np.ix_(places, places)] * np.outer(units, units)
+    indices = [fit.free.index(name) for name in names]
+    covariance = fit.covariance[np.ix_(indices, indices)] * np.outer(units, units)
     rows = basis((at - low) / (high - low)) - basis((weights_at - low) / (high - low)).mean(axis=0)
     return rows @ k, np.sqrt(np.maximum(np.einsum("nj,jk,nk->n", rows, covariance, rows), 0.0))
 

@@ -12,23 +12,25 @@ from dataclasses import dataclass
 from twin.diagnose import settings
 from twin.diagnose.inference.fisher_scoring import Fit
 from twin.diagnose.inference.likelihood import Criterion
-from twin.diagnose.remainder.curve_fits import coefficients, ranged, visited
+from twin.diagnose.remainder.curve_fits import coefficients, visited, with_range
 from twin.diagnose.search.candidate_fits import Trial, fit_candidates, refine, within_range
 from twin.diagnose.search.score_test import screen
 from twin.model.causes.cause import Cause
 
-MOST = 2  # causes that are fitted
+MAX_SUBSTITUTES = 2  # causes that are fitted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Alike:
+class Substitute:
     """A cause of the form of a curve, fitted in its place."""
 
     trial: Trial
     absorbed: float  # share of the information about it that the curve takes up
 
 
-def alike(criterion: Criterion, at: Fit, curve: Cause, gain: float, candidates: Sequence[Cause]) -> list[Alike]:
+def substitutes(
+    criterion: Criterion, at: Fit, curve: Cause, gain: float, candidates: Sequence[Cause]
+) -> list[Substitute]:
     """Causes whose form the curve has, fitted beside the other causes; those that gain most first.
 
     Args:
@@ -38,20 +40,22 @@ def alike(criterion: Criterion, at: Fit, curve: Cause, gain: float, candidates: 
         gain: of log-likelihood, with the curve.
         candidates: testable causes.
     """
-    few = criterion.thinner
-    alone = {score.cause: score for score in screen(few, at.theta, at.free, candidates) if score.testable}
+    thinned = criterion.thinner
+    without_curve = {score.cause: score for score in screen(thinned, at.theta, at.free, candidates) if score.testable}
     over = curve.parameters[0].name.removeprefix("from_")
-    theta = ranged(at.theta, curve, visited(criterion.evidence)[over])
-    beside = {score.cause: score for score in screen(few, theta, (*at.free, *coefficients(curve)), candidates)}
+    theta = with_range(at.theta, curve, visited(criterion.evidence)[over])
+    with_curve = {score.cause: score for score in screen(thinned, theta, (*at.free, *coefficients(curve)), candidates)}
     absorbed = {
-        name: 1.0 - beside[name].visible / score.visible
-        for name, score in alone.items()
-        if name in beside and score.gain > max(settings.MIN_GAIN, settings.LIKE_GAIN * gain)
+        name: 1.0 - with_curve[name].visible / score.visible
+        for name, score in without_curve.items()
+        if name in with_curve and score.gain > max(settings.MIN_GAIN, settings.LIKE_GAIN * gain)
     }
-    like = [alone[name] for name, share in absorbed.items() if share >= settings.LIKE_SHARE][:MOST]
-    trials = [refine(criterion, trial) for trial in fit_candidates(criterion, at, like)] if like else []
+    selected = [without_curve[name] for name, share in absorbed.items() if share >= settings.LIKE_SHARE][
+        :MAX_SUBSTITUTES
+    ]
+    trials = [refine(criterion, trial) for trial in fit_candidates(criterion, at, selected)] if selected else []
     return [
-        Alike(trial=trial, absorbed=absorbed[trial.cause])
+        Substitute(trial=trial, absorbed=absorbed[trial.cause])
         for trial in trials
         if within_range(trial) and trial.gain > 0.0
     ]

@@ -29,8 +29,8 @@ from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.inference.theta import Theta
 from twin.diagnose.judge.flexible import flexible_errors
 from twin.diagnose.judge.prediction_gain import bootstrap, predictions
-from twin.diagnose.remainder.curve_fits import CurveScore, band, begun, ended, scores, visited
-from twin.diagnose.remainder.likeness import Alike, alike
+from twin.diagnose.remainder.curve_fits import CurveScore, band, fully_fitted, roughly_fitted, scores, visited
+from twin.diagnose.remainder.likeness import Substitute, substitutes
 from twin.estimation.pace import pace_of
 from twin.estimation.prediction_floor import floor_rmse
 from twin.estimation.record import BoolArray, FloatArray
@@ -52,18 +52,18 @@ class Shape:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Tried:
+class Attempt:
     """A curve, or a cause in its place, beside what was there: error 20 ms ahead where the choice was made."""
 
     name: str
-    beside: Literal["causes", "paper"]
+    extends: Literal["causes", "paper"]
     loglik_gain: float
     rmse_m: float
     absorbed: float = math.nan  # of a cause: share of the information about it that the curve takes up
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Worth:
+class Improvement:
     """Errors of x on the judge samples that chose nothing."""
 
     horizon_s: float
@@ -86,12 +86,12 @@ class Remainder:
     """What is left, as curves or as causes in their place; neither where nothing predicts better."""
 
     fit: Fit  # of the extended model
-    beside: Literal["causes", "paper"]  # what it extends: the model with its causes, or the paper's
+    extends: Literal["causes", "paper"]  # what it extends: the model with its causes, or the paper's
     shapes: tuple[Shape, ...]
     proposed: tuple[str, ...]  # causes that took the place of a curve
     replaced: tuple[Shape, ...]  # those curves
-    tried: tuple[Tried, ...]
-    worth: Worth
+    attempts: tuple[Attempt, ...]
+    improvement: Improvement
 
 
 class _Judge:
@@ -104,8 +104,8 @@ class _Judge:
         recording = judge.series.recording
         self.chooses: BoolArray = np.zeros(len(recording), np.bool_)
         for number in np.unique(recording):
-            (own,) = np.nonzero(recording == number)
-            self.chooses[own[: len(own) // 2]] = True
+            (rows,) = np.nonzero(recording == number)
+            self.chooses[rows[: len(rows) // 2]] = True
 
     def squares(self, theta: Theta) -> FloatArray:
         """Square errors, shape (n,), m^2; NaN without a prediction.  Raises `Spent`."""
@@ -127,14 +127,14 @@ class _Judge:
             return math.nan, math.nan
         return bootstrap(before[both], after[both], self.block, self.seed)
 
-    def worth(self, before: FloatArray, after: FloatArray, theta: Theta, floor: Floor) -> Worth:
+    def improvement(self, before: FloatArray, after: FloatArray, theta: Theta, floor: Floor) -> Improvement:
         """Errors of the half that measures."""
         plant, tick_s = self.criterion.plant, self.criterion.tick_s
         where = ~self.chooses & np.isfinite(before) & np.isfinite(after)
         flexible = flexible_errors(self.criterion.evidence, self.judge, self.samples, self.seed) ** 2
         known = where & np.isfinite(flexible)
         quiet = floor.quiet(theta).system(plant, tick_s)
-        return Worth(
+        return Improvement(
             horizon_s=self.samples * tick_s,
             causes_rmse_m=math.sqrt(float(before[where].mean())),
             extended_rmse_m=math.sqrt(float(after[where].mean())),
@@ -146,10 +146,10 @@ class _Judge:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Grown:
+class _Extension:
     """A model with curves, or causes of their form, beside what it began with."""
 
-    beside: Literal["causes", "paper"]
+    extends: Literal["causes", "paper"]
     fit: Fit
     squares: FloatArray  # errors of the judges
     curves: tuple[Cause, ...] = ()
@@ -159,7 +159,7 @@ class _Grown:
 
 def remainder_of(
     criterion: Criterion,
-    found: Fit,
+    named: Fit,
     paper: Fit | None,
     judge: Evidence,
     floor: Floor,
@@ -171,7 +171,7 @@ def remainder_of(
 
     Args:
         criterion: of the recordings for fitting.
-        found: the model with its causes.
+        named: the model with its causes.
         paper: the paper's model, where the causes are not sure; else None.
         judge: recordings that no fit saw.
         floor: sensor noise.
@@ -182,110 +182,112 @@ def remainder_of(
         Spent: the budget does not pay for it.
     """
     judging = _Judge(criterion, judge, seed)
-    before = judging.squares(found.theta)
+    before = judging.squares(named.theta)
     if math.isnan(judging.ratio(before, before, judging.chooses)[0]):
         return None
-    tried: list[Tried] = []
-    best = _Grown(beside="causes", fit=found, squares=before)
-    best = _grow(judging, best, candidates, tried, most=settings.MAX_CURVES)
-    if paper is not None and found.theta.causes:
-        bare = _Grown(beside="paper", fit=paper, squares=judging.squares(paper.theta))
-        bare = _grow(judging, bare, (), tried, most=1)
-        as_good = judging.choosing(bare.squares) <= settings.LIKE_ERROR * judging.choosing(best.squares)
-        if as_good and bare.fit.loglik >= found.loglik:
-            best = bare
+    attempts: list[Attempt] = []
+    best = _Extension(extends="causes", fit=named, squares=before)
+    best = _extend(judging, best, candidates, attempts, max_curves=settings.MAX_CURVES)
+    if paper is not None and named.theta.causes:
+        without_causes = _Extension(extends="paper", fit=paper, squares=judging.squares(paper.theta))
+        without_causes = _extend(judging, without_causes, (), attempts, max_curves=1)
+        as_good = judging.choosing(without_causes.squares) <= settings.LIKE_ERROR * judging.choosing(best.squares)
+        if as_good and without_causes.fit.loglik >= named.loglik:
+            best = without_causes
     values = visited(criterion.evidence)
     return Remainder(
         fit=best.fit,
-        beside=best.beside,
+        extends=best.extends,
         shapes=tuple(_shape(best.fit, curve, values) for curve in best.curves),
         proposed=best.proposed,
         replaced=tuple(_shape(fit, curve, values) for curve, fit in best.replaced),
-        tried=tuple(tried),
-        worth=judging.worth(before, best.squares, best.fit.theta, floor),
+        attempts=tuple(attempts),
+        improvement=judging.improvement(before, best.squares, best.fit.theta, floor),
     )
 
 
-def _grow(judging: _Judge, at: _Grown, candidates: Sequence[Cause], tried: list[Tried], *, most: int) -> _Grown:
-    """Add curves, or causes of their form, while the error falls; `tried` receives all that was tried.
+def _extend(
+    judging: _Judge, at: _Extension, candidates: Sequence[Cause], attempts: list[Attempt], *, max_curves: int
+) -> _Extension:
+    """Add curves, or causes of their form, while the error falls.
 
     Args:
         judging: where the error falls.
         at: the model to begin with.
         candidates: causes that may have the form of a curve.
-        tried: receives what was tried.
-        most: curves.
+        attempts: receives each curve and each cause that was fitted.
+        max_curves: at most so many curves are added.
     """
     criterion = judging.criterion
-    for _ in range(most):
-        asked = scores(criterion, at.fit, [curve for curve in CURVES if curve not in at.curves])
-        asked = [one for one in asked[: settings.CURVES_FITTED] if one.evidence > settings.MIN_GAIN]
-        best = _best(judging, at, asked, tried)
+    for _ in range(max_curves):
+        promising = scores(criterion, at.fit, [curve for curve in CURVES if curve not in at.curves])
+        promising = [score for score in promising[: settings.CURVES_FITTED] if score.evidence > settings.MIN_GAIN]
+        best = _best(judging, at, promising, attempts)
         if best is None or not judging.ratio(at.squares, best[2], judging.chooses)[1] < settings.CURVE_RATIO:
             break
         curve, fit, errors = best
-        others = [cause for cause in candidates if cause.name not in at.proposed]
-        like = alike(criterion, at.fit, curve, fit.loglik - at.fit.loglik, others) if others else []
-        instead = _instead(judging, at, errors, like, tried)
-        if instead is None:
+        remaining = [cause for cause in candidates if cause.name not in at.proposed]
+        alternatives = substitutes(criterion, at.fit, curve, fit.loglik - at.fit.loglik, remaining) if remaining else []
+        substitute = _best_substitute(judging, at, errors, alternatives, attempts)
+        if substitute is None:
             at = replace(at, fit=fit, squares=errors, curves=(*at.curves, curve))
         else:
             at = replace(
                 at,
-                fit=instead[1],
-                squares=instead[2],
-                proposed=(*at.proposed, instead[0]),
+                fit=substitute[1],
+                squares=substitute[2],
+                proposed=(*at.proposed, substitute[0]),
                 replaced=(*at.replaced, (curve, fit)),
             )
     return at
 
 
 def _best(
-    judging: _Judge, at: _Grown, asked: Sequence[CurveScore], tried: list[Tried]
+    judging: _Judge, at: _Extension, promising: Sequence[CurveScore], attempts: list[Attempt]
 ) -> tuple[Cause, Fit, FloatArray] | None:
-    """The curve that predicts best, fitted to the end; adds all to `tried`."""
+    """The curve that predicts best, fitted to the end; adds all to `attempts`."""
     criterion = judging.criterion
-    fits = criterion.each(partial(begun, criterion, at.fit), asked)
-    results = [(one.curve, fit, judging.squares(fit.theta)) for one, fit in zip(asked, fits, strict=True)]
+    fits = criterion.each(partial(roughly_fitted, criterion, at.fit), promising)
+    results = [(entry.curve, fit, judging.squares(fit.theta)) for entry, fit in zip(promising, fits, strict=True)]
     if results:
-        place = min(range(len(results)), key=lambda n: judging.choosing(results[n][2]))
-        fit = ended(criterion, results[place][1])
-        results[place] = results[place][0], fit, judging.squares(fit.theta)
-    tried += [
-        Tried(
+        best_index = min(range(len(results)), key=lambda n: judging.choosing(results[n][2]))
+        fit = fully_fitted(criterion, results[best_index][1])
+        results[best_index] = results[best_index][0], fit, judging.squares(fit.theta)
+    attempts += [
+        Attempt(
             name=curve.name,
-            beside=at.beside,
+            extends=at.extends,
             loglik_gain=fit.loglik - at.fit.loglik,
             rmse_m=judging.choosing(errors),
         )
         for curve, fit, errors in results
     ]
-    return min(results, key=lambda one: judging.choosing(one[2]), default=None)
+    return min(results, key=lambda entry: judging.choosing(entry[2]), default=None)
 
 
-def _instead(
-    judging: _Judge, at: _Grown, curve: FloatArray, like: Sequence[Alike], tried: list[Tried]
+def _best_substitute(
+    judging: _Judge, at: _Extension, curve: FloatArray, alternatives: Sequence[Substitute], attempts: list[Attempt]
 ) -> tuple[str, Fit, FloatArray] | None:
-    """The cause that predicts as well as the curve; None where none does.  Adds all to `tried`."""
-    results = [(one, judging.squares(one.trial.fit.theta)) for one in like]
-    tried += [
-        Tried(
-            name=one.trial.cause,
-            beside=at.beside,
-            loglik_gain=one.trial.gain,
+    """The cause that predicts as well as the curve; None where none does.  Adds all to `attempts`."""
+    results = [(entry, judging.squares(entry.trial.fit.theta)) for entry in alternatives]
+    attempts += [
+        Attempt(
+            name=entry.trial.cause,
+            extends=at.extends,
+            loglik_gain=entry.trial.gain,
             rmse_m=judging.choosing(errors),
-            absorbed=one.absorbed,
+            absorbed=entry.absorbed,
         )
-        for one, errors in results
+        for entry, errors in results
     ]
-    best = min(results, key=lambda one: judging.choosing(one[1]), default=None)
+    best = min(results, key=lambda entry: judging.choosing(entry[1]), default=None)
     if best is None or judging.choosing(best[1]) > settings.LIKE_ERROR * judging.choosing(curve):
         return None
     return best[0].trial.cause, best[0].trial.fit, best[1]
 
 
 def _shape(fit: Fit, curve: Cause, values: dict[str, FloatArray]) -> Shape:
-    low, high = (fit.theta.value(f"{curve.name}.{one.name}") for one in curve.parameters[:2])
+    low, high = (fit.theta.value(f"{curve.name}.{parameter.name}") for parameter in curve.parameters[:2])
     at = np.linspace(low, high, POINTS)
     over = values[curve.parameters[0].name.removeprefix("from_")]
     share, error = band(fit, curve, at, over[np.isfinite(over)])

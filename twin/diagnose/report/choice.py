@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from twin.diagnose.judge.choice import Choice, Kind, Refusal
-from twin.diagnose.report.sentences import WHERE_JUDGED, micrometres
+from twin.diagnose.report.sentences import ON_JUDGES, micrometres
 from twin.diagnose.result import Diagnosis
 from twin.model.parameters import Model
 
-_ABOUT: dict[Kind, str] = {
+_DESCRIPTIONS: dict[Kind, str] = {
     "all-causes": "extended by board51 diagnose",
     "fewer-causes": "extended by board51 diagnose, without the causes that made the prediction worse",
     "paper": "the paper's model, fitted anew by board51 diagnose",
@@ -25,32 +25,32 @@ def written_model(choice: Choice, model: Model) -> Model:
         choice: how it was chosen.
         model: the model of the choice.
     """
-    said = {"about": _ABOUT[choice.kind], "extends": choice.kind, "judged": choice.compared}
-    return replace(model, provenance={**model.provenance, **said})
+    provenance = {"about": _DESCRIPTIONS[choice.kind], "extends": choice.kind, "judged": choice.compared}
+    return replace(model, provenance={**model.provenance, **provenance})
 
 
-def choice_sentence(found: Diagnosis) -> str:
+def choice_sentence(diagnosis: Diagnosis) -> str:
     """What extended_model.json is where a model was refused, with the error that decided; else empty."""
-    chosen = found.choice
-    if chosen is None or not chosen.refused:
+    choice = diagnosis.choice
+    if choice is None or not choice.refused:
         return ""
-    names = " and ".join(cause.name for cause in found.extended.causes)
-    what = f"has {names}" if names else "is the reference itself"
-    if chosen.kind == "paper" and not names:
-        what = "is the paper's model, fitted anew"
-    return f" extended_model.json {what}: {_why(chosen.refused[0])}."
+    names = " and ".join(cause.name for cause in diagnosis.extended.causes)
+    content = f"has {names}" if names else "is the reference itself"
+    if choice.kind == "paper" and not names:
+        content = "is the paper's model, fitted anew"
+    return f" extended_model.json {content}: {_reason(choice.refused[0])}."
 
 
 def harm_sentence(refusal: Refusal) -> str:
     """How much worse the judge recordings are predicted with these causes."""
     assert refusal.gain is not None
-    return f"{WHERE_JUDGED}: {_errors(refusal)}"
+    return f"{ON_JUDGES}: {_errors(refusal)}"
 
 
-def _why(refusal: Refusal) -> str:
+def _reason(refusal: Refusal) -> str:
     if refusal.gain is None:
-        return f"{_with(refusal.causes)} no error was computed {WHERE_JUDGED}"
-    return f"{_errors(refusal)} {WHERE_JUDGED}" + ("" if refusal.worse else ", which is not surely better")
+        return f"{_causes_clause(refusal.causes)} no error was computed {ON_JUDGES}"
+    return f"{_errors(refusal)} {ON_JUDGES}" + ("" if refusal.worse else ", which is not surely better")
 
 
 def _errors(refusal: Refusal) -> str:
@@ -58,11 +58,11 @@ def _errors(refusal: Refusal) -> str:
     assert gain is not None
     low, high = gain.ci95_ratio
     return (
-        f"{_with(refusal.causes)} the error of x {gain.horizon_s * 1e3:.0f} ms ahead is "
+        f"{_causes_clause(refusal.causes)} the error of x {gain.horizon_s * 1e3:.0f} ms ahead is "
         f"{micrometres(gain.extended_rmse_m)} instead of {micrometres(gain.baseline_rmse_m)} "
         f"({low:.3g} to {high:.3g} times)"
     )
 
 
-def _with(causes: Sequence[str]) -> str:
+def _causes_clause(causes: Sequence[str]) -> str:
     return f"with {' and '.join(causes)}" if causes else "with the paper's model fitted anew"

@@ -26,7 +26,7 @@ from twin.estimation.record import FloatArray
 from twin.page.figures import EXTENDED, MEASURED, MODEL, REFERENCE, legend_above, styled, ticks_125
 
 BASELINE, FLOOR = MODEL, REFERENCE
-MOST_BARS = 8
+MAX_BARS = 8
 _SCALES = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "N": (1e3, "mN")}
 
 
@@ -35,8 +35,8 @@ def ahead_figure(rows: Sequence[Ahead]) -> Figure:
     """Errors over the horizon."""
     figure, ax = _panel()
     h = np.array([row.horizon_s for row in rows]) * 1e3
-    for name, colour, own in _sides([row.baseline for row in rows], [row.extended for row in rows]):
-        _bars(ax, h, own, 1e6, name, colour, joined=True)
+    for name, colour, estimates in _sides([row.baseline for row in rows], [row.extended for row in rows]):
+        _bars(ax, h, estimates, 1e6, name, colour, joined=True)
     ax.plot(h, [row.floor_m * 1e6 for row in rows], color=FLOOR, ls="--", lw=1.2, label="noise floor")
     ax.set_xscale("log")
     ax.set_yscale("log")
@@ -87,25 +87,25 @@ def regime_figure(regime: Regime, floor_m: float) -> Figure:
     count = len(regime.bins)
     figure, ax = _panel(height=max(2.4, 1.2 + 0.34 * count) if named else 3.4, left=0.36 if named else 0.15)
     factor, unit = _SCALES.get(regime.unit, (1.0, regime.unit))
-    sides = _sides([one.baseline for one in regime.bins], [one.extended for one in regime.bins])
-    for place, (name, colour, own) in enumerate(sides):
+    sides = _sides([bin_.baseline for bin_ in regime.bins], [bin_.extended for bin_ in regime.bins])
+    for index, (name, colour, estimates) in enumerate(sides):
         if named:
             _bars(
                 ax,
-                np.arange(count, dtype=np.float64) + 0.24 * (place - 0.5 * (len(sides) - 1)),
-                own,
+                np.arange(count, dtype=np.float64) + 0.24 * (index - 0.5 * (len(sides) - 1)),
+                estimates,
                 1e6,
                 name,
                 colour,
                 sideways=True,
             )
         else:
-            _bars(ax, np.array([one.at for one in regime.bins]) * factor, own, 1e6, name, colour, joined=True)
+            _bars(ax, np.array([bin_.at for bin_ in regime.bins]) * factor, estimates, 1e6, name, colour, joined=True)
     line = ax.axvline if named else ax.axhline
     if np.isfinite(floor_m):
         line(floor_m * 1e6, color=FLOOR, ls="--", lw=1.2, label="noise floor")
     if named:
-        ax.set_yticks(range(count), [short_label(one.label) for one in regime.bins])
+        ax.set_yticks(range(count), [short_label(bin_.label) for bin_ in regime.bins])
         ax.invert_yaxis()
         ax.set_xlim(left=0.0)
         ax.set_xlabel("rms error 20 ms ahead [µm]")
@@ -125,8 +125,8 @@ def curve_figure(curve: Curve) -> Figure:
     up, what = (1e3, "unexplained force [mN]") if curve.residual_unit == "N" else (1e3, "unforeseen current [mA]")
     at = np.array([point.at for point in curve.points]) * factor
     ax.axhline(0.0, color="black", lw=0.6)
-    for name, colour, own in _sides([p.baseline for p in curve.points], [p.extended for p in curve.points]):
-        _bars(ax, at, own, up, name, colour, joined=True)
+    for name, colour, estimates in _sides([p.baseline for p in curve.points], [p.extended for p in curve.points]):
+        _bars(ax, at, estimates, up, name, colour, joined=True)
     ax.set_xlabel(f"{curve.title} [{unit}]")
     ax.set_ylabel(what)
     legend_above(ax)
@@ -134,14 +134,14 @@ def curve_figure(curve: Curve) -> Figure:
 
 
 @styled
-def spectrum_figure(found: Spectrum) -> Figure:
+def spectrum_figure(spectrum: Spectrum) -> Figure:
     """Densities of the error one sample ahead."""
     figure, ax = _panel()
-    for name, colour, density in _traces(found.baseline, found.extended):
-        low, high = (density * factor * 1e6 for factor in found.spread)
-        ax.fill_between(found.frequency_hz, low, high, color=colour, alpha=0.2, lw=0)
-        ax.plot(found.frequency_hz, density * 1e6, color=colour, lw=1.0, label=name)
-    ax.axhline(found.floor * 1e6, color=FLOOR, ls="--", lw=1.2, label="noise floor")
+    for name, colour, density in _traces(spectrum.baseline, spectrum.extended):
+        low, high = (density * factor * 1e6 for factor in spectrum.spread)
+        ax.fill_between(spectrum.frequency_hz, low, high, color=colour, alpha=0.2, lw=0)
+        ax.plot(spectrum.frequency_hz, density * 1e6, color=colour, lw=1.0, label=name)
+    ax.axhline(spectrum.floor * 1e6, color=FLOOR, ls="--", lw=1.2, label="noise floor")
     ax.set_xscale("log")
     ax.set_yscale("log")
     ticks_125(ax, *ax.get_ylim())
@@ -157,8 +157,8 @@ def steps_figure(steps: Steps) -> Figure:
     figure, ax = _panel()
     t = steps.t_s * 1e3
     ax.axhline(1.0, color=REFERENCE, lw=0.8, ls=":")
-    for name, colour, own in (("rig", MEASURED, steps.rig), *_traces(steps.baseline, steps.extended)):
-        ax.plot(t, own, color=colour, lw=1.3, label=name)
+    for name, colour, trace in (("rig", MEASURED, steps.rig), *_traces(steps.baseline, steps.extended)):
+        ax.plot(t, trace, color=colour, lw=1.3, label=name)
     ax.set_xlabel("time from the change of the reference [ms]")
     ax.set_ylabel("share of the step [-]")
     legend_above(ax)
@@ -171,8 +171,8 @@ def step_difference_figure(steps: Steps) -> Figure:
     figure, ax = _panel()
     t = steps.t_s * 1e3
     ax.axhline(0.0, color="black", lw=0.6)
-    for name, colour, own in _traces(steps.baseline, steps.extended):
-        ax.plot(t, 100.0 * (steps.rig - own), color=colour, lw=1.2, label=f"rig - {name}")
+    for name, colour, trace in _traces(steps.baseline, steps.extended):
+        ax.plot(t, 100.0 * (steps.rig - trace), color=colour, lw=1.2, label=f"rig - {name}")
     ax.set_xlabel("time from the change of the reference [ms]")
     ax.set_ylabel("difference [% of the step]")
     legend_above(ax)
@@ -185,11 +185,11 @@ def round_figure(step: Round, number: int, threshold: float) -> Figure:
     fitted = {trial.cause: trial.gain for trial in step.trials}
     rows = [(cause, gain, True) for cause, gain in fitted.items()]
     rows += [(s.cause, s.gain, False) for s in step.scores if s.cause not in fitted and s.testable]
-    rows = sorted(rows, key=lambda row: -row[1])[:MOST_BARS]
+    rows = sorted(rows, key=lambda row: -row[1])[:MAX_BARS]
     figure, ax = _panel(height=1.3 + 0.28 * max(len(rows), 3), left=0.4, top=0.35)
-    for place, (cause, gain, own) in enumerate(rows):
-        colour = EXTENDED if cause == step.selected else BASELINE if own else FLOOR
-        ax.barh(place, max(gain, 0.0), height=0.7, color=colour, alpha=1.0 if own else 0.35)
+    for row_index, (cause, gain, is_fitted) in enumerate(rows):
+        colour = EXTENDED if cause == step.selected else BASELINE if is_fitted else FLOOR
+        ax.barh(row_index, max(gain, 0.0), height=0.7, color=colour, alpha=1.0 if is_fitted else 0.35)
     ax.axvline(threshold, color="black", lw=0.8, ls=":")
     names = [cause + (" ✓" if cause == step.selected else "") for cause, _, _ in rows]
     ax.set_yticks(range(len(rows)), names)
@@ -244,9 +244,9 @@ def _bars(
     joined: bool = False,
     sideways: bool = False,
 ) -> None:
-    middle = np.array([one.value for one in values]) * factor
-    low = np.maximum(middle - np.array([one.low for one in values]) * factor, 0.0)
-    high = np.maximum(np.array([one.high for one in values]) * factor - middle, 0.0)
+    middle = np.array([estimate.value for estimate in values]) * factor
+    low = np.maximum(middle - np.array([estimate.low for estimate in values]) * factor, 0.0)
+    high = np.maximum(np.array([estimate.high for estimate in values]) * factor - middle, 0.0)
     style: dict[str, Any] = {"color": colour, "marker": "o", "ms": 4, "elinewidth": 1.2, "capsize": 3}
     style["lw"] = 1.0 if joined else 0.0
     if sideways:

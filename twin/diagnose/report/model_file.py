@@ -19,7 +19,7 @@ _METHOD = "maximum likelihood of the innovations, all recordings together"
 
 
 def model_of(
-    campaign: Campaign, fit: Fit, spread: Mapping[str, float], records: Sequence[Record], lacks: float, about: str
+    campaign: Campaign, fit: Fit, spread: Mapping[str, float], records: Sequence[Record], lacks: float, description: str
 ) -> file.Model:
     """The model file of a fit that `lacks` log-likelihood; standard errors where `spread` has them."""
     theta, plant = fit.theta, campaign.plant
@@ -56,7 +56,7 @@ def model_of(
         causes=tuple(file.ModelCause(name=name, parameters=_of_cause(fit, name, spread, plant)) for name in names),
         provenance={
             "tool": "board51 diagnose",
-            "about": about,
+            "about": description,
             "recordings": [{"file": record.name, "kind": record.kind, "samples": len(record.t)} for record in records],
             "log_likelihood_missing": float(lacks),
         },

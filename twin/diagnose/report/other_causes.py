@@ -15,7 +15,7 @@ from twin.estimation.record import Record
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
 from twin.model.causes.cause import Cause
 
-_MOST = 3
+_MAX_MINOR_EFFECTS = 3
 
 
 def missing_channels(cause: Cause, records: Sequence[Record]) -> list[str]:
@@ -23,10 +23,10 @@ def missing_channels(cause: Cause, records: Sequence[Record]) -> list[str]:
     return [channel for channel in cause.needs if not any(record.has(channel) for record in records)]
 
 
-def not_testable(found: Selection, records: Sequence[Record]) -> list[NotTestable]:
+def not_testable(selection: Selection, records: Sequence[Record]) -> list[NotTestable]:
     """The causes that these recordings could not show."""
     entries = []
-    last = {score.cause: score for score in found.rounds[-1].scores} if found.rounds else {}
+    last = {score.cause: score for score in selection.rounds[-1].scores} if selection.rounds else {}
     for cause in CATALOGUE:
         missing = missing_channels(cause, records)
         score = last.get(cause.name)
@@ -41,27 +41,27 @@ def not_testable(found: Selection, records: Sequence[Record]) -> list[NotTestabl
     return entries
 
 
-def ruled_out(found: Selection, said: set[str]) -> list[RuledOut]:
+def ruled_out(selection: Selection, excluded: set[str]) -> list[RuledOut]:
     """Every cause that was not `said` otherwise, with the size that it has at most."""
     return [
         RuledOut(name=score.cause, why=bound_sentence(BY_NAME[score.cause], score))
-        for score in (found.rounds[-1].scores if found.rounds else ())
-        if score.cause not in said and score.testable
+        for score in (selection.rounds[-1].scores if selection.rounds else ())
+        if score.cause not in excluded and score.testable
     ]
 
 
-def minor_effects_of(criterion: Criterion, found: Selection) -> list[MinorEffect]:
+def minor_effects_of(criterion: Criterion, selection: Selection) -> list[MinorEffect]:
     """What the last round refused although chance does not explain its gain, best first."""
-    last = found.rounds[-1] if found.rounds else None
+    last = selection.rounds[-1] if selection.rounds else None
     if last is None or last.selected:
         return []
-    classes = {trial.cause for members in found.classes.values() for trial in members}
+    classes = {trial.cause for members in selection.classes.values() for trial in members}
     entries = []
     for trial in last.trials:
-        beside = {name.partition(".")[0] for name in trial.fit.free if "." in name} - {trial.cause}
-        seen = trial.gain >= settings.MIN_GAIN and within_range(trial) and trial.fit.converged
+        other_causes = {name.partition(".")[0] for name in trial.fit.free if "." in name} - {trial.cause}
+        is_significant = trial.gain >= settings.MIN_GAIN and within_range(trial) and trial.fit.converged
         # Where one cause took the place of another since, the round was about another model.
-        if seen and trial.cause not in classes and beside == set(found.causes):
+        if is_significant and trial.cause not in classes and other_causes == set(selection.causes):
             parameters = fit_parameters(trial.fit, trial.cause, spreads(criterion, trial.fit))
             entries.append(MinorEffect(name=trial.cause, parameters=parameters, loglik_gain=trial.gain))
-    return entries[:_MOST]
+    return entries[:_MAX_MINOR_EFFECTS]

@@ -22,7 +22,7 @@ from twin.diagnose.report.page_noise import instruments
 from twin.diagnose.report.page_remainder import remainder
 from twin.diagnose.report.sentences import measured, quantity
 from twin.diagnose.residuals.regimes import Estimate
-from twin.diagnose.residuals.summary import HORIZON_S, Ahead, Show
+from twin.diagnose.residuals.summary import HORIZON_S, Ahead, Summary
 from twin.diagnose.result import Diagnosis
 from twin.estimation.prepare import Usage
 from twin.model.assumed import RESTING, assumption, assumption_warning
@@ -40,105 +40,107 @@ _COLOUR = {
 }
 
 
-def to_html(found: Diagnosis, show: Show, *, campaign: Path, out: Path) -> str:
+def to_html(diagnosis: Diagnosis, summary: Summary, *, campaign: Path, out: Path) -> str:
     """The page.
 
     Args:
-        found: of `diagnose`.
-        show: of `shown`.
+        diagnosis: of `diagnose`.
+        summary: of `summarise`.
         campaign: as it was given, for the commands at the end.
         out: folder of the page, for the same.
     """
-    alone = found.before == found.after
-    rows, over_height = instruments(found)
-    sure = any(found.holds(cause) for cause in found.causes)
+    unchanged = diagnosis.before == diagnosis.after
+    rows, over_height = instruments(diagnosis)
+    has_causes = any(diagnosis.holds(cause) for cause in diagnosis.causes)
     return render(
         "diagnose/report/page.html",
-        title=f"What the simulation of {found.baseline.plant.name} gets wrong",
-        answer=found.sentence,
-        colour=_COLOUR[found.verdict],
-        found=found,
-        alone=alone,
-        banners=_banners(found, show),
-        about=_about(found, campaign),
-        pictures=_pictures(show),
-        ahead=[_ahead_row(row, alone) for row in show.ahead],
-        growth_ms=f"{_growth_s(found) * 1e3:.0f}",
-        worse=show.worse(),
-        added=_added(sum(len(cause.parameters) for cause in found.extended.causes)),
-        loglik_gain=f"{_written(found).loglik - found.selection.base.loglik:.0f}",
-        numbers=[[row[0], row[2]] if alone else row for row in _numbers(found)],
-        floor=_floor(found),
+        title=f"What the simulation of {diagnosis.baseline.plant.name} gets wrong",
+        answer=diagnosis.sentence,
+        colour=_COLOUR[diagnosis.verdict],
+        diagnosis=diagnosis,
+        unchanged=unchanged,
+        banners=_banners(diagnosis, summary),
+        description=_description(diagnosis, campaign),
+        pictures=_pictures(summary),
+        ahead=[_ahead_row(row, unchanged) for row in summary.ahead],
+        growth_ms=f"{_growth_s(diagnosis) * 1e3:.0f}",
+        worse=summary.worse(),
+        added=_price(sum(len(cause.parameters) for cause in diagnosis.extended.causes)),
+        loglik_gain=f"{_extended_fit(diagnosis).loglik - diagnosis.selection.base.loglik:.0f}",
+        numbers=[[row[0], row[2]] if unchanged else row for row in _numbers(diagnosis)],
+        floor=_floor(diagnosis),
         instruments=rows,
         over_height=over_height,
-        usages=_usages(found),
-        statics=len(found.fit_evidence.statics),
-        stages=_stages(found.stages_s),
-        causes_title="The causes, and what to do" if sure else "Candidates: none of them is sure to be a cause",
-        commands=_commands(found, campaign, out),
-        **errors(found, show),
-        **remainder(found),
-        **causes(found),
+        usages=_usages(diagnosis),
+        statics=len(diagnosis.fit_evidence.statics),
+        stages=_stages(diagnosis.stages_s),
+        causes_title="The causes, and what to do" if has_causes else "Candidates: none of them is sure to be a cause",
+        commands=_commands(diagnosis, campaign, out),
+        **errors(diagnosis, summary),
+        **remainder(diagnosis),
+        **causes(diagnosis),
     )
 
 
-def _banners(found: Diagnosis, show: Show) -> list[str]:
-    lines = [assumption_warning(found.extended.plant)] if found.extended.plant.assumed else []
-    if found.choice is not None and not found.choice.compared:
+def _banners(diagnosis: Diagnosis, summary: Summary) -> list[str]:
+    lines = [assumption_warning(diagnosis.extended.plant)] if diagnosis.extended.plant.assumed else []
+    if diagnosis.choice is not None and not diagnosis.choice.compared:
         lines.append("No recording judged the extended model: it may predict worse than the baseline.")
-    if found.quick:
+    if diagnosis.quick:
         lines.append(
             "Made with --quick: few confounders of several causes were searched for, and the confidence of several is"
             " not calibrated."
         )
-    if found.budget.unanswered:
-        rest = "; ".join(found.budget.unanswered)
-        lines.append(f"The budget of {millions(found.budget.limit)} ended first. Not examined: {rest}.")
-    if not show.judged:
+    if diagnosis.budget.unanswered:
+        rest = "; ".join(diagnosis.budget.unanswered)
+        lines.append(f"The budget of {millions(diagnosis.budget.limit)} ended first. Not examined: {rest}.")
+    if not summary.from_judges:
         lines.append("No recording was left to judge by. The errors below are those of the fit: they are too small.")
     return lines
 
 
-def _about(found: Diagnosis, campaign: Path) -> str:
-    fit, judge = found.fit_evidence, found.judge_evidence
+def _description(diagnosis: Diagnosis, campaign: Path) -> str:
+    fit, judge = diagnosis.fit_evidence, diagnosis.judge_evidence
     names = ", ".join(judge.names()) if judge is not None else "none"
     text = (
         f"Campaign {campaign.name or campaign}: {len(fit.records)} recordings to fit and to choose causes on, "
-        f"judged by {names}. Baseline: {found.baseline.provenance.get('about', 'the model that was given')}."
+        f"judged by {names}. Baseline: {diagnosis.baseline.provenance.get('about', 'the model that was given')}."
     )
-    if found.causes:
-        sure = ", ".join(f"{cause.name} {100 * cause.confidence:.0f} %" for cause in found.causes)
+    if diagnosis.causes:
+        sure = ", ".join(f"{cause.name} {100 * cause.confidence:.0f} %" for cause in diagnosis.causes)
         text += f" Confidence that the name, or one of its class, is right: {sure}."
     return text
 
 
-def _pictures(show: Show) -> list[Picture]:
+def _pictures(summary: Summary) -> list[Picture]:
     drawn = []
-    if len(show.ahead) > 1:  # of one horizon the table says all
+    if len(summary.ahead) > 1:  # of one horizon the table says all
         drawn.append(
-            (figures.ahead_figure(show.ahead), "Error of the predicted position over the horizon, 95 % intervals")
+            (figures.ahead_figure(summary.ahead), "Error of the predicted position over the horizon, 95 % intervals")
         )
-    if show.piece is not None:
-        name = show.piece.recording
-        drawn.append(
-            (figures.piece_figure(show.piece), f"{name}: the stretch that the baseline predicts worst, 20 ms ahead")
-        )
-        drawn.append((figures.error_figure(show.piece, show.floor_m), f"{name}: error of the same predictions"))
+    if summary.piece is not None:
+        name = summary.piece.recording
+        drawn.append((figures.piece_figure(summary.piece), f"{name}: the stretch that the baseline predicts worst"))
+        drawn.append((figures.error_figure(summary.piece, summary.floor_m), f"{name}: error of the same predictions"))
     return [inline(figure, caption) for figure, caption in drawn]
 
 
-def _ahead_row(one: Ahead, alone: bool) -> list[str]:
-    ahead, baseline, floor = f"{one.horizon_s * 1e3:.3g} ms", _spread(one.baseline), _micro(one.floor_m)
-    if alone:
-        return [ahead, baseline, floor, f"{one.count}"]
+def _ahead_row(horizon: Ahead, unchanged: bool) -> list[str]:
+    time_ms, baseline, floor = (
+        f"{horizon.horizon_s * 1e3:.3g} ms",
+        _with_interval(horizon.baseline),
+        _micro(horizon.floor_m),
+    )
+    if unchanged:
+        return [time_ms, baseline, floor, f"{horizon.count}"]
     return [
-        ahead,
+        time_ms,
         baseline,
-        _spread(one.extended),
+        _with_interval(horizon.extended),
         floor,
-        f"{one.ratio[0]:.3f} .. {one.ratio[1]:.3f}",
-        _removed(one.removed, one.baseline.value, one.floor_m),
-        f"{one.count}",
+        f"{horizon.ratio[0]:.3f} .. {horizon.ratio[1]:.3f}",
+        _removed(horizon.removed, horizon.baseline.value, horizon.floor_m),
+        f"{horizon.count}",
     ]
 
 
@@ -148,23 +150,23 @@ def _micro(value_m: float) -> str:
     return f"{micro:.0f}" if micro >= 1e3 else f"{micro:.3g}"
 
 
-def _spread(error: Estimate) -> str:
+def _with_interval(error: Estimate) -> str:
     return f"{_micro(error.value)} ({_micro(error.low)}\N{NO-BREAK SPACE}..\N{NO-BREAK SPACE}{_micro(error.high)})"
 
 
-def _added(count: int) -> str:
+def _price(count: int) -> str:
     return f"{count} parameter{'s' if count > 1 else ''}" if count else ""
 
 
-def _written(found: Diagnosis) -> Fit:
+def _extended_fit(diagnosis: Diagnosis) -> Fit:
     """The fit behind extended_model.json."""
-    chosen = None if found.choice is None else found.choice.fit
-    return chosen or found.selection.fit
+    chosen = None if diagnosis.choice is None else diagnosis.choice.fit
+    return chosen or diagnosis.selection.fit
 
 
-def _floor(found: Diagnosis) -> str:
-    at_rest = "" if found.floor.measured else ", taken from the fit: it never rested long enough"
-    return f"{quantity(found.floor.sigma_x_m, 'm')} and {quantity(found.floor.sigma_i_c_a, 'A')}{at_rest}."
+def _floor(diagnosis: Diagnosis) -> str:
+    at_rest = "" if diagnosis.floor.measured else ", taken from the fit: it never rested long enough"
+    return f"{quantity(diagnosis.floor.sigma_x_m, 'm')} and {quantity(diagnosis.floor.sigma_i_c_a, 'A')}{at_rest}."
 
 
 def _stages(seconds: Mapping[str, float]) -> str:
@@ -172,9 +174,9 @@ def _stages(seconds: Mapping[str, float]) -> str:
     return f"{text}; together {sum(seconds.values()):.1f} s."
 
 
-def _growth_s(found: Diagnosis) -> float:
+def _growth_s(diagnosis: Diagnosis) -> float:
     """Time constant of the unstable pole of (6) in the middle of the travel, s: sqrt(gap / 2 g)."""
-    plant = found.baseline.plant
+    plant = diagnosis.baseline.plant
     return math.sqrt((plant.x_max_m - 0.5 * plant.travel_m) / (2.0 * plant.gravity_m_s2))
 
 
@@ -184,29 +186,31 @@ def _removed(share: float, baseline_m: float, floor_m: float) -> str:
     return f"{100 * share:.3g} %"
 
 
-def _numbers(found: Diagnosis) -> list[list[str]]:
+def _numbers(diagnosis: Diagnosis) -> list[list[str]]:
     rows = []
-    first, second = found.baseline.parameters, found.extended.parameters
+    first, second = diagnosis.baseline.parameters, diagnosis.extended.parameters
     for name, after in second.items():
         before = first.get(name)
-        suffix = f", {assumption(found.extended.plant)}" if found.extended.plant.assumed and name in RESTING else ""
-        rows.append([f"{name} {_of(after)}{suffix}", _value(before) if before else "-", _value(after)])
-    for cause in found.extended.causes:
+        suffix = (
+            f", {assumption(diagnosis.extended.plant)}" if diagnosis.extended.plant.assumed and name in RESTING else ""
+        )
+        rows.append([f"{name} {_equation_of(after)}{suffix}", _value(before) if before else "-", _value(after)])
+    for cause in diagnosis.extended.causes:
         known = BY_NAME[cause.name]
         for entry in known.parameters:
             parameter = cause.parameters[entry.name]
             rows.append([f"{entry.symbol} of {cause.name}", "-", _value(parameter)])
     noise = [
-        ("noise of x", found.before.sigma_x_m, found.after.sigma_x_m, "m"),
-        ("noise of i_c", found.before.sigma_i_c_a, found.after.sigma_i_c_a, "A"),
-        ("acceleration left to chance", found.before.process_a_m_s2, found.after.process_a_m_s2, "m/s^2"),
-        ("current left to chance", found.before.process_i_c_a, found.after.process_i_c_a, "A"),
+        ("noise of x", diagnosis.before.sigma_x_m, diagnosis.after.sigma_x_m, "m"),
+        ("noise of i_c", diagnosis.before.sigma_i_c_a, diagnosis.after.sigma_i_c_a, "A"),
+        ("acceleration left to chance", diagnosis.before.process_a_m_s2, diagnosis.after.process_a_m_s2, "m/s^2"),
+        ("current left to chance", diagnosis.before.process_i_c_a, diagnosis.after.process_i_c_a, "A"),
     ]
     rows += [[name, quantity(a, unit), quantity(b, unit)] for name, a, b, unit in noise]
     return rows
 
 
-def _of(parameter: Parameter) -> str:
+def _equation_of(parameter: Parameter) -> str:
     return f"of {parameter.equation}" if parameter.equation else ""
 
 
@@ -215,9 +219,9 @@ def _value(parameter: Parameter) -> str:
     return f"{number} ({interval})" if interval else number
 
 
-def _usages(found: Diagnosis) -> list[list[str]]:
-    rows = [[*_usage(usage), "fit"] for usage in found.fit_evidence.usages]
-    judge = found.judge_evidence
+def _usages(diagnosis: Diagnosis) -> list[list[str]]:
+    rows = [[*_usage(usage), "fit"] for usage in diagnosis.fit_evidence.usages]
+    judge = diagnosis.judge_evidence
     return rows if judge is None else rows + [[*_usage(usage), "judge"] for usage in judge.usages]
 
 
@@ -235,13 +239,13 @@ def _usage(usage: Usage) -> list[str]:
     return [usage.name, usage.kind, *(str(number) for number in numbers)]
 
 
-def _commands(found: Diagnosis, campaign: Path, out: Path) -> list[str]:
-    judge = found.judge_evidence
+def _commands(diagnosis: Diagnosis, campaign: Path, out: Path) -> list[str]:
+    judge = diagnosis.judge_evidence
     flown = [record for record in judge.records if record.has("x")] if judge is not None else []
     name = flown[0].name if flown else "RECORDING"
-    samples = max(round(HORIZON_S / found.tick_s), 1)
+    samples = max(round(HORIZON_S / diagnosis.tick_s), 1)
     folder = campaign if campaign.suffix != ".toml" else campaign.parent
-    quick = " --quick" if found.quick else ""
+    quick = " --quick" if diagnosis.quick else ""
     model = out / "extended_model.json"
     return [
         f"board51 diagnose {campaign}{quick} --out {out}",

@@ -15,32 +15,32 @@ from twin.model.parameters import Parameter
 from twin.page.figures import inline
 
 
-def causes(found: Diagnosis) -> dict[str, Any]:
+def causes(diagnosis: Diagnosis) -> dict[str, Any]:
     """What page_causes.html shows."""
-    account = found.account
+    account = diagnosis.account
     return {
         "lacked": LACKED,
         "least_gain": f"{settings.MIN_GAIN:g}",
         "rounds": [
             inline(figures.round_figure(step, number, settings.MIN_GAIN), f"Round {number}: {round_sentence(step)}")
-            for number, step in enumerate(found.selection.rounds, start=1)
+            for number, step in enumerate(diagnosis.selection.rounds, start=1)
             if step.scores
         ],
         "cards": [
-            _card(one, f"{number}. " if len(found.causes) > 1 else "")
-            for number, one in enumerate(found.causes, start=1)
+            _card(finding, f"{number}. " if len(diagnosis.causes) > 1 else "")
+            for number, finding in enumerate(diagnosis.causes, start=1)
         ],
         "several": None if len(account.cause_shares) < 2 else _shares(account),
         "minor_effects": [
             [
-                *_sized(one.name, one.parameters),
-                f"{one.loglik_gain:.0f}",
-                ", ".join(BY_NAME[one.name].shows_in),
+                *_sized(finding.name, finding.parameters),
+                f"{finding.loglik_gain:.0f}",
+                ", ".join(BY_NAME[finding.name].shows_in),
             ]
-            for one in found.minor_effects
+            for finding in diagnosis.minor_effects
         ],
-        "ruled_out": [[entry.name, BY_NAME[entry.name].title, entry.why] for entry in found.ruled_out],
-        "not_testable": [[entry.name, BY_NAME[entry.name].title, entry.why] for entry in found.not_testable],
+        "ruled_out": [[entry.name, BY_NAME[entry.name].title, entry.why] for entry in diagnosis.ruled_out],
+        "not_testable": [[entry.name, BY_NAME[entry.name].title, entry.why] for entry in diagnosis.not_testable],
     }
 
 
@@ -55,7 +55,7 @@ def _card(finding: Finding, number: str) -> dict[str, Any]:
         ("How to confirm it by hand", _sentence(cause.confirm)),
         ("What to do about it", _sentence(cause.cure)),
     ]
-    same = [_sized(one.name, one.parameters) for one in finding.indistinguishable_from]
+    members = [_sized(member.name, member.parameters) for member in finding.indistinguishable_from]
     return {
         "title": number + finding.name,
         "sentence": _sentence(finding.sentence),
@@ -63,7 +63,7 @@ def _card(finding: Finding, number: str) -> dict[str, Any]:
         "confidence": f"{100 * finding.confidence:.0f} %",
         "sizes": sizes(finding.name, finding.parameters),
         "facts": [(term, text) for term, text in facts if text],
-        "others": [_sized(finding.name, finding.parameters), *same] if same else [],
+        "others": [_sized(finding.name, finding.parameters), *members] if members else [],
         **_experiment(finding.next_experiment),
     }
 
@@ -72,13 +72,13 @@ def _experiment(proposal: Proposal | None) -> dict[str, Any]:
     """The one that would tell a class apart."""
     if proposal is None:
         return {"experiment": "No experiment was computed that would tell them apart.", "command": ""}
-    what = _sentence(proposal.what)
-    apart = f"With it they would be {proposal.separation_z:.0f} standard errors apart; 3 are enough."
+    instruction = _sentence(proposal.what)
+    separation = f"With it they would be {proposal.separation_z:.0f} standard errors apart; 3 are enough."
     return {
-        "experiment": f"Next experiment: {what} {apart}" if proposal.command else what,
+        "experiment": f"Next experiment: {instruction} {separation}" if proposal.command else instruction,
         "command": proposal.command,
-        "next_best": ", ".join(f"{name} ({z:.0f})" for name, z in proposal.others),
-        "outside": [_sentence(one) for one in proposal.outside],
+        "next_best": ", ".join(f"{name} ({z:.0f})" for name, z in proposal.next_best),
+        "outside": [_sentence(pair) for pair in proposal.outside],
     }
 
 

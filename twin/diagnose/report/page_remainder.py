@@ -8,67 +8,67 @@ from typing import Any
 
 import numpy as np
 
-from twin.diagnose.remainder.remainder import Remainder, Shape, Worth
+from twin.diagnose.remainder.remainder import Improvement, Remainder, Shape
 from twin.diagnose.report import figures
 from twin.diagnose.report.sentences import finding_sentence, micrometres, quantity
 from twin.diagnose.result import Diagnosis
 from twin.model.parameters import Parameter
 from twin.page.figures import inline
 
-NOTHING = (
+NO_CURVE = (
     "No smooth curve of height, speed, current or input predicts better: what is left has a memory, changes with time, "
     "or depends on something that was not recorded."
 )
-_BESIDE = {"causes": "the causes", "paper": "the paper's model"}
+_EXTENDED = {"causes": "the causes", "paper": "the paper's model"}
 
 
-def remainder_sentence(found: Remainder, parameters: Mapping[str, Mapping[str, Parameter]]) -> str:
+def remainder_sentence(remainder: Remainder, parameters: Mapping[str, Mapping[str, Parameter]]) -> str:
     """What is left, and what its model is worth.
 
     Args:
-        found: the remainder.
+        remainder: of the diagnosis.
         parameters: of each cause of the extended model, by its name.
     """
     parts = [
         f"a curve of what is left has the form of {name}, which predicts as well in its place: "
         f"{finding_sentence(name, parameters[name])}; a candidate, not in the causes"
-        for name in found.proposed
+        for name in remainder.proposed
     ]
-    parts += [f"what is left is best described by {_curve(shape)}" for shape in found.shapes]
+    parts += [f"what is left is best described by {_curve(shape)}" for shape in remainder.shapes]
     if not parts:
-        return NOTHING + _flexible(found.worth)
+        return NO_CURVE + _regression_sentence(remainder.improvement)
     text = "; ".join(parts)
-    return f"{text[:1].upper()}{text[1:]}. {_worth(found.worth)}"
+    return f"{text[:1].upper()}{text[1:]}. {_improvement_sentence(remainder.improvement)}"
 
 
-def answer_with(found: Diagnosis, sentence: str) -> str:
+def answer_with(diagnosis: Diagnosis, sentence: str) -> str:
     """The answer of a diagnosis with its remainder; what leads is what the extended model says.
 
     Args:
-        found: the diagnosis.
+        diagnosis: with its remainder.
         sentence: its answer without the remainder.
     """
-    left = found.remainder
+    left = diagnosis.remainder
     if left is None:
         return sentence
-    own = remainder_sentence(left, {one.name: one.parameters for one in found.extended.causes})
-    if left.beside == "causes" or found.verdict != "unknown-cause":
-        return f"{sentence} {own}"
-    names = ", ".join(one.name for one in found.causes)
+    text = remainder_sentence(left, {cause.name: cause.parameters for cause in diagnosis.extended.causes})
+    if left.extends == "causes" or diagnosis.verdict != "unknown-cause":
+        return f"{sentence} {text}"
+    names = ", ".join(cause.name for cause in diagnosis.causes)
     return (
-        f"The model is wrong, and none of the known causes explains it. {own} Beside this curve the candidates "
+        f"The model is wrong, and none of the known causes explains it. {text} Beside this curve the candidates "
         f"({names}) are not needed: they may only imitate it."
     )
 
 
-def remainder(found: Diagnosis) -> dict[str, Any]:
+def remainder(diagnosis: Diagnosis) -> dict[str, Any]:
     """What page_errors.html shows of it."""
-    left = found.remainder
+    left = diagnosis.remainder
     if left is None:
         return {"remainder": None}
     return {
         "remainder": {
-            "sentence": remainder_sentence(left, {one.name: one.parameters for one in found.extended.causes}),
+            "sentence": remainder_sentence(left, {entry.name: entry.parameters for entry in diagnosis.extended.causes}),
             "pictures": [
                 inline(figures.shape_figure(shape), f"{shape.curve.title[:1].upper()}{shape.curve.title[1:]}{instead}")
                 for shapes, instead in (
@@ -80,13 +80,13 @@ def remainder(found: Diagnosis) -> dict[str, Any]:
             "in_model": bool(left.shapes),
             "tried": [
                 [
-                    one.name,
-                    _BESIDE[one.beside],
-                    f"{one.loglik_gain:.0f}",
-                    f"{one.rmse_m * 1e6:.3g}",
-                    "" if math.isnan(one.absorbed) else f"{100.0 * one.absorbed:.0f} %",
+                    entry.name,
+                    _EXTENDED[entry.extends],
+                    f"{entry.loglik_gain:.0f}",
+                    f"{entry.rmse_m * 1e6:.3g}",
+                    "" if math.isnan(entry.absorbed) else f"{100.0 * entry.absorbed:.0f} %",
                 ]
-                for one in left.tried
+                for entry in left.attempts
             ],
         }
     }
@@ -99,18 +99,19 @@ def _curve(shape: Shape) -> str:
     return f"{shape.curve.title}: {' to '.join(sizes)}, {shape.curve.acts_on}, about its mean"
 
 
-def _worth(worth: Worth) -> str:
+def _improvement_sentence(improvement: Improvement) -> str:
     return (
-        f"With it the error of x {worth.horizon_s * 1e3:.0f} ms ahead is {micrometres(worth.extended_rmse_m)} instead "
-        f"of {micrometres(worth.causes_rmse_m)}, on judge samples that chose nothing; noise alone makes "
-        f"{micrometres(worth.floor_m)}.{_flexible(worth)}"
+        f"With it the error of x {improvement.horizon_s * 1e3:.0f} ms ahead is "
+        f"{micrometres(improvement.extended_rmse_m)} instead of {micrometres(improvement.causes_rmse_m)}, "
+        f"on judge samples that were not used to choose. Noise alone makes {micrometres(improvement.floor_m)}."
+        f"{_regression_sentence(improvement)}"
     )
 
 
-def _flexible(worth: Worth) -> str:
-    if math.isnan(worth.flexible_rmse_m):
+def _regression_sentence(improvement: Improvement) -> str:
+    if math.isnan(improvement.flexible_rmse_m):
         return ""
     return (
-        f" A regression without physics, on the same recordings, predicts to {micrometres(worth.flexible_rmse_m)}; "
-        "it can also read later positions from the u_c that a closed loop makes of them."
+        f" A regression without physics predicts the same recordings to {micrometres(improvement.flexible_rmse_m)}."
+        " In closed loop it can infer later positions from u_c, which depends on them."
     )

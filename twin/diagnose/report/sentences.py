@@ -31,29 +31,29 @@ if TYPE_CHECKING:
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"))
 _SCALED = ("m", "A", "s", "N", "V", "m/A")
 LACKED = "the log-likelihood that the model lacks"  # on the recordings for fitting, against sensor noise alone
-WHERE_JUDGED = "on the judge recordings"
+ON_JUDGES = "on the judge recordings"
 _NUMBERS = {2: "Two", 3: "Three", 4: "Four"}
 
 
 def quantity(value: float, unit: str) -> str:
     """A number with its unit at a readable power of ten."""
-    factor, shown = _scale(value, unit)
+    factor, scaled_unit = _scale(value, unit)
     digits = ".3g" if factor != 1.0 else ".4g"
-    return f"{value / factor:{digits}} {shown}".rstrip()
+    return f"{value / factor:{digits}} {scaled_unit}".rstrip()
 
 
 def measured(value: float, ci95: tuple[float, float] | None, unit: str) -> tuple[str, str]:
     """(the number with its unit, its interval; empty where there is none), digits as the interval leaves them."""
     if ci95 is None:
         return quantity(value, unit), ""
-    factor, shown = _scale(value, unit)
+    factor, scaled_unit = _scale(value, unit)
     half = 0.5 * (ci95[1] - ci95[0]) / factor
     if not 0.0 < half < math.inf or not 1e-4 <= abs(value / factor) < 1e5:
         return quantity(value, unit), f"{quantity(ci95[0], unit)} to {quantity(ci95[1], unit)}"
     first = math.floor(math.log10(half))
     places = min(max(-first if half >= 3.0 * 10.0**first else 1 - first, 0), 6)
-    number, low, high = (f"{one / factor:.{places}f}" for one in (value, *ci95))
-    return f"{number} {shown}".rstrip(), f"{low} to {high} {shown}".rstrip()
+    number, low, high = (f"{end / factor:.{places}f}" for end in (value, *ci95))
+    return f"{number} {scaled_unit}".rstrip(), f"{low} to {high} {scaled_unit}".rstrip()
 
 
 def _scale(value: float, unit: str) -> tuple[float, str]:
@@ -87,15 +87,19 @@ def finding_sentence(cause: str, parameters: Mapping[str, Parameter]) -> str:
     if not template:
         return f"{known.title}: {sizes(cause, parameters)}"
     text = template.format(
-        **{one.name: _Size(one, parameters[one.name]) for one in known.parameters if one.name in parameters}
+        **{
+            parameter.name: _Size(parameter, parameters[parameter.name])
+            for parameter in known.parameters
+            if parameter.name in parameters
+        }
     )
     _, interval = measured(strength.value, strength.ci95, known.strength.unit)
     form = form_of(known, parameters)
     size = f"{known.strength.symbol} = {interval}, 95 %" if interval else ""
     walks = [
-        measured(parameters[one.name].value, parameters[one.name].ci95, one.unit)[0]
-        for one in known.shapes
-        if one.walks and one.name in parameters
+        measured(parameters[parameter.name].value, parameters[parameter.name].ci95, parameter.unit)[0]
+        for parameter in known.shapes
+        if parameter.walks and parameter.name in parameters
     ]
     shape = f"wanders by {walks[0]} in a minute" if walks and form else f"nearest form: {form}" if form else ""
     details = "; ".join(part for part in (size, shape) if part)
@@ -107,24 +111,24 @@ def form_of(cause: Cause, parameters: Mapping[str, Parameter]) -> str:
 
     A shape that the data do not tell from neutral, by two standard errors, is that of the usual form.
     """
-    shapes = [one for one in cause.shapes if one.name in parameters]
+    shapes = [shape for shape in cause.shapes if shape.name in parameters]
 
-    def told(one: CauseParameter) -> bool:
-        found = parameters[one.name]
-        return abs(found.value - one.neutral) > 2.0 * (found.std or 0.0)
+    def differs(shape: CauseParameter) -> bool:
+        parameter = parameters[shape.name]
+        return abs(parameter.value - shape.neutral) > 2.0 * (parameter.std or 0.0)
 
-    def away(values: Mapping[str, float | str]) -> float:
+    def distance(values: Mapping[str, float | str]) -> float:
         total = 0.0
-        for one in shapes:
-            value = values.get(one.name, one.neutral)
+        for shape in shapes:
+            value = values.get(shape.name, shape.neutral)
             at = parameters[value].value if isinstance(value, str) else value
-            total += ((parameters[one.name].value - at) / one.spread) ** 2
+            total += ((parameters[shape.name].value - at) / shape.spread) ** 2
         return total
 
-    if not any(told(one) for one in shapes):
+    if not any(differs(shape) for shape in shapes):
         return ""
     forms: dict[str, Mapping[str, float | str]] = {"": {}, **{form.name: form.values for form in cause.forms}}
-    return min(forms, key=lambda name: away(forms[name]))
+    return min(forms, key=lambda name: distance(forms[name]))
 
 
 def sizes(cause: str, parameters: Mapping[str, Parameter]) -> str:
@@ -170,65 +174,65 @@ def round_sentence(step: Round) -> str:
     return f"{best.cause} would be best{because[step.refusal]}"
 
 
-def answer_sentence(found: Diagnosis, *, blind: bool, off: str) -> str:
+def answer_sentence(diagnosis: Diagnosis, *, blind: bool, off: str) -> str:
     """`summary_sentence`, for recordings without x (`blind`) or beside a given model whose numbers are `off`."""
-    if off and found.verdict == "model-adequate":
+    if off and diagnosis.verdict == "model-adequate":
         return f"The form of the model is adequate, but {off}."
-    sentence = summary_sentence(found)
+    sentence = summary_sentence(diagnosis)
     return f"Of the amplifier alone, as no recording has x: {sentence}" if blind else sentence
 
 
-def summary_sentence(found: Diagnosis) -> str:
+def summary_sentence(diagnosis: Diagnosis) -> str:
     """The answer, first."""
-    if found.verdict == "model-adequate":
-        return "The model is adequate: what it gets wrong is sensor noise." + _unlike(found.gain)
-    worth = _worth(found)
-    if found.verdict == "unfinished":
-        return _unfinished(found) + worth
-    if found.verdict == "causes-found":
-        return _named(found.causes, whole=True) + _apart(found.causes) + worth
-    if found.verdict == "partly-explained":
-        sure = [one for one in found.causes if found.holds(one)]
-        others = [one for one in found.causes if not found.holds(one)]
-        where = found.unexplained_where
-        if where.startswith(WHERE_JUDGED):
+    if diagnosis.verdict == "model-adequate":
+        return "The model is adequate: what it gets wrong is sensor noise." + _floor_clause(diagnosis.gain)
+    gain = _gain_sentence(diagnosis)
+    if diagnosis.verdict == "unfinished":
+        return _unfinished(diagnosis) + gain
+    if diagnosis.verdict == "causes-found":
+        return _causes_sentence(diagnosis.causes, whole=True) + _classes_sentence(diagnosis.causes) + gain
+    if diagnosis.verdict == "partly-explained":
+        sure = [finding for finding in diagnosis.causes if diagnosis.holds(finding)]
+        unsure = [finding for finding in diagnosis.causes if not diagnosis.holds(finding)]
+        where = diagnosis.unexplained_where
+        if where.startswith(ON_JUDGES):
             rest = f" But not all is explained {where}."
         else:
             largest = f", most {where.removeprefix('most ')}" if where else ""
-            rest = f" But not all is explained: {percent(found.account.unexplained)} of {LACKED} is left{largest}."
-        small = " Smaller than what is left, and perhaps only a matter of form: " if others else ""
+            rest = f" But not all is explained: {percent(diagnosis.account.unexplained)} of {LACKED} is left{largest}."
+        small = " Smaller than what is left, and perhaps only a matter of form: " if unsure else ""
         return (
-            _named(sure, whole=not others)
-            + _apart(sure)
-            + worth
+            _causes_sentence(sure, whole=not unsure)
+            + _classes_sentence(sure)
+            + gain
             + rest
             + small
-            + (_named(others, whole=False) if others else "")
+            + (_causes_sentence(unsure, whole=False) if unsure else "")
         )
-    where = found.unexplained_where.removeprefix("most ")
+    where = diagnosis.unexplained_where.removeprefix("most ")
     rest = f" What is left is largest {where}." if where else ""
-    if not found.causes:
-        if found.unexplained_where.startswith(WHERE_JUDGED):
-            rest = f" It explains the recordings for fitting, and not all {found.unexplained_where}."
+    if not diagnosis.causes:
+        if diagnosis.unexplained_where.startswith(ON_JUDGES):
+            rest = f" It explains the recordings for fitting, and not all {diagnosis.unexplained_where}."
         return f"The model is wrong, and none of the known causes explains it.{rest}"
-    nearest = _named(found.causes, whole=False)
+    nearest = _causes_sentence(diagnosis.causes, whole=False)
     nearest = nearest[:1].lower() + nearest[1:] if nearest.startswith("The ") else nearest
     return (
         "The model is wrong, and the known causes do not explain all of it. What comes nearest may only "
-        f"imitate an unknown cause: {nearest}{_apart(found.causes)}{rest}{worth}"
+        f"imitate an unknown cause: {nearest}{_classes_sentence(diagnosis.causes)}{rest}{gain}"
     )
 
 
-def _unfinished(found: Diagnosis) -> str:
-    budget = found.budget
-    so_far = _named(found.causes, whole=False) if found.causes else "no cause was named."
+def _unfinished(diagnosis: Diagnosis) -> str:
+    budget = diagnosis.budget
+    so_far = _causes_sentence(diagnosis.causes, whole=False) if diagnosis.causes else "no cause was named."
     return (
         f"No answer yet: the search ended by its budget of {millions(budget.limit)}. Not examined: "
         f"{'; '.join(budget.unanswered)}. Up to there: {so_far}"
     )
 
 
-def _unlike(gain: Gain | None) -> str:
+def _floor_clause(gain: Gain | None) -> str:
     if gain is None:
         return ""
     return (
@@ -237,9 +241,9 @@ def _unlike(gain: Gain | None) -> str:
     )
 
 
-def _named(causes: Sequence[Finding], *, whole: bool) -> str:
+def _causes_sentence(causes: Sequence[Finding], *, whole: bool) -> str:
     """The causes with the share of each."""
-    shares = [one.share_of_excess_explained for one in causes]
+    shares = [finding.share_of_excess_explained for finding in causes]
     if len(causes) == 1:
         text = capital(causes[0].sentence)
         if shares[0] <= 0.0:
@@ -247,34 +251,34 @@ def _named(causes: Sequence[Finding], *, whole: bool) -> str:
         what = f"{percent(shares[0])} of {LACKED}"
         return f"{text}: this explains {what}." if whole else f"{text}, which explains {what}."
     listed = "; ".join(
-        f"({n}) {one.sentence}" + (f", {percent(share)}" if share > 0.0 else "")
-        for n, (one, share) in enumerate(zip(causes, shares, strict=True), start=1)
+        f"({n}) {finding.sentence}" + (f", {percent(share)}" if share > 0.0 else "")
+        for n, (finding, share) in enumerate(zip(causes, shares, strict=True), start=1)
     )
     of = f" (shares: of {LACKED})" if any(share > 0.0 for share in shares) else ""
     return f"{_NUMBERS.get(len(causes), str(len(causes)))} causes{of}: {listed}."
 
 
-def _apart(causes: Sequence[Finding]) -> str:
+def _classes_sentence(causes: Sequence[Finding]) -> str:
     """What these data cannot tell apart."""
     parts = []
-    for one in causes:
-        if one.indistinguishable_from:
-            names = " or ".join(member.name for member in one.indistinguishable_from)
-            parts.append(f" These data cannot tell {one.name} from {names}.")
+    for finding in causes:
+        if finding.indistinguishable_from:
+            names = " or ".join(member.name for member in finding.indistinguishable_from)
+            parts.append(f" These data cannot tell {finding.name} from {names}.")
     return "".join(parts)
 
 
-def _worth(found: Diagnosis) -> str:
-    gain = found.gain
-    if gain is None or not found.causes or found.before == found.after:
+def _gain_sentence(diagnosis: Diagnosis) -> str:
+    gain = diagnosis.gain
+    if gain is None or not diagnosis.causes or diagnosis.before == diagnosis.after:
         return ""
     ratio = gain.baseline_rmse_m / max(gain.extended_rmse_m, 1e-12)
     error = f"{gain.horizon_s * 1e3:.0f} ms prediction error"
     change = f"hardly changes the {error}"
     if ratio >= settings.WORSE_ERROR:
-        change = f"cuts the {error} by a factor of {_times(ratio)}"
+        change = f"cuts the {error} by a factor of {_ratio(ratio)}"
     elif ratio < 1.0 / settings.WORSE_ERROR:
-        change = f"makes the {error} {_times(1.0 / ratio)} times as large"
+        change = f"makes the {error} {_ratio(1.0 / ratio)} times as large"
     return (
         f" On the judge recordings extending the model {change}: from {micrometres(gain.baseline_rmse_m)} to "
         f"{micrometres(gain.extended_rmse_m)}; noise alone makes {micrometres(gain.floor_m)}."
@@ -286,28 +290,30 @@ def beyond_sentence(gain: Gain) -> str:
     low, high = gain.ci95_floor
     ratio = gain.extended_rmse_m / gain.floor_m
     return (
-        f"{WHERE_JUDGED}: their {gain.horizon_s * 1e3:.0f} ms prediction error is {ratio:.3g} times what noise alone "
+        f"{ON_JUDGES}: their {gain.horizon_s * 1e3:.0f} ms prediction error is {ratio:.3g} times what noise alone "
         f"makes ({low:.3g} to {high:.3g})"
     )
 
 
-def contradiction_sentence(found: Contradiction) -> str:
+def contradiction_sentence(contradiction: Contradiction) -> str:
     """Which recording does not fit to the others, and by what."""
-    return f"{found.recording} contradicts the others: alone it asks for {found.parameter} {100 * found.change:+.0f} %"
+    size = f"{contradiction.parameter} {100 * contradiction.change:+.0f} %"
+    return f"{contradiction.recording} contradicts the others: alone it asks for {size}"
 
 
 def outlier_sentence(outlier: Outlier) -> str:
     """Which recording was left out, and why."""
-    asked = " and ".join(f"{name} {100.0 * by:+.0f} %" for name, by in outlier.moves)
+    changes = " and ".join(f"{name} {100.0 * change:+.0f} %" for name, change in outlier.moves)
     return (
-        f"{outlier.name} contradicts the others and was left out: alone it is explained by {asked}, as by another "
+        f"{outlier.name} contradicts the others and was left out: alone it is explained by {changes}, as by another "
         "rig. Check where it comes from"
     )
 
 
-def beginning_sentence(late: Beginning) -> str:
+def beginning_sentence(beginning: Beginning) -> str:
     """Which cause is absent at first."""
-    return f"{late.cause} is not there from the start: it begins in {late.recording} at about {late.t_s:.0f} s"
+    where = f"{beginning.recording} at about {beginning.t_s:.0f} s"
+    return f"{beginning.cause} is not there from the start: it begins in {where}"
 
 
 def change_sentence(change: Change) -> str:
@@ -318,7 +324,7 @@ def change_sentence(change: Change) -> str:
     return f"{names} ends after {change.before}: it is absent from {change.after} on"
 
 
-def _times(ratio: float) -> str:
+def _ratio(ratio: float) -> str:
     """A prediction that has run off the travel is wrong by any factor: beyond a hundred the number says nothing."""
     return "over 100" if ratio > 100.0 else f"{ratio:.2g}"
 

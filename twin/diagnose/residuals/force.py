@@ -24,16 +24,25 @@ from protocol.campaign import Plant
 from twin.compiled import Packed, kernel
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.inference.theta import Theta
-from twin.diagnose.residuals.regimes import Blocks, Estimate, by_edges, estimate, even_edges, means, shared_edges, solid
+from twin.diagnose.residuals.regimes import (
+    Blocks,
+    Estimate,
+    bin_labels,
+    estimate,
+    even_edges,
+    means,
+    quantile_edges,
+    solid,
+)
 from twin.diagnose.search import periodic
-from twin.estimation.ekf.filter import filtered as along
+from twin.estimation.ekf.filter import filtered as run_filter
 from twin.estimation.innovations import FLIES, FOLLOWS, USE_I, USE_X
 from twin.estimation.record import FloatArray
 from twin.model.causes.catalogue import CATALOGUE
 from twin.model.extended import I_C, STATES, Base, V, X, advance, position_of_reading, sensor_lag_s
 
 WINDOW_S = 0.03
-FEWEST = 7  # readings in a window
+MIN_READINGS = 7  # readings in a window
 GROUPS = 10
 # The middle group is the ball at rest.  Its measured speed is noise to which the loop responds, so several groups there
 # would show a spurious force.
@@ -78,21 +87,21 @@ def filtered(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float) -> F
     system = theta.system(plant, tick_s)
     base, c = system.base, system.c
     c[periodic.CAUSE.strength.place] = 0.0  # a periodic force is left in the residual
-    out, state, _, _ = along(system, evidence.samples, state=True)
-    modelled, seen = np.empty(len(s)), np.empty(len(s))
+    out, state, _, _ = run_filter(system, evidence.samples, state=True)
+    modelled, positions_m = np.empty(len(s)), np.empty(len(s))
     quiet = c.copy()
     for cause in CATALOGUE:
         if cause.family == "amplifier":
             for parameter in cause.parameters:
                 quiet[parameter.place] = parameter.neutral
-    _behind(base, quiet, state, s.x, seen)
-    flies = (s.flags & FLIES != 0) & (s.flags & USE_X != 0) & np.isfinite(seen)
-    _along(base, quiet, state, seen, s.step, s.flags, evidence.t, modelled)
+    _fill_positions(base, quiet, state, s.x, positions_m)
+    flies = (s.flags & FLIES != 0) & (s.flags & USE_X != 0) & np.isfinite(positions_m)
+    _fill_acceleration(base, quiet, state, positions_m, s.step, s.flags, evidence.t, modelled)
     force, slope = np.full(len(s), np.nan), np.full(len(s), np.nan)
     for piece in _recordings(s.recording):
         window = windows(s.step[piece], s.flags[piece], flies[piece])
         if window is not None:
-            positions = np.where(flies[piece], seen[piece], 0.0)
+            positions = np.where(flies[piece], positions_m[piece], 0.0)
             slope[piece] = window.slope(positions)
             force[piece] = window.left(positions, modelled[piece])
     known = np.isfinite(out[:, 0]) & (s.flags & USE_I != 0)
@@ -105,24 +114,24 @@ def filtered(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float) -> F
 
 
 @kernel
-def _behind(
+def _fill_positions(
     base: Packed,
     c: NDArray[np.float64],
     state: NDArray[np.float64],
     reading: NDArray[np.float64],
-    seen: NDArray[np.float64],
+    x_m: NDArray[np.float64],
 ) -> None:
     """Fill `seen`, shape (n,), with the position that gives each reading in flight, m."""
     p = Base(*base)
     for n in range(len(reading)):
-        seen[n] = np.nan
+        x_m[n] = np.nan
         if not np.isnan(state[n, V]):
             prompt = reading[n] + sensor_lag_s(c) * state[n, V]
-            seen[n] = position_of_reading(p, c, prompt, state[n, I_C])
+            x_m[n] = position_of_reading(p, c, prompt, state[n, I_C])
 
 
 @kernel
-def _along(
+def _fill_acceleration(
     base: Packed,
     c: NDArray[np.float64],
     state: NDArray[np.float64],
@@ -173,11 +182,11 @@ class Windows:
     T_s: float
     whole: NDArray[np.bool_]  # whether the window around each sample is in flight without gaps, shape (n,)
 
-    def slope(self, seen: FloatArray) -> FloatArray:
+    def slope(self, positions_m: FloatArray) -> FloatArray:
         """Speed in the middle of each window, m/s, shape (n,)."""
-        return self._placed(np.convolve(seen, parabola(self.half, self.T_s)[0][::-1], "valid"))
+        return self._aligned(np.convolve(positions_m, parabola(self.half, self.T_s)[0][::-1], "valid"))
 
-    def left(self, seen: FloatArray, modelled: FloatArray) -> FloatArray:
+    def left(self, positions_m: FloatArray, modelled: FloatArray) -> FloatArray:
         """Measured - modelled acceleration in the middle of each window, m/s^2, shape (n,)."""
         weights = parabola(self.half, self.T_s)[1]
         # The acceleration at each sample contributes to the parabola with the double sum of the weights.
@@ -185,10 +194,10 @@ class Windows:
         known = np.isfinite(modelled)
         expected = np.convolve(np.where(known, modelled, 0.0)[1:-1], spread[::-1], "valid")
         all_known = np.convolve(known[1:-1], np.ones(len(spread)), "valid") >= len(spread) - 0.5
-        measured = np.convolve(seen, weights[::-1], "valid")
-        return self._placed(np.where(all_known, measured - expected, np.nan))
+        measured = np.convolve(positions_m, weights[::-1], "valid")
+        return self._aligned(np.where(all_known, measured - expected, np.nan))
 
-    def _placed(self, values: FloatArray) -> FloatArray:
+    def _aligned(self, values: FloatArray) -> FloatArray:
         result = np.full(len(self.whole), np.nan)
         result[self.half : self.half + len(values)] = values
         return np.where(self.whole, result, np.nan)
@@ -206,7 +215,7 @@ def windows(step: FloatArray, flags: NDArray[np.uint16], flies: NDArray[np.bool_
     if not len(known):
         return None
     T_s = float(np.median(known))
-    half = max(round(0.5 * WINDOW_S / T_s), FEWEST // 2)
+    half = max(round(0.5 * WINDOW_S / T_s), MIN_READINGS // 2)
     width, n = 2 * half + 1, len(step)
     if n < width:
         return None
@@ -230,13 +239,15 @@ def force_curves(models: tuple[Filtered, Filtered], evidence: Evidence, blocks: 
     s = evidence.series
     x, v, i = s.x, models[1].slope_m_s, s.i
     flown = np.isfinite(models[0].force_n) & np.isfinite(models[1].force_n)
-    inside = [np.where(flown, values, np.nan) for values in (x, v, i)]
+    in_flight = [np.where(flown, values, np.nan) for values in (x, v, i)]
     return [
         curve
         for curve in (
-            _curve("x", "position x", "m", "N", inside[0], even_edges(inside[0], GROUPS), models, blocks),
-            _curve("v", "speed x'", "m/s", "N", inside[1], shared_edges(inside[1], _SPEED_SHARES), models, blocks),
-            _curve("i", "current i_c", "A", "N", inside[2], even_edges(inside[2], GROUPS), models, blocks),
+            _curve("x", "position x", "m", "N", in_flight[0], even_edges(in_flight[0], GROUPS), models, blocks),
+            _curve(
+                "v", "speed x'", "m/s", "N", in_flight[1], quantile_edges(in_flight[1], _SPEED_SHARES), models, blocks
+            ),
+            _curve("i", "current i_c", "A", "N", in_flight[2], even_edges(in_flight[2], GROUPS), models, blocks),
         )
         if curve is not None
     ]
@@ -255,8 +266,8 @@ def current_curves(models: tuple[Filtered, Filtered], evidence: Evidence, tick_s
     return [
         curve
         for curve in (
-            _curve("u", "input u_c", "V", "A", u, shared_edges(u, _INPUT_SHARES), models, blocks),
-            _curve("du", "change of u_c", "V", "A", change, shared_edges(change, _CHANGE_SHARES), models, blocks),
+            _curve("u", "input u_c", "V", "A", u, quantile_edges(u, _INPUT_SHARES), models, blocks),
+            _curve("du", "change of u_c", "V", "A", change, quantile_edges(change, _CHANGE_SHARES), models, blocks),
         )
         if curve is not None
     ]
@@ -274,7 +285,7 @@ def _curve(
 ) -> Curve | None:
     if len(edges) < 3:
         return None
-    labels, groups = by_edges(values, edges), len(edges) - 1
+    labels, groups = bin_labels(values, edges), len(edges) - 1
     where, _, samples, pieces = means(np.where(labels >= 0, values, 0.0), labels, groups, blocks)
     sides = []
     for model in models:

@@ -9,7 +9,16 @@ import numpy as np
 
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.residuals.force import Filtered
-from twin.diagnose.residuals.regimes import Bin, Blocks, Labels, Regime, by_edges, error_bins, even_edges, shared_edges
+from twin.diagnose.residuals.regimes import (
+    Bin,
+    Blocks,
+    Labels,
+    Regime,
+    bin_labels,
+    error_bins,
+    even_edges,
+    quantile_edges,
+)
 from twin.estimation.innovations import LOST
 from twin.estimation.record import FloatArray, runs
 from twin.estimation.step_figures import DWELL_S
@@ -34,14 +43,14 @@ def sorted_errors(errors_m: FloatArray, evidence: Evidence, model: Filtered, blo
     known = np.isfinite(errors_m).all(axis=0)
     x, v, i = (np.where(known, values, np.nan) for values in (s.x, model.state[:, V], s.i))
     t = _campaign_time(evidence)
-    along = np.where(known, t, np.nan)
-    found = [
+    elapsed = np.where(known, t, np.nan)
+    regimes = [
         _numeric("position", "position x", "m", x, even_edges(x, _GROUPS), errors_m, blocks),
-        _numeric("speed", "speed x'", "m/s", v, shared_edges(v, _SPEED_SHARES), errors_m, blocks),
+        _numeric("speed", "speed x'", "m/s", v, quantile_edges(v, _SPEED_SHARES), errors_m, blocks),
         _numeric("current", "current i_c", "A", i, even_edges(i, _GROUPS), errors_m, blocks),
         _named("direction", "direction of motion", *_direction(v), errors_m, blocks),
         _named("after-step", "time after a reference step", *_after_steps(evidence), errors_m, blocks),
-        _numeric("time", "time over the recordings", "s", along, even_edges(along, _TIMES), errors_m, blocks),
+        _numeric("time", "time over the recordings", "s", elapsed, even_edges(elapsed, _TIMES), errors_m, blocks),
         _named(
             "recording",
             "recording",
@@ -51,7 +60,7 @@ def sorted_errors(errors_m: FloatArray, evidence: Evidence, model: Filtered, blo
             blocks,
         ),
     ]
-    return tuple(regime for regime in found if len(regime.bins) > 1)
+    return tuple(regime for regime in regimes if len(regime.bins) > 1)
 
 
 def _numeric(
@@ -59,9 +68,9 @@ def _numeric(
 ) -> Regime:
     bins: list[Bin] = []
     if len(edges) > 1:
-        factor, shown_unit = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}.get(unit, (1.0, unit))
-        names = [f"{a * factor:.3g} to {b * factor:.3g} {shown_unit}" for a, b in pairwise(edges)]
-        bins = error_bins(errors_m, by_edges(values, edges), names, values, blocks)
+        factor, scaled_unit = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}.get(unit, (1.0, unit))
+        names = [f"{a * factor:.3g} to {b * factor:.3g} {scaled_unit}" for a, b in pairwise(edges)]
+        bins = error_bins(errors_m, bin_labels(values, edges), names, values, blocks)
     return Regime(name=name, title=title, unit=unit, bins=tuple(bins))
 
 
@@ -87,15 +96,15 @@ def _after_steps(evidence: Evidence) -> tuple[Labels, list[str]]:
         rows = np.flatnonzero((s.recording == number) & (s.flags & LOST == 0))[:n]
         if record.kind != "closed-loop" or len(rows) < n or not record.has("x_ref"):
             continue
-        still = np.concatenate(([True], np.abs(np.diff(record.x_ref)) < 1e-9))
-        levels = runs(np.asarray(still), max(round(DWELL_S / record.interval_s) - 1, 2))
+        is_constant = np.concatenate(([True], np.abs(np.diff(record.x_ref)) < 1e-9))
+        levels = runs(np.asarray(is_constant), max(round(DWELL_S / record.interval_s) - 1, 2))
         for before, after in pairwise(levels):
             if after.start - before.stop < 0.5 / record.interval_s:
                 part = slice(before.stop, after.stop)
                 since[rows[part]] = record.t[part] - record.t[before.stop]
     edges = np.array(_AFTER_STEP_S)
     names = [f"{a * 1e3:.0f} to {b * 1e3:.0f} ms" for a, b in pairwise(edges[:-1])]
-    return by_edges(since, edges), [*names, f"later than {edges[-2] * 1e3:.0f} ms"]
+    return bin_labels(since, edges), [*names, f"later than {edges[-2] * 1e3:.0f} ms"]
 
 
 def _campaign_time(evidence: Evidence) -> FloatArray:
@@ -104,7 +113,7 @@ def _campaign_time(evidence: Evidence) -> FloatArray:
     for number in range(len(evidence.records)):
         rows = np.flatnonzero(evidence.series.recording == number)
         if len(rows):
-            own = evidence.t[rows] - evidence.t[rows[0]]
-            t[rows] = begins + np.maximum(own, 0.0)
+            elapsed = evidence.t[rows] - evidence.t[rows[0]]
+            t[rows] = begins + np.maximum(elapsed, 0.0)
             begins = float(t[rows].max())
     return t

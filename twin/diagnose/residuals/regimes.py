@@ -20,7 +20,7 @@ from twin.estimation.record import BoolArray, FloatArray
 Labels = NDArray[np.int64]  # group of each sample, -1: none
 
 DRAWS = 400
-FEWEST_SAMPLES, FEWEST_BLOCKS = 50, 4
+MIN_SAMPLES, MIN_BLOCKS = 50, 4
 CI = (0.025, 0.975)
 
 
@@ -105,10 +105,10 @@ def means(
         shape (groups,)).  A mean is NaN if its group is empty.
     """
     use = labels >= 0
-    place = blocks.of[use] * groups + labels[use]
+    cell = blocks.of[use] * groups + labels[use]
     size = blocks.count * groups
-    sums = np.bincount(place, values[use], size).reshape(blocks.count, groups)
-    counts = np.bincount(place, minlength=size).reshape(blocks.count, groups)
+    sums = np.bincount(cell, values[use], size).reshape(blocks.count, groups)
+    counts = np.bincount(cell, minlength=size).reshape(blocks.count, groups)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = sums.sum(axis=0) / counts.sum(axis=0)
         drawn = (blocks.drawn @ sums) / (blocks.drawn @ counts.astype(np.float64))
@@ -124,7 +124,7 @@ def estimate(value: float, drawn: FloatArray) -> Estimate:
 
 def solid(samples: NDArray[np.int64], blocks: NDArray[np.int64]) -> BoolArray:
     """Which groups have enough samples and blocks, shape (groups,)."""
-    return np.asarray((samples >= FEWEST_SAMPLES) & (blocks >= FEWEST_BLOCKS))
+    return np.asarray((samples >= MIN_SAMPLES) & (blocks >= MIN_BLOCKS))
 
 
 def error_bins(errors_m: FloatArray, labels: Labels, names: Sequence[str], at: FloatArray, blocks: Blocks) -> list[Bin]:
@@ -142,7 +142,7 @@ def error_bins(errors_m: FloatArray, labels: Labels, names: Sequence[str], at: F
     squares = [means(np.where(labels >= 0, errors**2, 0.0), labels, groups, blocks) for errors in errors_m]
     where, _, samples, pieces = means(np.where(labels >= 0, at, 0.0), labels, groups, blocks)
     good = solid(samples, pieces)
-    found = []
+    bins = []
     for group in np.flatnonzero(good).tolist():
         both = [
             estimate(float(np.sqrt(mean[group])), np.sqrt(np.maximum(drawn[:, group], 0.0)))
@@ -150,7 +150,7 @@ def error_bins(errors_m: FloatArray, labels: Labels, names: Sequence[str], at: F
         ]
         drawn = squares[1][1][:, group] / np.maximum(squares[0][1][:, group], 1e-300)
         ratio = float(squares[1][0][group] / max(squares[0][0][group], 1e-300))
-        found.append(
+        bins.append(
             Bin(
                 label=names[group],
                 at=float(where[group]),
@@ -160,30 +160,30 @@ def error_bins(errors_m: FloatArray, labels: Labels, names: Sequence[str], at: F
                 chance=chance_of_worse(ratio, drawn),
             )
         )
-    return found
+    return bins
 
 
-def by_edges(values: FloatArray, edges: FloatArray) -> Labels:
+def bin_labels(values: FloatArray, edges: FloatArray) -> Labels:
     """Group of each value between ascending edges; -1 outside and for NaN."""
     labels = np.searchsorted(edges, values, side="right") - 1
     labels = np.where(values == edges[-1], len(edges) - 2, labels)
-    inside = np.isfinite(values) & (labels >= 0) & (labels < len(edges) - 1)
-    return np.where(inside, labels, -1).astype(np.int64)
+    in_range = np.isfinite(values) & (labels >= 0) & (labels < len(edges) - 1)
+    return np.where(in_range, labels, -1).astype(np.int64)
 
 
 def even_edges(values: FloatArray, groups: int) -> FloatArray:
     """Edges of groups of equal width between the 0.5 % and 99.5 % quantiles; empty without a spread."""
     known = values[np.isfinite(values)]
-    if len(known) < FEWEST_SAMPLES:
+    if len(known) < MIN_SAMPLES:
         return np.empty(0)
     low, high = np.quantile(known, (0.005, 0.995))
     return np.linspace(low, high, groups + 1) if high > low else np.empty(0)
 
 
-def shared_edges(values: FloatArray, shares: Sequence[float]) -> FloatArray:
+def quantile_edges(values: FloatArray, shares: Sequence[float]) -> FloatArray:
     """Edges of groups at these quantiles, for quantities that are mostly near 0; empty with too few samples."""
     known = values[np.isfinite(values)]
-    if len(known) < FEWEST_SAMPLES:
+    if len(known) < MIN_SAMPLES:
         return np.empty(0)
     edges = np.unique(np.quantile(known, shares))
     return edges if len(edges) > 1 else np.empty(0)

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from twin.estimation.record import FloatArray, runs
 
 SEGMENT_S = 1.0
-FEWEST = 4  # segments
+MIN_SEGMENTS = 4  # segments
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +41,7 @@ def spectrum(errors_m: FloatArray, floor_m: float, tick_s: float) -> Spectrum | 
     starts = [
         start for piece in runs(known, length) for start in range(piece.start, piece.stop - length + 1, length // 2)
     ]
-    if len(starts) < FEWEST:
+    if len(starts) < MIN_SEGMENTS:
         return None
     window = np.hanning(length)
     rows = np.array(starts)[:, None] + np.arange(length)

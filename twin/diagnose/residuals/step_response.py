@@ -72,10 +72,10 @@ def step_responses(
     if not shares[0]:
         return "the reference has no step after which it stays for 0.15 s"
     # The mean is over the longer three quarters of the steps: with all of them it would be as short as the shortest.
-    n = int(np.quantile([len(one.t_s) for one in shares[0]], 0.25))
-    long = [[one for one in each if len(one.t_s) >= n] for each in shares]
-    curves = [np.nanmean([one.rig[:n] for one in long[0]], axis=0)]
-    curves += [np.nanmean([one.simulation[:n] for one in each], axis=0) for each in long]
+    n = int(np.quantile([len(response.t_s) for response in shares[0]], 0.25))
+    long = [[response for response in each if len(response.t_s) >= n] for each in shares]
+    curves = [np.nanmean([response.rig[:n] for response in long[0]], axis=0)]
+    curves += [np.nanmean([response.simulation[:n] for response in each], axis=0) for each in long]
     figures = zip(*(compare_steps(runs, sigma) for runs in loops), strict=True)
     return Steps(
         t_s=long[0][0].t_s[:n],

@@ -1,6 +1,6 @@
 """Errors of the baseline and the extended model: over the horizon, by regime, by frequency, as force, in steps.
 
-Rule 1: errors are those of the judge recordings.  Without any, the recordings for fitting are used and `judged` is
+Rule 1: errors are those of the judge recordings.  Without any, the recordings for fitting are used and `from_judges` is
         False; their errors are optimistic.
 Rule 2: residual force and current are of the recordings for fitting, because open-loop flights reach states that the
         closed loop does not.
@@ -62,10 +62,10 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Show:
+class Summary:
     """All numbers of the report's figures."""
 
-    judged: bool  # whether errors are of judge recordings
+    from_judges: bool  # whether errors are of judge recordings
     ahead: tuple[Ahead, ...]
     piece: Piece | None
     regimes: tuple[Regime, ...]
@@ -77,106 +77,113 @@ class Show:
 
     def worse(self) -> list[str]:
         """Horizons and groups in which the extended model is significantly worse."""
-        ahead = [f"{one.horizon_s * 1e3:.3g} ms ahead" for one in self.ahead if one.worse]
-        return ahead + [f"{regime.title}: {one.label}" for regime in self.regimes for one in regime.bins if one.worse]
+        horizons = [f"{entry.horizon_s * 1e3:.3g} ms ahead" for entry in self.ahead if entry.worse]
+        return horizons + [
+            f"{regime.title}: {entry.label}" for regime in self.regimes for entry in regime.bins if entry.worse
+        ]
 
 
-def shown(found: Diagnosis, controller: Controller | None, *, quick: bool = False, seed: int = 0) -> Show:
-    """The residuals of a diagnosis.
+def summarise(diagnosis: Diagnosis, controller: Controller | None, *, quick: bool = False, seed: int = 0) -> Summary:
+    """Compute the residuals of a diagnosis.
 
     Args:
-        found: of `diagnose`.
+        diagnosis: of `diagnose`.
         controller: the law of the closed-loop recordings.
         quick: whether to leave out the closed-loop simulation.
         seed: of the bootstrap.
     """
-    plant = found.extended.plant
-    judge = found.judge_evidence
-    judged = judge is not None and bool(found.gains)
-    evidence = judge if judge is not None and judged else found.fit_evidence
-    gains = found.gains if judged else _on(found, evidence, plant, seed)
-    blocks = blocks_of(evidence.series.recording, found.tick_s, seed)
-    models = _models(found, evidence, plant)
-    at_20 = _nearest(gains, HORIZON_S)
+    plant = diagnosis.extended.plant
+    judge = diagnosis.judge_evidence
+    from_judges = judge is not None and bool(diagnosis.gains)
+    evidence = judge if judge is not None and from_judges else diagnosis.fit_evidence
+    gains = diagnosis.gains if from_judges else _gains_on(diagnosis, evidence, plant, seed)
+    blocks = blocks_of(evidence.series.recording, diagnosis.tick_s, seed)
+    models = _models(diagnosis, evidence, plant)
+    at_20_ms = _at_horizon(gains, HORIZON_S)
     bins: tuple[Regime, ...] = ()
     piece = None
-    if at_20 is not None:
-        bins = sorted_errors(at_20.errors_m, evidence, models[1], blocks)
-        piece = _piece(at_20.errors_m, evidence, found.tick_s)
-    first = _nearest(gains, found.tick_s)
-    ahead, bins = _together(tuple(_ahead(one, blocks) for one in gains), bins)
-    return Show(
-        judged=judged,
+    if at_20_ms is not None:
+        bins = sorted_errors(at_20_ms.errors_m, evidence, models[1], blocks)
+        piece = _piece(at_20_ms.errors_m, evidence, diagnosis.tick_s)
+    next_sample = _at_horizon(gains, diagnosis.tick_s)
+    ahead, bins = _with_holm(tuple(_ahead(gain_, blocks) for gain_ in gains), bins)
+    return Summary(
+        from_judges=from_judges,
         ahead=ahead,
         piece=piece,
         regimes=bins,
-        spectrum=spectrum(first.errors_m, first.floor_m, found.tick_s) if first is not None else None,
-        **_residuals(found, evidence, models, plant, seed),
+        spectrum=spectrum(next_sample.errors_m, next_sample.floor_m, diagnosis.tick_s)
+        if next_sample is not None
+        else None,
+        **_residuals(diagnosis, evidence, models, plant, seed),
         steps="left out by --quick"
         if quick
-        else step_responses(evidence.records, found.before, found.after, found.floor, plant, controller, found.tick_s),
-        floor_m=at_20.floor_m if at_20 is not None else math.nan,
+        else step_responses(
+            evidence.records, diagnosis.before, diagnosis.after, diagnosis.floor, plant, controller, diagnosis.tick_s
+        ),
+        floor_m=at_20_ms.floor_m if at_20_ms is not None else math.nan,
     )
 
 
-def to_dict(show: Show) -> dict[str, Any]:
+def to_dict(summary: Summary) -> dict[str, Any]:
     """The numbers for diagnosis.json, in SI units; traces are left out, and NaN becomes None."""
-    parts = {name: value for name, value in asdict(show).items() if name != "piece"}
-    if isinstance(show.steps, Steps):
-        figures = [(asdict(first), asdict(second)) for first, second in show.steps.figures]
-        parts["steps"] = {"count": show.steps.count, "baseline_and_extended": figures}
+    parts: dict[str, object] = {"judged": summary.from_judges}
+    parts |= {name: value for name, value in asdict(summary).items() if name not in ("from_judges", "piece")}
+    if isinstance(summary.steps, Steps):
+        figures = [(asdict(first), asdict(second)) for first, second in summary.steps.figures]
+        parts["steps"] = {"count": summary.steps.count, "baseline_and_extended": figures}
     else:
-        parts["steps"] = {"not_testable": show.steps}
+        parts["steps"] = {"not_testable": summary.steps}
     return plain(parts, 6)
 
 
-def _models(found: Diagnosis, evidence: Evidence, plant: Plant) -> tuple[Filtered, Filtered]:
+def _models(diagnosis: Diagnosis, evidence: Evidence, plant: Plant) -> tuple[Filtered, Filtered]:
     return (
-        filtered(evidence, found.before, plant, found.tick_s),
-        filtered(evidence, found.after, plant, found.tick_s),
+        filtered(evidence, diagnosis.before, plant, diagnosis.tick_s),
+        filtered(evidence, diagnosis.after, plant, diagnosis.tick_s),
     )
 
 
-def _on(found: Diagnosis, evidence: Evidence, plant: Plant, seed: int) -> tuple[Gain, ...]:
-    made = (
-        gain(evidence, found.before, found.after, found.floor, plant, found.tick_s, samples, seed)
-        for samples in sorted({1, max(round(HORIZON_S / found.tick_s), 1)})
+def _gains_on(diagnosis: Diagnosis, evidence: Evidence, plant: Plant, seed: int) -> tuple[Gain, ...]:
+    results = (
+        gain(evidence, diagnosis.before, diagnosis.after, diagnosis.floor, plant, diagnosis.tick_s, samples, seed)
+        for samples in sorted({1, max(round(HORIZON_S / diagnosis.tick_s), 1)})
     )
-    return tuple(one for one in made if one is not None)
+    return tuple(result for result in results if result is not None)
 
 
-def _nearest(gains: Sequence[Gain], horizon_s: float) -> Gain | None:
-    return min(gains, key=lambda one: abs(one.horizon_s - horizon_s), default=None)
+def _at_horizon(gains: Sequence[Gain], horizon_s: float) -> Gain | None:
+    return min(gains, key=lambda result: abs(result.horizon_s - horizon_s), default=None)
 
 
-def _ahead(one: Gain, blocks: Blocks) -> Ahead:
-    known = np.isfinite(one.errors_m).all(axis=0)
+def _ahead(result: Gain, blocks: Blocks) -> Ahead:
+    known = np.isfinite(result.errors_m).all(axis=0)
     labels = np.where(known, 0, -1).astype(np.int64)
     sides, draws = [], []
-    for errors in one.errors_m:
-        mean, drawn, _, _ = means(np.where(known, errors**2, 0.0), labels, 1, blocks)
-        draws.append(np.sqrt(drawn[:, 0]))
+    for errors in result.errors_m:
+        mean, square_draws, _, _ = means(np.where(known, errors**2, 0.0), labels, 1, blocks)
+        draws.append(np.sqrt(square_draws[:, 0]))
         sides.append(estimate(float(np.sqrt(mean[0])), draws[-1]))
     return Ahead(
-        horizon_s=one.horizon_s,
+        horizon_s=result.horizon_s,
         baseline=sides[0],
         extended=sides[1],
-        floor_m=one.floor_m,
-        ratio=one.ci95_ratio,
-        removed=one.removed,
-        count=one.count,
-        chance=chance_of_worse(one.ratio, draws[1] / np.maximum(draws[0], 1e-300)),
+        floor_m=result.floor_m,
+        ratio=result.ci95_ratio,
+        removed=result.removed,
+        count=result.count,
+        chance=chance_of_worse(result.ratio, draws[1] / np.maximum(draws[0], 1e-300)),
     )
 
 
-def _together(ahead: tuple[Ahead, ...], regimes: tuple[Regime, ...]) -> tuple[tuple[Ahead, ...], tuple[Regime, ...]]:
+def _with_holm(ahead: tuple[Ahead, ...], regimes: tuple[Regime, ...]) -> tuple[tuple[Ahead, ...], tuple[Regime, ...]]:
     """The same with `worse` decided over all of them as one family of tests."""
-    bins = [one for regime in regimes for one in regime.bins]
-    significant = iter(holm([*(one.chance for one in ahead), *(one.chance for one in bins)]))
+    bins = [entry for regime in regimes for entry in regime.bins]
+    significant = iter(holm([*(entry.chance for entry in ahead), *(entry.chance for entry in bins)]))
     return (
-        tuple(replace(one, worse=next(significant)) for one in ahead),
+        tuple(replace(entry, worse=next(significant)) for entry in ahead),
         tuple(
-            replace(regime, bins=tuple(replace(one, worse=next(significant)) for one in regime.bins))
+            replace(regime, bins=tuple(replace(entry, worse=next(significant)) for entry in regime.bins))
             for regime in regimes
         ),
     )
@@ -210,15 +217,15 @@ def _piece(errors_m: FloatArray, evidence: Evidence, tick_s: float) -> Piece | N
 
 
 def _residuals(
-    found: Diagnosis, evidence: Evidence, models: tuple[Filtered, Filtered], plant: Plant, seed: int
+    diagnosis: Diagnosis, evidence: Evidence, models: tuple[Filtered, Filtered], plant: Plant, seed: int
 ) -> dict[str, Any]:
     """Residual curves of the recordings for fitting."""
     force: tuple[Curve, ...] = ()
     current: tuple[Curve, ...] = ()
-    fit = found.fit_evidence
+    fit = diagnosis.fit_evidence
     if len(fit.series):
-        own = models if evidence is fit else _models(found, fit, plant)
-        blocks = blocks_of(fit.series.recording, found.tick_s, seed)
-        force = tuple(force_curves(own, fit, blocks))
-        current = tuple(current_curves(own, fit, found.tick_s, blocks))
+        fit_models = models if evidence is fit else _models(diagnosis, fit, plant)
+        blocks = blocks_of(fit.series.recording, diagnosis.tick_s, seed)
+        force = tuple(force_curves(fit_models, fit, blocks))
+        current = tuple(current_curves(fit_models, fit, diagnosis.tick_s, blocks))
     return {"force": force, "current": current}

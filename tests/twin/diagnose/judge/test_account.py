@@ -21,7 +21,7 @@ from twin.diagnose.judge.account import account_of, verdict_of
 from twin.diagnose.judge.prediction_gain import Gain, bootstrap
 from twin.diagnose.report.page import to_html
 from twin.diagnose.report.sentences import beyond_sentence, summary_sentence
-from twin.diagnose.residuals.summary import shown
+from twin.diagnose.residuals.summary import summarise
 from twin.diagnose.result import Diagnosis, to_json
 from twin.diagnose.search.state import Selection
 from twin.estimation.prediction_floor import TOLERANCE
@@ -181,7 +181,7 @@ def test_an_answer_that_leaves_more_than_noise_on_the_judge_recordings_says_so_e
 
 
 def test_the_page_says_of_which_quantity_each_share_is() -> None:
-    show = shown(found_gap(), controller(), quick=True)
+    show = summarise(found_gap(), controller(), quick=True)
     whole, part = (
         " ".join(re.sub(r"<[^>]+>", " ", to_html(found, show, campaign=Path("c"), out=Path("o"))).split())
         for found in (found_gap(), partly())

@@ -18,7 +18,7 @@ from twin.diagnose.inference.theta import Theta
 from twin.diagnose.judge.choice import Choice, candidates_of, choice_without_judges, choose, worse
 from twin.diagnose.judge.prediction_gain import Gain
 from twin.diagnose.pipeline import diagnose_records
-from twin.diagnose.residuals.summary import shown
+from twin.diagnose.residuals.summary import summarise
 from twin.diagnose.search.state import Selection
 from twin.model.parameters import load_model
 
@@ -118,7 +118,7 @@ def harmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         extended=found.extended,
         warnings=found.warnings,
         details=found,
-        residuals=shown(found, controller(), quick=True),
+        residuals=summarise(found, controller(), quick=True),
         where="runs/monday",
     )
     folder = tmp_path_factory.mktemp("harmed")

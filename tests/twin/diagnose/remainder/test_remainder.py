@@ -69,7 +69,7 @@ def of_wire(tmp_path_factory: pytest.TempPathFactory) -> Remainder:
 
 def test_a_wire_is_a_force_over_the_height(of_wire: Remainder) -> None:
     assert [shape.curve.name for shape in of_wire.shapes] == ["force-over-height"]
-    assert {one.name for one in of_wire.tried} > {"force-over-height"}
+    assert {one.name for one in of_wire.attempts} > {"force-over-height"}
 
 
 def test_the_curve_is_the_wire_s_force_within_its_band(of_wire: Remainder) -> None:
@@ -87,12 +87,12 @@ def test_the_curve_is_the_wire_s_force_within_its_band(of_wire: Remainder) -> No
 
 
 def test_it_predicts_recordings_that_chose_nothing(of_wire: Remainder) -> None:
-    worth = of_wire.worth
+    improvement = of_wire.improvement
 
-    assert worth.ci95_ratio[1] < 0.8
-    assert worth.removed > 0.95
-    assert worth.extended_rmse_m < 1.1 * worth.floor_m
-    assert 0.5 < worth.flexible_rmse_m / worth.extended_rmse_m < 2.0
+    assert improvement.ci95_ratio[1] < 0.8
+    assert improvement.removed > 0.95
+    assert improvement.extended_rmse_m < 1.1 * improvement.floor_m
+    assert 0.5 < improvement.flexible_rmse_m / improvement.extended_rmse_m < 2.0
 
 
 def test_nothing_hidden_has_no_curve(tmp_path: Path) -> None:
@@ -103,7 +103,7 @@ def test_nothing_hidden_has_no_curve(tmp_path: Path) -> None:
     assert not found.shapes
     assert not found.proposed
     assert found.fit is fit
-    assert found.worth.extended_rmse_m == found.worth.causes_rmse_m
+    assert found.improvement.extended_rmse_m == found.improvement.causes_rmse_m
 
 
 def test_what_the_budget_does_not_pay_is_not_begun(tmp_path: Path) -> None:

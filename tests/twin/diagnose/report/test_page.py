@@ -22,7 +22,7 @@ from twin.diagnose.report.figures import (
 from twin.diagnose.report.page import to_html
 from twin.diagnose.report.sentences import finding_sentence, measured, quantity, summary_sentence
 from twin.diagnose.residuals.step_response import Steps
-from twin.diagnose.residuals.summary import shown
+from twin.diagnose.residuals.summary import summarise
 from twin.diagnose.result import Diagnosis, MinorEffect, Proposal
 from twin.estimation.step_figures import together
 from twin.model.causes.catalogue import BY_NAME, CATALOGUE
@@ -33,8 +33,8 @@ PICTURE = "data:image/svg+xml;base64,"
 
 
 def page(found: Diagnosis) -> str:
-    show = shown(found, controller(), quick=found.quick)
-    return to_html(found, show, campaign=Path("runs/monday"), out=Path("diagnosis"))
+    summary = summarise(found, controller(), quick=found.quick)
+    return to_html(found, summary, campaign=Path("runs/monday"), out=Path("diagnosis"))
 
 
 @cache
@@ -155,12 +155,12 @@ def test_an_adequate_model_says_so_and_shows_one_model() -> None:
 
 def with_chances(**chances: float) -> str:
     """The page of the gap with these p values of the extended model's step figures."""
-    show = shown(found_gap(), controller())
-    assert isinstance(show.steps, Steps)
-    rows = [replace(row, chance=chances.get(row.name, 0.9), ci95=(1e-4, 2e-3)) for _, row in show.steps.figures]
-    figures = tuple(zip([first for first, _ in show.steps.figures], together(rows), strict=True))
-    show = replace(show, steps=replace(show.steps, figures=figures))
-    return text_of(to_html(found_gap(), show, campaign=Path("runs/monday"), out=Path("diagnosis")))
+    summary = summarise(found_gap(), controller())
+    assert isinstance(summary.steps, Steps)
+    rows = [replace(row, chance=chances.get(row.name, 0.9), ci95=(1e-4, 2e-3)) for _, row in summary.steps.figures]
+    figures = tuple(zip([first for first, _ in summary.steps.figures], together(rows), strict=True))
+    summary = replace(summary, steps=replace(summary.steps, figures=figures))
+    return text_of(to_html(found_gap(), summary, campaign=Path("runs/monday"), out=Path("diagnosis")))
 
 
 def test_a_step_figure_that_just_misses_is_no_contradiction_of_nothing_left() -> None:
@@ -181,26 +181,26 @@ def test_a_step_figure_that_surely_differs_is_said_where_what_is_left_is_told() 
 
 
 def test_a_chart_of_one_point_is_a_sentence() -> None:
-    show = shown(found_gap(), controller())
-    first, *others = show.force
-    show = replace(show, force=(replace(first, points=first.points[:1]), *others), ahead=show.ahead[:1])
+    summary = summarise(found_gap(), controller())
+    first, *others = summary.force
+    summary = replace(summary, force=(replace(first, points=first.points[:1]), *others), ahead=summary.ahead[:1])
 
-    html = to_html(found_gap(), show, campaign=Path("runs/monday"), out=Path("diagnosis"))
+    html = to_html(found_gap(), summary, campaign=Path("runs/monday"), out=Path("diagnosis"))
 
     assert html.count(PICTURE) == gap_page().count(PICTURE) - 2
     assert f"over {first.title}: one group alone" in text_of(html)
 
 
 def test_a_legend_lies_above_its_data() -> None:
-    show = shown(found_gap(), controller())
+    summary = summarise(found_gap(), controller())
 
-    assert show.piece is not None
+    assert summary.piece is not None
     for figure in (
-        ahead_figure(show.ahead),
-        piece_figure(show.piece),
-        error_figure(show.piece, show.floor_m),
-        regime_figure(show.regimes[0], show.floor_m),
-        curve_figure(show.force[0]),
+        ahead_figure(summary.ahead),
+        piece_figure(summary.piece),
+        error_figure(summary.piece, summary.floor_m),
+        regime_figure(summary.regimes[0], summary.floor_m),
+        curve_figure(summary.force[0]),
     ):
         FigureCanvasAgg(figure).draw()  # type: ignore[no-untyped-call]  # matplotlib's stub
         (ax,) = figure.axes

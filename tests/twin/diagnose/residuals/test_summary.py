@@ -12,10 +12,10 @@ from tests.harness.diagnose.simulated_rig import PLANT, TICK_S, controller, stro
 from twin.diagnose.evidence.gather import gather
 from twin.diagnose.inference.noise_floor import Floor
 from twin.diagnose.residuals.force import filtered, parabola
-from twin.diagnose.residuals.regimes import blocks_of, by_edges, error_bins
+from twin.diagnose.residuals.regimes import bin_labels, blocks_of, error_bins
 from twin.diagnose.residuals.spectrum import spectrum
 from twin.diagnose.residuals.step_response import Steps, step_responses
-from twin.diagnose.residuals.summary import Show, shown, to_dict
+from twin.diagnose.residuals.summary import Summary, summarise, to_dict
 from twin.estimation.family import holm
 
 GAP_M = 5e-4
@@ -23,22 +23,22 @@ FLOOR = Floor(sigma_i_c_a=QUIET.sigma_i_c_a, sigma_x_m=QUIET.sigma_x_m, measured
 
 
 @cache
-def with_gap() -> Show:
-    return shown(diagnosis("air-gap-offset", GAP_M), controller())
+def with_gap() -> Summary:
+    return summarise(diagnosis("air-gap-offset", GAP_M), controller())
 
 
 @cache
-def with_drag() -> Show:
-    return shown(diagnosis("quadratic-drag", 2.0), controller())
+def with_drag() -> Summary:
+    return summarise(diagnosis("quadratic-drag", 2.0), controller())
 
 
-def curve(show: Show, name: str) -> dict[float, tuple[float, float]]:
+def curve(show: Summary, name: str) -> dict[float, tuple[float, float]]:
     """Of baseline and extended by place, N."""
     found = next(one for one in show.force if one.name == name)
     return {point.at: (point.baseline.value, point.extended.value) for point in found.points}
 
 
-def spread(show: Show, name: str) -> dict[float, float]:
+def spread(show: Summary, name: str) -> dict[float, float]:
     """Standard error of the baseline's by place, N, from its 95 % interval."""
     found = next(one for one in show.force if one.name == name)
     return {point.at: (point.baseline.high - point.baseline.low) / (2.0 * 1.96) for point in found.points}
@@ -132,9 +132,9 @@ def test_errors_by_position_grow_with_the_distance_from_where_the_laws_agree() -
 
 
 def test_without_judge_recordings_the_errors_are_said_to_be_of_the_fit() -> None:
-    show = shown(diagnosis("air-gap-offset", GAP_M, judged=False), controller(), quick=True)
+    show = summarise(diagnosis("air-gap-offset", GAP_M, judged=False), controller(), quick=True)
 
-    assert not show.judged
+    assert not show.from_judges
     assert show.ahead
     assert isinstance(show.steps, str)
 
@@ -144,7 +144,7 @@ def test_a_model_that_is_worse_is_said_to_be_worse() -> None:
     recording = np.zeros(5000, np.int32)
     noise = rng.standard_normal((2, 5000)) * 1e-6
     noise[1, :2500] *= 1.5
-    labels = by_edges(np.arange(5000.0), np.array([0.0, 2500.0, 5000.0]))
+    labels = bin_labels(np.arange(5000.0), np.array([0.0, 2500.0, 5000.0]))
 
     bins = error_bins(noise, labels, ["early", "late"], np.arange(5000.0), blocks_of(recording, TICK_S, 0))
 
@@ -180,7 +180,7 @@ def test_white_noise_has_a_flat_spectrum_at_its_floor_and_a_line_stands_out() ->
 def test_the_numbers_are_json_and_the_same_every_time() -> None:
     found = diagnosis("air-gap-offset", GAP_M, seconds=6.0)
 
-    texts = [json.dumps(to_dict(shown(found, controller())), allow_nan=False) for _ in range(2)]
+    texts = [json.dumps(to_dict(summarise(found, controller())), allow_nan=False) for _ in range(2)]
 
     assert texts[0] == texts[1]
     assert {"ahead", "regimes", "force", "current", "spectrum", "steps", "judged"} <= json.loads(texts[0]).keys()
