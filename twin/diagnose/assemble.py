@@ -100,7 +100,7 @@ def testable_causes(records: Sequence[Record]) -> tuple[Cause, ...]:
     return tuple(
         cause
         for cause in CATALOGUE
-        if not cause.not_testable and cause.found_by != "gaps" and not missing_channels(cause, records)
+        if not cause.not_testable and cause.detector != "gaps" and not missing_channels(cause, records)
     )
 
 
@@ -209,7 +209,7 @@ def told(
 def _inconsistent(done: Searched) -> list[str]:
     """Warnings about effects that are not the same in all recordings, or begin in the middle of one."""
     criterion, fit = done.criterion, done.found.fit
-    always = [name for name in done.found.causes if BY_NAME[name].found_by != "spectral-line" and done.change is None]
+    always = [name for name in done.found.causes if BY_NAME[name].detector != "spectral-line" and done.change is None]
     return [contradiction_sentence(one) for one in contradictions(criterion, fit)] + [
         beginning_sentence(late) for late in beginnings(criterion, fit, always)
     ]

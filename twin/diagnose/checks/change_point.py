@@ -121,7 +121,7 @@ def find_change(
         return None
     order = in_time(records)
     # The phase of a periodic force is each recording's own anyway.
-    candidates = [cause for cause in candidates if cause.found_by != "spectral-line"]
+    candidates = [cause for cause in candidates if cause.detector != "spectral-line"]
     for place, begins in _places(criterion, found, candidates, order):
         first, second = order[:place], order[place:]
         names = records[first[-1]].name, records[second[0]].name

@@ -13,7 +13,7 @@ from twin.diagnose import settings
 from twin.diagnose.inference.likelihood import Criterion
 from twin.diagnose.inference.theta import Theta, most_step, moved, prior_spread
 from twin.estimation import optimiser
-from twin.estimation.optimiser import CLOSE, NEAR, Slopes, active_of, covariance_of
+from twin.estimation.optimiser import CLOSE, SLOW_TOLERANCE, Slopes, active_of, covariance_of
 from twin.estimation.record import FloatArray
 from twin.estimation.structures import Results
 
@@ -67,7 +67,7 @@ def climb(
     With `near`, not to the end: slopes that cost less say where to go, and the fit has not converged.
     """
     surface = _Surface(criterion, near=near)
-    top = optimiser.climb(surface, start, free, passes=passes, done=NEAR if near else done, patience=2)
+    top = optimiser.climb(surface, start, free, passes=passes, tolerance=SLOW_TOLERANCE if near else done, patience=2)
     return Fit(
         theta=top.point,
         loglik=top.loglik + narrowing(free, top.covariance),
@@ -133,7 +133,7 @@ class _Surface:
     def moved(self, point: Theta, name: str, by: float) -> Theta:
         return moved(point, name, by, self._criterion.plant)
 
-    def most(self, name: str) -> float:
+    def max_step(self, name: str) -> float:
         return most_step(name)
 
     def visit(self, point: Theta) -> tuple[float, Results]:

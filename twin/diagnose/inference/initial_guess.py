@@ -11,7 +11,7 @@ from twin.diagnose import settings
 from twin.diagnose.evidence.gather import Evidence
 from twin.diagnose.evidence.noise_levels import Noise
 from twin.diagnose.evidence.sensor_noise import sensor_noise
-from twin.diagnose.inference.theta import COLOURS, Theta, most_drag
+from twin.diagnose.inference.theta import COLOURS, Theta, max_drag
 from twin.estimation.record import Record
 from twin.identify.starting.regression import AmplifierStart, amplifier_start, ball_start
 
@@ -38,7 +38,7 @@ def start_theta(records: Sequence[Record], plant: Plant) -> Theta:
             "no recording shows the ball in flight for long enough",
             remedy="Record closed-loop flights or an open-loop prbs with x: without them only the amplifier is known",
         )
-    return _start(amplifier, ball.k * plant.mass_kg, min(max(ball.d * plant.mass_kg, 0.0), 0.9 * most_drag(plant)))
+    return _start(amplifier, ball.k * plant.mass_kg, min(max(ball.d * plant.mass_kg, 0.0), 0.9 * max_drag(plant)))
 
 
 def _start(amplifier: AmplifierStart, K_c: float, b: float) -> Theta:

@@ -110,7 +110,7 @@ class Criterion:
         Raises:
             Spent: they are not affordable.
         """
-        each = zip(thetas, reuse or [Reuse.NOTHING] * len(thetas), strict=True)
+        each = zip(thetas, reuse or [Reuse.NONE] * len(thetas), strict=True)
         self.budget.take(sum(self.pace.steps(theta.base(self.plant), theta.vector(), ask) for theta, ask in each))
 
     def close(self) -> None:
@@ -195,11 +195,11 @@ class Criterion:
         """
         known, states, _ = at.steps.slopes.shape
         reuse = [
-            ask if known and self._states(theta) == states else Reuse.NOTHING
+            ask if known and self._states(theta) == states else Reuse.NONE
             for theta, ask in zip(thetas, reuse, strict=True)
         ]
         self.pay(*thetas, reuse=reuse)
-        steps = {Reuse.NOTHING: NO_STEPS, Reuse.SLOPES: at.steps.slopes_alone, Reuse.STEPS: at.steps}
+        steps = {Reuse.NONE: NO_STEPS, Reuse.SLOPES: at.steps.jacobians, Reuse.STEPS: at.steps}
         return list(self._pool.map(lambda theta, ask: self._outputs(theta, steps[ask]), thetas, reuse))
 
     def several(self, thetas: Sequence[Theta]) -> list[FloatArray]:
@@ -294,7 +294,7 @@ class Criterion:
             smooth = not any(name.partition(".")[0] in with_trait("sticks") and value for name, value in theta.causes)
             near = [rough or (smooth and name in NOISES + COLOURS) for name in steps]
             reuse = [Reuse.STEPS if name in NOISES + COLOURS else Reuse.SLOPES for name in steps]
-            reuse = [ask if may else Reuse.NOTHING for ask, may in zip(reuse, near, strict=True)]
+            reuse = [ask if may else Reuse.NONE for ask, may in zip(reuse, near, strict=True)]
             base, outs = at.innovations, self.beside(beside, at, reuse)
         change = np.empty((len(names), *base.shape))
         filtered = iter(outs)

@@ -96,7 +96,7 @@ class Theta:
         """The vector c of the causes' parameters for the kernels."""
         c = neutral()
         for name, value in self.causes:
-            c[parameter_of(name).place] = value
+            c[parameter_of(name).index] = value
         return c
 
     def base(self, plant: Plant) -> Base:
@@ -145,7 +145,7 @@ def coordinates_of(cause: str) -> tuple[str, ...]:
 
 
 _SHAPES = tuple(one for cause in BY_NAME.values() for one in cause.shapes)
-_PLACES = np.array([one.place for one in _SHAPES], np.intp)
+_PLACES = np.array([one.index for one in _SHAPES], np.intp)
 _NEUTRAL = np.array([one.neutral for one in _SHAPES])
 _SPREAD = np.array([one.spread for one in _SHAPES])
 
@@ -180,7 +180,7 @@ def moved(theta: Theta, name: str, by: float, plant: Plant) -> Theta:
         coordinate = parameter.coordinate(value) + by * unit_of(parameter)
         return theta.having(name, parameter.value(coordinate))
     if name == "b":
-        return replace(theta, b=min(max(value + by * plant.mass_kg, 0.0), most_drag(plant)))
+        return replace(theta, b=min(max(value + by * plant.mass_kg, 0.0), max_drag(plant)))
     if name in STOPS:
         return theta.having(name, value + by * STOP_UNIT_M)
     if name in COLOURS:
@@ -203,7 +203,7 @@ def reinitialised(theta: Theta) -> Theta:
     )
 
 
-def most_drag(plant: Plant) -> float:
+def max_drag(plant: Plant) -> float:
     """Upper bound of b, N s/m: the drag that equals the unstable pole in the middle of the travel."""
     return plant.mass_kg * math.sqrt(2.0 * plant.gravity_m_s2 / (plant.x_max_m - 0.5 * plant.travel_m))
 

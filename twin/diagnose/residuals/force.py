@@ -77,14 +77,14 @@ def filtered(evidence: Evidence, theta: Theta, plant: Plant, tick_s: float) -> F
     s = evidence.series
     system = theta.system(plant, tick_s)
     base, c = system.base, system.c
-    c[periodic.CAUSE.strength.place] = 0.0  # a periodic force is left in the residual
+    c[periodic.CAUSE.strength.index] = 0.0  # a periodic force is left in the residual
     out, state, _, _ = along(system, evidence.samples, state=True)
     modelled, seen = np.empty(len(s)), np.empty(len(s))
     quiet = c.copy()
     for cause in CATALOGUE:
         if cause.family == "amplifier":
             for parameter in cause.parameters:
-                quiet[parameter.place] = parameter.neutral
+                quiet[parameter.index] = parameter.neutral
     _behind(base, quiet, state, s.x, seen)
     flies = (s.flags & FLIES != 0) & (s.flags & USE_X != 0) & np.isfinite(seen)
     _along(base, quiet, state, seen, s.step, s.flags, evidence.t, modelled)
